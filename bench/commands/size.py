@@ -40,6 +40,12 @@ PartsFile = Annotated[
     typer.Option(metavar="FILE", help="Catalogue of parts, TOML.", show_default="golfbench's own"),
 ]
 Names = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Part of the grid; repeatable.")]
+NamesOrNone = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME", help='Part of the grid, or "none"; repeatable.', show_default="none, as shipped"
+    ),
+]
 Absorbers = Annotated[
     list[str] | None,
     typer.Option(metavar="ARM,WRIST", help="Pair of absorbers of the grid; repeatable."),
@@ -76,6 +82,8 @@ def size(
     lever_mm: Levers = None,
     lever_angle: Angles = None,
     frame: Names = None,
+    hose: NamesOrNone = None,
+    vent: NamesOrNone = None,
     rounds: Rounds = 2,
     swings: Swings = 1,
     faults: FaultSpacing = 0,
@@ -96,7 +104,7 @@ def size(
     known = shipped_catalogue() if catalogue is None else load_catalogue(catalogue)
     search = _search(
         known,
-        (vane, cylinder, valve, absorbers, frame),
+        (vane, cylinder, valve, absorbers, frame, hose, vent),
         (pressure_bar, lever_mm, lever_angle),
         (rounds, swings, faults),
     )
@@ -132,7 +140,7 @@ def _search(
     from bench.sizing.candidates import SizingGrid
     from bench.sizing.search import SizingSearch
 
-    vanes, cylinders, valves, absorbers, frames = parts
+    vanes, cylinders, valves, absorbers, frames, hoses, vents = parts
     pressures, levers, angles = numbers
     own = SizingGrid()
     grid = SizingGrid(
@@ -144,9 +152,16 @@ def _search(
         tuple(1e-3 * lever for lever in levers) if levers else own.levers,
         tuple(radians(angle) for angle in angles) if angles else own.lever_angles,
         tuple(frames or own.frames),
+        _or_none(hoses, own.hoses),
+        _or_none(vents, own.vents),
     )
     grid.candidates(catalogue)  # refuses unknown parts before the long part
     return SizingSearch(grid, *depth)
+
+
+def _or_none(names: list[str] | None, own: tuple[str, ...]) -> tuple[str, ...]:
+    """Return parts that may be left out, written "none", or the grid's `own`."""
+    return tuple("" if name == "none" else name for name in names) if names else own
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -212,7 +227,7 @@ def front_table(points: Sequence[SizedPoint], front: Sequence[SizedPoint]) -> Ta
     from rich.table import Table
 
     table = Table(title="Front: no other candidate is both faster and cheaper", title_justify="left")
-    for name in ("vane", "arm", "wrist", "valves", "absorbers", "bar", "EUR"):
+    for name in ("vane", "arm", "wrist", "valves, hose, vents", "absorbers", "bar", "EUR"):
         table.add_column(name)
     for name in ("plan m/s", "cushions J", "peak bar", "swing m/s", "air g", "peak bar"):
         table.add_column(name, justify="right")
@@ -230,7 +245,7 @@ def _plan_cells(point: SizedPoint) -> tuple[str, ...]:
         hardware.vane,
         hardware.arm,
         f"{hardware.wrist}, {1e3 * hardware.lever:g} mm" + _mounting(hardware),
-        f"{hardware.shoulder_valve} {hardware.arm_valve} {hardware.wrist_valve}",
+        " ".join(filter(None, (*hardware.valves, hardware.hose, hardware.vent))),
         f"{hardware.arm_absorber} {hardware.wrist_absorber}",
         f"{hardware.pressure / 1e5:g}",
         str(point.price),

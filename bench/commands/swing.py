@@ -289,8 +289,8 @@ Near = Annotated[
 
 
 _ASK_FOR_LESS = (
-    "Ask for less --speed or a steeper --attack angle; --highest shows the highest speed, "
-    "--nearest gives way."
+    "Ask for less --speed, a steeper --attack angle or a longer --backswing; --highest shows the highest "
+    "speed, --nearest gives way."
 )
 """Action after a failed design."""
 
@@ -317,7 +317,7 @@ def design(
     """Design a swing for the configured plant: the head's speed, angles and strike point at the ball.
 
     Deterministic. A demand out of reach is refused with its limit; --nearest designs the nearest swing and
-    shows the deviations.
+    shows the deviations. A swing that `golfbench check` would refuse is not written.
     """
     import math
 
@@ -473,6 +473,7 @@ def _save_design(
         f"Cushions at most: {100 * limits['stop_share']:.0f} % struck, "
         f"{100 * limits['stop_share_missed']:.0f} % missed, {100 * limits['stop_share_silent']:.0f} % silent."
     )
+    typer.echo("Possible on this machine: it passes the checks of `golfbench check`.")
     if given:
         typer.echo("Gave way: " + "; ".join(given) + ".")
     return swing

@@ -165,7 +165,9 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     open and the longest time; without that feedback it may as well be full. Without sensors, by a vent that
     reports open and the time for venting; without feedback by that time alone. A manifold with a dead sensor
     is proven by nothing. So is one behind a shut-off valve that does not follow its command, as the supply
-    valve alone keeps it empty. A doubt refuses access, and does not end it.
+    valve alone keeps it empty. So are chambers whose vents report their positions, and none is open: the air
+    left below `vented_pressure` carries an arm, which sinks as it leaks away. A doubt refuses access, and
+    does not end it.
     """
     whole, dead, fell = True, False, True
     for k in range(SENSORS):
@@ -179,6 +181,8 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     opened = readings[0].vent_open[0] == 1.0 or readings[0].vent_open[1] == 1.0
     passed = time - s.vent_start
     if s.sensor_dead[0] != 0 or s.shut_off_wrong:
+        return False
+    if fitted and not opened and s.state != State.ACCESS:
         return False
     if dead:
         return bool(opened and passed >= p.vent_time + p.vented_blind)

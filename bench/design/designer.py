@@ -7,6 +7,7 @@
    (ball struck, missed, or bench silent) correct the energies that the plan may bring them; repeat from 2.
 4. `closed_loop` makes references and feed-forward for the same downswing in closed loop, and the braking law
    finds the follow-through; `blind_brake` finds the patterns to stop it without encoders.
+5. `validate` must find the profile possible on this machine, as `golfbench check` does.
 
 The same input gives the same profile. A demand that cannot be met is refused with the reason.
 """
@@ -39,6 +40,7 @@ from bench.design.optimal_control import (
 )
 from bench.design.refine import NEAR, UNITS, NotReached, arrival_errors, refine
 from bench.design.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, ShootingTrial
+from bench.design.validate import profile_faults
 from bench.simulation.loads import stop_shares
 from bench.simulation.simulated_bench import SimulatedBench
 from bench.swing.profile import Profile, as_written
@@ -697,7 +699,19 @@ def design_swing(
         )
     except LoopFailed as failure:
         raise DesignFailed(str(failure)) from None
-    return DesignedSwing(replace(profile, blind_brake=blind), downswing.plan, downswing.trial, rounds)
+    profile = replace(profile, blind_brake=blind)
+    _require_possible(bench, profile)
+    return DesignedSwing(profile, downswing.plan, downswing.trial, rounds)
+
+
+def _require_possible(bench: SimulatedBench, profile: Profile) -> None:
+    """Refuse a swing that no bench would take: the check is that of `golfbench check`.
+
+    Raises:
+        DesignFailed: the check finds faults; the text gives all of them.
+    """
+    if faults := profile_faults(profile, bench.plant, bench.envelope):
+        raise DesignFailed(f"the swing does not pass `golfbench check`: {'; '.join(map(str, faults))}")
 
 
 def _into_the_loop(

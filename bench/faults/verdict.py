@@ -119,7 +119,7 @@ def judge_case(
         stop_head_speed=round(fastest_at_stop, 2),
         clearance=round(loads.lowest_clearance, 4),
         head_share=round(head_share, 4),
-        rest_ticks=run.rest_tick if run.rest_tick < len(cycles) - 1 else -1,
+        rest_ticks=run.rest_tick if run.rested else -1,
         operator="; then ".join(CAUSE_TEXT[c] for c in dict.fromkeys((cause, found)) if c)
         or "; ".join(run.refusals)
         or "nothing",

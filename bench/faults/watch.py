@@ -31,6 +31,9 @@ _LONGEST_VENT = 20.0
 """Time at rest after which access and arming are given up, s."""
 _STILL, _STILL_FOR = 0.02, 1.0
 """Joint speed below which a joint rests, rad/s, and the time for which it must, s."""
+_EMPTY, _LONGEST_CREEP = 0.05e5, 180.0
+"""Pressure over the atmosphere's at which a chamber carries less than friction holds, Pa, and the time after
+which a stopped robot is not waited for, s: on trapped air that leaks away a joint slips every few seconds."""
 
 
 _REPEATED = (Request.HOME, Request.ACCESS, Request.SWING)
@@ -49,6 +52,8 @@ class WatchedRun:
     """Memory of the state machine at the end, one record."""
     rest_tick: int
     """Tick after which no joint moved."""
+    rested: bool
+    """Whether all joints rest at the end: a joint that slips stands still for some ticks, too."""
     vented_tick: int
     """Tick at which the chambers were reported empty after a fault; -1: never."""
     access_pressure: float
@@ -75,7 +80,7 @@ class WatchedRun:
             creep = float(np.abs(after - after[0]).max()) if len(after) else 0.0
         return RunEnd(
             loads=self.loads,
-            rested=self.rest_tick < len(self.cycles) - 1,
+            rested=self.rested,
             frame_distance=self.frame_distance,
             head_share=head_share,
             creep=creep,
@@ -142,14 +147,14 @@ class Watch:
             self.access_motion = max(self.access_motion, moved)
 
     def until_rest(self, longest: int, requests: tuple[Request, ...]) -> None:
-        """Run until rest, at most `longest` ticks in all, and put `requests` when each is due.
+        """Run until rest, at most `longest` ticks in all unless it creeps, and put `requests` when due.
 
         After a fault requests that must be refused are put instead.
         """
         latched_at, done_at = -1, -1
         left = deque(requests)
         swings = int(self.bench.control["swings"][0]) + 1
-        while self.ticks < longest:
+        while self.ticks < longest or self._creeps():
             request: int = 0
             if self.state in _LATCHED:
                 request = Request.ARM if latched_at < 0 else Request.ACCESS  # nothing arms before a reset
@@ -172,6 +177,13 @@ class Watch:
                 done_at = self.ticks
             elif self.ticks - done_at >= 3 * _CHUNK:
                 return
+
+    def _creeps(self) -> bool:
+        """Return whether a stopped robot moves, or may do so, as it stands on air."""
+        if self.state not in _LATCHED or self.ticks >= round(_LONGEST_CREEP / self.period):
+            return False
+        air = self.bench.plant_state["pressure"].max() - self.bench.stepper.plant.plant["atmosphere"][0]
+        return bool(air > _EMPTY or self.ticks - self.rest_tick < round(_STILL_FOR / self.period))
 
     def _is_followed(self, request: Request, swings: int) -> bool:
         """Return whether `request` was accepted; who is let in opens the guard."""
@@ -238,6 +250,7 @@ class Watch:
             loads=self.bench.loads(),
             control=self.bench.control.copy(),
             rest_tick=self.rest_tick,
+            rested=self.ticks - self.rest_tick >= round(_STILL_FOR / self.period),
             vented_tick=self.vented_tick,
             access_pressure=self.access_pressure,
             access_motion=self.access_motion,

@@ -22,6 +22,8 @@ _SHRUNK = (
     ("wrist_absorber", "absorbers"),
     ("feed", "feeds"),
     ("manifold", "manifolds"),
+    ("hose", "hoses"),
+    ("vent", "vents"),
 )
 
 
@@ -41,6 +43,8 @@ class SizingGrid:
     lever_angles: tuple[float, ...] = (0.0,)
     """Mounting angles of the lever, rad."""
     frames: tuple[str, ...] = ("R80",)
+    hoses: tuple[str, ...] = ("",)
+    vents: tuple[str, ...] = ("",)
 
     def candidates(self, catalogue: Catalogue) -> list[Hardware]:
         """Return all combinations; feed and manifold follow the valves.
@@ -50,11 +54,11 @@ class SizingGrid:
         """
         found = []
         parts = product(self.vanes, self.cylinders, self.valves, self.absorbers)
-        free = list(product(self.pressures, self.levers, self.lever_angles, self.frames))
-        for (vane, bore, valve, (arm, wrist)), (pressure, lever, angle, frame) in product(parts, free):
-            made = Hardware(
-                vane, bore, bore, valve, valve, valve, arm, wrist, "L34", "M2", pressure, lever, angle, frame
-            )
+        free = list(
+            product(self.pressures, self.levers, self.lever_angles, self.frames, self.hoses, self.vents)
+        )
+        for (vane, bore, valve, (arm, wrist)), freely in product(parts, free):
+            made = Hardware(vane, bore, bore, valve, valve, valve, arm, wrist, "L34", "M2", *freely)
             flow = sum(part.conductance for part in parts_of(catalogue, made).valves)
             found.append(made if flow <= _SMALL_FEED else replace(made, feed="L100", manifold="M5"))
         return found
@@ -65,6 +69,8 @@ def cheaper(catalogue: Catalogue, hardware: Hardware) -> list[Hardware]:
     found = []
     for field, kind in _SHRUNK:
         parts, own = getattr(catalogue, kind), getattr(hardware, field)
+        if not own:
+            continue
         below = list(parts)[: list(parts).index(own)]
         less = [name for name in below if parts[name].price < parts[own].price]
         if less:

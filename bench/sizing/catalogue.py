@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache
-from math import pi, sqrt
+from math import log, pi, sqrt
 from pathlib import Path
 from typing import Annotated
 
 from annotated_types import Ge, Le
+from scipy.optimize import brentq
 
 from bench.errors import BenchError
 from bench.from_toml import Builder, as_tree, read_toml
 from drivers.base.ranges import Range
+from sim.pneumatics import GAS_CONSTANT, REFERENCE_DENSITY, REFERENCE_TEMPERATURE
 
 FILE = Path(__file__).with_name("catalogue.toml")
 
@@ -23,6 +25,9 @@ PRICES = {1: 100, 2: 300, 3: 1000, 4: 3000}
 _UPSTREAM, _DOWNSTREAM = 7.013e5, 6.013e5
 """Pressures at which a nominal flow is stated: 6 to 5 bar gauge, Pa absolute."""
 _CRITICAL_RATIO = 0.3
+_HEAT_RATIO = 1.4
+_WALL_FRICTION = 0.02
+"""Darcy friction factor of a smooth hose; assumption: at the Reynolds numbers here, about 1e5."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +98,8 @@ class AbsorberPart:
     source: str
     rated: Annotated[float, Range(0.0, 1000.0, "J")] = field(default=0.0, metadata={"optional": True})
     """Energy that its body is rated for, J; `energy` unless it is larger."""
+    radius: Annotated[float, Range(0.02, 0.5, "m")] = field(default=0.08, metadata={"optional": True})
+    """Radius at which it stands if it is the wrist's, m; assumption: the shipped 0.174 rad are 13.9 mm."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +135,40 @@ class ShutOffPart:
 
 
 @dataclass(frozen=True)
+class HosePart:
+    """A hose from a valve to a chamber, cut to length."""
+
+    name: str
+    inner_diameter: Annotated[float, Range(0.001, 0.05, "m")]
+    """m"""
+    length: Annotated[float, Range(0.01, 10.0, "m")]
+    """m"""
+    price: PriceClass
+    source: str
+
+    @property
+    def volume(self) -> float:
+        """Volume that it adds to the chamber's dead volume, m3."""
+        return pi / 4 * self.inner_diameter**2 * self.length
+
+    @property
+    def conductance(self) -> float:
+        """Sonic conductance, m3/(s Pa)."""
+        return hose_conductance(self.inner_diameter, self.length)
+
+
+@dataclass(frozen=True)
+class VentPart:
+    """The two vents with the throttles of the six chambers."""
+
+    name: str
+    conductance: Annotated[float, Range(1e-12, 1e-5, "m3/(s Pa)")]
+    """Sonic conductance of the throttle of each chamber, m3/(s Pa)."""
+    price: PriceClass
+    source: str
+
+
+@dataclass(frozen=True)
 class FramePart:
     """The joints' ranges, with the right arm's cylinder that gives them."""
 
@@ -159,6 +200,8 @@ class Catalogue:
     manifolds: dict[str, ManifoldPart]
     frames: dict[str, FramePart]
     shut_offs: dict[str, ShutOffPart]
+    hoses: dict[str, HosePart]
+    vents: dict[str, VentPart]
 
 
 def conductance_of(nominal_flow: float) -> float:
@@ -170,6 +213,37 @@ def conductance_of(nominal_flow: float) -> float:
     ratio = _DOWNSTREAM / _UPSTREAM
     driving = sqrt(1.0 - ((ratio - _CRITICAL_RATIO) / (1.0 - _CRITICAL_RATIO)) ** 2)
     return nominal_flow / 60e3 / (_UPSTREAM * driving)
+
+
+def fanno_length(mach: float) -> float:
+    """Return friction factor times length over diameter after which flow that enters at `mach` chokes.
+
+    Adiabatic flow of air with wall friction in a pipe of one diameter (Fanno flow, Darcy friction factor).
+    """
+    k = _HEAT_RATIO
+    ratio = (k + 1) * mach**2 / (2 + (k - 1) * mach**2)
+    return (1 - mach**2) / (k * mach**2) + (k + 1) / (2 * k) * log(ratio)
+
+
+def hose_conductance(inner_diameter: float, length: float) -> float:
+    """Return the sonic conductance, m3/(s Pa), of a hose (m, m) that chokes at its end.
+
+    Isentropic from rest to the inlet, then Fanno flow. Fittings and bends are not counted.
+    """
+    k, needed = _HEAT_RATIO, _WALL_FRICTION * length / inner_diameter
+    mach = float(brentq(lambda m: fanno_length(m) - needed, 1e-4, 1.0 - 1e-12))
+    speed = mach * sqrt(k * GAS_CONSTANT * REFERENCE_TEMPERATURE)  # at rest's temperature
+    density_ratio: float = (1 + (k - 1) / 2 * mach**2) ** (-(k + 1) / (2 * (k - 1)))
+    area = pi / 4 * inner_diameter**2
+    return area * speed * density_ratio / (GAS_CONSTANT * REFERENCE_TEMPERATURE * REFERENCE_DENSITY)
+
+
+def in_series(first: float, second: float) -> float:
+    """Return the conductance of two in series, by the squares of their reciprocals.
+
+    As effective areas are combined (JIS; techon.nikkeibp.co.jp/article/WORD/20060515/117083).
+    """
+    return 1.0 / sqrt(first**-2 + second**-2)
 
 
 def load_catalogue(path: Path = FILE) -> Catalogue:

@@ -14,14 +14,15 @@ from bench.sizing.catalogue import (
     Catalogue,
     CylinderPart,
     FramePart,
+    HosePart,
     ValvePart,
     VanePart,
+    VentPart,
+    in_series,
 )
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 
-STOP_RADIUS = 0.08
-"""Radius at which the wrist's absorber stands, m; assumption: the shipped one's 0.174 rad are 13.9 mm."""
 DESIGN_SPEED = 45.0
 """Head speed to which the limits of the joint speeds of the shipped envelope belong, m/s."""
 RELIEF = 0.5e5, 11.5e5
@@ -56,16 +57,26 @@ class Hardware:
     """Mounting angle of that lever on the club, rad."""
     frame: str = "R80"
     """Joints' ranges; the structure has no price class."""
+    hose: str = ""
+    """Hose from each valve to each chamber; empty: valves at the actuators, as shipped."""
+    vent: str = ""
+    """Vents; empty: throttles turned until the chambers empty as fast as the shipped ones."""
+
+    @property
+    def valves(self) -> tuple[str, str, str]:
+        """Valves of shoulder, right arm and wrist."""
+        return self.shoulder_valve, self.arm_valve, self.wrist_valve
 
     @property
     def name(self) -> str:
-        """Name with all choices: parts, pressure in bar, lever in mm; its angle and the frame if changed."""
+        """Name with all choices: parts, bar, mm of the lever; its angle, frame, hose, vents if changed."""
         parts = [str(getattr(self, field.name)) for field in fields(self)[:10]]
         parts += [f"{self.pressure / 1e5:g}bar", f"{1e3 * self.lever:g}mm"]
         if self.lever_angle:
             parts.append(f"{degrees(self.lever_angle):g}deg")
         if self.frame != Hardware.frame:
             parts.append(self.frame)
+        parts += [part for part in (self.hose, self.vent) if part]
         return "-".join(parts)
 
 
@@ -82,6 +93,8 @@ class Parts(NamedTuple):
     manifold: float
     """m3"""
     frame: FramePart
+    hose: HosePart | None
+    vent: VentPart | None
     price: int
     """Upper ends of the parts' price classes, EUR in all."""
 
@@ -98,8 +111,14 @@ _KINDS = {
     "feed": "feeds",
     "manifold": "manifolds",
     "frame": "frames",
+    "hose": "hoses",
+    "vent": "vents",
 }
 """Kind of part of each field."""
+_OPTIONAL = ("hose", "vent")
+"""Fields that may name no part."""
+_PIECES = {"hose": 6}
+"""Number of pieces where a part is needed several times: a hose for each chamber."""
 
 
 def parts_of(catalogue: Catalogue, hardware: Hardware) -> Parts:
@@ -111,6 +130,8 @@ def parts_of(catalogue: Catalogue, hardware: Hardware) -> Parts:
     found: dict[str, Any] = {}
     for field, kind in _KINDS.items():
         name, known = getattr(hardware, field), getattr(catalogue, kind)
+        if field in _OPTIONAL and not name:
+            continue
         if name not in known:
             raise BenchError(
                 f"hardware: {field}", name, f"of {kind}: {', '.join(known)}", "Correct it, or add the part."
@@ -125,7 +146,9 @@ def parts_of(catalogue: Catalogue, hardware: Hardware) -> Parts:
         found["feed"].conductance,
         found["manifold"].volume,
         found["frame"],
-        sum(PRICES[part.price] for field, part in found.items() if field != "frame"),
+        found.get("hose"),
+        found.get("vent"),
+        sum(_PIECES.get(name, 1) * PRICES[part.price] for name, part in found.items() if name != "frame"),
     )
 
 
@@ -134,18 +157,19 @@ def overrides(
 ) -> dict[str, Any]:
     """Return the configuration's tables that make `hardware` of the `shipped` plant, for `speed` (m/s).
 
-    What no part states is scaled from the shipped plant: dry friction, dead volume and the vents' throttles
-    with area or displacement, viscous friction with its root, limits of joint speeds with the head speed,
-    speeds that a cushion takes with the root of its energy. Masses of the bodies stay.
+    What no part states is scaled from the shipped plant: dry friction, dead volume and, without vents of the
+    catalogue, their throttles with area or displacement, viscous friction with its root, limits of joint
+    speeds with the head speed, speeds that a cushion takes with the root of its energy. Masses of the bodies
+    stay.
     """
     parts = parts_of(catalogue, hardware)
     vane, arm, wrist = parts.vane, parts.arm, parts.wrist
     plant: dict[str, Any] = {
         "wrist_lever": hardware.lever,
-        "shoulder": _actuator(shipped.shoulder, vane.displacement, vane.displacement, parts.valves[0]),
-        "right_arm": _actuator(shipped.right_arm, arm.area_a, arm.area_b, parts.valves[1])
+        "shoulder": _actuator(shipped.shoulder, (vane.displacement, vane.displacement), parts, 0),
+        "right_arm": _actuator(shipped.right_arm, (arm.area_a, arm.area_b), parts, 1)
         | _arm_stop(parts.absorbers[0], shipped.right_arm, arm),
-        "wrist": _actuator(shipped.wrist, wrist.area_a, wrist.area_b, parts.valves[2])
+        "wrist": _actuator(shipped.wrist, (wrist.area_a, wrist.area_b), parts, 2)
         | _wrist_stop(parts.absorbers[1]),
         "supply": _supply(parts, hardware, shipped),
     }
@@ -158,19 +182,24 @@ def overrides(
     return {"plant": plant, "envelope": _envelope(hardware, [1.0, *ratings], speed)}
 
 
-def _actuator(shipped: Actuator, area_a: float, area_b: float, valve: ValvePart) -> dict[str, Any]:
-    """Return the keys of an actuator with these areas (m2, vane m3/rad)."""
-    scale, friction = area_a / shipped.area_a, shipped.friction
+def _actuator(shipped: Actuator, areas: tuple[float, float], parts: Parts, index: int) -> dict[str, Any]:
+    """Return the keys of an actuator with these areas (A, B; m2, vane m3/rad) and the valve `index`.
+
+    A hose adds its volume to the dead volume, and stands in series with both edges of the valve, whose
+    critical pressure ratio is kept.
+    """
+    scale, friction, hose = areas[0] / shipped.area_a, shipped.friction, parts.hose
+    conductance = parts.valves[index].conductance
     return {
-        "area_a": area_a,
-        "area_b": area_b,
-        "dead_volume": scale * shipped.dead_volume,
+        "area_a": areas[0],
+        "area_b": areas[1],
+        "dead_volume": scale * shipped.dead_volume + (hose.volume if hose else 0.0),
         "friction": {
             "viscous": sqrt(scale) * friction.viscous,
             "coulomb": scale * friction.coulomb,
             "static": scale * friction.static,
         },
-        "valve": {"conductance": valve.conductance},
+        "valve": {"conductance": in_series(conductance, hose.conductance) if hose else conductance},
     }
 
 
@@ -206,8 +235,8 @@ def _arm_stop(absorber: AbsorberPart, shipped: Actuator, cylinder: CylinderPart)
 
 
 def _wrist_stop(absorber: AbsorberPart) -> dict[str, Any]:
-    """Return the wrist's stop, whose absorber stands at STOP_RADIUS."""
-    travel = absorber.stroke / STOP_RADIUS
+    """Return the wrist's stop, whose absorber stands at its `radius`."""
+    travel = absorber.stroke / absorber.radius
     return {
         "clearance": max(0.12, travel - 0.054),
         "stop": {"energy": absorber.energy, "travel": travel, "rated": absorber.rated},
@@ -224,7 +253,7 @@ def _supply(parts: Parts, hardware: Hardware, shipped: PlantParameters) -> dict[
         "feed_conductance": parts.feed,
         "volume": parts.manifold,
         "dump_conductance": supply.dump_conductance * parts.manifold / supply.volume,
-        "vent_conductance": swept * supply.vent_conductance,
+        "vent_conductance": parts.vent.conductance if parts.vent else swept * supply.vent_conductance,
         "relief_pressure": relief_pressure(hardware.pressure),
         "relief_conductance": swept * supply.relief_conductance,
     }

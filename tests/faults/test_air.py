@@ -44,3 +44,13 @@ def test_a_vent_that_stays_open_lets_nothing_arm(workbench: Workbench, signal: s
     case = workbench.run(Breakage(fault), Instant("standing", 0))
     assert (case.verdict, case.detected_by) == ("safe", "VENT_1" if "1" in signal else "VENT_2"), case.reasons
     assert case.head_share < 0.1
+
+
+def test_a_robot_on_trapped_air_is_watched_until_it_rests_and_nobody_is_let_in(workbench: Workbench) -> None:
+    """Both vents are held shut: the arm creeps as the air leaks, long after the chambers seem empty."""
+    fault = Fault("vents stuck shut", "vents", "stuck", 1.0)
+    case = workbench.run(Breakage(fault, "stop"), Instant("backswing 50 %", 425))
+    assert case.verdict == "safe", case.reasons
+    assert "NOT_VENTED" in case.record
+    assert case.rest_ticks > 10_000
+    assert "moved" not in " ".join(case.reasons)

@@ -6,11 +6,13 @@ import sys
 from dataclasses import replace
 from math import asin, radians, sin
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bench.config import load_configuration
+from bench.design import designer
 from bench.design.closed_loop import Rehearsal
 from bench.design.designer import (
     DesignFailed,
@@ -19,6 +21,7 @@ from bench.design.designer import (
     _guess_from,
     _model_state,
     _problem,
+    _require_possible,
     _swing_up,
     address_pose,
     design_downswing,
@@ -306,6 +309,30 @@ def test_cushions_are_corrected_between_what_held_and_what_broke() -> None:
     tried = tried.learned(brought, over)
     # Straight lines between (10, -5) and (20, +10), and (25, -4) and (27, +12).
     assert tried.next(brought, over) == pytest.approx([10.0 + 10.0 / 3, 25.5])
+
+
+def test_a_design_that_no_bench_would_take_is_refused_by_the_check_s_own_words() -> None:
+    """As the wrist that is late at the top leaves a step there."""
+    bench = _bench("default", "shipped")
+    _require_possible(bench, bench.profile)
+    stepped = bench.profile.angle.copy()
+    stepped[bench.profile.begins[3] :, 2] += 0.2
+    profile = replace(bench.profile, angle=stepped)
+    (fault, *_) = profile_faults(profile, bench.plant, bench.envelope)
+    with pytest.raises(DesignFailed, match="golfbench check") as caught:
+        _require_possible(bench, profile)
+    assert str(fault) in str(caught.value)
+    assert "a step no robot can follow" in str(caught.value)
+
+
+def test_a_design_ends_with_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(designer, "_swing_up", lambda *_: None)
+    monkeypatch.setattr(designer, "design_downswing", lambda *_: (SimpleNamespace(plan=None, trial=None), 1))
+    made = replace(load_profile(find_profile("default")), club="none")
+    monkeypatch.setattr(designer, "_into_the_loop", lambda *arguments: (made, arguments[3]))
+    monkeypatch.setattr(designer, "design_blind_brake", lambda *_: made.blind_brake)
+    with pytest.raises(DesignFailed, match='club: found "none"'):
+        design_swing(load_configuration(None).plant, SwingDemand(), "made")
 
 
 def test_a_shipped_swing_tells_what_it_is_short_of() -> None:

@@ -19,6 +19,7 @@ from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
 from tests.bench.design.bag_demands import DEMANDS
 
+HIGH_SPEED = {"driver-115mph", "driver-130mph", "driver-130mph-level", "rules-120mph", "rules-125mph"}
 WITH_LIMITS = sorted(path.name.removesuffix(ENDING) for path in PROFILES.glob(f"*{ENDING}"))
 CURE = "make them again: golfbench --config CONFIGURATION swing limits PROFILE [--club CLUB] --output FILE"
 
@@ -29,8 +30,9 @@ needs_speed = pytest.mark.skipif(
 
 def designed_for(name: str) -> Configuration:
     """Return the configuration that the profile `name` was designed for."""
-    if name in DEMANDS:
-        return load_configuration(Path("bag")).with_club(load_profile(find_profile(name)).club)
+    if name in DEMANDS or name in HIGH_SPEED:
+        variant = Path("bag" if name in DEMANDS else "high_speed")
+        return load_configuration(variant).with_club(load_profile(find_profile(name)).club)
     return load_configuration(shipped_configuration())
 
 

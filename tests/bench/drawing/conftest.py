@@ -13,8 +13,8 @@ def _plants() -> Iterator[tuple[str, PlantParameters]]:
     shipped = load_configuration(None)
     yield "shipped", shipped.plant
     yield "lever at an angle", replace(shipped.plant, wrist_lever_angle=0.6)
-    yield "small_plant", load_configuration(VARIANTS / "small_plant.toml").plant
-    yield "swing_through_wrist", load_configuration(VARIANTS / "swing_through_wrist.toml").plant
+    for name in ("high_speed", "golfers", "small_plant", "swing_through_wrist"):
+        yield name, load_configuration(VARIANTS / f"{name}.toml").plant
     bag = load_configuration(VARIANTS / "bag.toml")
     for name in bag.clubs:
         yield name, bag.plant_with(club=name)

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from bench.drawing.collision import clearances, collision_outline
+from bench.drawing.links import lever_parts
 from bench.drawing.placement import address, plane_to_golf
+from bench.drawing.solids import Tube
 from bench.drawing.urdf import CLOSURE, joints, write_urdf
 from sim.kane import forward_dynamics
 from sim.kinematics import forward_kinematics, joint_positions
@@ -135,54 +137,127 @@ def test_another_reader_shows_the_drawn_robot(plant: PlantParameters, folder: Pa
     assert sum(mesh.volume > 0 for mesh in read.scene.geometry.values()) == len(read.scene.geometry)
 
 
-def test_pinocchio_has_our_accelerations(plant: PlantParameters, folder: Path) -> None:
-    pin = pytest.importorskip("pinocchio", reason="needs pin (pip install '.[benchmark]')")
-    model = pin.buildModelFromUrdf(str(folder / "golfbench.urdf"))
-    closure = json.loads((folder / "closure.json").read_text())
-    model.gravity.linear = np.array(closure["gravity_m_per_s2"])
-    one, other = (model.frames[model.getFrameId(name)] for name in closure["links"])
-    ends = (one.parentJoint, one.placement, other.parentJoint, other.placement)
-    loop = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *ends, pin.ReferenceFrame.LOCAL)
-    loops, memory = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-    loops.append(loop)
-    memory.append(loops[0].createData())
-    data = model.createData()
-    pin.initConstraintDynamics(model, data, loops, memory)
-    solver = pin.ProximalSettings(1e-12, 1e-12, 10)
-    order = [model.joints[model.getJointId(name)].idx_v for name in NAMES]
-    worst = 0.0
-    for q, u, effort in states(plant):
-        position, velocity, force = np.zeros(5), np.zeros(5), np.zeros(5)
-        position[order], velocity[order] = with_right_arm(plant.robot, q, u)
-        force[order] = generalised(effort)
-        found = pin.constraintDynamics(model, data, position, velocity, force, loops, memory, solver)
-        worst = max(worst, relative(found[order][:3], forward_dynamics(plant.robot, q, u, effort)))
-    assert worst < 1e-9
+class PinocchioReader:
+    """The file in Pinocchio, its loop closed by a rigid point constraint."""
+
+    TOLERANCE = 1e-9
+
+    def __init__(self, plant: PlantParameters, folder: Path) -> None:
+        self._pin = pin = pytest.importorskip("pinocchio", reason="needs pin (pip install '.[benchmark]')")
+        self._robot = plant.robot
+        self._model = model = pin.buildModelFromUrdf(str(folder / "golfbench.urdf"))
+        closure = json.loads((folder / "closure.json").read_text())
+        model.gravity.linear = np.array(closure["gravity_m_per_s2"])
+        one, other = (model.frames[model.getFrameId(name)] for name in closure["links"])
+        ends = (one.parentJoint, one.placement, other.parentJoint, other.placement)
+        loop = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *ends, pin.ReferenceFrame.LOCAL)
+        self._loops, self._memory = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+        self._loops.append(loop)
+        self._memory.append(self._loops[0].createData())
+        self._data = model.createData()
+        pin.initConstraintDynamics(model, self._data, self._loops, self._memory)
+        self._solver = pin.ProximalSettings(1e-12, 1e-12, 10)
+        self._order = [model.joints[model.getJointId(name)].idx_v for name in NAMES]
+
+    def accelerations(self, q: Array, u: Array, force: Array) -> Array:
+        """Return the bench's three joints' (rad/s2) under `force` (5,) in the order of NAMES."""
+        position, velocity, effort = np.zeros(5), np.zeros(5), np.zeros(5)
+        position[self._order], velocity[self._order] = with_right_arm(self._robot, q, u)
+        effort[self._order] = force
+        arguments = (self._loops, self._memory, self._solver)
+        found = self._pin.constraintDynamics(self._model, self._data, position, velocity, effort, *arguments)
+        return np.array(found[self._order][:3])
+
+    def along_the_arm(self, q: Array, pin: Array) -> Array:
+        """Return the efforts (5,) of 1 N along the left arm on the club at `pin`, and back on the arm."""
+        position = np.zeros(5)
+        position[self._order], _ = with_right_arm(self._robot, q, np.zeros(3))
+        library, model, data = self._pin, self._model, self._data
+        library.computeJointJacobians(model, data, position)
+        club, arm = (model.getJointId(name) for name in ("wrist", "arm"))
+        place = data.oMi[club].act(pin)
+        there = library.SE3(np.eye(3), place)
+        world = [library.getJointJacobian(model, data, i, library.ReferenceFrame.WORLD) for i in (club, arm)]
+        moved = there.toActionMatrixInverse() @ (world[0] - world[1])
+        return np.array((data.oMi[arm].rotation[:, 0] @ moved[:3])[self._order])
 
 
-def test_mujoco_has_our_accelerations(plant: PlantParameters, folder: Path) -> None:
-    """MuJoCo's constraints are soft by 1e-4: here a millionth of that, by the weights it takes them with."""
-    mujoco = pytest.importorskip("mujoco", reason="needs mujoco (pip install '.[benchmark]')")
-    spec = mujoco.MjSpec.from_file(str(folder / "golfbench.urdf"))
-    for name in CLOSURE:
-        spec.body(name).add_site(name=name)
-    loop = spec.add_equality()
-    loop.type, loop.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_SITE
-    loop.name1, loop.name2 = CLOSURE
-    loop.solimp[:3] = 0.9999, 0.9999, 0.001
-    model = spec.compile()
-    assert model.opt.gravity == pytest.approx((0.0, 0.0, -plant.robot.gravity))
-    off = mujoco.mjtDisableBit
-    model.opt.disableflags = int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
-    model.opt.iterations, model.opt.tolerance = 200, 0.0
-    model.eq_solref[0] = 2 * model.opt.timestep, 1.0
-    model.body_invweight0[:] *= 1e-6
-    data = mujoco.MjData(model)
-    order = [model.joint(name).dofadr[0] for name in NAMES]
-    worst = 0.0
+class MujocoReader:
+    """The file in MuJoCo, its constraints, soft by 1e-4, a millionth as soft by the weights it takes."""
+
+    TOLERANCE = 1e-6
+
+    def __init__(self, plant: PlantParameters, folder: Path) -> None:
+        self._mujoco = mujoco = pytest.importorskip(
+            "mujoco", reason="needs mujoco (pip install '.[benchmark]')"
+        )
+        self._robot = plant.robot
+        spec = mujoco.MjSpec.from_file(str(folder / "golfbench.urdf"))
+        for name in CLOSURE:
+            spec.body(name).add_site(name=name)
+        loop = spec.add_equality()
+        loop.type, loop.objtype = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_SITE
+        loop.name1, loop.name2 = CLOSURE
+        loop.solimp[:3] = 0.9999, 0.9999, 0.001
+        self._model = model = spec.compile()
+        assert model.opt.gravity == pytest.approx((0.0, 0.0, -plant.robot.gravity))
+        off = mujoco.mjtDisableBit
+        model.opt.disableflags = int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT)
+        model.opt.iterations, model.opt.tolerance = 200, 0.0
+        model.eq_solref[0] = 2 * model.opt.timestep, 1.0
+        model.body_invweight0[:] *= 1e-6
+        self._data = mujoco.MjData(model)
+        self._order = [model.joint(name).dofadr[0] for name in NAMES]
+
+    def accelerations(self, q: Array, u: Array, force: Array) -> Array:
+        """Return the bench's three joints' (rad/s2) under `force` (5,) in the order of NAMES."""
+        data = self._data
+        data.qpos[self._order], data.qvel[self._order] = with_right_arm(self._robot, q, u)
+        data.qfrc_applied[self._order] = force
+        self._mujoco.mj_forward(self._model, data)
+        return np.array(data.qacc[self._order][:3])
+
+    def along_the_arm(self, q: Array, pin: Array) -> Array:
+        """Return the efforts (5,) of 1 N along the left arm on the club at `pin`, and back on the arm."""
+        data = self._data
+        data.qpos[self._order], _ = with_right_arm(self._robot, q, np.zeros(3))
+        self._mujoco.mj_forward(self._model, data)
+        club, arm = data.body("club"), data.body("left_arm")
+        place = club.xpos + club.xmat.reshape(3, 3) @ pin
+        moved = np.zeros((2, 3, self._model.nv))
+        for jacobian, link in zip(moved, (club, arm), strict=True):
+            self._mujoco.mj_jac(self._model, data, jacobian, None, place, link.id)
+        return np.array((arm.xmat.reshape(3, 3)[:, 0] @ (moved[0] - moved[1]))[self._order])
+
+
+READERS = (PinocchioReader, MujocoReader)
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_simulators_have_our_accelerations(
+    plant: PlantParameters, folder: Path, reader: type[PinocchioReader] | type[MujocoReader]
+) -> None:
+    read = reader(plant, folder)
+    worst = max(
+        relative(read.accelerations(q, u, generalised(effort)), forward_dynamics(plant.robot, q, u, effort))
+        for q, u, effort in states(plant)
+    )
+    assert worst < reader.TOLERANCE
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_the_wrist_s_cylinder_at_the_drawn_lever_has_our_accelerations(
+    plant: PlantParameters, folder: Path, reader: type[PinocchioReader] | type[MujocoReader]
+) -> None:
+    """Its force pushes the drawn pin along the arm, and the arm back: the wrist's effort comes from there."""
+    read = reader(plant, folder)
+    (drawn,) = [part.solid for part in lever_parts(plant) if part.name == "lever pin"]
+    assert isinstance(drawn, Tube)
+    pin, worst = np.array([*drawn.start[:2], 0.0]), 0.0
     for q, u, effort in states(plant):
-        data.qpos[order], data.qvel[order] = with_right_arm(plant.robot, q, u)
-        data.qfrc_applied[order] = generalised(effort)
-        mujoco.mj_forward(model, data)
-        worst = max(worst, relative(data.qacc[order][:3], forward_dynamics(plant.robot, q, u, effort)))
-    assert worst < 1e-6
+        force = 20.0 * effort[2]  # N: up to 2000
+        pushed = generalised(np.array([effort[0], effort[1], 0.0])) + force * read.along_the_arm(q, pin)
+        ours = np.array([effort[0], effort[1], force * plant.wrist_slope(q[2])])
+        found = read.accelerations(q, u, pushed)
+        worst = max(worst, relative(found, forward_dynamics(plant.robot, q, u, ours)))
+    assert worst < reader.TOLERANCE

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from math import pi, sqrt
 from pathlib import Path
 
 import pytest
 
 from bench.errors import BenchError
-from bench.sizing.catalogue import FILE, conductance_of, load_catalogue, shipped_catalogue
+from bench.sizing.catalogue import (
+    FILE,
+    conductance_of,
+    fanno_length,
+    hose_conductance,
+    in_series,
+    load_catalogue,
+    shipped_catalogue,
+)
 from sim.plant import PlantParameters
 from sim.pneumatics import FLOW_TO_PRESSURE, GAS_CONSTANT, REFERENCE_DENSITY, REFERENCE_TEMPERATURE, flow
 
@@ -32,6 +41,8 @@ def test_sizes_rise_within_each_kind_as_smaller_parts_are_looked_for_by_order() 
         ("absorbers", "energy"),
         ("feeds", "conductance"),
         ("manifolds", "volume"),
+        ("hoses", "conductance"),
+        ("vents", "conductance"),
     ):
         sizes = [getattr(part, size) for part in getattr(catalogue, kind).values()]
         assert sizes == sorted(sizes)
@@ -58,6 +69,26 @@ def test_the_collected_facts_on_700_litres_are_met() -> None:
     assert conductance_of(700.0) == pytest.approx(2.75e-8, rel=2e-3)
 
 
+@pytest.mark.parametrize(("mach", "length"), [(0.3, 5.29925), (0.5, 1.06906), (0.8, 0.07229)])
+def test_flow_with_friction_chokes_where_the_tables_of_gas_dynamics_say(mach: float, length: float) -> None:
+    """4 f L / D of Fanno flow, ratio of specific heats 1.4 (tables of any textbook on compressible flow)."""
+    assert fanno_length(mach) == pytest.approx(length, rel=1e-4)
+
+
+def test_a_hose_without_length_is_a_nozzle_and_a_longer_one_passes_less() -> None:
+    area = pi / 4 * 0.01**2
+    choked = 0.684731 * area / sqrt(GAS_CONSTANT * REFERENCE_TEMPERATURE) / REFERENCE_DENSITY
+    lengths = [hose_conductance(0.01, length) for length in (1e-7, 0.1, 0.5, 1.0, 5.0)]
+    assert lengths[0] == pytest.approx(choked, rel=2e-3)
+    assert lengths == sorted(lengths, reverse=True)
+    assert hose_conductance(0.008, 1.0) == pytest.approx(6.1e-8, rel=0.03)
+
+
+def test_resistances_in_series_pass_less_than_each() -> None:
+    assert in_series(3.0, 4.0) == pytest.approx(2.4)
+    assert in_series(7.9e-8, 1.0) == pytest.approx(7.9e-8)
+
+
 def broken(tmp_path: Path, old: str, new: str) -> Path:
     """Return a catalogue with `old` replaced."""
     text = FILE.read_text()
@@ -74,6 +105,7 @@ def broken(tmp_path: Path, old: str, new: str) -> Path:
         ("price = 3", "price = 7", "price"),
         ("displacement = 3.0e-4", "displacement = -1.0", "displacement"),
         ("stroke = 0.01386", "strok = 0.01386", "strok"),
+        ("inner_diameter = 0.008", "inner_diameter = 8.0", "inner_diameter"),
     ],
 )
 def test_a_mistake_in_a_catalogue_is_refused_with_its_place(

@@ -10,7 +10,7 @@ import pytest
 from bench.config import load_configuration
 from bench.errors import BenchError
 from bench.sizing.candidates import SizingGrid, cheaper, without_repeats
-from bench.sizing.catalogue import shipped_catalogue
+from bench.sizing.catalogue import PRICES, in_series, shipped_catalogue
 from bench.sizing.hardware import Hardware, highest_pressure, parts_of, relief_pressure
 from bench.sizing.study import SizingDemand, candidate_configuration, candidate_text
 
@@ -58,6 +58,44 @@ def test_larger_parts_rub_hold_and_vent_more() -> None:
 def test_relief_valves_open_above_every_planned_pressure_and_below_the_rating(regulated: float) -> None:
     assert regulated < relief_pressure(regulated) < 12e5
     assert highest_pressure(regulated) > regulated
+
+
+def test_a_hose_costs_dead_volume_flow_and_a_piece_for_each_chamber() -> None:
+    hose, own = PARTS.hoses["H12"], replace(Hardware(), hose="H12")
+    bare, hosed = configured(Hardware()).plant, configured(own).plant
+    for before, after in zip(bare.actuators, hosed.actuators, strict=True):
+        assert after.dead_volume - before.dead_volume == pytest.approx(6.136e-5, rel=1e-3)
+        passed = in_series(before.valve.conductance, hose.conductance)
+        assert after.valve.conductance == pytest.approx(passed, rel=1e-5)
+        assert after.valve.conductance < before.valve.conductance
+    assert parts_of(PARTS, own).price - parts_of(PARTS, Hardware()).price == 6 * PRICES[hose.price]
+    assert own.name == f"{Hardware().name}-H12"
+
+
+def test_vents_of_the_catalogue_replace_throttles_that_grow_with_the_chambers() -> None:
+    own = Hardware(vane="V800", vent="T30")
+    assert configured(own).plant.supply.vent_conductance == pytest.approx(3.0e-9)
+    assert parts_of(PARTS, own).price - parts_of(PARTS, replace(own, vent="")).price == 1000
+    assert own.name.endswith("-T30")
+
+
+def test_hoses_and_vents_are_variables_of_the_search() -> None:
+    found = replace(SizingGrid(), hoses=("", "H19"), vents=("", "T50", "T80")).candidates(PARTS)
+    assert len(found) == 6 * len(SizingGrid().candidates(PARTS))
+    assert len({hardware.name for hardware in found}) == len(found)
+    smaller = [hardware.hose for hardware in cheaper(PARTS, Hardware(hose="H19", vent="T50"))]
+    assert "H12S" in smaller
+    assert "" not in smaller
+
+
+@pytest.mark.parametrize(("single", "pair", "rated"), [("A90", "A90P", 203.7), ("A170", "A170P", 294.0)])
+def test_a_pair_of_absorbers_brakes_as_one_and_takes_the_heat_of_two(
+    single: str, pair: str, rated: float
+) -> None:
+    one, two = (configured(Hardware(wrist_absorber=name)).plant.wrist.stop for name in (single, pair))
+    assert two.stiffness == pytest.approx(one.stiffness, rel=1e-3)
+    assert two.travel == pytest.approx(one.travel, rel=1e-3)
+    assert two.rating == pytest.approx(rated)
 
 
 def test_an_unknown_part_is_refused_with_those_that_there_are() -> None:
