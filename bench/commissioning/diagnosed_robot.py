@@ -73,8 +73,7 @@ class DiagnosedSeries:
         try:
             made = self._series.swing(profile, ball=ball)
         except NotReturned as error:
-            if error.swing is not None:
-                self._robot.look_at(error.swing, self._bench, profile.name, self._series.loads())
+            self._robot.look_at(error.swing, self._bench, profile.name, self._series.loads())
             raise
         self._robot.look_at(made, self._bench, profile.name, self._series.loads())
         return made

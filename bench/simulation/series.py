@@ -58,7 +58,7 @@ class SeriesSwing(NamedTuple):
 class NotReturned(Refused):
     """The robot swung, and does not come back to its address."""
 
-    swing: SeriesSwing | None = None
+    swing: SeriesSwing
     """The swing."""
 
 

@@ -258,6 +258,35 @@ def test_a_swing_that_is_stopped_is_brought_to_rest(
 
 @compiled_only
 @pytest.mark.timeout(600)
+def test_a_swing_that_a_stall_stopped_is_repeated_and_said(
+    server: MachineServer,
+    driver: WatchedDriver,
+    configuration: Configuration,
+    slow: Profile,
+    said: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All encoders at once are lost when a machine stands still, not when a cable breaks."""
+    original, reads = driver.read_record, [-(10**9)]
+
+    def read(at: float, record: np.ndarray) -> None:
+        original(at, record)
+        reads[0] += 1
+        if 1700 <= reads[0] < 1700 + lost:  # after a second at the address the swing is under way
+            record["encoder_valid"] = 0
+
+    monkeypatch.setattr(driver, "read_record", read)
+    server.obey(ArmFor(bench_of(configuration, slow)))
+    lost, reads[0] = 60, 0
+    made = server.obey(Swing(slow, ball=False))
+    assert made.cause is Cause.NONE  # type: ignore[attr-defined]
+    repeated = next(text for text in said if "repeated" in text)
+    assert "without a valid reading: all three encoders were lost at once" in repeated
+    assert "stall of this machine" in repeated
+
+
+@compiled_only
+@pytest.mark.timeout(600)
 def test_no_ball_is_said(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
