@@ -16,7 +16,7 @@ _SCATTER = np.array([5e-4] * 3 + [0.05] * 3 + [300.0] * 6 + [100.0])
 """Errors of predictions over a window that count as one: rad, rad/s, Pa."""
 _OUTLIER = 5.0
 """Error from which it counts less: a joint that breaks loose a little later is no other robot."""
-_ROUNDS = 6
+_ROUNDS = 4
 _NEAR = 2.0
 """Standard errors by which values may move for their effects to be taken there."""
 _BETTER = 0.5
@@ -94,11 +94,11 @@ class SwingMisfit:
 
         Before it the errors are those without a cause: windows do not depend on each other.
         """
-        moved = np.einsum("kqi,i->kq", self.effects, self.none.shift) / _SCATTER
-        without, within = (_robust(each / _SCATTER - moved).sum(axis=1) for each in (self.base, errors))
-        gain = np.append(np.cumsum((without - within)[::-1])[::-1], 0.0)
-        first = int(np.argmax(gain))
-        return first, self.of(np.concatenate([self.base[:first], errors[first:]]))
+        effect = np.einsum("kqi,i->kq", self.effects, self.none.shift)
+        # What the values explain without a cause may be what the cause does.
+        firsts = {0, _better_from(self.base, errors), _better_from(self.base - effect, errors - effect)}
+        found = [(first, self.of(np.concatenate([self.base[:first], errors[first:]]))) for first in firsts]
+        return min(found, key=lambda one: one[1].cost)
 
     def of(self, errors: Array) -> Misfit:
         """Return what stays of `errors` (k, QUANTITIES) with the best values."""
@@ -113,8 +113,14 @@ class SwingMisfit:
             shift = np.linalg.solve(normal, np.einsum("ni,n->i", weighted, wanted) - self._moved)
             left = wanted - np.einsum("ni,i->n", design, shift)
             weight = 1.0 / np.sqrt(1.0 + (left / _OUTLIER) ** 2)
-        cost = (float(_robust(left).sum()) + float(np.sum((self._moved + shift) ** 2))) / len(wanted)
+        cost = (float(_robust(left).sum()) + float(np.sum((self._moved + shift) ** 2))) / max(len(wanted), 1)
         return Misfit(cost, left.reshape(-1, QUANTITIES) * _SCATTER, shift)
+
+
+def _better_from(without: Array, within: Array) -> int:
+    """Return the window from which on errors `within` (k, QUANTITIES) are smaller than those `without`."""
+    gain = [_robust(errors / _SCATTER).sum(axis=1) for errors in (without, within)]
+    return int(np.argmax(np.append(np.cumsum((gain[0] - gain[1])[::-1])[::-1], 0.0)))
 
 
 def _robust(errors: Array) -> Array:

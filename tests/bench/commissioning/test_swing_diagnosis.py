@@ -44,7 +44,7 @@ def default() -> Profile:
 def diagnosed(configuration: Configuration, profile: Profile, name: str) -> tuple[Diagnosis, list[str]]:
     """Return what a swing of the case `name` says, and why it is unsafe."""
     plant = configuration.plant
-    case = swung_wrongly(true_robot(plant, 3))[name]
+    case = swung_wrongly(true_robot(plant, 1))[name]
     series = SimulatedRobot(case.robot, case.faults).series(bench_of(configuration, profile))
     try:
         made = series.swing(profile)
