@@ -161,7 +161,7 @@ class LiveSeries:
         return cause, stall
 
     def _stall(self) -> str:
-        """Return the stall of this machine behind the stop in the records kept; empty if there is none."""
+        """Return the stall of this machine behind the stop in the records kept; empty without one."""
         cycles = self._operator.record()
         stopped = np.flatnonzero(cycles["trip"])
         if not len(stopped):

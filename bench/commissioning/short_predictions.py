@@ -153,7 +153,7 @@ def _predict(
 
 
 def _filled(columns: Array) -> Array:
-    """Return `columns` (n, k) with the last value for what is missing, the first for what is before it."""
+    """Return `columns` (n, k) with the last value in place of missing ones, before it the first."""
     out = np.array(columns)
     for column in out.T:
         good = np.isfinite(column)

@@ -27,7 +27,7 @@ class SwingCause(NamedTuple):
 
     place: str
     what: str
-    """What is wrong there: causes alike in place and this are one."""
+    """The fault there: causes alike in place and fault are one."""
     errors: Changed
     values: tuple[float, ...]
     """Values to begin the search with, in rising order; between the first and the last it stays."""
@@ -36,8 +36,8 @@ class SwingCause(NamedTuple):
     cure: str
 
 
-def swing_causes(plant: PlantParameters, recorded: RecordedSwing) -> list[SwingCause]:
-    """Return the causes that are looked at for the robot `plant`, measured, in a swing `recorded`."""
+def swing_causes(recorded: RecordedSwing) -> list[SwingCause]:
+    """Return the causes that are looked at in a swing `recorded`."""
     causes = [
         _factor(
             "supply",
@@ -69,19 +69,14 @@ def swing_causes(plant: PlantParameters, recorded: RecordedSwing) -> list[SwingC
         ),
     ]
     for joint in range(3):
-        causes += _of_joint(joint, plant, recorded)
+        causes += [*_of_air(joint), *_of_valve(joint, recorded), *_of_sensors(joint)]
     return causes
 
 
-def _of_joint(joint: int, plant: PlantParameters, recorded: RecordedSwing) -> list[SwingCause]:
+def _of_air(joint: int) -> list[SwingCause]:
+    """Return friction and leaks of `joint`."""
     name, key = JOINTS[joint], ACTUATOR_KEYS[joint]
-    valve, air = f"{name} valve", f"air of the {name}"
-    sticks = "its spool sticks or lags"
-    look_at_spool = f"Clean or replace the valve of the {name}; look at its plug and the air's filter."
-    weak = "it lets through less than measured"
-    clear_way = f"Look for a kinked hose, a clogged silencer or a spool of the {name} that opens less."
-    slips = "it slips on its shaft"
-    fasten = f"Fasten the encoder of the {name} on its shaft, then commission again: its zero is another."
+    air, leaks = f"air of the {name}", "it leaks under pressure"
     tight = f"Look for a hose or fitting of the {name} that opens under pressure, then for its seals."
     return [
         _factor(
@@ -91,21 +86,26 @@ def _of_joint(joint: int, plant: PlantParameters, recorded: RecordedSwing) -> li
             (0.2, 0.6, 1.5, 2.5, 4.0, 8.0),
             f"Look for a rubbing part, bearing, belt or seal of the {name}.",
         ),
-        _added(air, "it leaks under pressure", f"{key}.valve.leakage", (0.0, 0.003, 0.01, 0.04, 0.15), tight),
-        _added(air, "it leaks under pressure", f"{key}.cross_leakage", (0.0, 2e-10, 1e-9, 5e-9), tight),
+        _added(air, leaks, f"{key}.valve.leakage", (0.0, 0.003, 0.01, 0.04, 0.15), tight),
+        _added(air, leaks, f"{key}.cross_leakage", (0.0, 2e-10, 1e-9, 5e-9), tight),
+    ]
+
+
+def _of_valve(joint: int, recorded: RecordedSwing) -> list[SwingCause]:
+    """Return what its valve may do otherwise."""
+    name, key = JOINTS[joint], ACTUATOR_KEYS[joint]
+    valve = f"{name} valve"
+    weak, sticks = "it lets through less than measured", "its spool sticks or lags"
+    clear_way = f"Look for a kinked hose, a clogged silencer or a spool of the {name} that opens less."
+    spool = f"Clean or replace the valve of the {name}; look at its plug and the air's filter."
+    instants = tuple(np.linspace(0.0, len(recorded) * recorded.tick, 25).tolist())
+    return [
         _factor(valve, weak, (f"{key}.valve.conductance",), (0.15, 0.4, 0.7, 0.85, 1.3), clear_way),
         SwingCause(valve, weak, _opening(joint), (0.2, 0.5, 0.8, 1.2), _times, clear_way),
         SwingCause(
-            valve, sticks, _lagging(joint), (0.0, 0.003, 0.01, 0.03), _milliseconds("later by"), look_at_spool
+            valve, sticks, _lagging(joint), (0.0, 0.003, 0.01, 0.03), _milliseconds("later by"), spool
         ),
-        SwingCause(
-            valve,
-            sticks,
-            _stuck(joint),
-            tuple(np.linspace(0.0, len(recorded) * recorded.tick, 25).tolist()),
-            _milliseconds("stuck from"),
-            look_at_spool,
-        ),
+        SwingCause(valve, sticks, _stuck(joint), instants, _milliseconds("stuck from"), spool),
         _added(
             valve,
             "its centre moved",
@@ -113,10 +113,17 @@ def _of_joint(joint: int, plant: PlantParameters, recorded: RecordedSwing) -> li
             (-0.1, -0.03, 0.0, 0.03, 0.1),
             f"Look at the valve of the {name}: plug, amplifier, spool.",
         ),
+    ]
+
+
+def _of_sensors(joint: int) -> list[SwingCause]:
+    """Return what its encoder and the sensors of its chambers may do otherwise."""
+    name, slips = JOINTS[joint], "it slips on its shaft"
+    fasten = f"Fasten the encoder of the {name} on its shaft, then commission again: its zero is another."
+    steps = (-0.4, -0.1, -0.03, 0.03, 0.1, 0.4)
+    return [
         SwingCause(f"{name} encoder", slips, _slipping(joint), (0.6, 0.85, 1.15, 1.4), _times, fasten),
-        SwingCause(
-            f"{name} encoder", slips, _slipped(joint), (-0.4, -0.1, -0.03, 0.03, 0.1, 0.4), _radians, fasten
-        ),
+        SwingCause(f"{name} encoder", slips, _slipped(joint), steps, _radians, fasten),
         *(
             SwingCause(
                 f"{CHAMBERS[k]} sensor",

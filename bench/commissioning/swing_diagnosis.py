@@ -93,7 +93,7 @@ def diagnose(cycles: Cycles, plant: PlantParameters, found: Iterable[FoundValue]
     scatter = _scatter(none.errors[:, SPEED], 0), _scatter(pairs, (0, 2))
     if not none.cost > _USUAL:
         return Diagnosis(None, (), none.cost, *scatter, 1.0)
-    coarse = sorted((_coarse(cause, misfit) for cause in swing_causes(plant, recorded)), key=_misfit_of)
+    coarse = sorted((_coarse(cause, misfit) for cause in swing_causes(recorded)), key=_misfit_of)
     fitted = sorted([*(_fine(one, misfit) for one in coarse[:_REFINED]), *coarse[_REFINED:]], key=_misfit_of)
     best = dict[tuple[str, str], FittedCause]()
     for one in fitted:
