@@ -265,7 +265,7 @@ def _noting_what_is_wrong(
 
 @contextmanager
 def _explained_by(diagnosed: DiagnosedRobot) -> Iterator[None]:
-    """Add to what is found wrong what the last swing says."""
+    """Add to an error what the last swing says."""
     try:
         yield
     except Refused as error:

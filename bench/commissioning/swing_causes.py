@@ -1,6 +1,6 @@
 """Causes by which a robot may swing otherwise than the one that was measured: one parameter each.
 
-A cause changes the model, or what is taken from the record: commands that a spool does not follow, readings
+A cause changes the model, or the reading of the record: commands that a spool does not follow, readings
 of an encoder that slips or of a sensor that is off.
 """
 

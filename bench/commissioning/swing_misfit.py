@@ -42,7 +42,7 @@ class UncertainValue(NamedTuple):
 
 
 def uncertain_values(found: Iterable[FoundValue], plant: PlantParameters) -> list[UncertainValue]:
-    """Return what is not exactly known of `plant`, whose values were `found`; the last of a key counts."""
+    """Return the values with a standard error of `plant`, whose values were `found`; the last of a key counts."""
     errors = {one.key: one.error for one in found}
     errors = {key: error for key, error in (_GUESSES | errors).items() if error > 0.0}
     return [UncertainValue(key, float(value_at(plant, key)), error) for key, error in errors.items()]
@@ -67,6 +67,11 @@ class SwingMisfit:
     ) -> None:
         """Take how `uncertain` values of `plant` act on the errors of the windows of `recorded`."""
         self.recorded, self.plant = recorded, plant
+        self.base: Array
+        self.effects: Array
+        """(k, QUANTITIES, p) by standard error."""
+        self.none: Misfit
+        """Without a cause."""
         self._moved = np.zeros(len(uncertain))
         self._set_base(uncertain)
         measured = self.plant, self._moved, self.base, self.effects, self.none
