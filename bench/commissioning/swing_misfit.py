@@ -42,7 +42,7 @@ class UncertainValue(NamedTuple):
 
 
 def uncertain_values(found: Iterable[FoundValue], plant: PlantParameters) -> list[UncertainValue]:
-    """Return the values with a standard error of `plant`, whose values were `found`; the last of a key counts."""
+    """Return the values of `plant` with a standard error as `found`; the last of a key counts."""
     errors = {one.key: one.error for one in found}
     errors = {key: error for key, error in (_GUESSES | errors).items() if error > 0.0}
     return [UncertainValue(key, float(value_at(plant, key)), error) for key, error in errors.items()]
