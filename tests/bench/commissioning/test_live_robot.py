@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -38,6 +39,7 @@ from bench.config import Configuration, load_configuration, shipped_configuratio
 from bench.errors import Refused
 from bench.lifecycle import Cause
 from bench.processes.ownership import take_bench
+from bench.simulation.swing_operator import SwingOperator
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from drivers.base import INVALID, PASSIVE, READINGS, Command
@@ -272,12 +274,19 @@ def test_a_swing_that_a_stall_stopped_is_repeated_and_said(
     def read(at: float, record: np.ndarray) -> None:
         original(at, record)
         reads[0] += 1
-        if 1700 <= reads[0] < 1700 + lost:  # after a second at the address the swing is under way
+        if 300 <= reads[0] < 360:
             record["encoder_valid"] = 0
 
     monkeypatch.setattr(driver, "read_record", read)
     server.obey(ArmFor(bench_of(configuration, slow)))
-    lost, reads[0] = 60, 0
+    start = SwingOperator.start_swing
+
+    def started_once(self: SwingOperator[Any], *given: int) -> bool:
+        begun = start(self, *given)
+        reads[0] = 0 if begun and not said else reads[0]
+        return begun
+
+    monkeypatch.setattr(SwingOperator, "start_swing", started_once)
     made = server.obey(Swing(slow, ball=False))
     assert made.cause is Cause.NONE  # type: ignore[attr-defined]
     repeated = next(text for text in said if "repeated" in text)
