@@ -86,6 +86,7 @@ def commission(
         _show_steps(state, json_=json_)
         return
     load_casadi()  # a missing package must fail before the long part
+    _require_somebody_at_the_regulator(simulated=simulated, regulator=regulator)
     _commission(state, configuration, truth, live=not sim, regulator=regulator)
     _show(state)
 
@@ -111,6 +112,27 @@ def _require_possible(
     if not sim and driver.name == "sim" and not driver.paced:
         cure = 'Set driver.time = "paced", or add --sim.'
         raise BenchError("driver.time", repr(driver.time), "'paced'", cure)
+
+
+def _require_somebody_at_the_regulator(*, simulated: bool, regulator: str | None) -> None:
+    """Refuse a robot whose regulator neither a program nor a person at a terminal turns.
+
+    Raises:
+        BenchError: nothing has moved.
+    """
+    from bench.errors import BenchError
+
+    if simulated or regulator is not None or _at_terminal():
+        return
+    cure = "Name a program that turns the pressure regulator, or run the command in a terminal."
+    raise BenchError("commission --regulator", "neither a program nor a terminal", "one of them", cure)
+
+
+def _at_terminal() -> bool:
+    """Return whether a person can answer questions."""
+    import sys
+
+    return sys.stdin is not None and sys.stdin.isatty()
 
 
 def _commission(
@@ -218,8 +240,6 @@ def _live(
     configuration: Configuration, truth: Configuration, regulator: str | None, bar: Progress
 ) -> Iterator[_Machine]:
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
-    import sys
-
     from bench.commands.learn import mark_from_person
     from bench.commissioning.live_robot import Hands, live_robot
     from bench.commissioning.regulator import by_person, by_program, of_simulation, turned_once
@@ -256,7 +276,7 @@ def _live(
             moving = live_robot(c, owner, hands, truth)
         else:
             turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else None
-            person = ask_mark if sys.stdin.isatty() else None
+            person = ask_mark if _at_terminal() else None
             hands = Hands(turned_once(turn or by_program(regulator or "")), say, person)
             moving = live_robot(c, owner, hands)
         with moving as robot:

@@ -110,12 +110,16 @@ def chamber_flows(opening: Any, pressure: Any, supply: Any, vent: Any, values: A
 
 def joint_angles(trace: MotionTrace, plant: PlantParameters) -> Array:
     """Return the joint angles (n, 3) rad in `trace` by the encoders of `plant`."""
+    return count_angles(trace.first_count + trace.count, plant)
+
+
+def count_angles(count: NDArray[np.int64], plant: PlantParameters) -> Array:
+    """Return the joint angles (n, 3) rad at encoder counts (n, 3), by the encoders of `plant`."""
     encoders = plant.encoders
     per_count = 2 * pi / encoders.counts_per_revolution
     lower, upper = joint_travel(plant)
-    angle = (trace.first_count + trace.count + 0.5 - np.array(encoders.zero_count)) * (
-        np.array(encoders.sign) * per_count
-    )
+    turned = np.unwrap(count, period=encoders.counts_per_revolution, axis=0)
+    angle = (turned + 0.5 - np.array(encoders.zero_count)) * (np.array(encoders.sign) * per_count)
     turns = np.round((angle[0] - (lower + upper) / 2) / (2 * pi))
     return np.asarray(angle - 2 * pi * turns)
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.commissioning.diagnosed_robot import DiagnosedRobot
 from bench.commissioning.following import with_following_limits
 from bench.commissioning.healthy_limits import HealthyLimits
 from bench.commissioning.known_robot import FoundValue, KnownRobot
@@ -28,7 +29,7 @@ from bench.commissioning.valve_edges import ValveEdges
 from bench.commissioning.wiring import Wiring
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration
-from bench.errors import BenchError
+from bench.errors import BenchError, Refused
 from bench.swing.profile import load_profile
 from bench.telemetry.whole_file import whole_file
 from sim.plant import PlantParameters
@@ -226,14 +227,16 @@ def commission_swings(
         Refused: the robot did not come to its address; the step is repeated when resumed.
         BenchError: the package casadi is not installed.
     """
-    (state.folder / "records").mkdir(parents=True, exist_ok=True)
+    records = state.folder / "records"
+    records.mkdir(parents=True, exist_ok=True)
     for step in SWINGING_STEPS:
         if state.has_done(step):
             continue
         on_step(step)
         begun = now()
-        with _noting_what_is_wrong(state, step, now):
-            result = step.swing(robot, known_with_swing(known, state.folder), state.folder, progress)
+        diagnosed = DiagnosedRobot(robot, state.values, records)
+        with _noting_what_is_wrong(state, step, now), _explained_by(diagnosed):
+            result = step.swing(diagnosed, known_with_swing(known, state.folder), state.folder, progress)
         done = _done(step, "records", result, now(), (now() - begun).total_seconds())
         state.done.append(done)
         state.save()
@@ -258,6 +261,15 @@ def _noting_what_is_wrong(
         )
         state.save()
         raise
+
+
+@contextmanager
+def _explained_by(diagnosed: DiagnosedRobot) -> Iterator[None]:
+    """Add to an error what the last swing says."""
+    try:
+        yield
+    except Refused as error:
+        raise diagnosed.explained(error) from error.__cause__
 
 
 def _done(step: NamedStep, record: str, result: StepResult, date: datetime, seconds: float) -> DoneStep:

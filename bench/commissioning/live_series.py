@@ -10,6 +10,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
+import numpy as np
+
 from bench.clock import Clock
 from bench.commissioning.driver_machine import stopped_by_operator
 from bench.control.settings import (
@@ -21,10 +23,12 @@ from bench.control.settings import (
 )
 from bench.errors import Refused
 from bench.learning.live import swung_cycles
-from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
+from bench.lifecycle import REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
 from bench.loop import Cycle, Cycles, Loop
+from bench.processes.stall import stall_note
+from bench.processes.status import cause_text
 from bench.simulation.loads import Loads
-from bench.simulation.series import HOLD, Bench, SeriesSwing
+from bench.simulation.series import HOLD, Bench, SeriesSwing, not_returned
 from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, SwingOperator, joined
 from bench.swing.profile import Profile
 from drivers.base import Driver, DriverError
@@ -101,21 +105,28 @@ class LiveSeries:
     def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
         """Rest at the address, swing `profile`, and come back; after a stop the robot is armed again.
 
-        A swing whose record has gaps before the ball, as the machine was busy, is repeated.
+        A swing whose record has gaps before the ball, or that a stall stopped, as the machine was busy, is
+        repeated.
 
         Raises:
-            Refused: the robot does not come back to its address, no ball comes, or it was stopped.
+            NotReturned: the robot does not come back to its address.
+            Refused: no ball comes, it was stopped, or the machine stays busy.
         """
+        found = ""
         for _ in range(_REPEATED):
             cycles, whole = self._swing(profile, ball=ball)
-            cause = self._come_back()
-            if whole or cause:
-                settled = bool(self.bench.profile.air)
-                return SeriesSwing(cycles, None, float("nan"), cause, float("nan"), settled)
-            self._say("the record has gaps before the ball: the swing is repeated")
-        found = f"{_REPEATED} records with gaps before the ball"
+            settled = bool(self.bench.profile.air)
+            made = SeriesSwing(cycles, None, float("nan"), Cause.NONE, float("nan"), settled)
+            try:
+                cause, stall = self._come_back()
+            except Refused as refused:
+                raise not_returned(refused, made._replace(cause=self._operator.cause)) from None
+            if not stall and (whole or cause):
+                return made._replace(cause=cause)
+            found = f"stopped: {cause_text(cause, stall)}" if stall else "the record has gaps before the ball"
+            self._say(f"{found}: the swing is repeated")
         cure = "Look at the timing: golfbench doctor."
-        raise Refused(f"swinging {profile.name!r}", found, "complete records", cure)
+        raise Refused(f"swinging {profile.name!r}, {_REPEATED} times", found, "a whole swing", cure)
 
     def _swing(self, profile: Profile, *, ball: bool) -> tuple[Cycles, bool]:
         """Return the records of a swing, one a tick, and whether none is missing up to the ball."""
@@ -135,16 +146,28 @@ class LiveSeries:
         cycles, missing = swung_cycles(joined(made), end)
         return cycles, not missing[: profile.begins[6]].any()
 
-    def _come_back(self) -> Cause:
-        """Let the robot return to its address; after a stop arm it again, and return the cause."""
+    def _come_back(self) -> tuple[Cause, str]:
+        """Let the robot return to its address, after a stop arm it again.
+
+        Return the stop's cause, and the stall of this machine that explains it better.
+        """
         operator = self._operator
         back = operator.run_until(lambda: operator.phase is Phase.HOLD, LONGEST_RETURN)
-        cause = operator.cause
+        cause, stall = operator.cause, self._stall()
         if not back or operator.control["reaction"][0]:
             self._require_no_stop()
             self._arm()
         operator.begin_record()
-        return cause
+        return cause, stall
+
+    def _stall(self) -> str:
+        """Return the stall of this machine behind the stop in the records kept; empty without one."""
+        cycles = self._operator.record()
+        stopped = np.flatnonzero(cycles["trip"])
+        if not len(stopped):
+            return ""
+        first, lost = int(stopped[0]), self.bench.envelope.lost_time
+        return stall_note(cycles[: first + 1], Cause(int(cycles["trip"][first])), lost, self._operator.period)
 
     def loads(self) -> Loads | None:
         """Return None: nothing measures them."""
@@ -198,7 +221,8 @@ class LiveSeries:
             self._ask(Request.HOME)
             operator.wait_for(lambda: self._state is not State.HOMING, _HOMED)
         if self._state is not State.READY:
-            found = CAUSE_TEXT[operator.cause] if operator.cause else f"state {self._state.name}"
+            cause = operator.cause
+            found = cause_text(cause, self._stall()) if cause else f"state {self._state.name}"
             raise Refused("homing", found, "a homed robot in state READY", "Follow the text, then --resume.")
         operator.wait_for(lambda: bool(operator.control["emptied"][0]), _PATIENCE)
         if not operator.arm():

@@ -55,6 +55,20 @@ class SeriesSwing(NamedTuple):
     """Whether it began with planned air, or with that a swing had left, not with that of arming."""
 
 
+class NotReturned(Refused):
+    """The robot swung, and does not come back to its address."""
+
+    swing: SeriesSwing
+    """The swing."""
+
+
+def not_returned(refused: Refused, swing: SeriesSwing) -> NotReturned:
+    """Return `refused` after `swing`."""
+    error = NotReturned(*refused.args)
+    error.swing = swing
+    return error
+
+
 class Bench(NamedTuple):
     """Model, profile and settings of a series, without the plant that is swung."""
 
@@ -140,7 +154,8 @@ class Series:
         After a stop the robot is reset and armed again, as a person would.
 
         Raises:
-            Refused: the robot does not come back to its address.
+            NotReturned: the robot does not come back to its address.
+            Refused: it does not come to rest there before.
         """
         self.rest()
         stepper = self._engine.stepper
@@ -150,9 +165,12 @@ class Series:
             stepper.parameters = own
         if self._returned():
             return swing
-        cause = self._engine.cause
-        self._recover()
-        return swing._replace(cause=cause)
+        swing = swing._replace(cause=self._engine.cause)
+        try:
+            self._recover()
+        except Refused as refused:
+            raise not_returned(refused, swing) from None
+        return swing
 
     def _swing(
         self, profile: Profile, ticks: int, *, ball: bool = True, other: ControlParameters | None = None

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from math import degrees, nan
 from pathlib import Path
@@ -28,16 +29,24 @@ from bench.commissioning.fastest_swing import fastest_swing
 from bench.commissioning.known_robot import KnownRobot, value_at
 from bench.commissioning.learned_swing import LEARNED_FILE
 from bench.commissioning.rising_swings import SWING_FILE, bench_of
+from bench.commissioning.swing_diagnosis import diagnose
+from bench.commissioning.swung_robot import SimulatedRobot
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.errors import Refused
 from bench.learning.figures import figures_of
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
-from bench.simulation.series import Series
+from bench.simulation.series import NotReturned, Series
+from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.faults import Fault
 from sim.plant import PlantParameters
 from tests.bench.commissioning.drawn_robots import drawn_robot, drawn_robot_file, gap_of
-from tests.bench.commissioning.wrong_machines import wrong_machines
+from tests.bench.commissioning.wrong_machines import (
+    measured_values,
+    swung_wrongly,
+    true_robot,
+    wrong_machines,
+)
 from tests.benchmarks.row import Row
 
 NAME = "commissioning"
@@ -69,7 +78,7 @@ def run(arguments: list[str]) -> list[Row]:
         Row(NAME, "longest commissioning", max(seconds, default=0.0) / 60.0, "min of the bench"),
     ]
     if options.wrong:
-        rows += _wrong(console, configuration)
+        rows += _wrong(console, configuration) + _swung_wrongly(console, configuration)
     return rows
 
 
@@ -186,4 +195,26 @@ def _wrong(console: Console, configuration: Configuration) -> list[Row]:
         named = case.words in said and case.place in said
         console.print(f"{name}: {said or 'nothing'} {'; '.join(unsafe)}\n", highlight=False)
         rows.append(Row(NAME, name, float(named and not unsafe), "", "named and safe", at_least=1.0))
+    return rows
+
+
+def _swung_wrongly(console: Console, configuration: Configuration) -> list[Row]:
+    """Swing machines that become wrong after they were measured; print what each swing says."""
+    c = configuration
+    known = replace(c, control=replace(c.control, feed_forward="kane+pneumatic"))
+    profile = load_profile(find_profile("default"))
+    bench, found = bench_of(known, profile), measured_values(c.plant)
+    rows = []
+    for name, case in swung_wrongly(true_robot(c.plant, 1)).items():
+        series = SimulatedRobot(case.robot, case.faults).series(bench)
+        try:
+            made = series.swing(profile)
+        except NotReturned as error:
+            made = error.swing
+        said = diagnose(made.cycles, c.plant, found)
+        unsafe = dangers(RunEnd(series.loads()), SafetyLimits())
+        console.print(f"{name}: {said.text} {'; '.join(unsafe)}\n", highlight=False)
+        right = not unsafe and (said.named is None or case.is_named_by(said))
+        text = "named, safe" if said.named is not None else "undecided, safe"
+        rows.append(Row(NAME, name, float(right), "", text, at_least=1.0))
     return rows

@@ -340,6 +340,7 @@ def test_without_a_learned_swing_the_command_does_not_exit_with_0(
         ('[driver]\nname = "mock"\n', ["--robot", "other.toml"], "commission --robot"),
         ("", ["--regulator", "turn"], "commission --regulator"),
         ('[driver]\nname = "mock"\n', ["--sim", "--regulator", "turn"], "commission --regulator"),
+        ('[driver]\nname = "mock"\n', [], "neither a program nor a terminal"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
@@ -350,7 +351,7 @@ def test_options_that_do_not_go_together_are_refused(
     with pytest.raises(SystemExit) as ended:
         main(["--config", str(file), "commission", "--output", str(tmp_path / "day"), *options])
     assert ended.value.code not in (0, None)
-    assert f"error: {place}" in capsys.readouterr().err
+    assert place in capsys.readouterr().err
     assert not (tmp_path / "day").exists()
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -38,6 +39,7 @@ from bench.config import Configuration, load_configuration, shipped_configuratio
 from bench.errors import Refused
 from bench.lifecycle import Cause
 from bench.processes.ownership import take_bench
+from bench.simulation.swing_operator import SwingOperator
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from drivers.base import INVALID, PASSIVE, READINGS, Command
@@ -254,6 +256,42 @@ def test_a_swing_that_is_stopped_is_brought_to_rest(
     with pytest.raises(Refused, match="stopped by its operator"):
         server.obey(Swing(slow, ball=False))
     server.close()
+
+
+@compiled_only
+@pytest.mark.timeout(600)
+def test_a_swing_that_a_stall_stopped_is_repeated_and_said(
+    server: MachineServer,
+    driver: WatchedDriver,
+    configuration: Configuration,
+    slow: Profile,
+    said: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All encoders at once are lost when a machine stands still, not when a cable breaks."""
+    original, reads = driver.read_record, [-(10**9)]
+
+    def read(at: float, record: np.ndarray) -> None:
+        original(at, record)
+        reads[0] += 1
+        if 300 <= reads[0] < 360:
+            record["encoder_valid"] = 0
+
+    monkeypatch.setattr(driver, "read_record", read)
+    server.obey(ArmFor(bench_of(configuration, slow)))
+    start = SwingOperator.start_swing
+
+    def started_once(self: SwingOperator[Any], *given: int) -> bool:
+        begun = start(self, *given)
+        reads[0] = 0 if begun and not said else reads[0]
+        return begun
+
+    monkeypatch.setattr(SwingOperator, "start_swing", started_once)
+    made = server.obey(Swing(slow, ball=False))
+    assert made.cause is Cause.NONE  # type: ignore[attr-defined]
+    repeated = next(text for text in said if "repeated" in text)
+    assert "without a valid reading: all three encoders were lost at once" in repeated
+    assert "stall of this machine" in repeated
 
 
 @compiled_only

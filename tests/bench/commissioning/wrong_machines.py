@@ -3,10 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import nan
 from typing import NamedTuple
 
+import numpy as np
+
+from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, value_at, with_values
+from bench.commissioning.swing_diagnosis import Diagnosis
 from sim.faults import Fault
 from sim.plant import PlantParameters
+
+_ERRORS = {
+    "area_a": 0.022,
+    "area_b": 0.022,
+    "dead_volume": 0.03,
+    "cross_leakage": 0.04,
+    "valve.conductance": 0.022,
+    "valve.critical_ratio": 0.01,
+    "valve.leakage": 0.02,
+    "valve.natural_frequency": 0.02,
+    "friction.coulomb": 0.03,
+    "friction.static": 0.05,
+    "friction.viscous": 0.1,
+}
+"""Standard errors of the measuring steps, as shares."""
+_OTHERS = {"robot.club.head_mass": 0.03, "robot.club.shaft_mass": 0.07, "supply.pressure": 0.001}
+_MASS = 0.07
+_CENTRE, _LATENCY, _ZERO = 1e-4, 3e-5, 10.0
+"""Standard errors of centres and dead bands, of the latency (s) and of zeros (counts)."""
 
 
 class WrongCase(NamedTuple):
@@ -54,4 +78,89 @@ def wrong_machines(robot: PlantParameters) -> dict[str, WrongCase]:
         "supply too low in service": WrongCase(low, (), "supply", "in service", 4),
         "encoder late": broken("arm encoder", "delayed", 0.008, "arm encoder", "later than the pressures", 5),
         "spool sticking": broken("wrist valve", "slow", 0.02, "wrist valve", "spool", 5),
+    }
+
+
+class SwungWrongly(NamedTuple):
+    """A robot with something wrong that its measuring steps did not see."""
+
+    robot: PlantParameters
+    faults: tuple[Fault, ...]
+    place: str
+    """What is named; empty: nothing is wrong."""
+    what: str
+    """Part of what is said of it."""
+
+    def is_named_by(self, diagnosis: Diagnosis) -> bool:
+        """Return whether `diagnosis` names what is wrong."""
+        named = diagnosis.named
+        return named is not None and named.cause.place == self.place and self.what in named.cause.what
+
+
+def measured_values(plant: PlantParameters) -> list[FoundValue]:
+    """Return what the measuring steps find of a robot like `plant`, with their standard errors."""
+    errors = dict[str, float]()
+    for key in ACTUATOR_KEYS:
+        errors |= {
+            f"{key}.{name}": share * abs(float(value_at(plant, f"{key}.{name}")))
+            for name, share in _ERRORS.items()
+        }
+        errors |= {f"{key}.valve.{name}": _CENTRE for name in ("centre", "dead_band")}
+    bodies = ("shoulder_link", "left_arm", "rod", "cylinder")
+    masses = {f"robot.{body}.{what}": _MASS for body in bodies for what in ("mass", "inertia")}
+    errors |= {key: share * float(value_at(plant, key)) for key, share in (masses | _OTHERS).items()}
+    errors |= {f"encoders.zero_count.{i}": _ZERO for i in range(3)} | {"encoders.latency": _LATENCY}
+    return [FoundValue(key, float(value_at(plant, key)), error, "", "test") for key, error in errors.items()]
+
+
+def true_robot(plant: PlantParameters, seed: int) -> PlantParameters:
+    """Return a robot that may have been measured as `plant`; its zeros are as found."""
+    random, true = np.random.default_rng(seed), dict[str, float]()
+    for value in measured_values(plant):
+        drawn = value.value + float(random.normal()) * value.error
+        if "zero_count" not in value.key:
+            true[value.key] = drawn if value.key.endswith("centre") else max(drawn, 0.0)
+    return with_values(plant, true)
+
+
+def swung_wrongly(robot: PlantParameters) -> dict[str, SwungWrongly]:
+    """Return machines that become wrong and are otherwise like `robot`, by name."""
+
+    def broken(
+        signal: str, kind: str, value: float, place: str, what: str, phase: str = "backswing"
+    ) -> SwungWrongly:
+        fault = Fault("wrong", signal, kind, value, phase=phase)  # type: ignore[arg-type]
+        return SwungWrongly(robot, (fault,), place, what)
+
+    def other(keys: tuple[str, ...], factor: float, place: str, what: str) -> SwungWrongly:
+        values = {key: factor * float(value_at(robot, key)) for key in keys}
+        return SwungWrongly(with_values(robot, values), (), place, what)
+
+    def rubbing(key: str, factor: float, joint: str) -> SwungWrongly:
+        kinds = tuple(f"{key}.friction.{kind}" for kind in ("coulomb", "static", "viscous"))
+        return other(kinds, factor, f"friction of the {joint}", "it is another")
+
+    return {
+        "nothing wrong": SwungWrongly(robot, (), "", ""),
+        "hose of the arm leaks": broken("arm valve", "leaking", 0.04, "air of the arm", "leaks"),
+        "hose of the shoulder leaks": broken(
+            "shoulder valve", "leaking", 0.03, "air of the shoulder", "leaks"
+        ),
+        "regulator too low": broken("supply", "scale", 0.85, "supply", "regulator gives less"),
+        "supply sags": other(("supply.feed_conductance",), 0.08, "supply", "sags"),
+        "spool sticks": broken("wrist valve", "slow", 0.01, "wrist valve", "sticks", "downswing"),
+        "spool stuck": broken("arm valve", "stuck", nan, "arm valve", "sticks", "downswing"),
+        "encoder slipped": broken("arm encoder", "offset", 0.05, "arm encoder", "slips", "downswing"),
+        "encoder slips": broken("wrist encoder", "scale", 1.1, "wrist encoder", "slips"),
+        "head heavier than entered": other(("robot.club.head_mass",), 1.5, "club", "heavy"),
+        "arm rubs": rubbing("right_arm", 4.0, "arm"),
+        "wrist's bearing dry": rubbing("wrist", 3.0, "wrist"),
+        "shoulder's belt tight": rubbing("shoulder", 3.0, "shoulder"),
+        "brake of the wrist weak": broken("wrist valve", "scale", 0.5, "wrist valve", "lets through less"),
+        "brake of the shoulder weak": broken(
+            "shoulder valve", "scale", 0.5, "shoulder valve", "lets through less", "downswing"
+        ),
+        "sensor drifts": broken(
+            "right arm B sensor", "offset", -4e4, "right arm B sensor", "another pressure"
+        ),
     }

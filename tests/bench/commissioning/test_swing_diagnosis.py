@@ -1,0 +1,104 @@
+"""What a recorded swing says of a robot that became another one than the measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from bench.commissioning.diagnosed_robot import DiagnosedRobot
+from bench.commissioning.rising_swings import bench_of
+from bench.commissioning.short_predictions import RecordedSwing
+from bench.commissioning.swing_diagnosis import Diagnosis, diagnose
+from bench.commissioning.swung_robot import SimulatedRobot
+from bench.commissioning.wrong_machine import WrongMachine
+from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.errors import Refused
+from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.series import NotReturned
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+from tests.bench.commissioning.wrong_machines import measured_values, swung_wrongly, true_robot
+
+CASES = swung_wrongly(load_configuration(shipped_configuration()).plant)
+pytestmark = [
+    pytest.mark.skipif(
+        bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+    ),
+    pytest.mark.timeout(900),
+]
+
+
+@pytest.fixture(scope="module")
+def configuration() -> Configuration:
+    return load_configuration(shipped_configuration())
+
+
+@pytest.fixture(scope="module")
+def default() -> Profile:
+    return load_profile(find_profile("default"))
+
+
+def diagnosed(configuration: Configuration, profile: Profile, name: str) -> tuple[Diagnosis, list[str]]:
+    """Return what a swing of the case `name` says, and why it is unsafe."""
+    plant = configuration.plant
+    case = swung_wrongly(true_robot(plant, 1))[name]
+    series = SimulatedRobot(case.robot, case.faults).series(bench_of(configuration, profile))
+    try:
+        made = series.swing(profile)
+    except NotReturned as error:
+        made = error.swing
+    said = diagnose(made.cycles, plant, measured_values(plant))
+    return said, dangers(RunEnd(series.loads()), SafetyLimits())
+
+
+def test_the_true_plant_predicts_its_own_swing(configuration: Configuration, default: Profile) -> None:
+    plant = configuration.plant
+    made = SimulatedRobot(plant).series(bench_of(configuration, default)).swing(default)
+    recorded = RecordedSwing(made.cycles, plant)
+    assert len(recorded.contacts) == 1
+    scatter = np.sqrt(np.mean(np.square(recorded.errors(plant)), axis=0))
+    assert scatter[3:6].max() < 0.03, "rad/s"
+    assert scatter[6:].max() < 300.0, "Pa"
+
+
+@pytest.mark.parametrize("name", ["nothing wrong", "hose of the arm leaks"])
+def test_a_swing_says_what_became_wrong(configuration: Configuration, default: Profile, name: str) -> None:
+    said, unsafe = diagnosed(configuration, default, name)
+    assert (said.named is None) is (name == "nothing wrong"), said.text
+    assert said.named is None or CASES[name].is_named_by(said)
+    assert not unsafe
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_no_cause_is_named_that_is_not_there(
+    configuration: Configuration, default: Profile, name: str
+) -> None:
+    said, unsafe = diagnosed(configuration, default, name)
+    assert said.named is None or CASES[name].is_named_by(said), said.text
+    assert not unsafe
+
+
+def test_commissioning_ends_with_the_swing_that_a_cause_explains(
+    configuration: Configuration, default: Profile, tmp_path: Path
+) -> None:
+    case, bench = CASES["supply sags"], bench_of(configuration, default)
+    robot = SimulatedRobot(case.robot, case.faults)
+    watched = DiagnosedRobot(robot, measured_values(configuration.plant), tmp_path)
+    with pytest.raises(WrongMachine, match=r"supply: it sags(?s:.)*clogged filter") as found:
+        watched.series(bench).swing(default)
+    assert (tmp_path / "wrong-swing.npz").exists()
+    assert watched.explained(found.value) is found.value, "said already"
+
+
+def test_what_a_swing_does_not_explain_is_said_so(configuration: Configuration, tmp_path: Path) -> None:
+    watched = DiagnosedRobot(SimulatedRobot(configuration.plant), (), tmp_path)
+    error = Refused("swing of 60 %", "30 m/s", "26 m/s", "Look.")
+    assert watched.explained(error) is error, "nothing has swung"
+    watched.last = Diagnosis(None, (), 0.1, np.full(3, 0.02), np.full(3, 100.0), 1.0)
+    assert "moves as measured (misfit 0.1" in watched.explained(error).found
+    prediction = Refused("prediction of the swing of 60 %", "stopped", "a swing", "Look.")
+    assert watched.explained(prediction) is prediction
