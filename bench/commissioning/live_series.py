@@ -28,7 +28,7 @@ from bench.loop import Cycle, Cycles, Loop
 from bench.processes.stall import stall_note
 from bench.processes.status import cause_text
 from bench.simulation.loads import Loads
-from bench.simulation.series import HOLD, Bench, SeriesSwing, not_returned
+from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, not_returned
 from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, SwingOperator, joined
 from bench.swing.profile import Profile
 from drivers.base import Driver, DriverError
@@ -131,15 +131,21 @@ class LiveSeries:
     def _swing(self, profile: Profile, *, ball: bool) -> tuple[Cycles, bool]:
         """Return the records of a swing, one a tick, and whether none is missing up to the ball."""
         operator, loop = self._operator, self._operator.stepper
-        if not operator.holding():
-            self._arm()
-        operator.advance(round(HOLD / operator.period))
-        loop.parameters = with_tables_of(loop.parameters, profile, self.bench.control, self.bench.model)
-        self._tee_up(ball=ball)
-        operator.begin_record()
-        if not operator.start_swing(_SWINGS, _CHUNK):
+        for tries_left in reversed(range(ADDRESS_TRIES)):
+            if not operator.holding():
+                self._arm()
+            operator.advance(round(HOLD / operator.period))
+            loop.parameters = with_tables_of(loop.parameters, profile, self.bench.control, self.bench.model)
+            self._tee_up(ball=ball)
+            operator.begin_record()
+            if operator.start_swing(_SWINGS, _CHUNK):
+                break
             self._require_no_stop()
-            raise operator.refusal("the robot does not come to rest there")
+            if not (tries_left and operator.cause):
+                raise operator.refusal("the robot does not come to rest there")
+            self._say(
+                f"stopped at the address: {cause_text(operator.cause, self._stall())}; it is armed again"
+            )
         made, end = [operator.latest], len(profile.angle)
         while (done := int(made[-1]["tick"][-1]) - int(made[0]["tick"][0]) + 1) < end:
             made.append(operator.advance(min(_CHUNK, end - done), Request.STOP if operator.stop() else 0))

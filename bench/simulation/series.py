@@ -55,6 +55,10 @@ class SeriesSwing(NamedTuple):
     """Whether it began with planned air, or with that a swing had left, not with that of arming."""
 
 
+ADDRESS_TRIES = 3
+"""Times that a robot may take its address for one swing."""
+
+
 class NotReturned(Refused):
     """The robot swung, and does not come back to its address."""
 
@@ -151,16 +155,24 @@ class Series:
         """Rest at the address, tee a ball up, swing `profile`, and come back to the address.
 
         With `parameters` another controller makes the swing itself, but not what precedes and follows it.
-        After a stop the robot is reset and armed again, as a person would.
+        After a stop the robot is reset and armed again, as a person would; so it is after a stop at the
+        address, where friction may let a joint slip, and the swing is then tried again.
 
         Raises:
             NotReturned: the robot does not come back to its address.
             Refused: it does not come to rest there before.
         """
-        self.rest()
         stepper = self._engine.stepper
         own = stepper.parameters
-        swing = self._swing(profile, len(profile.angle), ball=ball, other=parameters)
+        for tries_left in reversed(range(ADDRESS_TRIES)):
+            self.rest()
+            try:
+                swing = self._swing(profile, len(profile.angle), ball=ball, other=parameters)
+                break
+            except Refused:
+                if not (tries_left and self._engine.cause):
+                    raise
+                self._recover()
         if parameters is not None:
             stepper.parameters = own
         if self._returned():
