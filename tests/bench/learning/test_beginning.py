@@ -24,9 +24,9 @@ pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
 )
 
-STEADY = load_configuration(Path("steady"))
-PLANT = STEADY.plant
-BENCH = Bench(PLANT, load_profile(find_profile("steady")), STEADY.control)
+SHIPPED = load_configuration(Path("shipped"))
+PLANT = SHIPPED.plant
+BENCH = Bench(PLANT, load_profile(find_profile("default")), SHIPPED.control)
 ROBOT = Variation(friction=(1.1, 0.95, 1.05), flow=(0.97, 1.02, 0.98), supply=0.99)
 TRUTH = ROBOT.applied_to(PLANT)
 IDENTIFIED = replace(ROBOT, flow=(0.96, 1.02, 0.98), supply=0.985).applied_to(PLANT)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration
-from bench.learning.figures import Tolerance, figures_of
+from bench.learning.figures import Tolerance, figures_of, planned_figures
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
 from bench.learning.learner import LearningSettings
 from bench.learning.measured import delivery_from_encoders, figures_from, strike_from_mark
@@ -24,9 +24,9 @@ pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
 )
 
-STEADY = load_configuration(Path("steady"))
-PLANT = STEADY.plant
-BENCH = Bench(PLANT, load_profile(find_profile("steady")), STEADY.control)
+SHIPPED = load_configuration(Path("shipped"))
+PLANT = SHIPPED.plant
+BENCH = Bench(PLANT, load_profile(find_profile("default")), SHIPPED.control)
 WORN = variation.WORN.applied_to(PLANT)
 
 
@@ -40,7 +40,7 @@ def result(problem: LearningProblem) -> LearningResult:
     return learn(problem, on_series(problem, Series(BENCH, WORN)))
 
 
-def test_the_robot_learns_what_the_model_delivers(problem: LearningProblem, result: LearningResult) -> None:
+def test_the_robot_learns_what_the_profile_plans(problem: LearningProblem, result: LearningResult) -> None:
     before, kept = (np.abs(result.attempts[k].error).max() for k in (0, result.chosen))
     assert before > 5.0
     assert kept <= 0.5
@@ -52,6 +52,11 @@ def test_the_robot_learns_what_the_model_delivers(problem: LearningProblem, resu
     truth = np.array([figures_of(series.swing(swing).delivery).array for _ in range(3)]).mean(axis=0)
     off = (truth - problem.target.array) / Tolerance().scale(problem.target)
     assert np.abs(off).max() <= 1.0
+
+
+def test_the_target_is_the_plan_whatever_the_model_delivers(problem: LearningProblem) -> None:
+    assert problem.target == planned_figures(BENCH)
+    assert np.any(problem.response.figures != problem.target.array)
 
 
 def test_a_robot_that_comes_late_is_not_compared_with_a_model_in_its_cushions(
