@@ -262,6 +262,16 @@ Backswing = Annotated[
         show_default="0.85, or the golfer's",
     ),
 ]
+Downswing = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S",
+        min=0.15,
+        max=0.5,
+        help="Duration of the downswing up to the ball, within 5 ms.",
+        show_default="0.15 to 0.25, or about that of the swing that is followed",
+    ),
+]
 Highest = Annotated[
     bool, typer.Option("--highest", help="Only show the highest head speed and what limits it.")
 ]
@@ -288,6 +298,8 @@ Near = Annotated[
 ]
 
 
+_TEMPO = 0.004
+"""Freedom of a demanded duration of the downswing either way, s; the plant adds a tick."""
 _ASK_FOR_LESS = (
     "Ask for less --speed or a steeper --attack angle; --highest shows the highest speed, "
     "--nearest gives way."
@@ -308,6 +320,7 @@ def design(
     strike: Strike = 0.0,
     margin: Margin = 15.0,
     backswing: Backswing = None,
+    downswing: Downswing = None,
     highest: Highest = False,
     nearest: Nearest = False,
     start: Start = None,
@@ -342,6 +355,8 @@ def design(
         nearest=nearest,
     )
     demand = _with_motion(demand, plant, whose, near, speed, backswing)
+    if downswing is not None:
+        demand = replace(demand, downswing_time=(downswing - _TEMPO, downswing + _TEMPO))
     begin = None if start == "nothing" else start or near or configuration.swing.profile
     path = output or Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
     try:

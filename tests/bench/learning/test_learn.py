@@ -41,9 +41,11 @@ def result(problem: LearningProblem) -> LearningResult:
 
 
 def test_the_robot_learns_what_the_profile_plans(problem: LearningProblem, result: LearningResult) -> None:
-    before, kept = (np.abs(result.attempts[k].error).max() for k in (0, result.chosen))
-    assert before > 5.0
-    assert kept <= 0.5
+    before, kept = result.attempts[0], result.attempts[result.chosen]
+    alike = [attempt.error for attempt in result.attempts if attempt.effort == kept.effort]
+    assert np.abs(before.error).max() > 5.0
+    assert len(alike) >= 2
+    assert np.abs(np.mean(alike, axis=0)).max() <= LearningSettings().enough
     assert result.within
     assert result.used < LearningSettings().swings
     series = Series(BENCH, WORN)
@@ -85,8 +87,8 @@ def test_encoders_tell_the_delivery_that_the_plant_knows(problem: LearningProble
 def test_other_sources_replace_what_they_tell(problem: LearningProblem) -> None:
     swing = Series(BENCH, PLANT).swing(BENCH.profile)
     encoders = figures_from("encoders+model", swing.cycles, PLANT, problem.response.free)
-    marked = figures_from("impact-marks", swing.cycles, PLANT, problem.response.free, mark=(6.0, 4.5))
-    assert marked.strike == pytest.approx(strike_from_mark(6.0, 4.5, PLANT))
+    marked = figures_from("impact-marks", swing.cycles, PLANT, problem.response.free, mark=(-6.0, 4.5))
+    assert marked.strike == pytest.approx(strike_from_mark(-6.0, 4.5, PLANT))
     assert marked.strike != pytest.approx(encoders.strike, abs=1e-3)
     assert marked[1:] == encoders[1:]
     monitor = figures_from("launch-monitor", swing.cycles, PLANT, problem.response.free, club_speed=42.0)
