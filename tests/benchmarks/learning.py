@@ -1,8 +1,9 @@
 """Learning on robots that differ from the one that the bench believes in: `... learning [--draws N]`.
 
-The configuration is the variant `steady`. One robot is worn: friction +40 %, valve flow -8 %, supply -4 %,
-head +10 g, vane +3 %, encoder latency +1 ms. The others are drawn: friction and dead volume of each joint,
-flow of each valve, supply, vane and head mass uniformly within 10 %, up to 1 ms more latency; seeds 1 to N.
+The swing is the shipped one: its air at the address is planned, so that a series can deliver its plan. One
+robot is worn: friction +40 %, valve flow -8 %, supply -4 %, head +10 g, vane +3 %, encoder latency +1 ms. The
+others are drawn: friction and dead volume of each joint, flow of each valve, supply, vane and head mass
+uniformly within 10 %, up to 1 ms more latency; seeds 1 to N.
 Each learns for at most twelve swings by its encoders; judged is what the plant knows, in the mean of five
 swings with the kept correction. The worn robot then makes a hundred with noise in encoders, which the
 estimator is told of, and in the supply.
@@ -102,7 +103,7 @@ def run(arguments: list[str]) -> list[Row]:
     parser.add_argument("--draws", type=int, default=50, help="robots drawn (default: %(default)s)")
     add_engine_options(parser)
     options = parser.parse_args(arguments)
-    configuration = load_configuration(Path("steady"))
+    configuration = load_configuration(Path("shipped"))
     plant, profile = configuration.plant, load_profile(find_profile(configuration.swing.profile))
     problem = prepare(Bench(plant, profile, configuration.control, configuration.envelope))
     worn, result, series = _taught(problem, "worn", WORN)
