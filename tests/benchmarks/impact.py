@@ -351,7 +351,7 @@ def _factors(rows: Sequence[FlownAverage]) -> Array:
     def errors(factors: Array) -> Array:
         return np.concatenate([_flown(row, *factors)[0] / _FLOWN_UNITS for row in rows])
 
-    return np.asarray(least_squares(errors, np.array([1.0, 1.1]), diff_step=1e-3).x)
+    return np.asarray(least_squares(errors, np.array([1.0, 1.1]), diff_step=(1e-3, 1e-3)).x)
 
 
 def _flight_table(rows: Sequence[FlownAverage]) -> tuple[Table, list[Row]]:
