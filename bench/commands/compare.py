@@ -62,7 +62,7 @@ def compare(
     from rich.console import Console
 
     from bench.design.validate import require_possible
-    from bench.learning.compare import planned_figures
+    from bench.learning.figures import planned_figures
     from bench.simulation.series import Bench
     from bench.simulation.variation import drawn
     from bench.swing.library import find_profile

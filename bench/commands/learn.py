@@ -84,7 +84,7 @@ def learn(
 ) -> None:
     """Learn a swing by repeating it on the running bench, or with --sim; store the correction.
 
-    The target is the profile's delivery on the configured plant. Exits with 1 if it is not reached.
+    The target is the delivery that the profile plans. Exits with 1 if it is not reached.
     """
     from datetime import UTC, datetime
 

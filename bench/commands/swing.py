@@ -262,6 +262,16 @@ Backswing = Annotated[
         show_default="0.85, or the golfer's",
     ),
 ]
+Downswing = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S",
+        min=0.15,
+        max=0.5,
+        help="Duration of the downswing up to the ball, within 5 ms.",
+        show_default="0.15 to 0.25, or about that of the swing that is followed",
+    ),
+]
 Highest = Annotated[
     bool, typer.Option("--highest", help="Only show the highest head speed and what limits it.")
 ]
@@ -288,6 +298,8 @@ Near = Annotated[
 ]
 
 
+_TEMPO = 0.004
+"""Freedom of a demanded duration of the downswing either way, s; the plant adds a tick."""
 _ASK_FOR_LESS = (
     "Ask for less --speed, a steeper --attack angle or a longer --backswing; --highest shows the highest "
     "speed, --nearest gives way."
@@ -308,6 +320,7 @@ def design(
     strike: Strike = 0.0,
     margin: Margin = 15.0,
     backswing: Backswing = None,
+    downswing: Downswing = None,
     highest: Highest = False,
     nearest: Nearest = False,
     start: Start = None,
@@ -321,9 +334,6 @@ def design(
     """
     import math
 
-    from rich.console import Console
-
-    from bench.commands.golfers_table import deviations_table, golfer_row, reach_table
     from bench.design.designer import DesignFailed, SwingDemand
     from bench.design.planned_openings import require_planned_openings
     from bench.errors import BenchError
@@ -341,7 +351,7 @@ def design(
         margin=margin / 100,
         nearest=nearest,
     )
-    demand = _with_motion(demand, plant, whose, near, speed, backswing)
+    demand = _with_motion(demand, plant, whose, near, speed, (backswing, downswing))
     begin = None if start == "nothing" else start or near or configuration.swing.profile
     path = output or Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
     try:
@@ -353,9 +363,18 @@ def design(
             "swing design", str(failure), "a swing that this plant can do", _ASK_FOR_LESS
         ) from None
     if whose is not None:
-        rows = [golfer_row(plant, whose, swing)]
-        Console().print(deviations_table(rows), reach_table(rows, plant), highlight=False)
+        _show_deviations(plant, whose, swing)
     typer.echo(f"Next: golfbench swing check {path}" + (f" --club {club}" if club else ""))
+
+
+def _show_deviations(plant: PlantParameters, golfer: Golfer, swing: Profile) -> None:
+    """Print how `swing` differs from `golfer`'s, and where the robot's ranges end."""
+    from rich.console import Console
+
+    from bench.commands.golfers_table import deviations_table, golfer_row, reach_table
+
+    rows = [golfer_row(plant, golfer, swing)]
+    Console().print(deviations_table(rows), reach_table(rows, plant), highlight=False)
 
 
 def _with_motion(
@@ -364,11 +383,11 @@ def _with_motion(
     golfer: Golfer | None,
     near: str | None,
     speed: float | None,
-    backswing: float | None,
+    times: tuple[float | None, float | None],
 ) -> SwingDemand:
     """Return `demand` as `golfer` would swing, or near the profile `near`.
 
-    `speed` (m/s) and `backswing` (s) override the golfer's.
+    `speed` (m/s) and the `times` of backswing and downswing (s) override those of golfer and profile.
     """
     from bench.design.follow import demand_like, demand_near
     from bench.errors import Refused
@@ -382,6 +401,9 @@ def _with_motion(
         demand = demand_like(plant, golfer, human_downswing(plant, golfer), demand, speed)
     if near is not None:
         demand = demand_near(plant, load_profile(find_profile(near)), demand)
+    backswing, downswing = times
+    if downswing is not None:
+        demand = replace(demand, downswing_time=(downswing - _TEMPO, downswing + _TEMPO))
     return demand if backswing is None else replace(demand, backswing_time=backswing)
 
 

@@ -19,7 +19,6 @@ from bench.commissioning.steps import StepResult
 from bench.commissioning.swung_robot import SwingSeries, SwungRobot
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration
-from bench.learning.compare import planned_figures
 from bench.learning.figures import Figures, Tolerance, figures_of
 from bench.learning.learn import LearningProblem, LearningResult, ObservedSwing, learn, prepare
 from bench.learning.learner import LearningSettings
@@ -53,8 +52,7 @@ class LearnedSwing:
         """
         profile = load_profile(folder / SWING_FILE)
         progress("the response of the measured robot")
-        bench = bench_of(known, profile)
-        problem = prepare(bench)._replace(target=planned_figures(bench))
+        problem = prepare(bench_of(known, profile))
         series, made = robot.series(problem.bench), list[SeriesSwing]()
         marks = _Marks(problem, series)
 

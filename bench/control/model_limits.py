@@ -46,8 +46,9 @@ REQUIRED = frozenset(MODEL_PHASES["air"]) - FROM_SETTINGS
 NOT_FELT = frozenset({"ball", "seed", "vent_feedback", "shut_off_feedback"})
 """Fields of the plant that do not make limits stale: they differ from swing to swing, or act only at rest."""
 
-_NOT_FELT_OF_CLUBS = frozenset({"tee_shift"})
-"""The same of the club: where on the face the ball is met is felt after the swing is over."""
+LEAST_FELT_TEE_SHIFT = 0.02
+"""Shift of the tee (m) towards heel or toe from which on it makes limits stale: nearer, the joints' speeds
+after the blow differ by less than a third of what their comparison allows for."""
 ADDED_TO_SITES = {"surface": "none", "divot": 0.0}
 """Fields of sites that are younger than limits in use, with the values at which they change nothing."""
 
@@ -75,13 +76,16 @@ class MadeFor(NamedTuple):
     ) -> MadeFor:
         """Return the digests of a bench.
 
-        The plant counts without NOT_FELT, of the envelope only what changes a command.
+        The plant counts without NOT_FELT, of the envelope only what changes a command. A club counts as the
+        profile's, whatever its name, if its body is the same and the tee is moved less than
+        LEAST_FELT_TEE_SHIFT.
         """
         machine = {k: v for k, v in asdict(plant).items() if k not in NOT_FELT}
         club = machine["robot"]["club"]
-        machine["robot"]["club"] = {
-            k: v for k, v in club.items() if ADDED_TO_CLUBS.get(k) != v and k not in _NOT_FELT_OF_CLUBS
-        }
+        if abs(club["tee_shift"]) < LEAST_FELT_TEE_SHIFT:
+            del club["tee_shift"]
+        club["name"] = profile.club or club["name"]
+        machine["robot"]["club"] = {k: v for k, v in club.items() if ADDED_TO_CLUBS.get(k) != v}
         del machine["supply"]["shut_off_delay"]  # it acts at rest
         for name in ("shoulder", "right_arm", "wrist"):
             del machine[name]["stop"]["rated"]  # no force depends on it

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import asin, radians, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +17,8 @@ from numpy.typing import NDArray
 
 from bench.control.records import ControlParameters
 from bench.control.settings import ControlSettings, EnvelopeSettings, PidSettings, build_controller
-from bench.errors import BenchError, Refused
-from bench.learning.figures import UNKNOWN, Figures, figures_of
+from bench.errors import Refused
+from bench.learning.figures import UNKNOWN, Figures, figures_of, planned_figures
 from bench.learning.learn import LearningProblem, learn, on_series, prepare
 from bench.lifecycle import Cause, Phase
 from bench.simulation.series import Bench, Series, SeriesSwing
@@ -70,26 +69,6 @@ class Compared(NamedTuple):
     """Joint and phase in which the envelope's following error is first exceeded; None if it is not."""
 
 
-def planned_figures(bench: Bench) -> Figures:
-    """Return the delivery that the profile plans.
-
-    Raises:
-        BenchError: its file lacks it.
-    """
-    delivery, lie = bench.profile.delivery, bench.model.robot.lie
-    wanted = ("in_plane_error_mm", "head_speed_mps", "shaft_lean_deg", "path_slope_deg")
-    missing = [key for key in wanted if key not in delivery]
-    if missing:
-        raise BenchError(
-            f"{bench.profile.name}: delivery",
-            f"no {missing[0]}",
-            "the planned delivery, to compare with",
-            "Take a profile of `golfbench swing design`.",
-        )
-    strike, speed, lean, slope = (delivery[key] for key in wanted)
-    return Figures(1e-3 * strike, speed, radians(lean), asin(sin(radians(slope)) * sin(lie)))
-
-
 def thesis_gains(plant: PlantParameters) -> PidSettings:
     """Return the thesis' P = 1000, I = 0.92, D = 1 as openings.
 
@@ -131,14 +110,14 @@ def controllers(bench: Bench) -> list[Controller]:
 
 
 def problem_of(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
-    """Return the learning problem: the profile's plan, by the model's response.
+    """Return the learning problem with the planned openings as feed-forward, which learning corrects.
 
     Raises:
-        BenchError: the modelled swing is stopped or misses the ball.
+        BenchError: the profile lacks its planned delivery; the modelled swing is stopped or misses the ball.
         Refused: the model does not reach its address.
     """
     bench = bench._replace(control=replace(bench.control, feed_forward="planned"))
-    return prepare(bench, progress)._replace(target=planned_figures(bench))
+    return prepare(bench, progress)
 
 
 def compare(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from math import radians
+from math import asin, radians, sin
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.errors import BenchError
+from bench.simulation.series import Bench
 from sim.impact import Delivery
 
 Array = NDArray[np.float64]
@@ -63,3 +65,23 @@ def figures_of(delivery: Delivery | None) -> Figures:
     if delivery is None:
         return UNKNOWN
     return Figures(delivery.in_plane_error, delivery.speed, delivery.shaft_lean, delivery.attack_angle)
+
+
+def planned_figures(bench: Bench) -> Figures:
+    """Return the delivery that the profile plans: what learning aims at and controllers are compared by.
+
+    Raises:
+        BenchError: its file lacks it.
+    """
+    delivery, lie = bench.profile.delivery, bench.model.robot.lie
+    wanted = ("in_plane_error_mm", "head_speed_mps", "shaft_lean_deg", "path_slope_deg")
+    missing = [key for key in wanted if key not in delivery]
+    if missing:
+        raise BenchError(
+            f"{bench.profile.name}: delivery",
+            f"no {missing[0]}",
+            "the planned delivery",
+            "Take a profile of `golfbench swing design`.",
+        )
+    strike, speed, lean, slope = (delivery[key] for key in wanted)
+    return Figures(1e-3 * strike, speed, radians(lean), asin(sin(radians(slope)) * sin(lie)))

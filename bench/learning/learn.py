@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.learning.figures import Figures, Tolerance, figures_of
+from bench.learning.figures import Figures, Tolerance, figures_of, planned_figures
 from bench.learning.learner import Beginning, Learner, LearnerTrial, LearningSettings
 from bench.learning.measured import delivery_from_encoders
 from bench.learning.response import Model, Response
@@ -79,26 +79,31 @@ class LearningResult(NamedTuple):
 
 
 class LearningProblem(NamedTuple):
-    """Problem of learning: the model's response, its path as the plan, its delivery as the target."""
+    """Problem of learning: the model's response; the planned delivery and path as the target."""
 
     bench: Bench
     basis: Basis
     response: Response
     target: Figures
+    path: Array
+    """(r, 3) rad, the planned angles at the response's rows."""
     beginning: Beginning | None = None
     """Where learning begins on an identified robot; None: without correction."""
 
 
 def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
-    """Return the response of `bench`'s model; the target is the profile's delivery on that model.
+    """Return the response of `bench`'s model; delivery and path that the profile plans are the target.
+
+    Those of the model's swing are not: a series begins with other air than the rehearsal of a profile without
+    planned air, and delivers up to ten tolerances beside the plan.
 
     Raises:
-        BenchError: the modelled swing is stopped or misses the ball.
+        BenchError: the profile lacks its planned delivery; the modelled swing is stopped or misses the ball.
         Refused: the model does not reach its address.
     """
-    basis = basis_of(bench.profile)
+    target, basis = planned_figures(bench), basis_of(bench.profile)
     response = Model(bench, basis).response(progress=progress)
-    return LearningProblem(bench, basis, response, Figures(*map(float, response.figures)))
+    return LearningProblem(bench, basis, response, target, bench.profile.angle[response.rows])
 
 
 def on_series(problem: LearningProblem, series: Series) -> Swinger:
@@ -131,7 +136,7 @@ def learn(
         Refused: the robot does not come back to its address.
     """
     settings, tolerance = settings or LearningSettings(), tolerance or Tolerance()
-    learner = Learner(problem.response, problem.target, tolerance, settings, problem.beginning)
+    learner = Learner(problem.response, problem.target, problem.path, tolerance, settings, problem.beginning)
     if start is not None:
         learner.point = start
     attempts: list[Attempt] = []
@@ -162,7 +167,7 @@ def _attempt(problem: LearningProblem, swing: Swinger, learner: Learner) -> tupl
     path[cycles["trip"][response.rows] != 0] = np.nan
     trial = LearnerTrial(point, figures.array, path, settled)
     down = cycles[bench.profile.begins[3] : bench.profile.begins[5]]
-    off = path - response.path
+    off = path - problem.path
     attempt = Attempt(
         figures,
         learner.error(trial.figures),

@@ -116,15 +116,19 @@ class Learner:
         self,
         response: Response,
         target: Figures,
+        plan: Array,
         tolerance: Tolerance,
         settings: LearningSettings,
         beginning: Beginning | None = None,
     ):
-        """`response` is the model's without correction, its path the plan; `beginning` overrides it."""
+        """`response` is the model's without correction, `plan` (r, 3) the planned path at its rows, rad.
+
+        `beginning` overrides the response.
+        """
         s, self._settings = settings, settings
         self._target, self._scale = target.array, tolerance.scale(target)
-        self._plan = response.path
-        self._path_factor = s.path_weight / s.path_scale / np.sqrt(response.path.size)
+        self._plan = plan
+        self._path_factor = s.path_weight / s.path_scale / np.sqrt(plan.size)
         expected = response if beginning is None else beginning.response
         self._prior = np.vstack(
             [expected.by_figures / self._scale[:, None], self._path_factor * expected.by_path]

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import Refused
-from bench.learning.compare import planned_figures
 from bench.learning.figures import Tolerance, figures_of
 from bench.learning.learn import LearningProblem, learn, on_series, prepare
 from bench.simulation.series import Bench, Series
@@ -103,7 +102,6 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     for name in options.profiles:
         bench = mounted(name)
         problem = prepare(Bench(bench.plant, bench.profile, bench.control, bench.envelope, bench.estimator))
-        problem = problem._replace(target=planned_figures(problem.bench))
         study = BagLearning(name, problem, tolerance)
         learned += swept(options, study, range(1, options.draws + 1), name)
     print_whole(_TITLE, _COLUMNS, map(_shown, learned))

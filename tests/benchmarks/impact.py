@@ -16,7 +16,9 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
+from scipy.optimize import least_squares
 
 from bench.config import load_configuration
 from bench.shot.plot_style import COLOURS, STYLE, styled
@@ -49,6 +51,10 @@ YARD = 0.9144
 BAG = ("Driver", "3-wood", "Hybrid", "5-iron", "7-iron", "9-iron", "PW")
 WEDGE = (78 * MPH, radians(-5.0), radians(50.0))
 """Speed, attack and dynamic loft of a full 56 degree wedge; assumption, no average is published."""
+_FLOWN_UNITS = (2.5, 2.0)
+"""Errors of carry (yd) and descent (deg) that count alike."""
+
+Array = NDArray[np.float64]
 
 
 def _table(title: str, *columns: str) -> Table:
@@ -289,7 +295,8 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     )
     lofted, with_loft = _errors("averages with a published loft", lofted_averages(), bag)
     shown, found = _bag_table(bag)
-    for table in (tours, lofted, _face_table(bag["wood1"]), shown):
+    flown, flown_rows = _flight_table(flown_averages())
+    for table in (tours, lofted, _face_table(bag["wood1"]), shown, flown):
         print_table(table)
     if given.fit:
         print_table(_fitted(fit(averages, bag)))
@@ -318,6 +325,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         Row(
             NAME, "descent from the tours' own launches", _rms(own), "deg rms", "what the flight model misses"
         ),
+        *flown_rows,
         Row(
             NAME,
             "carry of the bag",
@@ -325,6 +333,52 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
             "yd rms",
             f"{len(carries)} rows",
         ),
+    ]
+
+
+def _flown(flown: FlownAverage, drag: float = 1.0, lift: float = 1.0) -> tuple[Array, float]:
+    """Fly the tour's own launch; return errors (2,) of carry (yd) and descent (deg), and the apex, yd."""
+    a = flown.average
+    ball = replace(BALL, drag_factor=drag, lift_factor=lift)
+    flight = fly(Launch(a.ball_speed, a.launch, 0.0, a.spin, 0.0), ball=ball)
+    carry, descent = flight.carry - flown.carry, flight.landing_angle - flown.landing_angle
+    return np.array([carry / YARD, degrees(descent)]), flight.apex / YARD
+
+
+def _factors(rows: Sequence[FlownAverage]) -> Array:
+    """Return the factors (2,) on drag and lift with which `rows` come nearest to carry and descent."""
+
+    def errors(factors: Array) -> Array:
+        return np.concatenate([_flown(row, *factors)[0] / _FLOWN_UNITS for row in rows])
+
+    return np.asarray(least_squares(errors, np.array([1.0, 1.1]), diff_step=(1e-3, 1e-3)).x)
+
+
+def _flight_table(rows: Sequence[FlownAverage]) -> tuple[Table, list[Row]]:
+    """Return what the flight model misses from the tours' own launches, and what it lacks."""
+    table = _table(
+        "flown from the tours' own launches; factors on drag and lift that meet carry and descent",
+        *("average", "", "carry, yd", "descent, deg", "apex, yd", "drag", "lift", "apex with them, yd"),
+    )
+    for row in rows:
+        (carry, descent), apex = _flown(row)
+        factors = _factors([row])
+        table.add_row(
+            row.average.name,
+            "held out" if row.average.held_out else "fitted",
+            f"{carry:+.1f}",
+            f"{descent:+.1f}",
+            f"{apex:.0f}",
+            *(f"{factor:.2f}" for factor in factors),
+            f"{_flown(row, *factors)[1]:.0f}",
+        )
+    held = [row for row in rows if row.average.held_out]
+    common = _factors([row for row in rows if not row.average.held_out])
+    note = f"drag x {common[0]:.2f}, lift x {common[1]:.2f} of the fitted rows"
+    before, after = (_rms([_flown(row, *f)[0][1] for row in held]) for f in (np.ones(2), common))
+    return table, [
+        Row(NAME, "held out: descent from the tours' own launches", before, "deg rms", f"{len(held)} rows"),
+        Row(NAME, "the same with common factors on drag and lift", after, "deg rms", note),
     ]
 
 

@@ -236,9 +236,12 @@ def test_design_saves_the_profile_and_shows_its_delivery(
         "20",
         "--from",
         "nothing",
+        "--downswing",
+        "0.24",
     )
     assert answer.code == 0, answer.err
     ((_, demand, name), named) = asked[0]
+    assert demand.downswing_time == pytest.approx((0.236, 0.244))
     assert (name, named["golfer"], named["start"], demand.margin) == ("fast", "tour-female", None, 0.2)
     assert "in closed loop" in answer.out
     assert "Cushions at most" in answer.out

@@ -7,12 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numba
+import numpy as np
 import pytest
 
+from bench.config import load_configuration
 from bench.control.model import BLOW, BRAKING, KINDS, LEARNING
 from bench.control.model_limits import (
     ENDING,
     FROM_SETTINGS,
+    LEAST_FELT_TEE_SHIFT,
     REQUIRED,
     MadeFor,
     ModelLimits,
@@ -32,6 +36,7 @@ from bench.control.settings import (
 )
 from bench.errors import BenchError
 from bench.lifecycle import Phase
+from bench.simulation.series import Bench, Series
 from bench.swing.correction import Correction
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
@@ -169,6 +174,52 @@ def test_ball_seed_and_ratings_do_not_make_limits_stale(default_profile: Profile
         PLANT, ball=replace(PLANT.ball, mass=0.04), seed=77, wrist=replace(PLANT.wrist, stop=stop)
     )
     assert not limits_in_use(ModelSettings(), made_for(default_profile, plant=plant), [file]).stale
+
+
+def with_club(**changed: Any) -> PlantParameters:
+    club = replace(PLANT.robot.club, **changed)
+    return replace(PLANT, robot=replace(PLANT.robot, club=club))
+
+
+def test_a_moved_tee_and_a_clubs_name_do_not_make_limits_stale(default_profile: Profile, file: Path) -> None:
+    """The face map's clubs are the driver at another place of the tee."""
+    near = 0.99 * LEAST_FELT_TEE_SHIFT
+    for plant in (with_club(name="toe", tee_shift=near), with_club(name="heel", tee_shift=-near)):
+        assert not limits_in_use(ModelSettings(), made_for(default_profile, plant=plant), [file]).stale
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"tee_shift": LEAST_FELT_TEE_SHIFT},
+        {"tee_shift": -LEAST_FELT_TEE_SHIFT},
+        {"head_mass": 0.21},
+        {"friction_factor": 0.5},
+    ],
+)
+def test_another_body_or_a_tee_moved_far_makes_limits_stale(
+    default_profile: Profile, file: Path, changed: dict[str, float]
+) -> None:
+    seen = limits_in_use(ModelSettings(), made_for(default_profile, plant=with_club(**changed)), [file])
+    assert "another plant" in seen.source
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_tee_moved_less_is_felt_far_within_the_limits(default_profile: Profile, side: float) -> None:
+    """The joints' speeds after the blow differ by less than a third of what the comparison allows for."""
+    c = load_configuration(Path("shipped")).for_profile(default_profile, find_profile("default"))
+    bench = Bench(c.plant, default_profile, c.control, c.envelope, c.estimator)
+    speeds = []
+    for shift in (0.0, side * LEAST_FELT_TEE_SHIFT):
+        club = replace(c.plant.robot.club, tee_shift=shift)
+        swing = Series(bench, replace(c.plant, robot=replace(c.plant.robot, club=club))).swing(
+            default_profile
+        )
+        assert not swing.cause
+        speeds.append(swing.cycles["plant_velocity"][default_profile.begins[5] :][:60])
+    allowed = np.array(c.envelope.model.velocity["impact"])
+    assert np.all(np.abs(speeds[1] - speeds[0]).max(axis=0) < allowed / 3.0)
 
 
 def test_a_lift_counts_only_where_it_acts(default_profile: Profile) -> None:

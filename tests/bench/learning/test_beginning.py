@@ -15,7 +15,7 @@ from bench.learning.figures import Tolerance
 from bench.learning.learn import LearningProblem, on_series, prepare
 from bench.learning.recorded import Recorded
 from bench.simulation.series import Bench, Series
-from bench.simulation.variation import Variation, drawn
+from bench.simulation.variation import Variation
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 
@@ -44,13 +44,13 @@ def recorded() -> list[Recorded]:
     return [Recorded(BENCH.profile, cycles, PLANT.encoders) for cycles in swings]
 
 
-def first_swing(problem: LearningProblem) -> float:
-    """Return how far the first swing is off, worst figure in tolerances."""
+def mean_of_first(problem: LearningProblem) -> float:
+    """Return how far the mean of the first three swings is off the plan, worst figure in tolerances."""
     assert problem.beginning is not None
-    swung = on_series(problem, Series(BENCH, TRUTH))(problem.beginning.point)
-    assert swung.settled  # its air is planned
-    off = (swung.figures.array - problem.target.array) / Tolerance().scale(problem.target)
-    return float(np.abs(off).max())
+    swing = on_series(problem, Series(BENCH, TRUTH))
+    swings = [swing(problem.beginning.point) for _ in range(3)]
+    figures = np.mean([swung.figures.array for swung in swings], axis=0)
+    return float(np.abs((figures - problem.target.array) / Tolerance().scale(problem.target)).max())
 
 
 def test_the_first_swings_are_near_with_what_identification_left_over(
@@ -59,8 +59,8 @@ def test_the_first_swings_are_near_with_what_identification_left_over(
     scale = Tolerance().scale(problem.target)
     assert 0.7 < np.abs(left_over(BENCH, IDENTIFIED, recorded) / scale).max() < 2.0
     known, unknown = begun_on(problem, IDENTIFIED, recorded), begun_on(problem, IDENTIFIED)
-    assert first_swing(known) < 1.0
-    assert first_swing(known) < 0.7 * first_swing(unknown)
+    assert mean_of_first(known) < 1.0
+    assert mean_of_first(known) < 0.7 * mean_of_first(unknown)
     assert known.beginning is not None
     expected = (known.beginning.response.figures - problem.target.array) / scale
     assert np.abs(expected).max() < 1.0
@@ -74,6 +74,6 @@ def test_nothing_is_left_over_of_the_robot_itself(problem: LearningProblem, reco
 def test_another_robot_than_the_recorded_one_is_refused(
     problem: LearningProblem, recorded: list[Recorded]
 ) -> None:
-    other = drawn(46, PLANT).applied_to(PLANT)  # 5 % slower
+    other = Variation(head_mass=0.04).applied_to(PLANT)
     with pytest.raises(BenchError, match="beside the records"):
         begun_on(problem, other, recorded)

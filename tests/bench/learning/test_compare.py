@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration, shipped_configuration
-from bench.errors import BenchError
 from bench.learning.compare import (
     compare,
     controllers,
-    planned_figures,
     problem_of,
     strayed,
     thesis_gains,
@@ -33,16 +31,6 @@ compiled_only = pytest.mark.skipif(
 def bench() -> Bench:
     c = load_configuration(shipped_configuration())
     return Bench(c.plant, load_profile(find_profile("average-male")), c.control, c.envelope)
-
-
-def test_the_plan_is_in_the_profile(bench: Bench) -> None:
-    planned = planned_figures(bench).shown
-    assert planned["head_speed_mps"] == pytest.approx(41.573, abs=0.001)
-    assert planned["attack_angle_deg"] == pytest.approx(-0.0094, abs=0.001)
-    assert planned["strike_mm"] == pytest.approx(-0.084, abs=0.001)
-    without = replace(bench.profile, delivery={})
-    with pytest.raises(BenchError, match="in_plane_error_mm"):
-        planned_figures(bench._replace(profile=without))
 
 
 def test_the_thesis_gains_are_shares_of_the_greatest_force(bench: Bench) -> None:

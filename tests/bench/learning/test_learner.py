@@ -39,7 +39,7 @@ class Robot:
 
 
 def learned(robot: Robot, settings: LearningSettings) -> Learner:
-    learner = Learner(robot.model, TARGET, TOLERANCE, settings)
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, settings)
     for _ in range(settings.swings + 1):
         learner.note(robot.swing(learner.point))
         if learner.confirmed:
@@ -77,7 +77,7 @@ def test_weights_stay_within_their_bound_and_steps_within_the_radius() -> None:
 
 def test_a_stop_counts_as_failed_and_halves_the_step() -> None:
     robot = Robot(3)
-    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
     learner.note(robot.swing(learner.point))
     first = learner.point.copy()
     path = robot.swing(first).path
@@ -91,7 +91,7 @@ def test_a_stop_counts_as_failed_and_halves_the_step() -> None:
 def test_the_path_of_stopped_swings_leads_back_to_the_plan() -> None:
     """Before any swing reached the ball the path alone is learned from."""
     robot = Robot(4)
-    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
     off = robot.path @ np.full(WEIGHTS, 0.3)
     for _ in range(5):
         path = robot.model.path + (off + robot.path @ learner.point).reshape(ROWS, 3)
@@ -102,7 +102,7 @@ def test_the_path_of_stopped_swings_leads_back_to_the_plan() -> None:
 
 def test_a_figure_that_nobody_measures_is_not_asked_for() -> None:
     robot = Robot(5)
-    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
     for _ in range(13):
         trial = robot.swing(learner.point)
         trial.figures[2] = np.nan
@@ -116,7 +116,7 @@ def test_a_figure_that_nobody_measures_is_not_asked_for() -> None:
 
 def test_the_best_is_kept_whatever_came_later() -> None:
     robot = Robot(0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
     learner.note(robot.swing(learner.point))
     good = LearnerTrial(learner.point, TARGET.array, robot.model.path)
     learner.note(good)
@@ -137,7 +137,7 @@ def begun(robot: Robot, point: Array) -> Beginning:
 
 def test_the_first_swing_after_arming_confirms_nothing_and_is_not_kept() -> None:
     robot = Robot(1, offset=0.0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
     for settled in (False, False, True):
         learner.note(robot.swing(np.zeros(WEIGHTS))._replace(settled=settled))
         assert not learner.confirmed
@@ -153,7 +153,7 @@ def test_a_first_swing_that_began_otherwise_does_not_mislead_the_next_steps() ->
         used[told] = 0
         for seed in range(6):
             robot = Robot(seed, doubt=0.1)
-            learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
+            learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
             first = robot.swing(learner.point)
             first.figures[1] += 10 * robot.scale[1]
             learner.note(first._replace(settled=not told))
@@ -166,12 +166,14 @@ def test_a_first_swing_that_began_otherwise_does_not_mislead_the_next_steps() ->
 def test_what_is_expected_of_an_identified_robot_outweighs_one_swing() -> None:
     robot = Robot(2, offset=0.1, scatter=0.0)
     zero = np.zeros(WEIGHTS)
-    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings(), begun(robot, zero))
+    learner = Learner(
+        robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), begun(robot, zero)
+    )
     assert np.array_equal(learner.point, zero)
     unlucky = LearnerTrial(zero, TARGET.array + 0.6 * robot.scale, robot.model.path)
     learner.note(unlucky)
     assert np.array_equal(learner.point, zero)
-    alone = Learner(robot.model, TARGET, TOLERANCE, LearningSettings())
+    alone = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
     alone.note(unlucky)
     assert not np.array_equal(alone.point, zero)
 
@@ -179,7 +181,7 @@ def test_what_is_expected_of_an_identified_robot_outweighs_one_swing() -> None:
 def test_what_is_expected_to_be_off_is_corrected_before_the_first_swing() -> None:
     robot = Robot(3, offset=3.0, doubt=0.05)
     known = begun(robot, np.zeros(WEIGHTS))._replace(radius=1.5)
-    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings(), known)
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), known)
     robot.scatter = 0.0
     off = np.abs(learner.error(robot.swing(learner.point).figures)).max()
     assert off < 0.5 * np.abs(robot.offset / robot.scale).max()
@@ -188,7 +190,9 @@ def test_what_is_expected_to_be_off_is_corrected_before_the_first_swing() -> Non
 def test_a_mean_beside_the_target_is_stepped_from_not_repeated_for_ever() -> None:
     robot = Robot(4, offset=0.0, scatter=0.0)
     zero = np.zeros(WEIGHTS)
-    learner = Learner(robot.model, TARGET, TOLERANCE, LearningSettings(), begun(robot, zero))
+    learner = Learner(
+        robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), begun(robot, zero)
+    )
     for _ in range(4):
         learner.note(LearnerTrial(zero, TARGET.array + 0.55 * robot.scale, robot.model.path))
     assert not learner.confirmed
