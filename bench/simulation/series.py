@@ -164,15 +164,7 @@ class Series:
         """
         stepper = self._engine.stepper
         own = stepper.parameters
-        for tries_left in reversed(range(ADDRESS_TRIES)):
-            self.rest()
-            try:
-                swing = self._swing(profile, len(profile.angle), ball=ball, other=parameters)
-                break
-            except Refused:
-                if not (tries_left and self._engine.cause):
-                    raise
-                self._recover()
+        swing = self._rest_and_swing(profile, ball=ball, other=parameters)
         if parameters is not None:
             stepper.parameters = own
         if self._returned():
@@ -183,6 +175,21 @@ class Series:
         except Refused as refused:
             raise not_returned(refused, swing) from None
         return swing
+
+    def _rest_and_swing(
+        self, profile: Profile, *, ball: bool, other: ControlParameters | None
+    ) -> SeriesSwing:
+        """Rest at the address and swing; take the address again after a stop there."""
+        for _ in range(ADDRESS_TRIES - 1):
+            self.rest()
+            try:
+                return self._swing(profile, len(profile.angle), ball=ball, other=other)
+            except Refused:
+                if not self._engine.cause:
+                    raise
+                self._recover()
+        self.rest()
+        return self._swing(profile, len(profile.angle), ball=ball, other=other)
 
     def _swing(
         self, profile: Profile, ticks: int, *, ball: bool = True, other: ControlParameters | None = None

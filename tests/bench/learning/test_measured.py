@@ -54,16 +54,17 @@ def motion(plant: PlantParameters) -> Motion:
 
 
 def _contact(motion: Motion, plant: PlantParameters) -> float:
-    times = np.linspace(-0.003, 0.003, 60_001)
+    times: Array = np.linspace(-0.003, 0.003, 60_001)
     face = impact_parameters(plant.robot.club, plant.ball, plant.robot.lie)
     poses = forward_kinematics(plant.robot, motion.angle(times))
-    gaps = [float(face_gap(*p, plant.site.ball_x, plant.site.ball_y, face)) for p in poses]
+    site = plant.site
+    gaps = [float(face_gap(x, y, turn, site.ball_x, site.ball_y, face)) for x, y, turn in poses.tolist()]
     return float(times[int(np.argmin(np.abs(gaps)))])
 
 
 def _cycles(motion: Motion, plant: PlantParameters, shift: float) -> np.ndarray:
     """Return readings of `motion`, struck by the ball at time 0; a reading is `shift` ticks after it."""
-    times = plant.tick * (np.arange(FIRST, FIRST + ROWS) + shift)
+    times: Array = plant.tick * (np.arange(FIRST, FIRST + ROWS, dtype=np.float64) + shift)
     angle = motion.angle(times) + np.maximum(times, 0.0)[:, None] * np.array([0.0, 0.0, BLOW])
     encoders = plant.encoders
     per_rad = np.array(encoders.sign) * encoders.counts_per_revolution / (2 * np.pi)
@@ -75,7 +76,7 @@ def _cycles(motion: Motion, plant: PlantParameters, shift: float) -> np.ndarray:
 
 def _plan(motion: Motion, plant: PlantParameters) -> Array:
     """Return `motion` without a ball, with the wrist in its cushion soon after."""
-    times = plant.tick * np.arange(FIRST, FIRST + ROWS)
+    times: Array = plant.tick * np.arange(FIRST, FIRST + ROWS, dtype=np.float64)
     angle = motion.angle(times)
     angle[:, 2] -= 3000.0 * np.maximum(times - AFTER_THE_BALL, 0.0) ** 2
     return angle

@@ -1,0 +1,51 @@
+"""Swings in a series: what a person would do after a stop."""
+
+from __future__ import annotations
+
+import numba
+import pytest
+
+from bench.config import load_configuration, shipped_configuration
+from bench.errors import Refused
+from bench.lifecycle import Cause, Request
+from bench.simulation.series import ADDRESS_TRIES, Bench, Series
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+
+
+class StoppedAtTheAddress(Series):
+    """A robot that is stopped at its address, `stops` times: there friction may let a joint slip."""
+
+    stops = 0
+
+    def rest(self) -> None:
+        """Rest, and be stopped."""
+        super().rest()
+        if self.stops:
+            self.stops -= 1
+            self._engine.request(Request.STOP)
+
+
+@pytest.fixture(scope="module")
+def series() -> StoppedAtTheAddress:
+    c = load_configuration(shipped_configuration())
+    bench = Bench(c.plant, load_profile(find_profile(c.swing.profile)), c.control, c.envelope)
+    return StoppedAtTheAddress(bench, c.plant)
+
+
+def test_a_robot_that_is_stopped_at_its_address_is_armed_again(series: StoppedAtTheAddress) -> None:
+    series.stops = ADDRESS_TRIES - 1
+    made = series.swing(series.bench.profile)
+    assert series.stops == 0
+    assert made.cause is Cause.NONE
+    assert made.delivery is not None
+
+
+def test_one_that_is_stopped_there_each_time_is_given_up(series: StoppedAtTheAddress) -> None:
+    series.stops = ADDRESS_TRIES
+    with pytest.raises(Refused, match="does not come to rest"):
+        series.swing(series.bench.profile)
