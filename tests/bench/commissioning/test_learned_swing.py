@@ -48,7 +48,7 @@ def test_marks_find_what_unmeasured_lengths_do_to_the_strike(
     tmp_path: Path, configuration: Configuration
 ) -> None:
     robot = configuration.plant.robot
-    longer = replace(configuration.plant, robot=replace(robot, l12=robot.l12 + 0.006))
+    longer = replace(configuration.plant, robot=replace(robot, l12=robot.l12 + 0.008))
     profile = load_profile(find_profile("default"))
     save_profile(tmp_path / SWING_FILE, profile)
     strikes = []

@@ -20,12 +20,19 @@ from sim.kane import forward_dynamics
 from sim.kinematics import forward_kinematics, joint_positions
 from sim.plant import PlantParameters
 from sim.robot import Body, Club
+from tests.bench.drawing.conftest import PLANTS, SIZED
 from tests.benchmarks.right_arm import with_right_arm
 
 FRAME_RADIUS = 0.1
 STATES = 100
 NAMES = ("shoulder", "arm", "wrist", "rod", "cylinder")
 Array = np.ndarray[Any, Any]
+
+
+@pytest.fixture(params=PLANTS | SIZED, scope="module")
+def plant(request: pytest.FixtureRequest) -> PlantParameters:
+    """Every shipped robot, the sized ones too."""
+    return (PLANTS | SIZED)[request.param]
 
 
 @pytest.fixture(scope="module")
