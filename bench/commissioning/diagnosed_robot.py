@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from bench.commissioning.known_robot import FoundValue
+from bench.commissioning.rising_swings import exceeded
 from bench.commissioning.swing_diagnosis import Diagnosis, diagnose
 from bench.commissioning.swung_robot import Mark, SwingSeries, SwungRobot
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.errors import Refused
 from bench.simulation.loads import Loads
-from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.simulation.series import Bench, NotReturned, SeriesSwing
 from bench.swing.profile import Profile
 
@@ -45,8 +45,7 @@ class DiagnosedRobot:
             return
         self._records.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(self._records / "wrong-swing.npz", cycles=swing.cycles)
-        unsafe = [] if loads is None else dangers(RunEnd(loads), SafetyLimits())
-        said = "; ".join([self.last.text, *unsafe])
+        said = "; ".join([self.last.text, *exceeded(loads)])
         raise WrongMachine(name, said, "the robot that was measured", self.last.named.cause.cure)
 
     def explained(self, error: Refused) -> Refused:

@@ -236,14 +236,18 @@ def bench_of(known: Configuration, profile: Profile) -> Bench:
     return Bench(known.plant, profile, known.control, envelope, known.estimator)
 
 
+def exceeded(loads: Loads | None) -> list[str]:
+    """Return which ratings `loads` are beyond; none where nothing measures them."""
+    return [] if loads is None else dangers(RunEnd(loads), SafetyLimits())
+
+
 def require_safe(loads: Loads | None, place: str) -> None:
     """Refuse to go on after `loads` beyond a rating; None: nothing measures them.
 
     Raises:
         WrongMachine: a rating was exceeded.
     """
-    unsafe = [] if loads is None else dangers(RunEnd(loads), SafetyLimits())
-    if unsafe:
+    if unsafe := exceeded(loads):
         cure = "Inspect cushions, chambers and club before anything moves; brakes are weaker than assumed."
         raise WrongMachine(place, "; ".join(unsafe), "loads within every rating", cure)
 

@@ -16,7 +16,7 @@ from bench.commissioning.known_robot import FoundValue
 from bench.commissioning.machine import Array
 from bench.commissioning.short_predictions import PRESSURE, SPEED, Cycles, RecordedSwing
 from bench.commissioning.swing_causes import SwingCause, swing_causes
-from bench.commissioning.swing_misfit import SwingMisfit, uncertain_values
+from bench.commissioning.swing_misfit import SwingMisfit, swing_misfit, uncertain_values
 from drivers.base import JOINTS
 from sim.plant import PlantParameters
 
@@ -87,7 +87,7 @@ def _named(one: FittedCause) -> str:
 def diagnose(cycles: Cycles, plant: PlantParameters, found: Iterable[FoundValue]) -> Diagnosis:
     """Return what CYCLE records of a swing say of the robot measured as `plant`, with its values `found`."""
     recorded = RecordedSwing(cycles, plant)
-    misfit = SwingMisfit(recorded, plant, uncertain_values(found, plant))
+    misfit = swing_misfit(recorded, plant, uncertain_values(found, plant))
     none = misfit.none
     pairs = none.errors[:, PRESSURE].reshape(-1, 3, 2)
     scatter = _scatter(none.errors[:, SPEED], 0), _scatter(pairs, (0, 2))

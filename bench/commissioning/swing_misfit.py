@@ -59,37 +59,31 @@ class Misfit(NamedTuple):
     """(p,) standard errors by which the uncertain values would be others than in the model."""
 
 
+def swing_misfit(
+    recorded: RecordedSwing, plant: PlantParameters, uncertain: list[UncertainValue]
+) -> SwingMisfit:
+    """Return the misfit of `recorded` around `plant`, or around likelier values where these explain it.
+
+    Effects are not linear: once more there, but not where values only bend towards what a cause does.
+    """
+    measured = SwingMisfit(recorded, plant, uncertain, np.zeros(len(uncertain)))
+    moved = np.clip(measured.none.shift, -_NEAR, _NEAR)
+    moves = zip(uncertain, moved.tolist(), strict=True)
+    nearer = with_values(plant, {one.key: one.value + by * one.error for one, by in moves})
+    likelier = SwingMisfit(recorded, nearer, uncertain, moved)
+    return measured if likelier.none.cost > _BETTER * measured.none.cost else likelier
+
+
 class SwingMisfit:
-    """Misfit of a recorded swing, with the effects of the uncertain values around the measured robot."""
+    """Misfit of a recorded swing, with the effects of the uncertain values around a plant."""
 
     def __init__(
-        self, recorded: RecordedSwing, plant: PlantParameters, uncertain: list[UncertainValue]
+        self, recorded: RecordedSwing, plant: PlantParameters, uncertain: list[UncertainValue], moved: Array
     ) -> None:
-        """Take how `uncertain` values of `plant` act on the errors of the windows of `recorded`."""
-        self.recorded, self.plant = recorded, plant
-        self.base: Array
-        self.effects: Array
-        """(k, QUANTITIES, p) by standard error."""
-        self.none: Misfit
-        """Without a cause."""
-        self._moved = np.zeros(len(uncertain))
-        self._set_base(uncertain)
-        measured = self.plant, self._moved, self.base, self.effects, self.none
-        # Once more where the values are likelier, as their effects are not linear; not where they only
-        # bend towards what a cause does.
-        self._moved = np.clip(self.none.shift, -_NEAR, _NEAR)
-        moves = zip(uncertain, self._moved.tolist(), strict=True)
-        self.plant = with_values(plant, {one.key: one.value + by * one.error for one, by in moves})
-        self._set_base(uncertain)
-        if self.none.cost > _BETTER * measured[-1].cost:
-            self.plant, self._moved, self.base, self.effects, self.none = measured
-
-    def _set_base(self, uncertain: list[UncertainValue]) -> None:
-        """Take errors and effects around the present plant."""
-        self.base = self.recorded.errors(self.plant)
-        self.effects = np.stack(
-            [effect(self.recorded, self.plant, self.base, one) for one in uncertain], axis=-1
-        )
+        """Take how `uncertain` values act on the windows, `moved` (p,) standard errors in `plant`."""
+        self.recorded, self.plant, self._moved = recorded, plant, moved
+        self.base = recorded.errors(plant)
+        self.effects = np.stack([effect(recorded, plant, self.base, one) for one in uncertain], axis=-1)
         """(k, QUANTITIES, p) by standard error."""
         self.none = self.of(self.base)
         """Without a cause."""

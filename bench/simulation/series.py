@@ -30,6 +30,8 @@ from sim.truth import contact_in
 
 HOLD = 1.0
 """Time at the address before a swing, s: the air in the chambers comes to rest later than the robot."""
+ADDRESS_TRIES = 3
+"""Times that a robot may take its address for one swing."""
 _LONGEST_VENT = 15.0
 """s"""
 _REQUESTS = 300
@@ -53,10 +55,6 @@ class SeriesSwing(NamedTuple):
     """Air taken from the supply from address to the profile's end, kg."""
     settled: bool
     """Whether it began with planned air, or with that a swing had left, not with that of arming."""
-
-
-ADDRESS_TRIES = 3
-"""Times that a robot may take its address for one swing."""
 
 
 class NotReturned(Refused):

@@ -50,11 +50,6 @@ DAY = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
 BOUNDS = MotionBounds((10.0, 10.0, 20.0), (6.0, 2.0, 3.0), 5e5)
 
 
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(shipped_configuration())
-
-
 class _Found:
     """A step that moves nothing and finds the supply."""
 

@@ -9,26 +9,15 @@ import numpy as np
 import pytest
 
 from bench.commissioning.following import with_following_limits
-from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.config import Configuration
 from bench.lifecycle import Cause
 from bench.simulation.series import Bench, Series
 from bench.simulation.variation import Variation
-from bench.swing.library import find_profile
-from bench.swing.profile import Profile, load_profile
+from bench.swing.profile import Profile
 
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
 )
-
-
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(shipped_configuration())
-
-
-@pytest.fixture(scope="module")
-def default() -> Profile:
-    return load_profile(find_profile("default"))
 
 
 @compiled_only

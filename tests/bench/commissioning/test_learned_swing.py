@@ -11,7 +11,7 @@ import pytest
 from bench.commissioning.learned_swing import LEARNED_FILE, LearnedSwing
 from bench.commissioning.rising_swings import SWING_FILE, bench_of
 from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries, SwingSeries, read_mark
-from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.config import Configuration
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile, save_profile
@@ -29,11 +29,6 @@ class Unread(SimulatedRobot):
         made = super().series(bench)
         made.face_mark = lambda swing: None  # type: ignore[method-assign]
         return made
-
-
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(shipped_configuration())
 
 
 def test_a_mark_is_read_to_half_a_millimetre() -> None:

@@ -35,7 +35,7 @@ from bench.commissioning.machine_server import (
 from bench.commissioning.regulator import of_simulation
 from bench.commissioning.rising_swings import bench_of
 from bench.commissioning.slowed_swing import slowed
-from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.config import Configuration
 from bench.errors import Refused
 from bench.lifecycle import Cause
 from bench.processes.ownership import take_bench
@@ -69,11 +69,6 @@ class WatchedDriver(PacedPlantDriver):
     def make_passive(self) -> None:
         self.commands.append(PASSIVE)
         super().make_passive()
-
-
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(shipped_configuration())
 
 
 @pytest.fixture

@@ -30,8 +30,7 @@ from bench.lifecycle import Cause
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, SeriesSwing
 from bench.simulation.variation import Variation
-from bench.swing.library import find_profile
-from bench.swing.profile import Profile, load_profile
+from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 
 GOOD = SwingDeviation(30.0, 30.1, np.array([0.01, 0.01, 0.02]), np.array([[3.0, 2.0, 4.0], [3.0, 2.0, 4.0]]))
@@ -47,11 +46,6 @@ compiled_only = pytest.mark.skipif(
 def configuration() -> Configuration:
     shipped = load_configuration(shipped_configuration())
     return replace(shipped, control=replace(shipped.control, feed_forward="kane+pneumatic"))
-
-
-@pytest.fixture(scope="module")
-def default() -> Profile:
-    return load_profile(find_profile("default"))
 
 
 def test_a_slower_swing_follows_the_same_path(configuration: Configuration, default: Profile) -> None:

@@ -18,8 +18,7 @@ from bench.config import Configuration, load_configuration, shipped_configuratio
 from bench.errors import Refused
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.simulation.series import NotReturned
-from bench.swing.library import find_profile
-from bench.swing.profile import Profile, load_profile
+from bench.swing.profile import Profile
 from tests.bench.commissioning.wrong_machines import measured_values, swung_wrongly, true_robot
 
 CASES = swung_wrongly(load_configuration(shipped_configuration()).plant)
@@ -29,16 +28,6 @@ pytestmark = [
     ),
     pytest.mark.timeout(900),
 ]
-
-
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(shipped_configuration())
-
-
-@pytest.fixture(scope="module")
-def default() -> Profile:
-    return load_profile(find_profile("default"))
 
 
 def diagnosed(configuration: Configuration, profile: Profile, name: str) -> tuple[Diagnosis, list[str]]:

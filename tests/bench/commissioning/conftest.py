@@ -1,0 +1,19 @@
+"""The shipped bench and its swing, which most tests of commissioning begin with."""
+
+from __future__ import annotations
+
+import pytest
+
+from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+
+
+@pytest.fixture(scope="session")
+def configuration() -> Configuration:
+    return load_configuration(shipped_configuration())
+
+
+@pytest.fixture(scope="session")
+def default() -> Profile:
+    return load_profile(find_profile("default"))
