@@ -52,6 +52,7 @@ class Tab:
         self.page.fill("#holder", name)
         self.page.click("#take")
         self.text("#release").to_be_visible()
+        self.text("#lease").to_contain_text(name)  # the bench's state, which comes after the answer
 
 
 @contextmanager
