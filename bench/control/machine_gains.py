@@ -121,7 +121,7 @@ class MachineGains(NamedTuple):
     """Over the poses by which the bandwidths were chosen; with a share below 1 the machine forbids more."""
 
 
-class _Local(NamedTuple):
+class JointChains(NamedTuple):
     """The chain of each joint at one pose; (3,) each."""
 
     authority: Array
@@ -164,7 +164,7 @@ def _designed(plant: PlantParameters, filters: bytes, tolerance: Triple, timeout
     record[:] = np.frombuffer(filters, ESTIMATOR_PARAMETERS)
     estimator = steady_estimator(record, plant.tick, plant.encoders.latency)
     lower, spacing = pose_grid(plant)
-    local = {at: _chain(built, lower + spacing * at) for at in np.ndindex(SHAPE)}
+    local = {at: joint_chains(built, lower + spacing * at) for at in np.ndindex(SHAPE)}
     judged = product(*(range(0, n, step) for n, step in zip(SHAPE, _JUDGED, strict=True)))
     poses = [(local[at], freeze(built, at_rest(built, lower + spacing * at), _COARSE)) for at in judged]
     bands = np.array([actuator.valve.dead_band for actuator in plant.actuators])
@@ -185,13 +185,15 @@ def _delay(plant: PlantParameters) -> Array:
     return np.array(lag) + plant.encoders.latency + 1.5 * plant.tick
 
 
-def _chain(plant: Plant, angle: Array) -> _Local:
+def joint_chains(plant: Plant, angle: Array) -> JointChains:
     """Return the chains at `angle` (3,) rad, other joints held."""
     motion, spool = linearised(plant, at_rest(plant, angle))
     by_pressure, flow = motion[3:6, 6:12], spool[6:12]
     by_spool, by_speed = by_pressure @ flow, -by_pressure @ motion[6:12, 3:6]
     held = np.linalg.inv(by_spool)
-    return _Local(1.0 / np.diag(held), np.diag(held @ by_speed).copy(), -np.diag(motion[3:6, 3:6]).copy())
+    return JointChains(
+        1.0 / np.diag(held), np.diag(held @ by_speed).copy(), -np.diag(motion[3:6, 3:6]).copy()
+    )
 
 
 class _Opened(NamedTuple):
@@ -205,7 +207,7 @@ class _Opened(NamedTuple):
     """s"""
 
 
-def _placed(local: _Local, bandwidths: Bandwidths, opened: _Opened) -> Array:
+def _placed(local: JointChains, bandwidths: Bandwidths, opened: _Opened) -> Array:
     """Return the gains (5, 3) that place the poles at one pose."""
     rate = np.array([one.rate for one in bandwidths])
     shape = np.array([one.shape for one in bandwidths])
@@ -220,13 +222,13 @@ def _placed(local: _Local, bandwidths: Bandwidths, opened: _Opened) -> Array:
     return np.array([proportional, integral, derivative, damping, local.slowness])
 
 
-def _gains(local: _Local, bandwidths: Bandwidths, opened: _Opened) -> Gains:
+def _gains(local: JointChains, bandwidths: Bandwidths, opened: _Opened) -> Gains:
     a, b, c, d, e = (tuple(row.tolist()) for row in _placed(local, bandwidths, opened))
     return Gains(a, b, c, d, e)
 
 
 def _worst(
-    poses: list[tuple[_Local, Frozen]],
+    poses: list[tuple[JointChains, Frozen]],
     estimator: Estimator,
     bandwidths: Bandwidths,
     opened: _Opened,
@@ -276,7 +278,7 @@ def worst_margin(
 
 
 def _search(
-    poses: list[tuple[_Local, Frozen]],
+    poses: list[tuple[JointChains, Frozen]],
     estimator: Estimator,
     opened: _Opened,
     begin: Bandwidths,

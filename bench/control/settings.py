@@ -97,7 +97,7 @@ class ControlSettings:
     downswing_stiffness: Positive = 2.5
     """Factor on the PIDs' proportional and derivative gains in the downswing, which ends before what would
     grow with them has grown."""
-    dither: tuple[Share, Share, Share] = (0.2, 0.2, 0.2)
+    dither: tuple[Share, Share, Share] = (0.1, 0.1, 0.1)
     """Opening to either side of what is wanted, in backswing and top. It carries spools through their dead
     band and joints through dry friction, so that every swing begins its downswing in the same pose with the
     same air."""

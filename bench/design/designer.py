@@ -26,9 +26,10 @@ from numpy.typing import NDArray
 from bench.control.gain_table import MOVE, gains_along
 from bench.control.planned_air import with_planned_air
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, pid_record
+from bench.design.backswing import learned_backswing
 from bench.design.blind_brake import SPACING, design_blind_brake
 from bench.design.casadi_package import load_casadi
-from bench.design.closed_loop import LoopFailed, Rehearsal, imprint, with_follow_through
+from bench.design.closed_loop import LoopFailed, imprint, with_follow_through
 from bench.design.optimal_control import (
     BAR,
     NO_CONCESSIONS,
@@ -295,17 +296,16 @@ def _swing_up(bench: SimulatedBench, demand: SwingDemand) -> _Start:
         raise DesignFailed(f"at the address: {error}") from None
     n = round((demand.backswing_time + demand.top_time) / period)
     try:
-        rehearsal = Rehearsal(replace(bench, profile=sketch))
-        cycles = rehearsal.advance(n)
+        found = learned_backswing(replace(bench, profile=sketch), pid, n, 1.0 - demand.margin)
     except LoopFailed as failure:
         raise DesignFailed(f"on the way to the top: {failure}") from None
     return _Start(
-        rehearsal.bench.plant_state.copy(),
-        rehearsal.bench.command.copy(),
-        cycles["applied_valve"][-1].copy(),
+        found.rehearsal.bench.plant_state.copy(),
+        found.rehearsal.bench.command.copy(),
+        found.cycles["applied_valve"][-1].copy(),
         sketch.angle[:n],
         sketch.velocity[:n],
-        sketch.valve[:n],
+        found.profile.valve[:n],
         (0, 1, round(demand.backswing_time / period)),
         sketch.air,
     )

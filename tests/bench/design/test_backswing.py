@@ -1,0 +1,33 @@
+"""The way to the top is followed, also by a robot with much friction and large dead bands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.config import load_configuration
+from bench.control.planned_air import with_planned_air
+from bench.control.settings import pid_record
+from bench.design import designer
+from bench.design.backswing import learned_backswing
+from bench.design.designer import SwingDemand, address_pose, top_pose
+from tests.bench.commissioning.drawn_robots import drawn_robot
+
+TICKS = 1100
+
+
+@pytest.mark.parametrize("seed", [0, 409, 418], ids=["shipped", "friction x 2", "dead bands"])
+def test_the_way_up_is_followed(seed: int) -> None:
+    c, demand = load_configuration(), SwingDemand()
+    plant = drawn_robot(seed, c.plant) if seed else c.plant
+    pid = pid_record(c.control, c.estimator, plant)
+    sketch = designer._sketch(demand, plant, address_pose(plant, demand), top_pose(plant, demand), pid)
+    bench = designer._bench(plant, c.control, c.envelope, c.estimator)
+    sketch = with_planned_air(sketch, plant)
+    found = learned_backswing(replace(bench, profile=sketch), pid, TICKS, 1.0 - demand.margin)
+    error = np.abs(found.cycles["reference_angle"] - found.cycles["angle"]).max(axis=0)
+    assert np.all(error < (0.05, 0.02, 0.2)), error.round(4)  # of 409 (0.16, 0.05, 0.45) by the PIDs alone
+    assert found.error == pytest.approx((error / c.envelope.following["backswing"]).max())
+    assert np.abs(found.profile.valve).max() <= 1.0 - demand.margin
