@@ -30,6 +30,9 @@ LEARNED_FILE = "learned.toml"
 """The profile with the learned correction."""
 _SWINGS = 20
 """Max learning swings."""
+_FARTHEST = 0.010
+"""Max distance (m) of a mark from the encoders' strike that lengths explain: another ball left it, or it was
+misread."""
 
 
 class LearnedSwing:
@@ -104,7 +107,7 @@ class _Marks:
 
     def __init__(self, problem: LearningProblem, series: SwingSeries) -> None:
         self._problem, self._series = problem, series
-        self._read, self._beside = True, list[float]()
+        self._read, self._beside, self._strange = True, list[float](), list[float]()
 
     def figures(self, swung: SeriesSwing) -> Figures:
         """Return the figures of `swung`, the last swing; unknown after a stop."""
@@ -122,16 +125,24 @@ class _Marks:
             if mark is None:
                 self._read = False
             else:
-                self._beside.append(strike_from_mark(*mark, problem.bench.model) - found.strike)
+                beside = strike_from_mark(*mark, problem.bench.model) - found.strike
+                (self._beside if abs(beside) <= _FARTHEST else self._strange).append(beside)
         return self._moved(found)
 
     @property
     def text(self) -> str:
         """What the marks showed."""
+        strange = ", ".join(f"{1e3 * beside:+.1f}" for beside in self._strange)
+        told = f"; not believed, {strange} mm beside it" if strange else ""
         if not self._beside:
-            return "no mark on the face was read: the strike is the encoders', as true as the lengths are"
+            return (
+                "no mark on the face was read: the strike is the encoders', as true as the lengths are" + told
+            )
         off = 1e3 * float(np.mean(self._beside))
-        return f"{len(self._beside)} marks on the face lay {off:+.1f} mm beside the encoders' strike: lengths"
+        return (
+            f"{len(self._beside)} marks on the face lay {off:+.1f} mm beside the encoders' strike: lengths"
+            + told
+        )
 
     def _moved(self, figures: Figures) -> Figures:
         """Return `figures` with the strike where the marks so far say it was."""

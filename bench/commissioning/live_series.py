@@ -136,6 +136,7 @@ class LiveSeries:
                 self._arm()
             operator.advance(round(HOLD / operator.period))
             loop.parameters = with_tables_of(loop.parameters, profile, self.bench.control, self.bench.model)
+            operator.await_air()  # a joint that friction lets go may take the club to the ball
             self._tee_up(ball=ball)
             operator.begin_record()
             if operator.start_swing(_SWINGS, _CHUNK):

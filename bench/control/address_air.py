@@ -64,8 +64,12 @@ _SETTLING = 0.1
 """s for which pressures must be as planned with all spools at rest."""
 _PATIENCE = 6.0
 """s without all pressures as planned at rest, after which a joint counts as late."""
-HELD, LATE = 1, 2
-"""Bits of `air_held`. Friction holds a joint. A late one is pushed free and caught, its chambers may leak."""
+_PASSED = 0.5
+"""s after which a joint that slips through its band is caught there: its PID's integral would drive it past
+again and again, as far as the ball."""
+HELD, LATE, SLIPPED = 1, 2, 4
+"""Bits of `air_held`. Friction holds a joint. A late one is pushed free and caught, its chambers may leak; one
+that slipped past its address is only caught."""
 _LEAKING = 1.5
 """Times the tolerance within which the pressures of late joints are as planned: spools hold them."""
 _OFFSET = 0.8
@@ -183,19 +187,22 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
     air, profile, plant = state.air[0], parameters.profile[0], parameters.plant[0]
     settled = True
     for i in range(3):
-        if time - s.air_since >= _PATIENCE:
-            s.air_held[i] |= LATE
-        late, held = s.air_held[i] & LATE != 0, s.air_held[i] & HELD != 0
         side = square_wave((time - s.air_since) / profile.air_period[i])
         away, speed = parameters.angle[0, i] - e.angle[i], abs(e.velocity[i])
         slips = speed > _SLIPS * p.still_speed[i]
-        ahead = away - _STOPPING * e.velocity[i] if slips and late else away
-        caught = (_CAUGHT if late else 1.0) * p.still_speed[i]
+        if time - s.air_since >= _PATIENCE:
+            s.air_held[i] |= LATE
+        if time - s.air_since >= _PASSED and slips and abs(away) <= p.rest_band[i]:
+            s.air_held[i] |= SLIPPED
+        late, held = s.air_held[i] & LATE != 0, s.air_held[i] & HELD != 0
+        stopped = s.air_held[i] & (LATE | SLIPPED) != 0
+        ahead = away - _STOPPING * e.velocity[i] if slips and stopped else away
+        caught = (_CAUGHT if stopped else 1.0) * p.still_speed[i]
         if not held and abs(ahead) <= p.rest_band[i] and speed <= caught:
             held = True
         elif not min(abs(away), abs(ahead)) <= min(_BAND * p.rest_band[i], p.address_tolerance[i]):
             held = False
-        s.air_held[i] = (HELD if held else 0) | (LATE if late else 0)
+        s.air_held[i] = (s.air_held[i] & (LATE | SLIPPED)) | (HELD if held else 0)
         missing = _missing(profile, air, i)
         force = _planned_force(plant, profile, air, i) - actuator_force(plant, air.pressure, i)
         firm = _FIRM * plant.coulomb[i] if late else np.inf
@@ -205,7 +212,7 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
             s.air_swung[i] = 0
         enough = _LEAKING * p.air_tolerance if late else 0.0
         settled = settled and held and (s.air_swung[i] == 0 or missing <= enough)
-        rate = _CHARGING_RATE if slips and late else _RATE
+        rate = _CHARGING_RATE if slips and stopped else _RATE
         if held:
             # The swing begins as if nothing had been before it.
             state.pid[0].integral[i], s.desired[i] = 0.0, s.air_trim[i]

@@ -31,6 +31,16 @@ class Unread(SimulatedRobot):
         return made
 
 
+class TouchedBall(SimulatedRobot):
+    """A robot whose first mark is that of another ball."""
+
+    def series(self, bench: Bench) -> SimulatedSeries:
+        made = super().series(bench)
+        read, first = made.face_mark, [(3.0, -31.0)]
+        made.face_mark = lambda swing: first.pop() if first else read(swing)  # type: ignore[method-assign]
+        return made
+
+
 def test_a_mark_is_read_to_half_a_millimetre() -> None:
     made = Delivery((40.0, 1.0, 0.0), 0.0, 0.2, strike_x=0.00138, strike_y=-0.0029)
     assert read_mark(made) == (1.5, -3.0)
@@ -47,7 +57,7 @@ def test_marks_find_what_unmeasured_lengths_do_to_the_strike(
     profile = load_profile(find_profile("default"))
     save_profile(tmp_path / SWING_FILE, profile)
     strikes = []
-    for kind in (SimulatedRobot, Unread):
+    for kind in (SimulatedRobot, Unread, TouchedBall):
         result = LearnedSwing().swing(kind(longer), configuration, tmp_path, lambda what: None)
         learned = load_profile(tmp_path / LEARNED_FILE)
         swung: SwingSeries = Series(bench_of(configuration, learned), longer)  # type: ignore[assignment]
@@ -55,7 +65,9 @@ def test_marks_find_what_unmeasured_lengths_do_to_the_strike(
         assert delivery is not None
         strikes.append(delivery.in_plane_error)
         said = next(note for note in result.notes if "mark" in note)
-        assert ("beside the encoders" in said) is (kind is SimulatedRobot)
+        assert ("beside the encoders" in said) is (kind is not Unread)
+        assert ("not believed" in said) is (kind is TouchedBall)
         assert ("no mark" in said) is (kind is Unread)
     assert abs(strikes[0]) < 0.001
+    assert abs(strikes[2]) < 0.001
     assert abs(strikes[1]) > 0.0015, "encoders do not show it"

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.control.address_air import LATE
+from bench.control.address_air import LATE, SLIPPED
 from bench.control.air import load_force
 from bench.control.demand import actuator_forces
 from bench.control.planned_air import planned_air, swing_periods, swing_widths, with_planned_air
@@ -270,6 +270,21 @@ def test_a_joint_that_hunts_around_its_address_is_left_to_the_hold(
     assert (puppet.phase, puppet.cause) == (phase, Cause.NONE)
     late = [bool(held & LATE) for held in puppet.control["air_held"]]
     assert late == [False, False, phase is Phase.HOLD]
+
+
+@pytest.mark.parametrize(("waited", "caught"), [(50, False), (700, True)])
+def test_a_joint_that_slips_through_its_band_is_caught(waited: int, caught: bool) -> None:
+    """A shoulder slipped to and fro by 0.03 rad, until it touched the ball; not while it only just arrives."""
+    puppet = Puppet(replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)).hold()
+    puppet.follows = False
+    puppet.shift(0, -0.02)
+    puppet.run(waited)
+    assert puppet.control["air_held"][0] == 0
+    for _ in range(150):
+        puppet.offset[0] += 0.0002
+        puppet.tick()
+    assert bool(puppet.control["air_held"][0] & SLIPPED) is caught
+    assert not any(held & LATE for held in puppet.control["air_held"])
 
 
 def test_without_planned_air_nothing_of_it_happens() -> None:
