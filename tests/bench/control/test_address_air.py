@@ -274,7 +274,7 @@ def test_a_joint_that_hunts_around_its_address_is_left_to_the_hold(
 
 @pytest.mark.parametrize(("waited", "caught"), [(50, False), (700, True)])
 def test_a_joint_that_slips_through_its_band_is_caught(waited: int, caught: bool) -> None:
-    """A shoulder slipped to and fro by 0.03 rad, until it touched the ball; not while it only just arrives."""
+    """A shoulder slipped to and fro by 0.03 rad, until it touched the ball; not while it arrives."""
     puppet = Puppet(replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)).hold()
     puppet.follows = False
     puppet.shift(0, -0.02)
