@@ -46,7 +46,7 @@ REQUIRED = frozenset(MODEL_PHASES["air"]) - FROM_SETTINGS
 NOT_FELT = frozenset({"ball", "seed", "vent_feedback", "shut_off_feedback"})
 """Fields of the plant that do not make limits stale: they differ from swing to swing, or act only at rest."""
 
-LEAST_FELT_TEE_SHIFT = 0.015
+LEAST_FELT_TEE_SHIFT = 0.013
 """Shift of the tee (m) towards heel or toe from which on it makes limits stale: nearer, the joints' speeds
 after the blow differ by less than a third of what their comparison allows for."""
 ADDED_TO_SITES = {"surface": "none", "divot": 0.0}

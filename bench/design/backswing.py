@@ -6,7 +6,8 @@ an opening u that is added changes the error e of its joint, the others held, by
     e''' / b + (m + c / b) e'' + (d + k) e' + p e = -u
 
 with the PIDs' proportional and derivative gains p and d, the damping m, and authority b, slowness k and
-friction c of the joint. Errors are smoothed over some periods of the dither, which is none.
+friction c of the joint. Errors are smoothed over some periods of the dither,
+which moves the joints to and fro and is not to be undone.
 """
 
 from __future__ import annotations

@@ -37,6 +37,8 @@ GOOD = SwingDeviation(30.0, 30.1, np.array([0.01, 0.01, 0.02]), np.array([[3.0, 
 OTHER_PREDICTIONS = (([0.05, 0.01, 0.1], 30.3), ([0.01, 0.02, 0.05], 31.8))
 """Deviations of two predictions from a third of 30 m/s."""
 TIGHT = {"backswing": (1e-4, 1e-4, 1e-4)}
+SPEED = 43.2
+"""Of the default swing, m/s."""
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
 )
@@ -84,27 +86,27 @@ def test_a_slow_swing_that_its_prediction_stops_is_designed(
     monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
 ) -> None:
     def design(known: Configuration, speed: float, name: str, start: Profile) -> Profile:
-        assert name == f"commissioned-{100 * speed / 40.0:.0f}"
+        assert name == f"commissioned-{100 * speed / SPEED:.0f}"
         if speed < slowest:
             raise DesignFailed("the head does not pass")
         return start
 
     slowest = 20.0
     monkeypatch.setattr(rising_swings, "design_at", design)
-    stretched = slow_swing(configuration, default, 0.5, 40.0)
+    stretched = slow_swing(configuration, default, 0.5, SPEED)
     assert len(stretched.bench.profile.angle) > len(default.angle)
     tight = replace(configuration, envelope=replace(configuration.envelope, following=TIGHT))
-    found = slow_swing(tight, default, 0.5, 40.0)
+    found = slow_swing(tight, default, 0.5, SPEED)
     assert (found.share, found.bench.profile) == (0.5, default)
     assert found.bench.envelope.following["backswing"] > TIGHT["backswing"], "the designed one has room"
     slowest = 24.0
-    assert slow_swing(tight, default, 0.5, 40.0).share == pytest.approx(0.6)
-    slowest = 30.0
+    assert slow_swing(tight, default, 0.5, SPEED).share == pytest.approx(0.6)
+    slowest = 32.0
     with pytest.raises(WrongMachine, match=r"prediction of the swing of 50 %(?s:.)*the head does not pass"):
-        slow_swing(tight, default, 0.5, 40.0)
+        slow_swing(tight, default, 0.5, SPEED)
     slowest = 20.0
     monkeypatch.setattr(rising_swings, "_FASTER", -0.3)  # as if it came much too fast
-    assert slow_swing(configuration, default, 0.5, 40.0).bench.profile is default
+    assert slow_swing(configuration, default, 0.5, SPEED).bench.profile is default
 
 
 @pytest.mark.parametrize(

@@ -30,9 +30,10 @@ needs_speed = pytest.mark.skipif(
 
 def designed_for(name: str) -> Configuration:
     """Return the configuration that the profile `name` was designed for."""
-    if name in DEMANDS or name in HIGH_SPEED:
-        variant = Path("bag" if name in DEMANDS else "high_speed")
-        return load_configuration(variant).with_club(load_profile(find_profile(name)).club)
+    variant = "bag" if name in DEMANDS else "high_speed" if name in HIGH_SPEED else ""
+    variant = "golfers" if name.endswith("-full") else variant
+    if variant:
+        return load_configuration(Path(variant)).with_club(load_profile(find_profile(name)).club)
     return load_configuration(shipped_configuration())
 
 

@@ -74,6 +74,6 @@ def test_nothing_is_left_over_of_the_robot_itself(problem: LearningProblem, reco
 def test_another_robot_than_the_recorded_one_is_refused(
     problem: LearningProblem, recorded: list[Recorded]
 ) -> None:
-    other = Variation(head_mass=0.04).applied_to(PLANT)
+    other = Variation(head_mass=0.1).applied_to(PLANT)
     with pytest.raises(BenchError, match="beside the records"):
         begun_on(problem, other, recorded)
