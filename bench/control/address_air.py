@@ -257,12 +257,18 @@ def charge(state: Any, parameters: Any, time: float) -> None:
 
 
 @compiled
-def loosen(s: Any, profile: Any, time: float) -> None:
+def loosen(state: Any, parameters: Any, time: float) -> None:
     """Swing the spools of a slow move, so that dead band and friction hold no joint behind the others.
 
-    Near the ground all of them together lift the head; and on the way the chambers come near to the plan.
+    Near the ground all of them together lift the head; and on the way the chambers come near to the plan. A
+    joint that slips past the address where the move ended forgets the integral that it slipped with: it would
+    be as far beyond, and hunt there for ever.
     """
+    s, p, e, profile = state.control[0], parameters.control[0], state.estimator[0], parameters.profile[0]
+    missed = time - s.move_start - s.move_time >= _MISSED
     for i in range(3):
+        if missed and abs(e.velocity[i]) > _SLIPS * p.still_speed[i]:
+            state.pid[0].integral[i] = 0.0
         side = square_wave((time - s.move_start) / profile.air_period[i])
         s.desired[i] += side * profile.air_width[i]
 

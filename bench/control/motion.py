@@ -136,4 +136,4 @@ def _serve_air(state: Any, parameters: Any, time: float) -> None:
     if charging(s, time):
         charge(state, parameters, time)
     elif s.moving:
-        loosen(s, parameters.profile[0], time)
+        loosen(state, parameters, time)

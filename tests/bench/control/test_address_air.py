@@ -272,6 +272,26 @@ def test_a_joint_that_hunts_around_its_address_is_left_to_the_hold(
     assert late == [False, False, phase is Phase.HOLD]
 
 
+@pytest.mark.parametrize(("waited", "forgotten"), [(1000, False), (2500, True)])
+def test_a_joint_that_slips_far_past_the_end_of_its_move_forgets_its_integral(
+    waited: int, forgotten: bool
+) -> None:
+    """A shoulder slipped 0.1 rad to either side of its address until the move was late: too far for the hold."""
+    patient = replace(QUICK, move_timeout=6.0)
+    profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)
+    puppet = Puppet(profile, patient).enter(Phase.RETURN)
+    puppet.shift(0, -0.1)
+    puppet.run(waited)
+    wound = puppet.state.pid[0]["integral"][0]
+    assert abs(wound) > 0.01
+    puppet.follows = False
+    for _ in range(40):
+        puppet.offset[0] += 0.0005
+        puppet.tick()
+    left = puppet.state.pid[0]["integral"][0]
+    assert abs(left) < 0.01 * abs(wound) if forgotten else abs(left) >= abs(wound)
+
+
 @pytest.mark.parametrize(("waited", "caught"), [(50, False), (700, True)])
 def test_a_joint_that_slips_through_its_band_is_caught(waited: int, caught: bool) -> None:
     """A shoulder slipped to and fro by 0.03 rad, until it touched the ball; not while it arrives."""
