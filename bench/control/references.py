@@ -71,7 +71,9 @@ def follow_move(parameters: Any, s: Any, time: float) -> bool:
         s.reference[i] = s.move_from[i] + way * shape
         s.reference_velocity[i] = way * slope
         s.reference_acceleration[i] = way * bend
-        s.feed_forward[i] = s.move_gain[i] * way * slope + p.move_band[i] * direction(way * slope)
+        # Swung spools are beyond their dead band by themselves.
+        band = 0.0 if parameters.profile[0].air_planned else p.move_band[i] * direction(way * slope)
+        s.feed_forward[i] = s.move_gain[i] * way * slope + band
     return bool(part < 1.0)
 
 

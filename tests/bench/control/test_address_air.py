@@ -13,6 +13,7 @@ import pytest
 from bench.control.address_air import LATE, SLIPPED
 from bench.control.air import load_force
 from bench.control.demand import actuator_forces
+from bench.control.gain_table import DAMPING
 from bench.control.planned_air import planned_air, swing_periods, swing_widths, with_planned_air
 from bench.control.settings import SIMULATED, build_controller
 from bench.lifecycle import Cause, Phase, Refusal, Request, State
@@ -290,6 +291,24 @@ def test_a_joint_that_slips_far_past_the_end_of_its_move_forgets_its_integral(
         puppet.tick()
     left = puppet.state.pid[0]["integral"][0]
     assert abs(left) < 0.01 * abs(wound) if forgotten else abs(left) >= abs(wound)
+
+
+@pytest.mark.parametrize("planned", [True, False])
+def test_a_dead_band_is_made_up_for_once(*, planned: bool) -> None:
+    """Swung spools and openings for the dead band together drove a soft shoulder past its return's limit."""
+    profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5) if planned else STILL
+    puppet = Puppet(profile).enter(Phase.RETURN)
+    control, parameters = puppet.control, puppet.parameters.control[0]
+    control["move_from"][:] = puppet.parameters.angle[0] - 0.2
+    control["move_start"], control["move_time"] = puppet.time, 2.0
+    puppet.follows = False
+    puppet.run(900)
+    assert puppet.phase is Phase.RETURN
+    ahead = control["move_gain"] * control["reference_velocity"]
+    damping = puppet.state.pid[0]["gains"][DAMPING] * control["reference_acceleration"]
+    band = np.zeros(3) if planned else parameters["move_band"]
+    assert np.all(parameters["move_band"] > 0.0)
+    assert control["feed_forward"] - ahead - damping == pytest.approx(band, rel=0.1, abs=1e-4)
 
 
 @pytest.mark.parametrize(("waited", "caught"), [(50, False), (700, True)])
