@@ -277,7 +277,7 @@ def test_a_joint_that_hunts_around_its_address_is_left_to_the_hold(
 def test_a_joint_that_slips_far_past_the_end_of_its_move_forgets_its_integral(
     waited: int, forgotten: bool
 ) -> None:
-    """A shoulder slipped 0.1 rad to either side of its address until the move was late: too far for the hold."""
+    """A shoulder slipped 0.1 rad to either side of its address, too far for the hold, until it was late."""
     patient = replace(QUICK, move_timeout=6.0)
     profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)
     puppet = Puppet(profile, patient).enter(Phase.RETURN)

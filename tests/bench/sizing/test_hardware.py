@@ -98,6 +98,14 @@ def test_a_pair_of_absorbers_brakes_as_one_and_takes_the_heat_of_two(
     assert two.rating == pytest.approx(rated)
 
 
+def test_a_larger_body_in_the_right_arm_brakes_as_the_shipped_one() -> None:
+    shipped, larger = (
+        configured(Hardware(arm_absorber=name)).plant.right_arm.stop for name in ("A40", "A40H")
+    )
+    assert (larger.stiffness, larger.travel) == (shipped.stiffness, shipped.travel)
+    assert (shipped.rating, larger.rating) == (40.0, pytest.approx(147.0 * 13.86 / 25.0, rel=1e-3))
+
+
 def test_an_unknown_part_is_refused_with_those_that_there_are() -> None:
     with pytest.raises(BenchError, match="V400"):
         parts_of(PARTS, Hardware(vane="V9"))
