@@ -216,7 +216,9 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
         if held:
             # The swing begins as if nothing had been before it.
             state.pid[0].integral[i], s.desired[i] = 0.0, s.air_trim[i]
-        elif late:
+        elif late or (slips and stopped):
+            if slips:
+                state.pid[0].integral[i] = 0.0
             force = 0.0 if slips else _push(state, parameters, i)
             s.desired[i] += s.air_trim[i]
         else:
@@ -227,7 +229,7 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
             if held or (late and not slips):
                 trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * offset
                 s.air_trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
-            if late:
+            if late or not held:  # a PID as soft as its air cannot make up for what the swing does
                 offset = min(max(offset + _balancing(state, parameters, i), -most), most)
             s.desired[i] += side * profile.air_width[i] + offset
     if not settled:
@@ -260,9 +262,10 @@ def charge(state: Any, parameters: Any, time: float) -> None:
 def loosen(state: Any, parameters: Any, time: float) -> None:
     """Swing the spools of a slow move, so that dead band and friction hold no joint behind the others.
 
-    Near the ground all of them together lift the head; and on the way the chambers come near to the plan. A
-    joint that slips past the address where the move ended forgets the integral that it slipped with: it would
-    be as far beyond, and hunt there for ever.
+    Near the ground all of them together lift the head; and on the way the chambers come near to the plan.
+    What the swing does to the forces by itself is made up for: a soft PID could not. A joint that slips past
+    the address where the move ended forgets the integral that it slipped with: it would be as far beyond, and
+    hunt there for ever.
     """
     s, p, e, profile = state.control[0], parameters.control[0], state.estimator[0], parameters.profile[0]
     missed = time - s.move_start - s.move_time >= _MISSED
@@ -270,7 +273,9 @@ def loosen(state: Any, parameters: Any, time: float) -> None:
         if missed and abs(e.velocity[i]) > _SLIPS * p.still_speed[i]:
             state.pid[0].integral[i] = 0.0
         side = square_wave((time - s.move_start) / profile.air_period[i])
-        s.desired[i] += side * profile.air_width[i]
+        most = _OFFSET * (profile.air_width[i] - parameters.plant[0].dead_band[i])
+        offset = min(max(_balancing(state, parameters, i), -most), most)
+        s.desired[i] += side * profile.air_width[i] + offset
 
 
 @compiled

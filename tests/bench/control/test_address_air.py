@@ -26,6 +26,7 @@ from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose
 from sim.plant import PlantParameters, build_plant
 from sim.pneumatics import flow
+from tests.bench.commissioning.drawn_robots import drawn_robot
 from tests.bench.control.puppet import QUICK, STILL, Puppet
 
 Array = np.ndarray[Any, Any]
@@ -309,6 +310,20 @@ def test_a_dead_band_is_made_up_for_once(*, planned: bool) -> None:
     band = np.zeros(3) if planned else parameters["move_band"]
     assert np.all(parameters["move_band"] > 0.0)
     assert control["feed_forward"] - ahead - damping == pytest.approx(band, rel=0.1, abs=1e-4)
+
+
+@compiled_only
+@pytest.mark.parametrize("seed", [1000001, 1000002, 1000003, 1000006])
+def test_a_soft_shoulder_comes_to_its_address(seed: int) -> None:
+    """A small vane with low pressure and large dead bands slipped to and fro by 0.1 rad until it was late.
+
+    Its widely swung spool moved the force by 15 N m, which a PID as soft as its air could not make up for.
+    """
+    known = drawn_robot(429, PLANT)
+    profile = with_planned_air(load_profile(find_profile("default")), known)
+    bench = bench_on(profile, healthy_plant(known, seed), model=known)
+    bench.arm()
+    bench.await_air()
 
 
 @pytest.mark.parametrize(("waited", "caught"), [(50, False), (700, True)])
