@@ -271,19 +271,35 @@ def test_the_table_of_all_quantities_fits_its_page(
         for n, shot in enumerate(record.shots)
     ]
     text = render_campaign_report(replace(record, shots=shots), findings(record.plan, shots))
-    measure = """<script>
-        const table = document.querySelector(".all"), page = table.parentElement;
+    text = text.replace("seam</th>", "pitching</th>")
+    columns, needed, width = _table_sizes(".all", text, tmp_path, tool("chromium"))
+    assert (columns, needed) == (11, width)
+
+
+@pytest.mark.requires("chromium")
+def test_the_table_of_pairs_fits_its_page(tmp_path: Path, tool: Callable[[str], str]) -> None:
+    """The verdicts of nine clubs in two mountings each were cut off on the right."""
+    clubs = _record("clubs-split-plot", Truth(deviation=1.5, difference=106.0))
+    text = render_campaign_report(clubs, findings(clubs.plan, clubs.shots))
+    text = text.replace('<th scope="row" class="pair">', '<th scope="row" class="pair">wedge56 and ')
+    _, needed, width = _table_sizes(".pairs", text, tmp_path, tool("chromium"))
+    assert needed == width
+
+
+def _table_sizes(which: str, text: str, folder: Path, chromium: str) -> tuple[int, int, int]:
+    """Return columns and width of the first table `which`, and the page's width, in a window 1100 px wide."""
+    measure = f"""<script>
+        const table = document.querySelector("{which}"), page = table.parentElement;
         document.title = [table.rows[0].cells.length, table.scrollWidth, page.clientWidth].join();
     </script></body>"""
     may_run = "default-src 'none'; script-src 'unsafe-inline';"
-    page = tmp_path / "report.html"
-    text = text.replace("default-src 'none';", may_run).replace("seam</th>", "pitching</th>")
-    page.write_text(text.replace("</body>", measure))
-    shown = _browse(tool("chromium"), tmp_path, "--dump-dom", page, "--window-size=1100,1500").stdout
+    page = folder / "report.html"
+    page.write_text(text.replace("default-src 'none';", may_run).replace("</body>", measure))
+    shown = _browse(chromium, folder, "--dump-dom", page, "--window-size=1100,1500").stdout
     found = re.search(r"<title>(\d+),(\d+),(\d+)</title>", shown)
     assert found is not None
     columns, needed, width = map(int, found.groups())
-    assert (columns, needed) == (11, width)
+    return columns, needed, width
 
 
 def _browse(
