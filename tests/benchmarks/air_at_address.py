@@ -80,6 +80,7 @@ class SwingingRobot:
         Raises:
             Refused: the bench stopped it.
         """
+        self._engine.begin_record()  # else it would keep every tick of 1,000 swings and minutes of rest
         self._begin()
         self._engine.advance(len(self._profile.angle) - 1)
         contact = contact_in(self._engine.plant_state)
