@@ -262,10 +262,10 @@ def charge(state: Any, parameters: Any, time: float) -> None:
 def loosen(state: Any, parameters: Any, time: float) -> None:
     """Swing the spools of a slow move, so that dead band and friction hold no joint behind the others.
 
-    Near the ground all of them together lift the head; and on the way the chambers come near to the plan.
-    What the swing does to the forces by itself is made up for: a soft PID could not. A joint that slips past
-    the address where the move ended forgets the integral that it slipped with: it would be as far beyond, and
-    hunt there for ever.
+    Near the ground all of them together lift the head; and on the way the chambers come near to the plan. A
+    joint that slips past the address where the move ended forgets the integral that it slipped with: it would
+    be as far beyond, and hunt there for ever. From then on what the swing does to the forces by itself is made
+    up for: a soft PID cannot.
     """
     s, p, e, profile = state.control[0], parameters.control[0], state.estimator[0], parameters.profile[0]
     missed = time - s.move_start - s.move_time >= _MISSED
@@ -273,9 +273,10 @@ def loosen(state: Any, parameters: Any, time: float) -> None:
         if missed and abs(e.velocity[i]) > _SLIPS * p.still_speed[i]:
             state.pid[0].integral[i] = 0.0
         side = square_wave((time - s.move_start) / profile.air_period[i])
-        most = _OFFSET * (profile.air_width[i] - parameters.plant[0].dead_band[i])
-        offset = min(max(_balancing(state, parameters, i), -most), most)
-        s.desired[i] += side * profile.air_width[i] + offset
+        s.desired[i] += side * profile.air_width[i]
+        if missed:
+            most = _OFFSET * (profile.air_width[i] - parameters.plant[0].dead_band[i])
+            s.desired[i] += min(max(_balancing(state, parameters, i), -most), most)
 
 
 @compiled
