@@ -264,8 +264,8 @@ def loosen(state: Any, parameters: Any, time: float) -> None:
 
     Near the ground all of them together lift the head; and on the way the chambers come near to the plan. A
     joint that slips past the address where the move ended forgets the integral that it slipped with: it would
-    be as far beyond, and hunt there for ever. From then on what the swing does to the forces by itself is made
-    up for: a soft PID cannot.
+    be as far beyond, and hunt there for ever. From then on what the swing does to the forces by itself is
+    made up for: a soft PID cannot.
     """
     s, p, e, profile = state.control[0], parameters.control[0], state.estimator[0], parameters.profile[0]
     missed = time - s.move_start - s.move_time >= _MISSED
