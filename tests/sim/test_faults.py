@@ -261,7 +261,8 @@ def test_a_cut_link_leaves_old_readings_and_a_device_that_lets_go() -> None:
     bed.run(19)
     assert bed.faults.sent["supply_enable"][0]
     assert not bed.faults.device["passive"][0]
-    assert bed.readings.tobytes() == before.tobytes()
+    for name in before.dtype.names:  # not the bytes: what lies between the fields is no reading
+        np.testing.assert_array_equal(bed.readings[name], before[name], name)
     bed.run(2)
     assert bed.faults.device["passive"][0]
     assert not bed.faults.sent["supply_enable"][0]
