@@ -216,10 +216,11 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
         if held:
             # The swing begins as if nothing had been before it.
             state.pid[0].integral[i], s.desired[i] = 0.0, s.air_trim[i]
-        elif late or (slips and stopped):
-            if slips:
-                state.pid[0].integral[i] = 0.0
-            force = 0.0 if slips else _push(state, parameters, i)
+        elif slips and stopped:
+            state.pid[0].integral[i], force = 0.0, 0.0
+            s.desired[i] += s.air_trim[i]
+        elif late:
+            force = _push(state, parameters, i)
             s.desired[i] += s.air_trim[i]
         else:
             force = 0.0
