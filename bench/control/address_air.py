@@ -85,13 +85,19 @@ def leave_address_air(s: Any, time: float) -> None:
 
 
 @compiled
+def _has_missed(s: Any, time: float) -> bool:
+    """Return whether a move ended so long ago that a joint must be passing its address again and again."""
+    return bool(time - s.move_start - s.move_time >= _MISSED)
+
+
+@compiled
 def catch_at_address(s: Any, parameters: Any, estimator: Any, time: float) -> bool:
     """Return whether the hold takes over a robot whose move ended beside its address; note its late joints.
 
     A PID alone lets a joint with much friction hunt there; the hold catches a late one as it slips.
     """
     p, following = parameters.control[0], parameters.envelope[0].following
-    if not parameters.profile[0].air_planned or time - s.move_start - s.move_time < _MISSED:
+    if not (parameters.profile[0].air_planned and _has_missed(s, time)):
         return False
     for i in range(3):
         away, speed = abs(parameters.angle[0, i] - estimator.angle[i]), abs(estimator.velocity[i])
@@ -136,6 +142,13 @@ def _planned_force(plant: Any, profile: Any, air: Any, i: int) -> float:
     in_b = planned_pressure(profile, air, 2 * i + 1) - plant.atmosphere
     force: float = in_a * plant.area_a[i] - in_b * plant.area_b[i]
     return force
+
+
+@compiled
+def _bounded(parameters: Any, i: int, offset: float) -> float:
+    """Return the `offset` of spool `i` that leaves enough of its swing to go on moving the sum."""
+    most = _OFFSET * (parameters.profile[0].air_width[i] - parameters.plant[0].dead_band[i])
+    return float(min(max(offset, -most), most))
 
 
 @compiled
@@ -225,13 +238,12 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
         else:
             force = 0.0
         if s.air_swung[i] != 0:
-            most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
-            offset = min(max(_offset_for(state, parameters, i, force, rate), -most), most)
+            offset = _bounded(parameters, i, _offset_for(state, parameters, i, force, rate))
             if held or (late and not slips):
                 trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * offset
                 s.air_trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
             if late or not held:  # a PID as soft as its air cannot make up for what the swing does
-                offset = min(max(offset + _balancing(state, parameters, i), -most), most)
+                offset = _bounded(parameters, i, offset + _balancing(state, parameters, i))
             s.desired[i] += side * profile.air_width[i] + offset
     if not settled:
         s.air_good = time
@@ -254,9 +266,8 @@ def charge(state: Any, parameters: Any, time: float) -> None:
         if time >= s.air_from:
             load = load_force(parameters.robot, plant, state.estimator[0].angle, i)
             missing = load - actuator_force(plant, air.pressure, i)
-            most = _OFFSET * (profile.air_width[i] - plant.dead_band[i])
             offset = _offset_for(state, parameters, i, missing, _CHARGING_RATE)
-            s.desired[i] += side * profile.air_width[i] + min(max(offset, -most), most)
+            s.desired[i] += side * profile.air_width[i] + _bounded(parameters, i, offset)
 
 
 @compiled
@@ -269,15 +280,14 @@ def loosen(state: Any, parameters: Any, time: float) -> None:
     made up for: a soft PID cannot.
     """
     s, p, e, profile = state.control[0], parameters.control[0], state.estimator[0], parameters.profile[0]
-    missed = time - s.move_start - s.move_time >= _MISSED
+    missed = _has_missed(s, time)
     for i in range(3):
         if missed and abs(e.velocity[i]) > _SLIPS * p.still_speed[i]:
             state.pid[0].integral[i] = 0.0
         side = square_wave((time - s.move_start) / profile.air_period[i])
         s.desired[i] += side * profile.air_width[i]
         if missed:
-            most = _OFFSET * (profile.air_width[i] - parameters.plant[0].dead_band[i])
-            s.desired[i] += min(max(_balancing(state, parameters, i), -most), most)
+            s.desired[i] += _bounded(parameters, i, _balancing(state, parameters, i))
 
 
 @compiled

@@ -150,6 +150,7 @@ CONTROL_STATE = np.dtype(
         ("move_start", "f8"),
         ("move_time", "f8"),
         ("move_from", "f8", (3,)),
+        ("arm_first", "?"),
         ("reaction_start", "f8"),
         ("blind_row", "i8"),
         ("still_since", "f8"),
@@ -205,7 +206,8 @@ CONTROL_STATE = np.dtype(
 """From outside, before a tick: `request`, `request_number`, `lease_held`, `support_ready`,
 `supervisor_alive`, `device_operational`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it),
 `tee`.
-`move_gain` is the opening per rad/s of reference speed in slow moves, of the last tick's pose.
+`move_gain` is the opening per rad/s of reference speed in slow moves, of the last tick's pose; `arm_first`
+says that arm and wrist move before the shoulder.
 `home_begun` are the joints' angles when homing began (rad), `home_free` says whose index was forgotten since,
 `home_way` is -1 once the index is searched for in the other direction, `home_touching` says that the joint in
 turn looks for its stop, `home_pushed` and `home_at` since when and where it presses against it (s, rad).

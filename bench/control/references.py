@@ -10,6 +10,7 @@ from typing import Any
 
 from bench.control.air import actuator_motion
 from bench.control.feed_forward import PNEUMATIC, pneumatic_opening
+from bench.control.low_way import arm_goes_first, part_of_joint
 from bench.lifecycle import Phase
 from drivers.base.compiled import compiled
 
@@ -53,6 +54,9 @@ def begin_move(parameters: Any, s: Any, start: Any, time: float) -> None:
         s.move_from[i] = start[i]
         # The max speed of a quintic is 15/8 of its mean.
         s.move_time = max(s.move_time, 1.875 * abs(parameters.angle[0, i] - start[i]) / p.move_speed[i])
+    s.arm_first = arm_goes_first(parameters, start)
+    if s.arm_first:
+        s.move_time *= 2.0
     s.move_start = time
     s.moving = True
     s.phase = Phase.RETURN
@@ -62,11 +66,13 @@ def begin_move(parameters: Any, s: Any, start: Any, time: float) -> None:
 def follow_move(parameters: Any, s: Any, time: float) -> bool:
     """Set the reference of the slow move at `time` (quintic: rest to rest); return False once it is over."""
     p = parameters.control[0]
-    part = min(max((time - s.move_start) / s.move_time, 0.0), 1.0)
-    shape = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
-    slope = 30.0 * part * part * (1.0 - part) * (1.0 - part) / s.move_time
-    bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part) / (s.move_time * s.move_time)
+    whole = min(max((time - s.move_start) / s.move_time, 0.0), 1.0)
+    own_time = 0.5 * s.move_time if s.arm_first else s.move_time
     for i in range(3):
+        part = part_of_joint(whole, i, s.arm_first)
+        shape = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
+        slope = 30.0 * part * part * (1.0 - part) * (1.0 - part) / own_time
+        bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part) / (own_time * own_time)
         way = parameters.angle[0, i] - s.move_from[i]
         s.reference[i] = s.move_from[i] + way * shape
         s.reference_velocity[i] = way * slope
@@ -74,7 +80,7 @@ def follow_move(parameters: Any, s: Any, time: float) -> bool:
         # Swung spools are beyond their dead band by themselves.
         band = 0.0 if parameters.profile[0].air_planned else p.move_band[i] * direction(way * slope)
         s.feed_forward[i] = s.move_gain[i] * way * slope + band
-    return bool(part < 1.0)
+    return bool(whole < 1.0)
 
 
 @compiled

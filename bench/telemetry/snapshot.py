@@ -82,6 +82,7 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "air_since",
             "air_ready",
             "move_gain",
+            "arm_first",
             "low_head",
             "emptied",
             "empty_since",
