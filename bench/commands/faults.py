@@ -29,7 +29,10 @@ def faults() -> None:
     """Inject faults into every signal and part in every phase on the simulated robot; judge the outcomes."""
 
 
-ProfileName = Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path.")]
+ProfileName = Annotated[
+    str | None,
+    typer.Argument(metavar="PROFILE", help="Name or path.", show_default="the configuration's"),
+]
 Output = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Folder of results.", show_default="DATA_DIR/faults")
 ]
@@ -62,7 +65,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to 
 @app.command()
 def run(
     context: typer.Context,
-    profile: ProfileName = "default",
+    profile: ProfileName = None,
     output: Output = None,
     signal: Signals = None,
     phase: Phases = None,
@@ -90,7 +93,7 @@ def run(
     _must_be_known("--phase", phase or (), PHASES)
     _must_be_known("--family", family or (), FAMILIES)
     configuration = context.ensure_object(Session).configuration()
-    study = fault_study(configuration, profile, model_check=model_check)
+    study = fault_study(configuration, profile or configuration.swing.profile, model_check=model_check)
     folder = output or configuration.bench.data_dir / "faults"
     folder.mkdir(parents=True, exist_ok=True)
     plan = plan_matrix(

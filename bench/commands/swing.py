@@ -171,7 +171,12 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
 @app.command()
 def check(
     context: typer.Context,
-    profile: Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")] = "default",
+    profile: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="PROFILE", help="Name or path of a profile.", show_default="the configuration's"
+        ),
+    ] = None,
     club: ClubName = None,
     spacing: Annotated[int, typer.Option(min=1, help="Ticks between tested instants.")] = 20,
     json_: Json = False,
@@ -194,9 +199,9 @@ def check(
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
-    path = find_profile(profile)
-    swing = load_profile(path)
     configuration = context.ensure_object(Session).configuration().with_club(club)
+    path = find_profile(profile or configuration.swing.profile)
+    swing = load_profile(path)
     require_possible(swing, configuration.plant, configuration.envelope, str(path))
     configuration = configuration.for_profile(swing, path)
     bench = SwingCheck(

@@ -94,6 +94,17 @@ def test_simulate_refuses_before_anything_moves(run: Run, tmp_path: Path) -> Non
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("command", [["swing", "check"], ["faults", "run"], ["tune"]])
+def test_what_is_tried_without_a_name_is_the_configurations_profile(
+    run: Run, tmp_path: Path, command: list[str]
+) -> None:
+    """A matrix of `high_speed` was one of `default` on its robot, with limits that were not made for it."""
+    (tmp_path / "other.toml").write_text('base = "mine.toml"\n[swing]\nprofile = "not-there"\n')
+    answer = run("--config", "other.toml", *command)
+    assert answer.code == ExitCode.BAD_INPUT
+    assert "error: profile not-there" in answer.err
+
+
 @pytest.mark.parametrize("command", ["check", "limits"])
 def test_a_profile_of_another_club_is_not_judged_with_the_mounted_one(command: str, run: Run) -> None:
     answer = run("swing", command, "wrong.toml")
