@@ -101,6 +101,9 @@ class SwingDemand:
     `lean_freedom`."""
     lean_freedom: tuple[float, float] | None = None
     """None: `_UPRIGHT`; on turf, where the path falls, up to `_LEADING`."""
+    before_stop: float = 0.0
+    """Least time from the ball to where the wrist, at its speed, would meet its stop, s. A robot that comes a
+    little otherwise meets it before the ball, and is slower in one swing than in the next."""
     strike: float = 0.0
     """Ball off the face's centre along the cut of swing plane and face, m."""
     margin: float = 0.15
@@ -358,6 +361,7 @@ def _problem(
         committed=demand.no_return_time + BEFORE_CONTACT * parameters.tick,
         wrist=_wrist_range(parameters, demand),
         speed_limits=(0.96 * speeds[0], 0.96 * speeds[1], 0.96 * speeds[2]),
+        before_stop=demand.before_stop,
         cushions=(_BROUGHT[0] * parameters.right_arm.stop.energy, _BROUGHT[1] * parameters.wrist.stop.energy),
         shoulder_speed=demand.shoulder_speed,
         pressure=demand.pressure,

@@ -273,6 +273,8 @@ class DownswingProblem:
     """Ability of the joints to stop before their end stops, required until `committed` (rad, m, rad)."""
     committed: float
     """Time before the ball from which on it is not required, s."""
+    before_stop: float
+    """Least time from the ball to where the wrist, at its speed, would meet its upper stop, s; 0: any."""
     cushions: tuple[float, float]
     """Max energy of the upper cushions of right arm and wrist when the ball is missed, J."""
     shoulder_speed: float
@@ -398,6 +400,8 @@ def solve_downswing(
     site = plant.site
     require("ball", head[:2], [site.ball_x, site.ball_y], [site.ball_x, site.ball_y])
     require("shaft lean", head[2], p.theta_t[0], p.theta_t[1])
+    if p.before_stop > 0.0:
+        require("wrist's stop", state[2] + p.before_stop * state[5], -np.inf, plant.wrist.upper)
     slope = p.slope + given[1]
     along = ca.cos(slope) * head[3] + ca.sin(slope) * head[4]
     require("slope", -ca.sin(slope) * head[3] + ca.cos(slope) * head[4], 0.0, 0.0)

@@ -72,11 +72,13 @@ def run(arguments: list[str]) -> list[Row]:
         covered += _table(console, seed, truth, known)
         unsafe += [f"robot {seed}: {text}" for text in loads]
         seconds.append(time)
-    rows = [
-        Row(NAME, "values whose 95 % interval covers the truth", _share(covered), "%", "", at_least=90.0),
-        Row(NAME, "unsafe robots", len(unsafe), "", "; ".join(unsafe), at_most=0),
-        Row(NAME, "longest commissioning", max(seconds, default=0.0) / 60.0, "min of the bench"),
-    ]
+    rows = list[Row]()
+    if seconds:
+        rows = [
+            Row(NAME, "values whose 95 % interval covers the truth", _share(covered), "%", "", at_least=90.0),
+            Row(NAME, "unsafe robots", len(unsafe), "", "; ".join(unsafe), at_most=0),
+            Row(NAME, "longest commissioning", max(seconds) / 60.0, "min of the bench"),
+        ]
     if options.wrong:
         rows += _wrong(console, configuration) + _swung_wrongly(console, configuration)
     return rows

@@ -20,6 +20,7 @@ def test_a_slower_backswing_is_tried(monkeypatch: pytest.MonkeyPatch, works_from
 
     def design(plant: PlantParameters, demand: SwingDemand, name: str, **given: Any) -> SimpleNamespace:
         tried.append(demand.backswing_time)
+        assert demand.before_stop > 0.0
         if demand.backswing_time < works_from:
             raise DesignFailed(f"wrist folded too far in {demand.backswing_time} s")
         return SimpleNamespace(profile=name)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration
+from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
 from bench.design import designer
 from bench.design.closed_loop import Rehearsal
 from bench.design.designer import (
@@ -26,6 +27,7 @@ from bench.design.designer import (
     address_pose,
     design_downswing,
     design_swing,
+    fastest_plan,
     slope_of,
     top_pose,
 )
@@ -140,6 +142,21 @@ def test_a_path_in_the_tilted_plane_rises_by_the_attack_angle() -> None:
     assert slope_of(-attack, lie) == -slope_of(attack, lie)
     with pytest.raises(ValueError, match="steeper"):
         slope_of(lie, lie)
+
+
+@pytest.mark.slow
+def test_a_wrist_may_be_kept_from_its_stop_at_the_ball(plant: PlantParameters) -> None:
+    """The fastest downswing meets it there: a robot a little off was slower by 0.7 % in every other swing."""
+    ahead, demand = 0.0012, SwingDemand(attack=radians(2.0))
+    settings = ControlSettings(), EnvelopeSettings(), EstimatorSettings()
+    missed = []
+    for before_stop in (0.0, ahead):
+        plan = fastest_plan(plant, replace(demand, before_stop=before_stop), *settings)
+        assert plan.solved
+        angle, speed = plan.state[-1, 2], plan.state[-1, 5]
+        missed.append((plant.wrist.upper - angle) / speed)
+    assert missed[0] < 0.5 * ahead
+    assert missed[1] >= 0.999 * ahead
 
 
 def test_a_correction_begins_at_nothing_and_passes_its_knots() -> None:
