@@ -253,6 +253,12 @@ Lean = Annotated[
 Strike = Annotated[
     float, typer.Option(metavar="MM", min=-20.0, max=20.0, help="Ball off the face's centre, + up the plane.")
 ]
+BeforeStop = Annotated[
+    float,
+    typer.Option(
+        metavar="MS", min=0.0, max=5.0, help="Least time from the ball to where the wrist meets its stop."
+    ),
+]
 Margin = Annotated[
     float,
     typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Share of each valve reserved for feedback."),
@@ -323,6 +329,7 @@ def design(
     attack: Attack = 0.0,
     lean: Lean = None,
     strike: Strike = 0.0,
+    before_stop: BeforeStop = 1.2,
     margin: Margin = 15.0,
     backswing: Backswing = None,
     downswing: Downswing = None,
@@ -353,6 +360,7 @@ def design(
         attack=math.radians(attack),
         lean=None if lean is None else math.radians(lean),
         strike=strike / 1e3,
+        before_stop=before_stop / 1e3,
         margin=margin / 100,
         nearest=nearest,
     )

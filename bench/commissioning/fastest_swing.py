@@ -28,9 +28,6 @@ _TEMPI = ((0.85, 0.25), (1.1, 0.25), (1.1, 0.4))
 """Durations of backswing and top that are tried in turn, s: the first is too fast for some robots."""
 _LEAST_LEVER = 0.34
 """Min |sin beta| of the plan, 0.2 rad before the envelope's 0.15: right robots were seen 0.12 rad off."""
-_BEFORE_STOP = 0.0012
-"""s by which the wrist is to miss its stop at the ball. One that was planned to meet it there struck at 42.2
-or 42.5 m/s, as it met it before the ball or after; on drawn robots it comes 0.6 ms nearer."""
 _SLOWEST, _FASTEST = 20.0, 60.0
 """m/s between which speeds are tried."""
 
@@ -58,9 +55,7 @@ def design_at(configuration: Configuration, speed: float, name: str, start: Prof
     """
     c, near = configuration, load_profile(find_profile(_NEAR))
     demand = demand_near(
-        c.plant,
-        near,
-        SwingDemand(head_speed=speed, attack=ATTACK, least_lever=_LEAST_LEVER, before_stop=_BEFORE_STOP),
+        c.plant, near, SwingDemand(head_speed=speed, attack=ATTACK, least_lever=_LEAST_LEVER)
     )
     slower = near.delivery["head_speed_mps"] / speed
     shortest, longest = demand.downswing_time
