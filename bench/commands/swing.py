@@ -313,7 +313,7 @@ _TEMPO = 0.004
 """Freedom of a demanded duration of the downswing either way, s; the plant adds a tick."""
 _ASK_FOR_LESS = (
     "Ask for less --speed, a steeper --attack angle or a longer --backswing; --highest shows the highest "
-    "speed, --nearest gives way."
+    "speed, --nearest gives way, --before-stop 0 lets the wrist meet its stop at the ball."
 )
 """Action after a failed design."""
 
