@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from bench.commands.session import ClubName, Session
+from bench.commands.session import ClubName, ProfileName, Session
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,10 +19,6 @@ if TYPE_CHECKING:
     from sim.plant import PlantParameters
 
 
-ProfileName = Annotated[
-    str | None,
-    typer.Argument(metavar="PROFILE", help="Name or path of a profile.", show_default="the configuration's"),
-]
 RobotName = Annotated[
     Literal["nominal", "worn", "both"],
     typer.Option(

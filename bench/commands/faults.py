@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.commands.session import Session
+from bench.commands.session import ProfileName, Session
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 
 if TYPE_CHECKING:
@@ -29,10 +29,6 @@ def faults() -> None:
     """Inject faults into every signal and part in every phase on the simulated robot; judge the outcomes."""
 
 
-ProfileName = Annotated[
-    str | None,
-    typer.Argument(metavar="PROFILE", help="Name or path.", show_default="the configuration's"),
-]
 Output = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Folder of results.", show_default="DATA_DIR/faults")
 ]

@@ -18,6 +18,13 @@ ClubName = Annotated[
 """Option of a command that simulates: this club on its site instead of the mounted one."""
 
 
+ProfileName = Annotated[
+    str | None,
+    typer.Argument(metavar="PROFILE", help="Name or path of a profile.", show_default="the configuration's"),
+]
+"""Argument of a command that tries a swing: this profile instead of the configuration's."""
+
+
 @dataclass
 class Session:
     """`typer.Context.obj` in every command."""

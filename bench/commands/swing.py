@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.commands.session import ClubName, Session
+from bench.commands.session import ClubName, ProfileName, Session
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 
 if TYPE_CHECKING:
@@ -171,12 +171,7 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
 @app.command()
 def check(
     context: typer.Context,
-    profile: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="PROFILE", help="Name or path of a profile.", show_default="the configuration's"
-        ),
-    ] = None,
+    profile: ProfileName = None,
     club: ClubName = None,
     spacing: Annotated[int, typer.Option(min=1, help="Ticks between tested instants.")] = 20,
     json_: Json = False,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from bench.commands.session import Session
+from bench.commands.session import ProfileName, Session
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -25,10 +25,6 @@ if TYPE_CHECKING:
 Method = Literal["machine", "thesis", "none"]
 
 
-ProfileName = Annotated[
-    str | None,
-    typer.Argument(metavar="PROFILE", help="Profile to tune for.", show_default="the configuration's"),
-]
 MethodName = Annotated[
     Method,
     typer.Option(

@@ -135,6 +135,12 @@ def clearance_needed(p: Any, head_x: float) -> float:
 
 
 @compiled
+def spare_clearance(p: Any, head_x: float, head_y: float) -> float:
+    """Return by how much (m) the sole is higher than it has to be, the face at `head_x`, `head_y` (m)."""
+    return float(head_y - p.sole_depth - p.ground - clearance_needed(p, head_x))
+
+
+@compiled
 def _clearance_cause(p: Any, robot: Any, angle: Any, low: float) -> int:
     """Return the cause if the club is too near to ground (`low` m more), frame, or the wrist's dead point."""
     r = robot[0]
@@ -144,7 +150,7 @@ def _clearance_cause(p: Any, robot: Any, angle: Any, low: float) -> int:
     wrist_x, wrist_y = r.l12 * cos(a1) + r.l23 * cos(a12), r.l12 * sin(a1) + r.l23 * sin(a12)
     along_x, along_y = cos(theta), sin(theta)
     head_x, head_y = wrist_x + r.l3t * along_x, wrist_y + r.l3t * along_y
-    if not head_y - p.sole_depth - p.ground >= clearance_needed(p, head_x) - low:
+    if not spare_clearance(p, head_x, head_y) >= -low:
         return Cause.GROUND
     # Nearest point of the club to the shoulder axis.
     nearest = min(max(-(wrist_x * along_x + wrist_y * along_y), 0.0), r.l3t)

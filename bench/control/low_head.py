@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.control.envelope import clearance_needed
+from bench.control.envelope import spare_clearance
 from bench.lifecycle import Phase, State
 from drivers.base.compiled import compiled
 
@@ -25,8 +25,7 @@ def watch_low_head(s: Any, envelope: Any, time: float) -> float:
     if not (s.state == State.ARMED and s.phase == Phase.RETURN):
         s.low_head = 0.0
         return 0.0
-    height = s.head[1] - p.sole_depth - p.ground
-    missing = max(clearance_needed(p, s.head[0]) - height + _SLACK, 0.0)
+    missing = max(_SLACK - spare_clearance(p, s.head[0], s.head[1]), 0.0)
     if time <= s.air_from or missing < s.low_head:
         s.low_head = missing
     return float(s.low_head)

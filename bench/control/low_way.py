@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.control.envelope import clearance_needed
+from bench.control.envelope import spare_clearance
 from drivers.base.compiled import compiled
 from sim.kinematics import head_motion
 
-SHOULDER = 0
+_SHOULDER = 0
 """Index of the shoulder in drivers.base.JOINTS."""
 _SPARE = 0.030
 """m over the required clearance that are enough: an arm that sticks until its PID moves it costs 23 mm."""
@@ -36,7 +36,7 @@ def part_of_joint(part: float, joint: int, first: bool) -> float:
     """Return the part of its own time (0 to 1) of `joint` at `part` of the move; `first`: arm and wrist."""
     if not first:
         return part
-    own = 2.0 * part - 1.0 if joint == SHOULDER else 2.0 * part
+    own = 2.0 * part - 1.0 if joint == _SHOULDER else 2.0 * part
     return min(max(own, 0.0), 1.0)
 
 
@@ -46,9 +46,10 @@ def _spare(parameters: Any, start: Any, first: bool) -> float:
     p, robot, end = parameters.envelope[0], parameters.robot[0], parameters.angle[0]
     least = 10.0
     for k in range(_POSES + 1):
+        # Scalars, as the step allocates nothing.
         shoulder = start[0] + (end[0] - start[0]) * part_of_joint(k / _POSES, 0, first)
         arm = start[1] + (end[1] - start[1]) * part_of_joint(k / _POSES, 1, first)
         wrist = start[2] + (end[2] - start[2]) * part_of_joint(k / _POSES, 2, first)
         head = head_motion(robot, shoulder, arm, wrist, 0.0, 0.0, 0.0)
-        least = min(least, head[1] - p.sole_depth - p.ground - clearance_needed(p, head[0]))
+        least = min(least, spare_clearance(p, head[0], head[1]))
     return least
