@@ -18,7 +18,7 @@ import numpy as np
 from drivers.base import CHAMBERS, COMMAND, INVALID, JOINTS, READINGS
 from drivers.base.compiled import compiled, new_record
 from drivers.base.ranges import Range
-from sim.plant import OPEN, SHUT, Plant
+from sim.plant import OPEN, RELIEFS, SHUT, Plant
 from sim.random_stream import uniform
 from sim.sensors import sense
 
@@ -64,6 +64,9 @@ SIGNALS = (
     "vent 2 feedback",
     "shut-off",
     "shut-off feedback",
+    *(f"{chamber} relief" for chamber in CHAMBERS),
+    "manifold relief",
+    "safety relay",
 )
 """Signals and parts that can fail."""
 
@@ -124,6 +127,14 @@ MEANINGS: dict[str, dict[Kind, str]] = {
     },
     "shut-off": {
         "stuck": "stays open (`value` 1), or shut with the manifold exhausted (0)",
+    },
+    "relief": {
+        "stuck": "stays shut (`value` 1) or fully open (0)",
+        "offset": "opens `value` Pa too high",
+        "leaking": "leaks the share `value` of its full opening",
+    },
+    "safety relay": {
+        "stuck": "its contacts stay closed (`value` 1) or open (0)",
     },
     "switch": {
         "off": "reads as de-energised",
@@ -199,6 +210,8 @@ def sort_of(signal: str) -> str:
         return "valve"
     if signal in ("vent 1", "vent 2"):
         return "vent"
+    if signal.endswith(" relief"):
+        return "relief"
     if signal != "ball sensor" and signal.endswith(" sensor"):
         return "pressure"
     return _SORTS.get(signal, signal)
@@ -206,6 +219,7 @@ def sort_of(signal: str) -> str:
 
 MAX_DELAY = 63
 """Maximum delay in ticks."""
+_STUCK_AT_AN_END = frozenset({"supply", "vents", "vent", "shut-off", "relief", "safety relay"})
 _NEEDS_VALUE = frozenset(
     {"offset", "scale", "slow", "delayed", "intermittent", "drifting", "leaking", "swapped"}
 )
@@ -249,11 +263,7 @@ class Fault:
             raise ValueError("value: a share, 0 to 1")
         if self.kind in ("slow", "delayed") and not self.value >= 0.0:
             raise ValueError("value: at least 0 s")
-        if (
-            self.signal in ("supply", "vents", "vent 1", "vent 2", "shut-off")
-            and self.kind == "stuck"
-            and isnan(self.value)
-        ):
+        if sort_of(self.signal) in _STUCK_AT_AN_END and self.kind == "stuck" and isnan(self.value):
             raise ValueError("value: 1 or 0")
 
     @property
@@ -333,7 +343,8 @@ _CHAMBER = 15
 _HEAD, _LINK, _CLOCK, _LOOP = 21, 22, 23, 24
 SUPERVISOR, RECORDER, LEASE = 25, 26, 27
 """Numbers of the signals whose faults the bench applies."""
-_VENT, _VENT_FEEDBACK, _SHUT_OFF, _SHUT_OFF_FEEDBACK = 29, 31, 33, 34
+_VENT, _VENT_FEEDBACK, _SHUT_OFF, _SHUT_OFF_FEEDBACK, _RELIEF = 29, 31, 33, 34, 35
+_RELAY = _RELIEF + RELIEFS
 
 _INTERLOCKS_LOST = 0.06
 """Time without inputs after which switches read as de-energised, s: three messages of the valve node."""
@@ -723,7 +734,11 @@ def break_parts(faults: Faults, robot: Any, plant: Any, state: Any) -> None:
     r, p, s, h = robot[0], plant[0], state[0], faults.healthy_plant[0]
     for k in range(len(faults.faults)):
         f, m = faults.faults[k], faults.memory[k]
-        if f.kind == _LEAKING:
+        if _RELIEF <= f.signal < _RELIEF + RELIEFS:
+            _break_relief(p, h, f.signal - _RELIEF, f, m.active)
+        elif f.signal == _RELAY:
+            p.relay_stuck = 0 if not m.active else SHUT if f.value > 0.5 else OPEN
+        elif f.kind == _LEAKING:
             i = f.signal - _VALVE
             p.leakage[i] = f.value if m.active else h.leakage[i]
         elif _VENT <= f.signal < _VENT + 2:
@@ -742,6 +757,21 @@ def break_parts(faults: Faults, robot: Any, plant: Any, state: Any) -> None:
             _take_head(r, p, faults.healthy_robot[0])
         if f.signal == _HEAD and m.active:
             s.ball_present = False  # no head is left to meet it
+
+
+@compiled
+def _break_relief(p: Any, h: Any, k: int, f: Any, active: bool) -> None:
+    """Apply the fault of relief valve `k` to the plant's parameters `p`; `h` are the healthy ones."""
+    pressure, conductance, leakage = h.relief_pressure[k], h.relief_conductance[k], h.relief_leakage[k]
+    if active and f.kind == _OFFSET:
+        pressure += f.value
+    elif active and f.kind == _LEAKING:
+        leakage = f.value * conductance
+    elif active and f.value > 0.5:
+        conductance = 0.0
+    elif active:
+        pressure = 0.0
+    p.relief_pressure[k], p.relief_conductance[k], p.relief_leakage[k] = pressure, conductance, leakage
 
 
 @compiled

@@ -89,12 +89,16 @@ def stop_push(p: Any, i: int, depth: float, speed: float) -> float:
 
 
 @compiled
-def _relief(p: Any, pressure: float) -> float:
-    """Return the conductance of a chamber's relief valve; fully open half a bar above its set pressure."""
-    if pressure <= p.relief_pressure:
-        return 0.0
-    conductance: float = p.relief_conductance * min((pressure - p.relief_pressure) / 0.5e5, 1.0)
-    return conductance
+def _relief(p: Any, k: int, pressure: float) -> float:
+    """Return the conductance of chamber k's relief valve, 6: the manifold's.
+
+    It is fully open half a bar above its set pressure.
+    """
+    leakage: float = p.relief_leakage[k]
+    if pressure <= p.relief_pressure[k]:
+        return leakage
+    opened: float = p.relief_conductance[k] * min((pressure - p.relief_pressure[k]) / 0.5e5, 1.0)
+    return max(opened, leakage)
 
 
 @compiled
@@ -122,8 +126,8 @@ def chambers(
     into_a, into_b = flow(edge_a, supply, pa, ratio), flow(edge_b, supply, pb, ratio)
     across = flow(p.cross_leakage[i], pa, pb, ratio)
     # Valve edge, vent and relief valve lead to the same place: one orifice.
-    out_a = flow(edge_b + vent + _relief(p, pa), pa, atmosphere, ratio)
-    out_b = flow(edge_a + vent + _relief(p, pb), pb, atmosphere, ratio)
+    out_a = flow(edge_b + vent + _relief(p, 2 * i, pa), pa, atmosphere, ratio)
+    out_b = flow(edge_a + vent + _relief(p, 2 * i + 1, pb), pb, atmosphere, ratio)
     volume_a = max(dead + area_a * (position - p.volume_lower[i]), 0.2 * dead)
     volume_b = max(dead + area_b * (p.volume_upper[i] - position), 0.2 * dead)
     dy[a] = p.exponent / volume_a * (into_a - across - out_a - pa * area_a * speed)
@@ -182,7 +186,8 @@ def _derivative(
         fed = max(flow(feed, p.regulated, supply, _FEED_RATIO), 0.0)
     else:
         fed = -flow(p.dump_conductance, supply, p.atmosphere, _FEED_RATIO)
-    dy[12] = p.exponent / p.manifold * (fed - taken1 - taken2 - taken3)
+    relieved = flow(_relief(p, 6, supply), supply, p.atmosphere, _FEED_RATIO)
+    dy[12] = p.exponent / p.manifold * (fed - taken1 - taken2 - taken3 - relieved)
     dy[18] = max(fed, 0.0)
 
     # Dry friction of sliding joints.

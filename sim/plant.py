@@ -41,6 +41,7 @@ __all__ = [
     "OPEN",
     "PLANT_PARAMETERS",
     "PLANT_STATE",
+    "RELIEFS",
     "SHUT",
     "Encoders",
     "Plant",
@@ -213,8 +214,10 @@ class PlantParameters:
 
 
 OPEN, SHUT = 1, 2
-"""Where a vent or the shut-off valve is stuck, in `vent_stuck`, `shut_off_stuck` of PLANT_PARAMETERS; 0: it
-obeys."""
+"""Where a vent, the shut-off valve or the safety relay is stuck, in `vent_stuck`, `shut_off_stuck` and
+`relay_stuck` of PLANT_PARAMETERS; 0: it obeys."""
+RELIEFS = 7
+"""Number of relief valves: those of the six chambers, and the manifold's."""
 
 PLANT_PARAMETERS = np.dtype(
     [
@@ -245,8 +248,9 @@ PLANT_PARAMETERS = np.dtype(
         ("feed_conductance", "f8"),
         ("manifold", "f8"),
         ("dump_conductance", "f8"),
-        ("relief_pressure", "f8"),
-        ("relief_conductance", "f8"),
+        ("relief_pressure", "f8", (RELIEFS,)),
+        ("relief_conductance", "f8", (RELIEFS,)),
+        ("relief_leakage", "f8", (RELIEFS,)),
         ("soft_start_time", "f8"),
         ("vent_conductance", "f8"),
         ("vent_delay", "f8"),
@@ -265,6 +269,7 @@ PLANT_PARAMETERS = np.dtype(
         ("vent_stuck", "i8", (2,)),
         ("shut_off_feedback", "?"),
         ("shut_off_stuck", "i8"),
+        ("relay_stuck", "i8"),
         ("flexible", "?"),
         ("head_mass", "f8"),
         ("head_stiffness", "f8"),
@@ -376,8 +381,8 @@ def build_plant(parameters: PlantParameters) -> Plant:
         record[name][0, 2] = parameters.wrist_stroke(record[name][0, 2])
     record["encoder_scale"] = np.array(encoders.sign) * (encoders.counts_per_revolution / (2 * pi))
     record["encoder_zero"] = encoders.zero_count
-    for name, scalar in _scalar_values(parameters).items():
-        record[name] = scalar
+    for name, value in _scalar_values(parameters).items():
+        record[name] = value
     club, robot = parameters.robot.club, parameters.robot
     rigid = replace(robot, club=_without_head(club)) if parameters.shaft.flexible else robot
     return Plant(parameters, rigid.record, record, impact_parameters(club, parameters.ball, robot.lie))
@@ -411,8 +416,8 @@ def _actuator_values(actuator: Actuator, half_step: float) -> dict[str, Any]:
     }
 
 
-def _scalar_values(parameters: PlantParameters) -> dict[str, float]:
-    """Return the scalar fields of PLANT_PARAMETERS."""
+def _scalar_values(parameters: PlantParameters) -> dict[str, Any]:
+    """Return the fields of PLANT_PARAMETERS that belong to no single actuator."""
     encoders, supply, site = parameters.encoders, parameters.supply, parameters.site
     shaft, club = parameters.shaft, parameters.robot.club
     omega, surface = 2 * pi * shaft.frequency, SURFACES[site.surface]
@@ -423,8 +428,8 @@ def _scalar_values(parameters: PlantParameters) -> dict[str, float]:
         "feed_conductance": supply.feed_conductance,
         "manifold": supply.volume,
         "dump_conductance": supply.dump_conductance,
-        "relief_pressure": supply.relief_pressure,
-        "relief_conductance": supply.relief_conductance,
+        "relief_pressure": (*6 * (supply.relief_pressure,), supply.manifold_relief_pressure),
+        "relief_conductance": (*6 * (supply.relief_conductance,), supply.manifold_relief_conductance),
         "soft_start_time": supply.soft_start_time,
         "vent_conductance": supply.vent_conductance,
         "vent_delay": supply.vent_delay,
@@ -525,8 +530,10 @@ def advance(robot: Any, plant: Any, impact: Any, state: Any, command: Any) -> No
     s.search_before = c.search_index
     s.guard_locked = s.guard_closed and c.guard_lock
     s.supply_level = min(s.supply_level + p.tick / p.soft_start_time, 1.0) if c.supply_enable else 0.0
-    s.vent_timer = 0.0 if c.exhaust_closed else s.vent_timer + p.tick
-    s.shut_off_timer = 0.0 if c.supply_enable and c.guard_lock else s.shut_off_timer + p.tick
+    clear = s.emergency_stop_clear and s.guard_closed
+    relay = p.relay_stuck == SHUT or (clear and p.relay_stuck != OPEN)
+    s.vent_timer = 0.0 if c.exhaust_closed and relay else s.vent_timer + p.tick
+    s.shut_off_timer = 0.0 if c.supply_enable and c.guard_lock and relay else s.shut_off_timer + p.tick
     holds = s.shut_off_timer <= p.shut_off_delay
     s.shut_off_open = p.shut_off_stuck == OPEN or (holds and p.shut_off_stuck != SHUT)
     feed = p.feed_conductance * s.supply_level if s.shut_off_open else 0.0

@@ -155,12 +155,14 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Supply:
-    """Regulator, supply and shut-off valve in series, manifold, and the chambers' throttles behind two vents.
+    """Regulator, supply and shut-off valve in series, manifold, throttles behind two vents, relief valves.
 
     Supply valve and shut-off valve are 3/2 valves: either one shut cuts the supply and exhausts the manifold.
     The supply valve follows its command. The shut-off valve is held open by the same output, over a contact
     of the guard's lock that its release opens, and shuts late, by a pneumatic timer: a supply valve that
-    stays open shows in the manifold's pressure before. Vents are normally open.
+    stays open shows in the manifold's pressure before. Vents are normally open. A safety relay, which an
+    emergency stop or an open guard releases, has a contact in the coils of vents and shut-off valve; their
+    timers leave the bench time to brake by air.
     """
 
     pressure: Annotated[float, Range(2e5, 1.2e6, "Pa absolute")] = 8.0e5
@@ -183,6 +185,12 @@ class Supply:
     """Opening pressure of the relief valve of each chamber, Pa absolute."""
     relief_conductance: Conductance = 1.0e-7
     """Conductance of a relief valve fully open, 0.5 bar above its pressure, m3/(s Pa)."""
+    manifold_relief_pressure: Annotated[float, Range(2e5, 3e6, "Pa absolute")] = field(
+        default=8.8e5, metadata={"optional": True}
+    )
+    """Opening pressure of the manifold's relief valve, Pa absolute; no healthy swing reaches it."""
+    manifold_relief_conductance: Conductance = field(default=4.0e-7, metadata={"optional": True})
+    """Conductance of that relief valve fully open, 0.5 bar above its pressure, m3/(s Pa)."""
     atmosphere: Annotated[float, Range(5e4, 1.1e5, "Pa absolute")] = 1.013e5
     """Atmospheric pressure, Pa."""
     polytropic_exponent: Annotated[float, Range(1.0, 1.4, "")] = 1.2

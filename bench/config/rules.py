@@ -286,6 +286,15 @@ def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             f"more than {short(supply.pressure)} Pa",
         )
         yield "envelope.max_supply_pressure", found, wanted, "Correct it; pressures are Pa absolute."
+    rating = min(actuator.pressure_rating for actuator in c.plant.actuators)
+    if not c.envelope.max_supply_pressure <= supply.manifold_relief_pressure < rating:
+        yield (
+            "plant.supply.manifold_relief_pressure",
+            f"{short(supply.manifold_relief_pressure)} Pa",
+            f"at least envelope.max_supply_pressure, {short(c.envelope.max_supply_pressure)} Pa, "
+            f"less than the lowest pressure_rating, {short(rating)} Pa",
+            "Set it; below the former the valve would hide a regulator that fails.",
+        )
     if c.envelope.minimum_stop_margin > 1.0:
         found = short(c.envelope.minimum_stop_margin)
         yield "envelope.minimum_stop_margin", found, "0 to 1, a share of the cushions' travel", "Lower it."

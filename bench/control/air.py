@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.envelope import joint_coordinates
+from bench.control.envelope import joint_coordinates, relay_closed
 from drivers.base.compiled import compiled
 from sim.kane import kane_terms
 from sim.motion import chambers, wrist_cylinder
@@ -98,7 +98,7 @@ def observe_air(
         a.started = True
     if not (step > 0.0 and np.isfinite(e.angle.sum() + e.velocity.sum())):
         return
-    a.vent_timer = 0.0 if a.exhaust_closed else a.vent_timer + step
+    a.vent_timer = 0.0 if a.exhaust_closed and relay_closed(readings) else a.vent_timer + step
     vent = p.vent_conductance if a.vent_timer > p.vent_delay else 0.0
     supply = r.supply_pressure
     if not np.isfinite(supply):

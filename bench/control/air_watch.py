@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.control.envelope import relay_closed
 from bench.lifecycle import Cause, Phase, State
 from drivers.base.compiled import compiled
 
@@ -75,8 +76,8 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
         elif s.sensor_doubt[k] <= 0.0:
             s.sensor_dead[k] = 0
     wanted = 0.0 if exhaust_closed else 1.0
-    # A passive device and an open emergency stop circuit let the vents open by themselves.
-    opened = not s.device_operational or not r.emergency_stop_clear
+    # A passive device and an open safety relay let the vents open by themselves.
+    opened = not s.device_operational or not relay_closed(readings)
     allowed = SWITCHING + (0.0 if exhaust_closed else p.vent_delay)
     for k in range(VENTS):
         if s.tick <= 1:

@@ -74,6 +74,12 @@ def interlock_cause(readings: Any) -> int:
 
 
 @compiled
+def relay_closed(readings: Any) -> bool:
+    """Return whether the safety relay holds its contact in the coils of vents and shut-off valve, as read."""
+    return bool(readings[0].emergency_stop_clear and readings[0].guard_closed)
+
+
+@compiled
 def readings_cause(parameters: Any, estimator: Any) -> int:
     """Return the cause that makes the joint readings untrustworthy, or 0."""
     p, e = parameters[0], estimator[0]

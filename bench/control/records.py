@@ -55,6 +55,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("vented_still", "f8"),
         ("vented_blind", "f8"),
         ("vented_sinking", "f8"),
+        ("vented_creep", "f8"),
         ("vent_delay", "f8"),
         ("shut_off_delay", "f8"),
         ("lowest_pressure", "f8"),
@@ -130,6 +131,7 @@ CONTROL_STATE = np.dtype(
         ("vented", "?"),
         ("emptied", "?"),
         ("empty_since", "f8"),
+        ("rest_angle", "f8", (3,)),
         ("vent_start", "f8"),
         ("air", "?"),
         ("air_from", "f8"),
@@ -213,7 +215,7 @@ says that arm and wrist move before the shoulder.
 turn looks for its stop, `home_pushed` and `home_at` since when and where it presses against it (s, rad).
 `zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
 `stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s),
-`calm` are the velocities by which that is judged (rad/s).
+`calm` are the velocities by which that is judged (rad/s), `rest_angle` where the joints came to rest (rad).
 `entered` says that the guard was seen open in ACCESS: until SECURE has ended it, somebody may be inside.
 `unseen` are the joints that BLIND_BRAKE brakes without their encoder.
 `sensor_…` and `vent_…` are those of `bench.control.air_watch`: whether a sensor was ever believable, its last
@@ -312,6 +314,7 @@ def new_control_state(state: State = State.READY) -> ControlState:
     for name in ("lease_held", "support_ready", "supervisor_alive"):
         control[name] = begun
     control["device_operational"] = True
+    control["rest_angle"] = np.nan
     control["sensor_emptied"] = 1  # before air was on there is no decay to be seen
     for name in ("reset_pressed", "stopped_at", "moved_at", "vent_start", "still_since", "empty_since"):
         control[name] = -np.inf

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from math import inf
+from math import inf, pi
 from typing import Annotated, Literal
 
 import numpy as np
@@ -370,6 +370,8 @@ class EnvelopeSettings:
         return replace(self, model=replace(self.model, check=check))
 
 
+_CREEP = 1e-3
+"""Way of a joint beyond which it does not rest, rad; of coarse or noisy encoders what they show at rest."""
 _FOLLOWED = {
     "homing": Phase.HOMING,
     "hold": Phase.HOLD,
@@ -552,6 +554,8 @@ def _control_record(
         record["home_pose"] = (lower + upper) / 2
         record["home_tolerance"] += (upper - lower) / 2
     record["vent_delay"] = plant.supply.vent_delay
+    encoders = plant.encoders
+    record["vented_creep"] = max(_CREEP, 4.0 * pi / encoders.counts_per_revolution + 6.0 * encoders.noise)
     record["shut_off_delay"] = plant.supply.shut_off_delay
     # No absolute pressure is lower, as a cut cable reads 0, and no chamber survives twice its rating.
     record["lowest_pressure"] = 0.1 * plant.supply.atmosphere

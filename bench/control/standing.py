@@ -26,6 +26,22 @@ _SECURING_TIME = 2.0
 
 
 @compiled
+def _crept(p: Any, s: Any, e: Any) -> bool:
+    """Return whether a joint is elsewhere than where it came to rest; it rests here from now on then.
+
+    An arm that dry friction can just not hold creeps, slower than any velocity shows, and falls in the end.
+    """
+    crept = begun = False
+    for i in range(3):
+        begun = begun or not np.isfinite(s.rest_angle[i])
+        crept = crept or abs(e.angle[i] - s.rest_angle[i]) > p.vented_creep
+    if crept or begun:
+        for i in range(3):
+            s.rest_angle[i] = e.angle[i]
+    return crept
+
+
+@compiled
 def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     """Judge whether chambers and manifold are empty; return the cause if they should be and are not.
 
@@ -38,11 +54,15 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     blind = s.lost != 0 or s.distrusted
     empty = not chambers_show_pressure(s, p)
     shut = not manifold_shows_pressure(s, p)
-    if not (empty and shut and (blind or is_calm(s, p))):
+    calm = is_calm(s, p)
+    # Of an encoder that is not trusted a slow way is believed, no fast one.
+    crept = _crept(p, s, e) and s.lost == 0 and (calm or not blind)
+    if not (empty and shut and (blind or (calm and not crept))):
         s.still_since = time
     wait = p.vented_blind if blind else p.vented_still
     rests = time - s.still_since >= wait or s.state == State.ACCESS
-    if not (empty and shut) or (s.state == State.STARTING and not np.isfinite(s.empty_since)):
+    starting = s.state == State.STARTING and not np.isfinite(s.empty_since)
+    if not (empty and shut) or starting or (crept and s.state != State.ACCESS):
         s.empty_since = time
     sunk = time - s.empty_since >= p.vented_sinking or s.state == State.ACCESS
     late = time - s.vent_start >= p.vent_time

@@ -110,6 +110,13 @@ def _vent(signal: str) -> tuple[Breakage, ...]:
     )
 
 
+def _relief(valve: str) -> tuple[Breakage, ...]:
+    return (
+        _broken(f"{valve} relief", "stuck", 0.0, f"{valve} relief stuck open"),
+        _broken(f"{valve} relief", "leaking", 0.05, f"{valve} relief leaking 5 %"),
+    )
+
+
 def _switch(signal: str, event: Event) -> tuple[Breakage, ...]:
     return (
         _broken(signal, "off"),
@@ -153,6 +160,10 @@ SINGLE: tuple[Breakage, ...] = (
     _broken("shut-off", "stuck", 0.0, "shut-off valve stuck shut"),
     _broken("shut-off feedback", "stuck", event="stop"),
     _broken("shut-off feedback", "off"),
+    *(breakage for valve in (*CHAMBERS, "manifold") for breakage in _relief(valve)),
+    _broken("safety relay", "stuck", 0.0, "safety relay fallen open"),
+    _broken("safety relay", "stuck", 1.0, "safety relay welded shut", "emergency stop"),
+    _broken("safety relay", "stuck", 1.0, "safety relay welded shut", "guard opened"),
     *_switch("emergency stop", "emergency stop"),
     *_switch("guard closed", "guard opened"),
     *_switch("guard locked", "guard opened"),
@@ -233,10 +244,12 @@ HARDWARE: tuple[tuple[str, str], ...] = (
     ("guard locked", "guard switches of two channels, wired into the same circuit"),
     (
         "supply",
-        "relief valve at the manifold; the shut-off valve in series keeps it empty while people are inside",
+        "the manifold's relief valve; the shut-off valve in series keeps it empty while people are inside",
     ),
     ("shut-off", "the supply valve; the position switch names one that sticks, and access is refused"),
-    ("vents", "each vent's coil on an output of its own, both through the emergency stop; a gauge"),
+    ("vents", "each vent's coil on an output of its own, both through the safety relay; a gauge"),
+    ("relief", "a proof test: one that stays shut shows only when it is needed"),
+    ("safety relay", "two relays with forcibly guided contacts, each read back before a reset"),
     ("vent", "the other vent; the position switch names the one that sticks"),
     ("vent 1 feedback", "not needed: a wrong position is named as a vent that does not obey"),
     ("vent 2 feedback", "not needed: a wrong position is named as a vent that does not obey"),

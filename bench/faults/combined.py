@@ -110,6 +110,12 @@ FROM_THE_START: tuple[Breakage, ...] = tuple(
         _fault("supply", "scale", 1.4, "supply surging to 140 %"),
         _fault("vents", "stuck", 1.0, "vents stuck shut"),
         _fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
+        *(
+            _fault(f"{chamber} relief", "leaking", 0.05, f"{chamber} relief leaking 5 %")
+            for chamber in CHAMBERS
+        ),
+        _fault("manifold relief", "stuck", 0.0, "manifold relief stuck open"),
+        _fault("manifold relief", "leaking", 0.05, "manifold relief leaking 5 %"),
         _fault("guard locked", "stuck", 1.0, "guard locked stuck on"),
         _fault("local reset", "stuck", 1.0, "local reset stuck pressed"),
         _fault("clock", "scale", 1.05, "clock 5 % fast"),
@@ -164,6 +170,25 @@ LATENT_PAIRS: tuple[Breakage, ...] = (
         _fault("supply sensor", "off"),
         _in_the_swing(_fault("supply", "scale", 0.7, "supply sagging to 70 %")),
     ),
+    *_behind(
+        _fault("manifold relief", "stuck", 1.0, "manifold relief stuck shut"),
+        _in_the_swing(_fault("supply", "scale", 1.4, "supply surging to 140 %")),
+    ),
+    *(
+        breakage
+        for joint in JOINTS
+        for chamber in CHAMBERS
+        if joint in chamber.split()
+        for breakage in _behind(
+            _fault(f"{chamber} relief", "stuck", 1.0, f"{chamber} relief stuck shut"),
+            _in_the_swing(_fault(f"{joint} valve", "stuck", 0.0, f"{joint} valve stuck shut")),
+        )
+    ),
+    *_behind(
+        _fault("safety relay", "stuck", 1.0, "safety relay welded shut"),
+        (_fault("vents", "stuck", 1.0, "vents stuck shut"),),
+        "emergency stop",
+    ),
     *(
         breakage
         for chamber in CHAMBERS
@@ -196,6 +221,7 @@ AROUND_ACCESS: tuple[Breakage, ...] = tuple(
         _fault("supply", "drifting", -2.0e5, "supply sagging 2 bar/s"),
         _fault("vents", "off", text="vents without energy"),
         _fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),
+        _fault("safety relay", "stuck", 1.0, "safety relay welded shut"),
         _fault("shut-off feedback", "off"),
         *(_fault(f"{chamber} sensor", "off") for chamber in CHAMBERS),
         *(

@@ -54,7 +54,8 @@ _ALWAYS = (
     "- A raised arm that only friction holds after venting: a pin or a support before anybody goes near.",
     "- A shoulder valve stuck open at full speed when the chamber sensors have failed too: absorbers for the "
     "whole swing's energy. A second valve in series is no substitute: it acts only from the detection on.",
-    "- An output that keeps both vents shut: each vent's coil on a contact of its own in the emergency stop.",
+    "- A safety relay whose contacts weld shut: two with guided contacts, each read back before a reset.",
+    "- A relief valve that stays shut: its proof test.",
     "- The bench's computer and the valve electronics failing together: the emergency stop's own dump valve.",
 )
 

@@ -27,6 +27,8 @@ DESIGN_SPEED = 45.0
 """Head speed to which the limits of the joint speeds of the shipped envelope belong, m/s."""
 RELIEF = 0.5e5, 11.5e5
 """Opening of the relief valves above the highest planned pressure, and at most, Pa; ratings are 12 bar."""
+MANIFOLD_RELIEF = 4.0 / 3.0
+"""Conductance of the manifold's relief valve over the feed's: it passes what a regulator fully open feeds."""
 _CYLINDER_WIDTH = 0.045
 """Width of the right arm's cylinder in its moment of inertia, m, as the thesis has it."""
 _MIN_SUPPLY, _MAX_SUPPLY = 0.8125, 1.1
@@ -256,6 +258,8 @@ def _supply(parts: Parts, hardware: Hardware, shipped: PlantParameters) -> dict[
         "vent_conductance": parts.vent.conductance if parts.vent else swept * supply.vent_conductance,
         "relief_pressure": relief_pressure(hardware.pressure),
         "relief_conductance": swept * supply.relief_conductance,
+        "manifold_relief_pressure": _MAX_SUPPLY * hardware.pressure,
+        "manifold_relief_conductance": MANIFOLD_RELIEF * parts.feed,
     }
 
 

@@ -425,6 +425,18 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
             "900000 Pa",
             "less than 800000 Pa",
         ),
+        (
+            "[plant.supply]\nmanifold_relief_pressure = 8.5e5",
+            "plant.supply.manifold_relief_pressure",
+            "850000 Pa",
+            "at least envelope.max_supply_pressure, 880000 Pa",
+        ),
+        (
+            "[plant.supply]\nmanifold_relief_pressure = 12e5",
+            "plant.supply.manifold_relief_pressure",
+            "1.2e6 Pa",
+            "less than the lowest pressure_rating, 1.2e6 Pa",
+        ),
         ("[envelope]\nminimum_stop_margin = 1.5", "envelope.minimum_stop_margin", "1.5", "0 to 1"),
         ("[envelope.following]\nswing = [1, 1, 1]", "envelope.following.swing", "an unknown phase", "hold"),
         ("[plant.site]\nball_y = -1.7", "plant.site.ball_y", "-1.7 m", "at least -1.6127 m"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.lifecycle import Phase
-from drivers.base import COMMAND, INVALID, READINGS
+from drivers.base import CHAMBERS, COMMAND, INVALID, READINGS
 from drivers.base.compiled import new_record
 from sim.faults import (
     MEANINGS,
@@ -26,7 +26,7 @@ from sim.faults import (
     revive,
     sort_of,
 )
-from sim.plant import PLANT_STATE, Plant, PlantParameters, build_plant, initial_state
+from sim.plant import OPEN, PLANT_STATE, SHUT, Plant, PlantParameters, build_plant, initial_state
 
 REST = np.array([0.1, 4.4, 6.0])
 SPEED = np.array([3.0, 1.0, -5.0])
@@ -92,6 +92,9 @@ def test_every_signal_has_a_sort_and_every_meaning_a_kind() -> None:
         ("shoulder encoder", "intermittent", 1.5),
         ("shoulder valve", "slow", -1.0),
         ("supply", "stuck", nan),
+        ("manifold relief", "stuck", nan),
+        ("manifold relief", "off", nan),
+        ("safety relay", "stuck", nan),
         ("arm encoder", "swapped", 3.0),
         ("arm valve", "swapped", 0.5),
     ],
@@ -216,6 +219,37 @@ def test_parts_break_and_are_whole_again() -> None:
     assert p["regulated"] == pytest.approx(0.7 * h["regulated"])
     bed.run(20)
     assert (p == h).all()
+
+
+@pytest.mark.parametrize("valve", [*CHAMBERS, "manifold"])
+@pytest.mark.parametrize(
+    ("kind", "value", "opens_above", "full", "leaks"),
+    [
+        ("stuck", 0.0, 0.0, 1.0, 0.0),
+        ("stuck", 1.0, None, 0.0, 0.0),
+        ("offset", 2e5, 2e5, 1.0, 0.0),
+        ("leaking", 0.05, None, 1.0, 0.05),
+    ],
+)
+def test_relief_valves_break_and_are_whole_again(
+    valve: str, kind: str, value: float, opens_above: float | None, full: float, leaks: float
+) -> None:
+    bed = Bed(broken(f"{valve} relief", kind, value, duration=0.02)).run(10)
+    p, h, k = bed.plant.plant[0], bed.faults.healthy_plant[0], [*CHAMBERS, "manifold"].index(valve)
+    healthy = h["relief_pressure"][k]
+    pressure = healthy if opens_above is None else opens_above if kind == "stuck" else healthy + opens_above
+    assert p["relief_pressure"][k] == pressure
+    assert p["relief_conductance"][k] == pytest.approx(full * h["relief_conductance"][k])
+    assert p["relief_leakage"][k] == pytest.approx(leaks * h["relief_conductance"][k])
+    bed.run(20)
+    assert (bed.plant.plant == bed.faults.healthy_plant).all()
+
+
+@pytest.mark.parametrize(("value", "stuck"), [(1.0, SHUT), (0.0, OPEN)])
+def test_the_safety_relay_sticks_at_either_end(value: float, stuck: int) -> None:
+    bed = Bed(broken("safety relay", "stuck", value, duration=0.02)).run(10)
+    assert bed.plant.plant["relay_stuck"] == stuck
+    assert bed.run(20).plant.plant["relay_stuck"] == 0
 
 
 def test_supply_lost_and_sagging() -> None:

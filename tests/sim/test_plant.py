@@ -136,6 +136,33 @@ def test_relief_valves_open_above_their_set_pressure_only() -> None:
     assert states["pressure"][-1, 4:] == pytest.approx(start[4:], rel=1e-12)
 
 
+@compiled_only
+@pytest.mark.parametrize(
+    ("opens_at", "least", "most"),
+    [(8.8e5, 8.8e5, 9.3e5), (3.0e6, 11.1e5, 11.2e5)],
+    ids=["fitted", "never opens"],
+)
+def test_the_manifolds_relief_valve_bounds_a_regulator_that_surges(
+    opens_at: float, least: float, most: float
+) -> None:
+    plant = locked_plant(supply=replace(PlantParameters().supply, manifold_relief_pressure=opens_at))
+    plant.plant["regulated"] = 1.4 * plant.parameters.supply.pressure
+    states = history(plant, initial_state(plant, POSE), 2000, command_of(**POWERED))
+    assert least < states["supply_pressure"].max() <= most
+
+
+@compiled_only
+def test_a_closed_relief_valve_changes_no_bit() -> None:
+    kept = []
+    for opens_at in (8.8e5, 3.0e6):
+        supply = replace(PlantParameters().supply, manifold_relief_pressure=opens_at)
+        plant = build_plant(PlantParameters(supply=supply))
+        state = initial_state(plant, POSE, pressurised=True)
+        history(plant, state, 200, command_of(valve=(0.4, -0.3, 0.5), **POWERED))
+        kept.append(state.tobytes())
+    assert kept[0] == kept[1]
+
+
 def test_the_guard_locks_only_when_it_is_closed() -> None:
     plant = locked_plant()
     state = initial_state(plant, POSE)
@@ -206,6 +233,38 @@ def test_supply_and_shut_off_valve_each_empty_the_manifold(
     if "supply_enable" not in command and stuck == 0:  # a shut-off valve that shuts does so by its timer
         assert pressure[round(900 * supply.shut_off_delay)] > 0.9 * supply.pressure
     assert bool(pressure[-1] < 1.1 * supply.atmosphere) is cut
+
+
+@compiled_only
+@pytest.mark.parametrize("open_", ["emergency_stop_clear", "guard_closed"])
+@pytest.mark.parametrize("stuck", [0, SHUT])
+def test_emergency_stop_and_guard_open_the_vents_and_the_shut_off_valve_whatever_is_commanded(
+    open_: str, stuck: int
+) -> None:
+    plant = build_plant(PlantParameters())
+    plant.plant["relay_stuck"] = stuck
+    state = initial_state(plant, POSE, pressurised=True)
+    state[open_] = False
+    states = history(plant, state, 1500, command_of(**POWERED))
+    supply, tick = plant.parameters.supply, plant.parameters.tick
+    vented, emptied = states["vent_open"].all(axis=1), states["supply_pressure"] < 1.1 * supply.atmosphere
+    if stuck:
+        assert not vented.any()
+        assert not emptied.any()
+        return
+    assert np.flatnonzero(vented)[0] * tick == pytest.approx(supply.vent_delay, abs=2 * tick)
+    assert states["supply_pressure"][round(0.99 * supply.shut_off_delay / tick)] > 0.9 * supply.pressure
+    assert emptied[-1]
+
+
+@compiled_only
+def test_a_relay_that_falls_open_acts_as_an_emergency_stop() -> None:
+    plant = build_plant(PlantParameters())
+    plant.plant["relay_stuck"] = OPEN
+    state = initial_state(plant, POSE, pressurised=True)
+    states = history(plant, state, 1500, command_of(**POWERED))
+    assert states["vent_open"][-1].all()
+    assert states["supply_pressure"][-1] < 1.1 * plant.parameters.supply.atmosphere
 
 
 def test_equal_inputs_give_equal_bits() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import inf, nan
 
+import numpy as np
 import pytest
 
 from bench.lifecycle import Cause, Phase, Refusal, Request, State
@@ -180,6 +181,34 @@ def test_access_waits_as_long_as_an_arm_may_sink_whatever_the_encoders_show() ->
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
     puppet.run(200)
     assert puppet.control["vented"]
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def emptied(creep: float) -> Puppet:
+    """Return a robot that has vented for 3 s while its shoulder crept at `creep` rad/s."""
+    puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, vented_sinking=2.0)
+    puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
+    puppet.tick(Request.DISARM)
+    puppet.run(200)
+    for bar in (4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
+        puppet.give(chamber_pressure=(1e5 * bar,) * 6).run(10)
+    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6)
+    for _ in range(300):
+        puppet.angle = puppet.angle + np.array([0.01 * creep, 0.0, 0.0])
+        puppet.run(10)
+    return puppet
+
+
+@pytest.mark.parametrize(("creep", "let_in"), [(0.0, True), (0.0002, True), (0.002, False), (-0.002, False)])
+def test_an_arm_that_creeps_slower_than_speeds_show_has_not_sunk(creep: float, let_in: bool) -> None:
+    puppet = emptied(creep)
+    assert bool(puppet.control["vented"]) is let_in
+    assert asked(puppet, Request.ACCESS) is (Refusal.NONE if let_in else Refusal.NOT_VENTED)
+
+
+def test_an_arm_that_crept_has_sunk_once_it_rests() -> None:
+    puppet = emptied(0.002)
+    puppet.run(2200)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 

@@ -158,6 +158,36 @@ def test_nothing_fails_before_it_has_settled_or_when_it_is_off() -> None:
     assert model_cause(off, model[0], estimator, SPEEDS, int(Phase.TOP)) == 0
 
 
+@pytest.mark.parametrize("name", ["residual", "flow"])
+@pytest.mark.parametrize(("other", "spool"), [(0.1, False), (0.5, False), (1.1, True)])
+def test_of_a_doubted_joint_only_the_other_chambers_own_limit_tells_of_the_spool(
+    name: str, other: float, spool: bool
+) -> None:
+    """A chamber that leaks draws the other one a little off, too: the shoulder was cut off in its brake."""
+    model, estimator = settled()
+    limit = 10.0 if name == "residual" else 50.0
+    model[name][0, 2], model[name][0, 3] = 3.0 * limit, other * limit
+
+    def cause(doubted: int) -> Cause:
+        return Cause(model_cause(limits(), model[0], estimator, SPEEDS, int(Phase.TOP), doubted))
+
+    valve = Cause.ARM_AIR if name == "residual" else Cause.ARM_FLOW
+    assert cause(1) is (valve if spool else Cause.ARM_SENSOR)
+    assert cause(0) is cause(-1) is (valve if other > 0.2 else Cause.ARM_SENSOR)
+
+
+@pytest.mark.parametrize("open_", ["emergency_stop_clear", "guard_closed"])
+def test_it_knows_that_an_open_relay_opens_the_vents(open_: str) -> None:
+    ends = []
+    for clear in (True, False):
+        model, estimator, readings = still()
+        readings["emergency_stop_clear"] = readings["guard_closed"] = True
+        readings[open_] = clear
+        watch(model, estimator, readings, 600)
+        ends.append(float(model["vent_timer"][0]))
+    assert ends == [0.0, pytest.approx(0.6, abs=0.002)]
+
+
 def test_limits_are_those_of_the_phase() -> None:
     built = limits()
     built["jump"][0, Phase.HOLD] = 0.5

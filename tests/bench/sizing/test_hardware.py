@@ -60,6 +60,16 @@ def test_relief_valves_open_above_every_planned_pressure_and_below_the_rating(re
     assert highest_pressure(regulated) > regulated
 
 
+@pytest.mark.parametrize(("pressure", "feed"), [(8e5, "L34"), (10e5, "L100")])
+def test_the_manifolds_relief_valve_passes_what_the_open_regulator_feeds(pressure: float, feed: str) -> None:
+    made = configured(replace(Hardware(), pressure=pressure, feed=feed))
+    supply = made.plant.supply
+    assert supply.manifold_relief_pressure == made.envelope.max_supply_pressure
+    assert supply.manifold_relief_pressure == pytest.approx(1.1 * pressure)
+    # At 1.4 times its pressure upstream the feed is hardly throttled, the relief valve choked.
+    assert supply.manifold_relief_conductance > supply.feed_conductance
+
+
 def test_a_hose_costs_dead_volume_flow_and_a_piece_for_each_chamber() -> None:
     hose, own = PARTS.hoses["H12"], replace(Hardware(), hose="H12")
     bare, hosed = configured(Hardware()).plant, configured(own).plant

@@ -1,0 +1,108 @@
+"""Relief valves and the safety relay: what they cure, and what their own faults do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from bench.config import Configuration, load_configuration
+from bench.faults.case import Workbench
+from bench.faults.combined import CATALOGUE
+from bench.faults.instants import instants_of, stopped_instants
+from bench.faults.verdict import CaseOutcome
+from bench.lifecycle import Request
+from bench.simulation.engine import LockstepEngine
+from bench.simulation.lockstep import Lockstep
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from sim.driver import hanging_pose
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+
+@pytest.fixture(scope="module")
+def high_speed() -> Workbench:
+    file = find_profile("driver-130mph")
+    profile = load_profile(file)
+    c = load_configuration(Path("high_speed")).with_club(profile.club)
+    checked: Configuration = c.for_profile(profile, file)
+    return Workbench(checked, profile, model_check=True)
+
+
+def case_of(workbench: Workbench, breakage: str, instant: str) -> CaseOutcome:
+    """Return one case of the matrix by its names."""
+    known = (*instants_of(workbench.profile), *stopped_instants(workbench.profile))
+    (what,) = (row for row in CATALOGUE if row.name == breakage)
+    (when,) = (row for row in known if row.name == instant)
+    return workbench.run(what, when)
+
+
+def highest_supply(workbench: Workbench) -> float:
+    """Return the manifold's highest pressure in an undisturbed swing and its follow-through, Pa."""
+    bench = LockstepEngine(
+        Lockstep(workbench.plant, workbench.parameters, hanging_pose(workbench.plant.parameters))
+    )
+    bench.advance(200)
+    bench.arm()
+    bench.control["tee"] = True
+    bench.advance(400)
+    bench.await_air()
+    shown = []
+    for tick in range(len(workbench.profile.angle) + 500):
+        bench.advance(1, Request.SWING if tick == 0 else Request.NONE)
+        shown.append(float(bench.plant_state["supply_pressure"][0]))
+    assert bench.cause == 0
+    return max(shown)
+
+
+@pytest.mark.parametrize("name", ["workbench", "high_speed"])
+def test_no_healthy_swing_comes_near_the_manifolds_relief(name: str, request: pytest.FixtureRequest) -> None:
+    """Limits that were made without that valve hold with it."""
+    workbench: Workbench = request.getfixturevalue(name)
+    supply = workbench.plant.parameters.supply
+    assert supply.pressure < highest_supply(workbench) + 1e3 < 0.95 * supply.manifold_relief_pressure
+
+
+def test_a_regulator_that_surges_at_the_no_return_instant_stays_within_the_swings_speed(
+    high_speed: Workbench,
+) -> None:
+    """The manifold's relief valve bounds it: without one the head reached 106 %."""
+    case = case_of(high_speed, "supply surging to 140 %", "committed 10 %")
+    assert (case.verdict, case.detected_by) == ("safe", "SUPPLY_PRESSURE")
+    assert 1.0 < case.head_share < 1.05
+
+
+@pytest.mark.parametrize("instant", ["committed 10 %", "impact -10 ms"])
+def test_a_chamber_that_leaks_while_it_brakes_keeps_its_brake(workbench: Workbench, instant: str) -> None:
+    """The other chamber fits by its own limit: no stuck spool, and no cut of the air that still brakes."""
+    case = case_of(workbench, "shoulder vane A relief stuck open", instant)
+    assert (case.verdict, case.detected_by, case.reaction) == ("safe", "SHOULDER_SENSOR", "BRAKE")
+    assert case.stop_share < 0.9
+
+
+def test_an_arm_that_creeps_is_not_reported_empty_before_it_fell(workbench: Workbench) -> None:
+    case = case_of(workbench, "arm valve stuck open, during an emergency stop", "backswing 90 % +60 ms")
+    assert case.verdict == "safe", case.reasons
+
+
+@pytest.mark.parametrize("event", ["emergency stop", "guard opened"])
+def test_a_relay_that_welds_leaves_the_stop_to_the_bench(workbench: Workbench, event: str) -> None:
+    for instant in ("hold", "downswing 80 %", "follow-through 10 %"):
+        case = case_of(workbench, f"safety relay welded shut, then {event}", instant)
+        assert case.verdict in ("safe", "harmless"), (instant, case.reasons)
+
+
+def test_vents_whose_output_sticks_open_by_the_emergency_stop(workbench: Workbench) -> None:
+    rows = [row for row in CATALOGUE if row.name == "vents stuck shut, during an emergency stop"]
+    (instant,) = (i for i in stopped_instants(workbench.profile) if i.name == "top 50 % +100 ms")
+    bench = workbench.base(instant)
+    bench.stepper.break_with(rows[0].faults, watchdog=workbench.configuration.driver.watchdog)
+    bench.plant_state["emergency_stop_clear"] = False
+    bench.advance(6000)
+    assert np.all(bench.plant_state["vent_open"][0] == 1)
+    assert np.all(bench.plant_state["pressure"][0] < 1.5e5)
