@@ -63,6 +63,17 @@ def actuator_motion(robot: Any, p: Any, angle: Any, velocity: Any, i: int) -> tu
 
 
 @compiled
+def conductance_of_vents(p: Any, r: Any, unpowered: float) -> float:
+    """Return what a chamber's vents pass, m3/(s Pa), `unpowered` s after their coils lost their power.
+
+    Vents that both report shut are shut: a machine may have no safety relay, or an output sticks.
+    """
+    shut = r.vent_open[0] == 0.0 and r.vent_open[1] == 0.0
+    passed: float = p.vent_conductance if unpowered > p.vent_delay and not shut else 0.0
+    return passed
+
+
+@compiled
 def actuator_force(p: Any, pressure: Any, i: int) -> float:
     """Return the force of actuator `i` (N, shoulder N m) from `pressure` (13,) as in AIR_STATE."""
     in_a, in_b = pressure[6 + 2 * i] - p.atmosphere, pressure[7 + 2 * i] - p.atmosphere
@@ -99,7 +110,7 @@ def observe_air(
     if not (step > 0.0 and np.isfinite(e.angle.sum() + e.velocity.sum())):
         return
     a.vent_timer = 0.0 if a.exhaust_closed and relay_closed(readings) else a.vent_timer + step
-    vent = p.vent_conductance if a.vent_timer > p.vent_delay else 0.0
+    vent = conductance_of_vents(p, r, a.vent_timer)
     supply = r.supply_pressure
     if not np.isfinite(supply):
         supply = p.regulated if a.exhaust_closed else p.atmosphere

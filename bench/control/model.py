@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.air import actuator_motion
+from bench.control.air import actuator_motion, conductance_of_vents
 from bench.control.envelope import joint_coordinates, relay_closed
 from bench.lifecycle import Cause, Phase, State
 from drivers.base.compiled import compiled
@@ -142,7 +142,7 @@ def observe(
         m.vent_timer = 0.0
     elif fresh:
         m.vent_timer += step
-    vent = p.vent_conductance if m.vent_timer > p.vent_delay else 0.0
+    vent = conductance_of_vents(p, r, m.vent_timer)
     m.air[12] = r.supply_pressure
     for i in range(3):
         _move_spool(m, p, applied[i] - p.centre[i], i)

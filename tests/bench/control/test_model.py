@@ -188,6 +188,24 @@ def test_it_knows_that_an_open_relay_opens_the_vents(open_: str) -> None:
     assert ends == [0.0, pytest.approx(0.6, abs=0.002)]
 
 
+@pytest.mark.parametrize(
+    ("shown", "vents"),
+    [
+        ((np.nan, np.nan), True),
+        ((1.0, 1.0), True),
+        ((0.0, 1.0), True),
+        ((0.0, np.nan), True),
+        ((0.0, 0.0), False),
+    ],
+)
+def test_vents_that_both_report_shut_are_shut(shown: tuple[float, float], vents: bool) -> None:
+    model, estimator, readings = still()
+    model["exhaust_closed"] = False
+    readings["vent_open"] = shown
+    watch(model, estimator, readings, 600)
+    assert bool((model["rate"][0, 6:12] < -1e5).all()) is vents
+
+
 def test_limits_are_those_of_the_phase() -> None:
     built = limits()
     built["jump"][0, Phase.HOLD] = 0.5
