@@ -12,7 +12,7 @@ from bench.drawing.solids import Tube
 from sim.plant import PlantParameters
 
 _REAR = 0.012
-"""Rear cap behind the axis R6 (m)."""
+"""Least that the cylinder has behind the axis R6 (m)."""
 _REAR_CAP = 0.030
 _PISTON = 0.015
 _EYE = 0.020
@@ -20,34 +20,40 @@ _EYE = 0.020
 _MIN_WALL = 0.0005
 
 
+def _behind(plant: PlantParameters) -> float:
+    """Return the cylinder's length behind the axis R6 (m): the middle of an even bar is its centre."""
+    return max(plant.robot.l56 - 2.0 * plant.robot.cylinder.centre_of_mass, _REAR)
+
+
 def _front_cap(plant: PlantParameters) -> float:
     """Return the front cap's thickness (m) that puts the centre of mass where it is assumed."""
-    body, end = plant.robot.cylinder, plant.robot.l56
+    body, end, behind = plant.robot.cylinder, plant.robot.l56, _behind(plant)
     bore, rod = bore_radius(plant.right_arm), rod_radius(plant.right_arm)
     rear = ALUMINIUM.density * pi * bore**2 * _REAR_CAP
     per_metre = ALUMINIUM.density * pi * (bore**2 - rod**2)
     com = body.centre_of_mass
-    tube = (end - _REAR) / 2 - com
+    tube = (end - behind) / 2 - com
     linear = end - com - tube
-    rest = ((body.mass - rear) * tube + rear * (_REAR_CAP / 2 - _REAR - com)) / per_metre
+    rest = ((body.mass - rear) * tube + rear * (_REAR_CAP / 2 - behind - com)) / per_metre
     root = linear**2 + 2 * rest
     cap = linear - sqrt(root) if root > 0 else linear
     return min(max(cap, 0.015), 0.060)
 
 
 def right_arm_cylinder(plant: PlantParameters) -> DrawnBody:
-    """Return the cylinder from R6 to the rod's exit: its wall follows from its mass."""
+    """Return the cylinder from its rear end to the rod's exit: its wall follows from its mass."""
     body, at, end = plant.robot.cylinder, layers_of(plant).right_arm, plant.robot.l56
     bore, rod, cap = bore_radius(plant.right_arm), rod_radius(plant.right_arm), _front_cap(plant)
-    rear = Tube((-_REAR, 0.0, at), (_REAR_CAP - _REAR, 0.0, at), bore)
+    behind = _behind(plant)
+    rear = Tube((-behind, 0.0, at), (_REAR_CAP - behind, 0.0, at), bore)
     front = Tube((end - cap, 0.0, at), (end, 0.0, at), bore, rod)
     caps = ALUMINIUM.density * (rear.volume.volume + front.volume.volume)
-    area = max(body.mass - caps, 0.0) / (ALUMINIUM.density * (end + _REAR))
+    area = max(body.mass - caps, 0.0) / (ALUMINIUM.density * (end + behind))
     outer = max(sqrt(bore**2 + area / pi), bore + _MIN_WALL)
     return DrawnBody(
         "right_arm_cylinder",
         (
-            Part("right-arm tube", Tube((-_REAR, 0.0, at), (end, 0.0, at), outer, bore), CYLINDER),
+            Part("right-arm tube", Tube((-behind, 0.0, at), (end, 0.0, at), outer, bore), CYLINDER),
             Part("right-arm rear cap", rear, ALUMINIUM),
             Part("right-arm front cap", front, ALUMINIUM),
         ),

@@ -17,6 +17,7 @@ from bench.drawing.solids import Bar, Ellipsoid, Solid, Tube
 from bench.errors import BenchError
 from sim.kinematics import forward_kinematics, joint_positions, right_arm_length
 from sim.plant import PlantParameters
+from tests.bench.drawing.conftest import PLANTS, SIZED
 
 INCH = 0.0254
 
@@ -143,6 +144,7 @@ def test_another_mass_or_length_is_drawn(shipped: PlantParameters) -> None:
 # Fit -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("plant", (PLANTS | SIZED).values(), ids=PLANTS | SIZED)
 def test_the_piston_stays_within_the_right_arm(plant: PlantParameters) -> None:
     cylinder, end = body(plant, "right_arm_cylinder"), plant.robot.l56
     rear = tube(plant, "right_arm_cylinder", "right-arm rear cap").end[0]
