@@ -25,6 +25,8 @@ CONTROL_PARAMETERS = np.dtype(
         ("brake_gain", "f8", (3,)),
         ("brake_damping", "f8", (3,)),
         ("brake_fade", "f8", (3,)),
+        ("escape_opening", "f8", (3, 3)),
+        ("escape_time", "f8", (3,)),
         ("lift_gain", "f8"),
         ("lift_angle", "f8"),
         ("feed_forward", "u1"),
@@ -141,6 +143,7 @@ CONTROL_STATE = np.dtype(
         ("reset_was_low", "?"),
         ("reset_pressed", "f8"),
         ("tee", "?"),
+        ("let_off", "u1", (3,)),
         ("phase", "u1"),
         ("reaction", "u1"),
         ("cause", "i4"),
@@ -215,6 +218,7 @@ says that arm and wrist move before the shoulder.
 turn looks for its stop, `home_pushed` and `home_at` since when and where it presses against it (s, rad).
 `zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
 `stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s),
+`let_off` are the actuators that `bench.control.escape` moves even in PASSIVE.
 `calm` are the velocities by which that is judged (rad/s), `rest_angle` where the joints came to rest (rad).
 `entered` says that the guard was seen open in ACCESS: until SECURE has ended it, somebody may be inside.
 `unseen` are the joints that BLIND_BRAKE brakes without their encoder.

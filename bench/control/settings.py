@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
+from bench.control import escape
 from bench.control.braking import lifted_angle
 from bench.control.demand import demand_for
 from bench.control.encoder import design_encoders
@@ -539,6 +540,7 @@ def _control_record(
                 record[setting.name] = CODES.index(value) if setting.name == "feed_forward" else value
     if plant.site.surface != "none":
         record["lift_gain"], record["lift_angle"] = control.follow_through_lift, lifted_angle(plant)
+        record["escape_opening"], record["escape_time"] = escape.OPENINGS, escape.TIMES
     record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
     for setting in fields(homing):
         if f"home_{setting.name}" in (CONTROL_PARAMETERS.names or ()) and setting.name != "order":

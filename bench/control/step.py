@@ -18,6 +18,7 @@ from bench.control.braking import brake, brake_blind, wait_passive
 from bench.control.encoder import decode_encoders
 from bench.control.encoder_watch import index_cause
 from bench.control.envelope import interlock_cause, limit, readings_cause
+from bench.control.escape import escape
 from bench.control.estimator import estimate
 from bench.control.feed_forward import PNEUMATIC
 from bench.control.gain_table import supply_factor
@@ -156,6 +157,7 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
         wait_passive(state, parameters, s.lost == 0, time)
     elif s.reaction == Reaction.BLIND_BRAKE:
         brake_blind(state, parameters, time)
+    escape(s, parameters.control[0], time)
 
 
 @compiled
@@ -167,9 +169,10 @@ def limit_tick(
     centre = parameters.plant[0].centre
     if s.phase != Phase.STANDING and s.reaction <= Reaction.COMPLETE and s.time >= s.air_from:
         s.air, s.vented, s.emptied = True, False, False
-    powered = s.air and s.phase != Phase.STANDING and s.reaction != Reaction.PASSIVE and not p.read_only
+    obeyed = s.air and s.phase != Phase.STANDING and not p.read_only
+    powered = obeyed and s.reaction != Reaction.PASSIVE
     for i in range(3):
-        if not powered:
+        if not (powered or (obeyed and s.let_off[i] != 0)):
             s.desired[i] = 0.0
             s.applied[i] = 0.0
         else:

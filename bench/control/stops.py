@@ -6,7 +6,7 @@ from typing import Any
 
 from bench.control.address_air import address_air_cause
 from bench.control.air_watch import air_cause
-from bench.control.envelope import motion_cause, relay_closed
+from bench.control.envelope import motion_cause
 from bench.control.homing import search_cause
 from bench.control.low_head import watch_low_head
 from bench.control.model import BRAKING, model_cause, row_of
@@ -28,6 +28,8 @@ from drivers.base.compiled import compiled
 
 _LOST_SUPPLY = 0.5
 """Share of the least supply pressure of a swing below which a manifold is not fed."""
+_TIMER = 0.8
+"""Share of the shut-off valve's delay for which it is sure to be open: its timer is pneumatic."""
 
 
 @compiled
@@ -88,12 +90,13 @@ def _watch_braking(state: Any, parameters: Any, readings: Any, time: float) -> N
 
     The envelope has nothing to add: without a reference no following error exists, and for its other limits
     the stopping table has nothing more severe than BRAKE. A manifold that was emptied is below all that
-    braking draws from one that is fed; an open safety relay empties it on purpose.
+    braking draws from one that is fed. Behind an open safety relay it is fed until the shut-off valve shuts.
     """
     s, e = state.control[0], state.estimator[0]
     if s.reaction == Reaction.BRAKE and not charging(s, time):
         lost = readings[0].supply_pressure < _LOST_SUPPLY * parameters.envelope[0].min_supply_pressure
-        if lost and s.sensor_doubt[0] <= 0.0 and relay_closed(readings):
+        fed = state.model[0].vent_timer <= _TIMER * parameters.control[0].shut_off_delay
+        if lost and s.sensor_doubt[0] <= 0.0 and fed:
             react(state, parameters, Cause.SUPPLY_PRESSURE, TRUSTED, time)
         # The estimated velocity as reference: a brake has none.
         row, doubted = BRAKING + s.phase, int(s.cause - Cause.SHOULDER_SENSOR)
