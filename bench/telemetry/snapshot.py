@@ -84,6 +84,8 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "move_gain",
             "arm_first",
             "low_head",
+            "rest_angle",
+            "let_off",
             "emptied",
             "empty_since",
         }

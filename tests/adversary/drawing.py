@@ -44,7 +44,11 @@ _VALUES = {
     ("clock", "offset"): (-2.0, 5.0),
     ("clock", "scale"): (0.3, 3.0),
     ("loop", "delayed"): (0.002, 0.5),
+    ("relief", "offset"): (-5e5, 3e5),
+    ("relief", "leaking"): (0.0, 0.3),
 }
+_ENDS = frozenset({"supply", "vents", "vent", "shut-off", "switch", "relief", "safety relay"})
+"""Sorts that stick at one end or the other."""
 _SIGNALS = tuple(signal for signal in SIGNALS if signal != "launch monitor")
 
 
@@ -83,7 +87,7 @@ def drawn_fault(random: Generator) -> Fault:
                 value *= float(random.choice([-1, 1]))
         elif kind == "intermittent":
             value = round(float(random.uniform(0.02, 1.0)), 3)
-        if kind == "stuck" and sort in ("supply", "vents", "vent", "shut-off", "switch"):
+        if kind == "stuck" and sort in _ENDS:
             value = float(random.integers(0, 2))
         elif kind == "swapped":
             value = float(random.integers(0, len(JOINTS)))

@@ -160,7 +160,7 @@ def test_nothing_fails_before_it_has_settled_or_when_it_is_off() -> None:
 
 @pytest.mark.parametrize("name", ["residual", "flow"])
 @pytest.mark.parametrize(("other", "spool"), [(0.1, False), (0.5, False), (1.1, True)])
-def test_of_a_doubted_joint_only_the_other_chambers_own_limit_tells_of_the_spool(
+def test_of_a_doubted_joint_only_the_other_chambers_own_limit_shows_a_wrong_spool(
     name: str, other: float, spool: bool
 ) -> None:
     """A chamber that leaks draws the other one a little off, too: the shoulder was cut off in its brake."""
@@ -203,7 +203,8 @@ def test_vents_that_both_report_shut_are_shut(shown: tuple[float, float], vents:
     model["exhaust_closed"] = False
     readings["vent_open"] = shown
     watch(model, estimator, readings, 600)
-    assert bool((model["rate"][0, 6:12] < -1e5).all()) is vents
+    followed = model["air"][0, 6:12] == readings["chamber_pressure"][0]
+    assert bool(followed.all()) is vents  # how much they pass is not known well enough to judge by
 
 
 def test_limits_are_those_of_the_phase() -> None:
