@@ -96,7 +96,7 @@ ORIGINS: Mapping[str, str] = {
     "supply.dump_conductance": "assumption: empties it in 0.1 s",
     "supply.relief_pressure": "assumption: below every rating",
     "supply.relief_conductance": "assumption: passes what a stop at full speed displaces",
-    "supply.manifold_relief_pressure": "assumption: the highest supply with which a swing begins",
+    "supply.manifold_relief_ratio": "assumption: the highest supply with which a swing begins",
     "supply.manifold_relief_conductance": "assumption: passes what a regulator fully open feeds",
     "supply.soft_start_time": "assumption",
     "supply.vent_conductance": "assumption",

@@ -185,16 +185,21 @@ class Supply:
     """Opening pressure of the relief valve of each chamber, Pa absolute."""
     relief_conductance: Conductance = 1.0e-7
     """Conductance of a relief valve fully open, 0.5 bar above its pressure, m3/(s Pa)."""
-    manifold_relief_pressure: Annotated[float, Range(2e5, 3e6, "Pa absolute")] = field(
-        default=8.8e5, metadata={"optional": True}
+    manifold_relief_ratio: Annotated[float, Range(1.0, 5.0, "")] = field(
+        default=1.1, metadata={"optional": True}
     )
-    """Opening pressure of the manifold's relief valve, Pa absolute; no healthy swing reaches it."""
+    """Opening pressure of the manifold's relief valve over the regulated one; no healthy swing reaches it."""
     manifold_relief_conductance: Conductance = field(default=4.0e-7, metadata={"optional": True})
     """Conductance of that relief valve fully open, 0.5 bar above its pressure, m3/(s Pa)."""
     atmosphere: Annotated[float, Range(5e4, 1.1e5, "Pa absolute")] = 1.013e5
     """Atmospheric pressure, Pa."""
     polytropic_exponent: Annotated[float, Range(1.0, 1.4, "")] = 1.2
     """Exponent of the chambers: 1.0 isothermal ... 1.4 adiabatic."""
+
+    @property
+    def manifold_relief_pressure(self) -> float:
+        """Opening pressure of the manifold's relief valve, Pa absolute."""
+        return self.manifold_relief_ratio * self.pressure
 
 
 @compiled

@@ -287,10 +287,10 @@ def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         )
         yield "envelope.max_supply_pressure", found, wanted, "Correct it; pressures are Pa absolute."
     rating = min(actuator.pressure_rating for actuator in c.plant.actuators)
-    if not c.envelope.max_supply_pressure <= supply.manifold_relief_pressure < rating:
+    if not 0.999 * c.envelope.max_supply_pressure <= supply.manifold_relief_pressure < rating:
         yield (
-            "plant.supply.manifold_relief_pressure",
-            f"{short(supply.manifold_relief_pressure)} Pa",
+            "plant.supply.manifold_relief_ratio",
+            f"{short(supply.manifold_relief_ratio)}, {short(supply.manifold_relief_pressure)} Pa",
             f"at least envelope.max_supply_pressure, {short(c.envelope.max_supply_pressure)} Pa, "
             f"less than the lowest pressure_rating, {short(rating)} Pa",
             "Set it; below the former the valve would hide a regulator that fails.",

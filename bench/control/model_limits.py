@@ -87,7 +87,7 @@ class MadeFor(NamedTuple):
         club["name"] = profile.club or club["name"]
         machine["robot"]["club"] = {k: v for k, v in club.items() if ADDED_TO_CLUBS.get(k) != v}
         del machine["supply"]["shut_off_delay"]  # it acts at rest
-        for name in ("manifold_relief_pressure", "manifold_relief_conductance"):
+        for name in ("manifold_relief_ratio", "manifold_relief_conductance"):
             del machine["supply"][name]  # no healthy swing reaches it
         for name in ("shoulder", "right_arm", "wrist"):
             del machine[name]["stop"]["rated"]  # no force depends on it

@@ -258,7 +258,7 @@ def _supply(parts: Parts, hardware: Hardware, shipped: PlantParameters) -> dict[
         "vent_conductance": parts.vent.conductance if parts.vent else swept * supply.vent_conductance,
         "relief_pressure": relief_pressure(hardware.pressure),
         "relief_conductance": swept * supply.relief_conductance,
-        "manifold_relief_pressure": _MAX_SUPPLY * hardware.pressure,
+        "manifold_relief_ratio": _MAX_SUPPLY,
         "manifold_relief_conductance": MANIFOLD_RELIEF * parts.feed,
     }
 

@@ -80,7 +80,7 @@ MOUNTING = frozenset({"plant.wrist_lever_angle"})
 """A setting that the references do not have: their lever stood square to the hand, today's default."""
 RATINGS = frozenset(f"plant.{name}.stop.rated" for name in ("shoulder", "right_arm", "wrist"))
 """Settings that the references do not have; no force and no decision depends on them."""
-RELIEF = frozenset(f"plant.supply.manifold_relief_{name}" for name in ("pressure", "conductance"))
+RELIEF = frozenset(f"plant.supply.manifold_relief_{name}" for name in ("ratio", "conductance"))
 """Settings that the references do not have: no healthy swing reaches that valve."""
 SHUT_OFF = frozenset({"plant.supply.shut_off_delay"})
 """A setting that the references do not have; it acts with the position switch only, which they lack, too."""
