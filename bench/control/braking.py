@@ -69,12 +69,18 @@ def _rest_or_wait(s: Any, parameters: Any, e: Any, trusted: bool, time: float) -
 
 @compiled
 def brake(state: Any, parameters: Any, trusted: bool, time: float) -> None:
-    """Set the desired openings of BRAKE: air against the motion, until all joints rest."""
+    """Set the desired openings of BRAKE: air against the motion, until all joints rest.
+
+    Behind an open safety relay until its vents open: spools would let arms fall into an empty manifold.
+    """
     s, e = state.control[0], state.estimator[0]
     brake_openings(s, parameters.control[0], e)
     for i in range(3):
         s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
-    _rest_or_wait(s, parameters, e, trusted, time)
+    if state.model[0].vent_timer > parameters.control[0].vent_delay:
+        stand(s, parameters, time)
+    else:
+        _rest_or_wait(s, parameters, e, trusted, time)
 
 
 @compiled

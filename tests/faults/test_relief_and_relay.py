@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 
 from bench.config import Configuration, load_configuration
+from bench.control.settings import build_controller
 from bench.faults.case import Workbench
 from bench.faults.combined import CATALOGUE
 from bench.faults.instants import instants_of, stopped_instants
 from bench.faults.verdict import CaseOutcome
 from bench.lifecycle import Request
+from bench.simulation.deviations import healthy_run
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.variation import healthy_plant
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.driver import hanging_pose
@@ -106,3 +109,15 @@ def test_vents_whose_output_sticks_open_by_the_emergency_stop(workbench: Workben
     bench.advance(6000)
     assert np.all(bench.plant_state["vent_open"][0] == 1)
     assert np.all(bench.plant_state["pressure"][0] < 1.5e5)
+
+
+@pytest.mark.parametrize("seed", [90000, 90001, 90002, 90003])
+def test_no_healthy_emergency_stop_goes_on_braking_into_an_empty_manifold(
+    configuration: Configuration, seed: int
+) -> None:
+    """Spools that braked on behind the relay let the arm fall, and its blow was taken for a wrong encoder."""
+    c, profile = configuration, load_profile(find_profile("default"))
+    parameters = build_controller(c.plant, profile, c.control, c.envelope, c.estimator)
+    run = healthy_run(healthy_plant(c.plant, seed), parameters, profile, seed)
+    assert run is not None
+    assert run.escalated == ()
