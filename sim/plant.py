@@ -381,7 +381,7 @@ def build_plant(parameters: PlantParameters) -> Plant:
         record[name][0, 2] = parameters.wrist_stroke(record[name][0, 2])
     record["encoder_scale"] = np.array(encoders.sign) * (encoders.counts_per_revolution / (2 * pi))
     record["encoder_zero"] = encoders.zero_count
-    for name, value in _scalar_values(parameters).items():
+    for name, value in _shared_values(parameters).items():
         record[name] = value
     club, robot = parameters.robot.club, parameters.robot
     rigid = replace(robot, club=_without_head(club)) if parameters.shaft.flexible else robot
@@ -416,7 +416,7 @@ def _actuator_values(actuator: Actuator, half_step: float) -> dict[str, Any]:
     }
 
 
-def _scalar_values(parameters: PlantParameters) -> dict[str, Any]:
+def _shared_values(parameters: PlantParameters) -> dict[str, Any]:
     """Return the fields of PLANT_PARAMETERS that belong to no single actuator."""
     encoders, supply, site = parameters.encoders, parameters.supply, parameters.site
     shaft, club = parameters.shaft, parameters.robot.club

@@ -12,16 +12,13 @@ from bench.config import Configuration, load_configuration
 from bench.control.settings import build_controller
 from bench.faults.case import Workbench
 from bench.faults.combined import CATALOGUE
-from bench.faults.instants import instants_of, stopped_instants
+from bench.faults.instants import Instant, instants_of, stopped_instants
 from bench.faults.verdict import CaseOutcome
 from bench.lifecycle import Request
 from bench.simulation.deviations import healthy_run
-from bench.simulation.engine import LockstepEngine
-from bench.simulation.lockstep import Lockstep
 from bench.simulation.variation import healthy_plant
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from sim.driver import hanging_pose
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
@@ -47,14 +44,7 @@ def case_of(workbench: Workbench, breakage: str, instant: str) -> CaseOutcome:
 
 def highest_supply(workbench: Workbench) -> float:
     """Return the manifold's highest pressure in an undisturbed swing and its follow-through, Pa."""
-    bench = LockstepEngine(
-        Lockstep(workbench.plant, workbench.parameters, hanging_pose(workbench.plant.parameters))
-    )
-    bench.advance(200)
-    bench.arm()
-    bench.control["tee"] = True
-    bench.advance(400)
-    bench.await_air()
+    bench = workbench.base(Instant("hold", 0))
     shown = []
     for tick in range(len(workbench.profile.angle) + 500):
         bench.advance(1, Request.SWING if tick == 0 else Request.NONE)

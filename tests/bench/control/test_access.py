@@ -17,6 +17,16 @@ FROM = (State.SAFE, State.READY, *LATCHED)
 each_source = pytest.mark.parametrize("source", FROM, ids=lambda state: state.name)
 
 
+def vent(puppet: Puppet) -> Puppet:
+    """Fill the chambers of a robot at its address, and let sensors show them and the manifold fall empty."""
+    puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
+    puppet.tick(Request.DISARM)
+    puppet.run(200)
+    for bar in (4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
+        puppet.give(chamber_pressure=(1e5 * bar,) * 6).run(10)
+    return puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6)
+
+
 def stick_open(puppet: Puppet, pressure: float = SUPPLY) -> None:
     """Let the supply valve be stuck open: the manifold keeps `pressure` without a command."""
     puppet.give(supply_pressure=pressure, chamber_pressure=(ATMOSPHERE,) * 6)
@@ -170,12 +180,7 @@ def test_nobody_is_let_in_at_power_up_before_the_robot_was_seen_to_rest() -> Non
 def test_access_waits_as_long_as_an_arm_may_sink_whatever_the_encoders_show() -> None:
     """A stuck encoder shows rest: only the time with empty chambers tells that a raised arm has sunk."""
     puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, vented_sinking=3.0)
-    puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
-    puppet.tick(Request.DISARM)
-    puppet.run(200)
-    for bar in (4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
-        puppet.give(chamber_pressure=(1e5 * bar,) * 6).run(10)
-    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6).run(2900)
+    vent(puppet).run(2900)
     assert puppet.control["emptied"]
     assert not puppet.control["vented"]
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
@@ -187,12 +192,7 @@ def test_access_waits_as_long_as_an_arm_may_sink_whatever_the_encoders_show() ->
 def emptied(creep: float) -> Puppet:
     """Return a robot that has vented for 3 s while its shoulder crept at `creep` rad/s."""
     puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, vented_sinking=2.0)
-    puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
-    puppet.tick(Request.DISARM)
-    puppet.run(200)
-    for bar in (4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
-        puppet.give(chamber_pressure=(1e5 * bar,) * 6).run(10)
-    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6)
+    vent(puppet)
     for _ in range(300):
         puppet.angle = puppet.angle + np.array([0.01 * creep, 0.0, 0.0])
         puppet.run(10)
@@ -224,10 +224,5 @@ def test_that_time_begins_with_the_venting_and_again_with_pressure(shown: float)
 
 def test_sensors_that_fell_with_the_air_are_a_proof_at_once() -> None:
     puppet = reach(State.ARMED, vent_time=5.0)
-    puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
-    puppet.tick(Request.DISARM)
-    puppet.run(200)
-    for bar in (4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
-        puppet.give(chamber_pressure=(1e5 * bar,) * 6).run(10)
-    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6).run(3000)
+    vent(puppet).run(3000)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
