@@ -41,6 +41,8 @@ pytestmark = [
 Result = TypeVar("Result")
 LOST_SAMPLE = 0.0025
 """Age of an encoder's sample beyond which one was lost, s."""
+SLOW_MOVES = "[envelope]\nlost_time = 0.04\nmax_gap = 0.05\n"
+"""Where nothing swings at full speed, stalls of this machine may last longer."""
 
 
 def device_when(client: BenchClient, holds: Callable[[DeviceStatus], bool]) -> DeviceStatus:
@@ -64,7 +66,7 @@ def patient_configuration(folder: Path, name: str, text: str = "") -> Path:
 
 def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_path: Path) -> None:
     channel = tmp_path / "bus"
-    file = patient_configuration(tmp_path, "bus")
+    file = patient_configuration(tmp_path, "bus", SLOW_MOVES)
     with (
         played_nodes(file, "--folder", str(tmp_path)),
         running_bench(file, clock="wall") as bench,
@@ -102,7 +104,7 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
 
 
 def test_a_replaced_node_that_stores_for_seconds_is_taken_by_a_reset(tmp_path: Path) -> None:
-    file = patient_configuration(tmp_path, "store")
+    file = patient_configuration(tmp_path, "store", SLOW_MOVES)
     with ExitStack() as first:
         first.enter_context(played_nodes(file, "--io", "wago-750"))
         with running_bench(file, clock="wall") as bench, bench.client.lease("test"):
@@ -125,7 +127,7 @@ def said(file: Path, *arguments: str) -> tuple[int, str]:
 
 @pytest.mark.timeout(600)
 def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp_path: Path) -> None:
-    file = patient_configuration(tmp_path, "preset")
+    file = patient_configuration(tmp_path, "preset", SLOW_MOVES)
     calibrate = ("calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "0", "0", "0")
     with ExitStack() as first:
         first.enter_context(played_nodes(file))
@@ -152,6 +154,12 @@ def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp
         with running_bench(file, "--read-only", clock="wall"):
             assert said(file, *calibrate) == (0, "")
         assert said(file, "nodes", "--scan")[0] == 0
+
+
+def is_undisturbed(cycles: np.ndarray[Any, Any], rows: Any = slice(None)) -> bool:
+    """Return whether no tick is missing, and in `rows` no sample of an encoder."""
+    whole = np.all(np.diff(cycles["tick"]) == 1)
+    return bool(whole and cycles["encoder_age"][rows].max() < LOST_SAMPLE)
 
 
 def newest_swing(bench: BenchProcess, stored: int) -> tuple[np.ndarray[Any, Any], dict[str, Any]]:
@@ -186,8 +194,7 @@ def swing_undisturbed(bench: BenchProcess) -> tuple[np.ndarray[Any, Any], dict[s
             bench.wait_until(lambda record: record["state"] == State.READY)
             cycles, metadata = newest_swing(bench, stored)
             down = np.isin(cycles["phase"], (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT))
-            whole = np.all(np.diff(cycles["tick"]) == 1) and cycles["encoder_age"][down].max() < LOST_SAMPLE
-            if whole or time.monotonic() > deadline:
+            if is_undisturbed(cycles, down) or time.monotonic() > deadline:
                 return cycles, metadata
         except (Refused, TimeoutError):
             new = bench.log[seen:]
@@ -216,8 +223,7 @@ def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) ->
 @pytest.mark.timeout(600)
 def test_the_robot_behind_the_bus_is_commissioned(tmp_path: Path) -> None:
     """It is measured at the pressure to which its regulator is turned, homed, armed and swung."""
-    # The motions are slow: stalls of this machine may last longer than in a swing at full speed.
-    file = patient_configuration(tmp_path, "day", "[envelope]\nlost_time = 0.04\nmax_gap = 0.05\n")
+    file = patient_configuration(tmp_path, "day", SLOW_MOVES)
     configuration = load_configuration(file)
     slow = slowed(load_profile(find_profile("default")), 0.5, configuration)
     bounds = MotionBounds((10.0, 10.0, 20.0), (3.0, 3.0, 5.0), 9e5)
@@ -241,6 +247,9 @@ def test_the_robot_behind_the_bus_is_commissioned(tmp_path: Path) -> None:
         assert np.ptp(trace.pressure[:, 0]) > 0.5e5
         robot.set_supply(float("inf"))
         resumed(robot.vent)
-        made = resumed(lambda: robot.series(bench_of(configuration, slow)).swing(slow, ball=False))
+        for _ in range(3):  # a stall that makes a pressure too old stops a swing, too
+            made = resumed(lambda: robot.series(bench_of(configuration, slow)).swing(slow, ball=False))
+            if made.cause is Cause.NONE or is_undisturbed(made.cycles):
+                break
         assert made.cause is Cause.NONE
         robot.make_passive()
