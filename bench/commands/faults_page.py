@@ -8,6 +8,7 @@ from typing import Any
 import jinja2
 from rich.table import Table
 
+from bench.faults.hazards import next_swing_text
 from bench.faults.summary import PHASES
 
 _MARKS = {
@@ -56,4 +57,6 @@ def matrix_page(summary: dict[str, Any], comparison: list[dict[str, Any]] | None
     """Return the page: one file without external resources."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     template = environment.from_string((files("bench.faults") / "page.html.j2").read_text())
-    return template.render(summary=summary, phases=PHASES, comparison=comparison or [])
+    return template.render(
+        summary=summary, next_swing=next_swing_text(summary), phases=PHASES, comparison=comparison or []
+    )

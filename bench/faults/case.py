@@ -15,6 +15,7 @@ from bench.control.settings import SIMULATED, build_controller
 from bench.errors import Refused
 from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
+from bench.faults.next_swing import next_swing
 from bench.faults.verdict import CaseLimits, CaseOutcome, judge_case
 from bench.faults.watch import Watch, WatchedRun
 from bench.lifecycle import CAUSE_TEXT, Request, State
@@ -133,16 +134,19 @@ class Workbench:
         return bench
 
     def run(self, breakage: Breakage, instant: Instant) -> CaseOutcome:
-        """Return how `breakage` at `instant` ends."""
-        run = self._watched(instant, breakage)
+        """Return how `breakage` at `instant` ends, and what the next swing finds if nothing noticed it."""
+        watch = self._watched(instant, breakage)
         healthy = self._healthy(instant, _event_of(breakage), breakage.event_after)
-        return judge_case(self._limits, breakage, instant, run, healthy)
+        outcome = judge_case(self._limits, breakage, instant, watch.run(), healthy)
+        if outcome.verdict != "undetected":
+            return outcome
+        return replace(outcome, next_swing=next_swing(watch.bench))
 
     def _healthy(self, instant: Instant, event: Event, after: float = 0.0) -> WatchedRun:
         """Return the run from `instant` without a fault, with `event` (stop or missing ball) `after` s."""
         key = replace(instant, delay=0.0), event, after
         if key not in self._ends:
-            _keep(self._ends, key, self._watched(key[0], None, event, after))
+            _keep(self._ends, key, self._watched(key[0], None, event, after).run())
         return self._ends[key]
 
     @cached_property
@@ -158,7 +162,7 @@ class Workbench:
 
     def _watched(
         self, instant: Instant, breakage: Breakage | None, event: Event = "", after: float = 0.0
-    ) -> WatchedRun:
+    ) -> Watch:
         """Run from `instant` until everything rests; without a `breakage` with `event` `after` s."""
         bench = self.base(instant)
         bench.stepper.plant = own_records(bench.stepper.plant)
@@ -180,7 +184,7 @@ class Workbench:
         watch.until_rest(
             round(longest / self.period), _GOING_ON.get(instant.name, _GOING_ON.get(instant.phase, ()))
         )
-        return watch.run()
+        return watch
 
 
 def _keep(kept: dict[Key, Value], key: Key, value: Value) -> None:

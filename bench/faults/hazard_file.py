@@ -14,6 +14,7 @@ from textwrap import wrap
 from typing import Any
 
 from bench.errors import BenchError
+from bench.faults.hazards import next_swing_text
 from bench.from_toml import as_tree, format_value, read_toml
 
 FILE = Path(__file__).with_name("hazard_file.toml")
@@ -203,6 +204,7 @@ def _head(summary: Mapping[str, Any], judgement: Judgement) -> list[str]:
             f"Matrix: swing `{summary['profile']}`, {summary['cases']} cases, {v['unsafe']} unsafe,",
             f"{v['undetected']} undetected with another shot or pose; configuration",
             f"{origin['configuration']}, {origin['time_utc'][:10]}.",
+            next_swing_text(summary),
         ),
     ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from bench.faults.catalogue import HARDWARE
@@ -23,6 +24,15 @@ def hardware_for(signal: str) -> str:
     return "not needed"
 
 
+def next_swing_text(summary: Mapping[str, Any]) -> str:
+    """Return how many undetected faults are named before another ball is struck, "" without any."""
+    found = summary["next_swing"]
+    if not found:
+        return ""
+    count = sum(found.values())
+    return f"Of {count} undetected {count - found.get('', 0)} are named before another ball is struck."
+
+
 def hazard_table(summary: dict[str, Any]) -> str:
     """Return the table as Markdown."""
     v = summary["verdicts"]
@@ -37,6 +47,7 @@ def hazard_table(summary: dict[str, Any]) -> str:
         "",
         *_families(summary),
         "",
+        *((text, "") if (text := next_swing_text(summary)) else ()),
         "| hazard | cases | detected by | reaction, ticks | residual risk | only by hardware |",
         "|---|---|---|---|---|---|",
     ]

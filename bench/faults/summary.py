@@ -13,7 +13,7 @@ from bench.faults.matrix import Skipped
 from bench.faults.verdict import CaseOutcome
 from sim.faults import MEANINGS, sort_of
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 VERDICTS = ("irrelevant", "harmless", "safe", "undetected", "unsafe")
 """From best to worst."""
 PHASES = (
@@ -81,6 +81,9 @@ def summarise(
             for family in FAMILIES
         },
         "reasons": _by_reason(outcomes),
+        "next_swing": dict(
+            Counter(o.next_swing for o in outcomes if o.verdict == "undetected").most_common()
+        ),
         "seconds": round(seconds, 1),
         "reaction_ticks": reaction_ticks(outcomes),
         "rows": rows,
@@ -104,7 +107,14 @@ def _phase(phase: str, own: Sequence[CaseOutcome], skipped: Sequence[Skipped]) -
 def _reasons(own: Sequence[CaseOutcome]) -> list[str]:
     """Return each reason once, the worst first."""
     bad = sorted((o for o in own if o.reasons), key=lambda o: -VERDICTS.index(o.verdict))
-    return list(dict.fromkeys(f"{o.instant}: {'; '.join(o.reasons)}" for o in bad))
+    return list(dict.fromkeys(f"{o.instant}: {'; '.join(o.reasons)}{_found_later(o)}" for o in bad))
+
+
+def _found_later(outcome: CaseOutcome) -> str:
+    """Return what the next swing finds of an undetected fault."""
+    if outcome.verdict != "undetected":
+        return ""
+    return f"; next swing: {outcome.next_swing or 'not noticed either'}"
 
 
 _FIGURE = re.compile(r"[-+]?\d+(?:\.\d+)?")
@@ -117,6 +127,12 @@ def _by_reason(outcomes: Sequence[CaseOutcome]) -> dict[str, dict[str, int]]:
         if outcome.verdict in found:
             found[outcome.verdict].update(_FIGURE.sub("…", reason) for reason in outcome.reasons)
     return {verdict: dict(reasons.most_common()) for verdict, reasons in found.items()}
+
+
+def _by_next_swing(outcomes: Sequence[CaseOutcome]) -> dict[str, int]:
+    """Return the number of undetected cases by what the next swing names, "" for nothing; the most first."""
+    found = Counter(outcome.next_swing for outcome in outcomes if outcome.verdict == "undetected")
+    return dict(found.most_common())
 
 
 def reaction_ticks(outcomes: Sequence[CaseOutcome]) -> dict[str, dict[str, float]]:

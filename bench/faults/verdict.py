@@ -60,6 +60,8 @@ class CaseOutcome:
     record: str
     change: str
     """Difference to the undisturbed run at the ball or at rest; empty if it does not matter."""
+    next_swing: str = ""
+    """What names an undetected fault before another ball is struck; empty if nothing does."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the outcome as a JSON-ready record."""

@@ -1,0 +1,85 @@
+"""What the next swing finds of a fault that nothing noticed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numba
+import pytest
+
+from bench.faults.case import Workbench
+from bench.faults.combined import CATALOGUE
+from bench.faults.hazards import next_swing_text
+from bench.faults.instants import Instant
+from bench.faults.matrix import instants_for
+from bench.faults.next_swing import next_swing
+from bench.faults.verdict import CaseOutcome
+from sim.faults import Fault
+
+BREAKAGE = {breakage.name: breakage for breakage in CATALOGUE}
+HOLD = Instant("hold", 0)
+
+needs_speed = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
+)
+
+
+@pytest.fixture
+def run(workbench: Workbench) -> Callable[[str, str], CaseOutcome]:
+    def run_case(name: str, at: str) -> CaseOutcome:
+        instants = {i.name: i for i in instants_for(BREAKAGE[name], workbench.profile)}
+        return workbench.run(BREAKAGE[name], instants[at])
+
+    return run_case
+
+
+@needs_speed
+@pytest.mark.parametrize(
+    ("name", "at", "cause"),
+    [
+        ("shoulder encoder × 0.9", "follow-through 10 %", "SHOULDER_FLOW"),
+        ("arm valve stuck open, during an operator's stop", "top 50 % +200 ms", "ARM_FOLLOWING"),
+        ("wrist encoder stuck, during an emergency stop", "backswing 10 % +60 ms", "WRIST_EFFORT"),
+    ],
+)
+def test_a_fault_that_a_stop_hides_is_named_before_the_next_ball(
+    run: Callable[[str, str], CaseOutcome], name: str, at: str, cause: str
+) -> None:
+    outcome = run(name, at)
+    assert (outcome.verdict, outcome.next_swing) == ("undetected", cause)
+
+
+@needs_speed
+def test_a_noticed_fault_needs_no_further_swing(run: Callable[[str, str], CaseOutcome]) -> None:
+    outcome = run("arm encoder off", "downswing 20 %")
+    assert (outcome.verdict, outcome.next_swing) == ("safe", "")
+
+
+@needs_speed
+def test_a_healthy_robot_strikes_the_next_ball(workbench: Workbench) -> None:
+    bench = workbench.base(HOLD)
+    assert next_swing(bench) == ""
+    assert bench.plant_state["struck"][0]
+
+
+@needs_speed
+def test_an_emergency_stop_is_released_and_reset_first(workbench: Workbench) -> None:
+    bench = workbench.base(HOLD)
+    bench.plant_state["emergency_stop_clear"] = False
+    bench.advance(20_000)
+    assert next_swing(bench) == ""
+    assert bench.plant_state["struck"][0]
+
+
+@needs_speed
+def test_a_refusal_for_good_is_what_the_next_swing_finds(workbench: Workbench) -> None:
+    bench = workbench.base(HOLD)
+    bench.stepper.break_with((Fault("guard", "guard closed", "stuck", 0.0),), watchdog=0.1)
+    assert next_swing(bench) == "GUARD"
+    assert next_swing(bench).startswith("reset refused: ")
+
+
+def test_the_table_counts_what_is_named() -> None:
+    assert next_swing_text({"next_swing": {}}) == ""
+    text = next_swing_text({"next_swing": {"SHOULDER_FLOW": 3, "": 1, "ARM_FLOW": 2}})
+    assert text == "Of 6 undetected 5 are named before another ball is struck."
