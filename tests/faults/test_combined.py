@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
-import numba
 import pytest
 
 from bench.config import load_configuration, shipped_configuration
@@ -20,11 +19,8 @@ from bench.faults.origin import commit, origin_of
 from bench.lifecycle import Phase
 from bench.swing.profile import PHASES, Profile
 from sim.faults import Fault
+from tests.compiled_only import needs_speed
 from tests.faults.test_matrix import BREAKAGE, instant
-
-needs_speed = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
-)
 
 
 def test_each_family_has_rows_and_each_row_its_instants(profile: Profile) -> None:

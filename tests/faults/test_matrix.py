@@ -11,7 +11,6 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import psutil
 import pytest
 from typer.testing import CliRunner
@@ -32,6 +31,7 @@ from bench.faults.verdict import CaseOutcome
 from bench.simulation.local_engine import InProcess
 from bench.swing.profile import Profile
 from sim.faults import KINDS, SIGNALS, sort_of
+from tests.compiled_only import needs_speed
 
 ROOT = Path(__file__).parents[2]
 BREAKAGE = {breakage.name: breakage for breakage in CATALOGUE}
@@ -44,10 +44,6 @@ ORIGIN = {
     "seed": 1,
     "time_utc": "2026-01-02T03:04:05+00:00",
 }
-
-needs_speed = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
-)
 
 
 def instant(profile: Profile, name: str) -> Instant:

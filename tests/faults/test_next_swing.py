@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numba
 import pytest
 
 from bench.faults.case import Workbench
@@ -15,13 +14,10 @@ from bench.faults.matrix import instants_for
 from bench.faults.next_swing import next_swing
 from bench.faults.verdict import CaseOutcome
 from sim.faults import Fault
+from tests.compiled_only import needs_speed
 
 BREAKAGE = {breakage.name: breakage for breakage in CATALOGUE}
 HOLD = Instant("hold", 0)
-
-needs_speed = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
-)
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -36,10 +35,8 @@ from drivers.base import READINGS
 from drivers.base.compiled import new_record
 from sim.plant import PlantParameters, build_plant
 from sim.robot import RobotParameters
+from tests.compiled_only import needs_speed
 
-needs_speed = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
-)
 PLANT = build_plant(PlantParameters()).plant
 ROBOT = RobotParameters().record
 ENVELOPE = new_record(ENVELOPE_PARAMETERS)

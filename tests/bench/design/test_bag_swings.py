@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -14,14 +13,12 @@ from bench.design.check import TRIALS, SwingCheck
 from bench.simulation.simulated_bench import simulate_swing
 from sim.kinematics import forward_kinematics
 from tests.bench.design.bag_demands import DEMANDS, mounted
+from tests.compiled_only import needs_speed
 
 AROUND_THE_BALL = range(-80, 121, 20)
 """Ticks from the ball at which the bench falls silent."""
 
 each_swing = pytest.mark.parametrize("name", DEMANDS)
-needs_speed = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
 
 
 @each_swing

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -15,10 +14,7 @@ from bench.simulation.series import Bench
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.plant import PlantParameters
-
-needs_speed = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
+from tests.compiled_only import needs_speed
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import pytest
 
 from bench.config import load_configuration, shipped_configuration
@@ -18,14 +17,11 @@ from bench.simulation.variation import healthy_plant
 from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
 from tests.bench.design.bag_demands import DEMANDS
+from tests.compiled_only import needs_speed
 
 HIGH_SPEED = {"driver-115mph", "driver-130mph", "driver-130mph-level", "rules-120mph", "rules-125mph"}
 WITH_LIMITS = sorted(path.name.removesuffix(ENDING) for path in PROFILES.glob(f"*{ENDING}"))
 CURE = "make them again: golfbench --config CONFIGURATION swing limits PROFILE [--club CLUB] --output FILE"
-
-needs_speed = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
 
 
 def designed_for(name: str) -> Configuration:

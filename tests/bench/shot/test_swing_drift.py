@@ -6,7 +6,6 @@ from dataclasses import replace
 from math import nan
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 
@@ -17,6 +16,7 @@ from bench.simulation.variation import healthy_plant
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
+from tests.compiled_only import needs_speed
 
 
 def watch_after(swings: int, scatter: float = 0.0, seed: int = 1) -> DriftWatch:
@@ -75,11 +75,6 @@ def test_json_has_no_nan() -> None:
     told = DriftWatch().take(StrikeSeen(43.0, nan), "a").as_json()
     assert told["club_speed_mps"] == 43.0
     assert told["ball_met_m"] is told["first_ball_met_m"] is None
-
-
-needs_speed = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
 
 
 def shipped() -> tuple[Series, Any, PlantParameters]:

@@ -8,7 +8,6 @@ from math import radians
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
 from bench.config import VARIANTS, load_configuration
@@ -18,10 +17,7 @@ from bench.sizing.hardware import Hardware
 from bench.sizing.study import SizingDemand, candidate_configuration, candidate_text
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-
-needs_speed = pytest.mark.skipif(
-    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
-)
+from tests.compiled_only import needs_speed
 
 
 def named_hardware(variant: str) -> Hardware:
