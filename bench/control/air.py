@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.envelope import joint_coordinates, relay_closed
+from bench.control.envelope import joint_coordinates
 from drivers.base.compiled import compiled
 from sim.kane import kane_terms
 from sim.motion import chambers, wrist_cylinder
@@ -23,8 +23,6 @@ from sim.motion import chambers, wrist_cylinder
 AIR_STATE = np.dtype(
     [
         ("started", "?"),
-        ("exhaust_closed", "?"),
-        ("vent_timer", "f8"),
         ("spool", "f8", (3,)),
         ("spool_speed", "f8", (3,)),
         ("pressure", "f8", (13,)),
@@ -94,12 +92,22 @@ def load_force(robot: Any, p: Any, angle: Any, i: int) -> float:
 
 @compiled
 def observe_air(
-    a: Any, robot: Any, plant: Any, estimator: Any, readings: Any, applied: Any, step: float, free: bool
+    a: Any,
+    robot: Any,
+    plant: Any,
+    estimator: Any,
+    readings: Any,
+    applied: Any,
+    exhaust_closed: bool,
+    vent: float,
+    step: float,
+    free: bool,
 ) -> None:
     """Move the observer `a` on by `step` s under the openings `applied` since the last tick.
 
-    `estimator` and `readings` are this tick's; `plant` is the machine's PLANT_PARAMETERS. `free`:
-    nothing but air, friction and weight acts on the joints.
+    `estimator` and `readings` are this tick's; `plant` is the machine's PLANT_PARAMETERS. `exhaust_closed`
+    was commanded in the last one, `vent` is what a chamber's vents pass, m3/(s Pa). `free`: nothing but
+    air, friction and weight acts on the joints.
     """
     p, e, r = plant[0], estimator[0], readings[0]
     if not a.started:
@@ -109,11 +117,9 @@ def observe_air(
         a.started = True
     if not (step > 0.0 and np.isfinite(e.angle.sum() + e.velocity.sum())):
         return
-    a.vent_timer = 0.0 if a.exhaust_closed and relay_closed(readings) else a.vent_timer + step
-    vent = conductance_of_vents(p, r, a.vent_timer)
     supply = r.supply_pressure
     if not np.isfinite(supply):
-        supply = p.regulated if a.exhaust_closed else p.atmosphere
+        supply = p.regulated if exhaust_closed else p.atmosphere
     a.pressure[12] = supply
     part = p.tick / p.substeps
     count = int(min(step, _LONGEST) / part + 0.5)

@@ -77,7 +77,7 @@ def brake(state: Any, parameters: Any, trusted: bool, time: float) -> None:
     brake_openings(s, parameters.control[0], e)
     for i in range(3):
         s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
-    if state.model[0].vent_timer > parameters.control[0].vent_delay:
+    if s.vent_timer > parameters.control[0].vent_delay:
         stand(s, parameters, time)
     else:
         _rest_or_wait(s, parameters, e, trusted, time)

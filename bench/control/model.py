@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.air import actuator_motion, conductance_of_vents
-from bench.control.envelope import joint_coordinates, relay_closed
+from bench.control.air import actuator_motion
+from bench.control.envelope import joint_coordinates
 from bench.lifecycle import Cause, Phase, State
 from drivers.base.compiled import compiled
 from sim.kane import kane_terms
@@ -65,8 +65,6 @@ rad/s, rad, N m. A row is that plus a phase, BRAKING + the phase in which a brak
 MODEL_STATE = np.dtype(
     [
         ("started", "?"),
-        ("exhaust_closed", "?"),
-        ("vent_timer", "f8"),
         ("spool", "f8", (3,)),
         ("spool_speed", "f8", (3,)),
         ("air", "f8", (13,)),
@@ -127,29 +125,26 @@ def observe(
     applied: Any,
     reference: Any,
     head: Any,
+    vent: float,
     braking: bool,
     step: float,
 ) -> None:
     """Move the observer `m` on by `step` s under the openings `applied` since the last tick; set residuals.
 
     `estimator`, `indexed` (3,) of ENCODER_STATE, `readings` and `head` (6,) of `head_motion` are this tick's,
-    `reference` (3,) rad is the last one's; `plant` is the machine's PLANT_PARAMETERS; `braking`: by BRAKE.
+    `reference` (3,) rad is the last one's; `plant` is the machine's PLANT_PARAMETERS. `vent` is what a
+    chamber's vents pass, m3/(s Pa); `braking`: by BRAKE.
     """
     p, e, r = plant[0], estimator[0], readings[0]
     fresh = m.started and 0.0 < step <= 1.5 * p.tick  # after a stall the observer restarts
     m.settled = m.settled + step if fresh else 0.0
-    if m.exhaust_closed and relay_closed(readings):
-        m.vent_timer = 0.0
-    elif fresh:
-        m.vent_timer += step
-    vented = conductance_of_vents(p, r, m.vent_timer) > 0.0
     m.air[12] = r.supply_pressure
     for i in range(3):
         _move_spool(m, p, applied[i] - p.centre[i], i)
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         a, b = 2 * i, 2 * i + 1
         # How much open vents pass is not known well enough to judge chambers by it.
-        known = not vented and indexed[i] != 0 and _is_shown(m, r, a) and _is_shown(m, r, b)
+        known = vent == 0.0 and indexed[i] != 0 and _is_shown(m, r, a) and _is_shown(m, r, b)
         if not (fresh and known and np.isfinite(r.supply_pressure + position + speed)):
             for k in range(a, b + 1):
                 m.air[6 + k] = m.measured[k] = r.chamber_pressure[k]

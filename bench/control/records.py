@@ -135,6 +135,8 @@ CONTROL_STATE = np.dtype(
         ("empty_since", "f8"),
         ("rest_angle", "f8", (3,)),
         ("vent_start", "f8"),
+        ("exhaust_closed", "?"),
+        ("vent_timer", "f8"),
         ("air", "?"),
         ("air_from", "f8"),
         ("securing", "?"),
@@ -219,6 +221,7 @@ turn looks for its stop, `home_pushed` and `home_at` since when and where it pre
 `zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
 `stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s),
 `let_off` are the actuators that `bench.control.escape` moves even in PASSIVE.
+`exhaust_closed` was commanded last, `vent_timer` is for how long the vents have been without power (s).
 `calm` are the velocities by which that is judged (rad/s), `rest_angle` where the joints came to rest (rad).
 `entered` says that the guard was seen open in ACCESS: until SECURE has ended it, somebody may be inside.
 `unseen` are the joints that BLIND_BRAKE brakes without their encoder.

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.air import observe_air
+from bench.control.air import conductance_of_vents, observe_air
 from bench.control.air_watch import VENTS, air_fault, watch_air
 from bench.control.braking import brake, brake_blind, wait_passive
 from bench.control.encoder import decode_encoders
 from bench.control.encoder_watch import index_cause
-from bench.control.envelope import interlock_cause, limit, readings_cause
+from bench.control.envelope import interlock_cause, limit, readings_cause, relay_closed
 from bench.control.escape import escape
 from bench.control.estimator import estimate
 from bench.control.feed_forward import PNEUMATIC
@@ -70,6 +70,8 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     s.head[0], s.head[1], s.head[2], s.head[3], s.head[4], s.head[5] = head_motion(
         parameters.robot[0], e.angle[0], e.angle[1], e.angle[2], e.velocity[0], e.velocity[1], e.velocity[2]
     )
+    s.vent_timer = 0.0 if s.exhaust_closed and relay_closed(readings) else s.vent_timer + elapsed
+    vent = conductance_of_vents(parameters.plant[0], readings[0], s.vent_timer)
     if parameters.model[0].check:
         observe(
             state.model[0],
@@ -82,6 +84,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             s.applied,
             s.reference,
             s.head,
+            vent,
             s.reaction == Reaction.BRAKE,
             elapsed,
         )
@@ -93,6 +96,8 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             state.estimator,
             readings,
             s.applied,
+            s.exhaust_closed,
+            vent,
             elapsed,
             s.phase != Phase.IMPACT,
         )
@@ -108,9 +113,8 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
 def _watch_inputs(state: Any, parameters: Any, readings: Any, elapsed: float, time: float) -> None:
     """Judge sensors, vents, manifold, guard's lock and index `elapsed` s after the last tick."""
     s, p = state.control[0], parameters.control[0]
-    powered = state.model[0].exhaust_closed
-    watch_air(s, p, readings, powered, elapsed, time)
-    watch_manifold(s, p, parameters.plant[0], readings, powered, elapsed)
+    watch_air(s, p, readings, s.exhaust_closed, elapsed, time)
+    watch_manifold(s, p, parameters.plant[0], readings, s.exhaust_closed, elapsed)
     watch_lock(s, readings, is_released(s), time)
     s.index_wrong = index_cause(s, p, state.encoder[0], parameters.encoder[0], state.estimator[0])
 
@@ -182,7 +186,7 @@ def limit_tick(
             s.applied[i] = limit(parameters.envelope, s.desired[i], s.applied[i], s.measured_step)
         c.valve[i] = s.applied[i]
     c.supply_enable = c.exhaust_closed = powered
-    state.model[0].exhaust_closed = state.air[0].exhaust_closed = powered
+    s.exhaust_closed = powered
     c.beacon = s.phase != Phase.STANDING and s.reaction != Reaction.PASSIVE and not p.read_only
     c.search_index = (
         p.home_by_index and s.phase == Phase.HOMING and s.reaction < Reaction.PASSIVE and not p.read_only

@@ -95,7 +95,7 @@ def _watch_braking(state: Any, parameters: Any, readings: Any, time: float) -> N
     s, e = state.control[0], state.estimator[0]
     if s.reaction == Reaction.BRAKE and not charging(s, time):
         lost = readings[0].supply_pressure < _LOST_SUPPLY * parameters.envelope[0].min_supply_pressure
-        fed = state.model[0].vent_timer <= _TIMER * parameters.control[0].shut_off_delay
+        fed = s.vent_timer <= _TIMER * parameters.control[0].shut_off_delay
         if lost and s.sensor_doubt[0] <= 0.0 and fed:
             react(state, parameters, Cause.SUPPLY_PRESSURE, TRUSTED, time)
         # The estimated velocity as reference: a brake has none.

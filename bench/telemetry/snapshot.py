@@ -88,19 +88,26 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "let_off",
             "emptied",
             "empty_since",
+            "exhaust_closed",
+            "vent_timer",
         }
     ),
     "pid": frozenset({"gains", "supply_factor"}),
 }
 """Fields that the controller's memory did not have in records of before; there they are as at power-up."""
+_MOVED = {"exhaust_closed": np.dtype("?"), "vent_timer": np.dtype("f8")}
+"""Fields that stood in both observers' memory, behind `started`, and are in the control's."""
+_OBSERVERS = ("model", "air")
 
 
 def _before_added() -> np.dtype[Any]:
-    """Return SNAPSHOT without the fields of _ADDED."""
+    """Return SNAPSHOT without the fields of _ADDED, and with _MOVED where they were."""
 
     def remaining(name: str) -> np.dtype[Any]:
         dtype = SNAPSHOT[name]
         kept = [(field, dtype[field]) for field in dtype.names or () if field not in _ADDED.get(name, ())]
+        if name in _OBSERVERS:
+            kept[1:1] = _MOVED.items()
         return np.dtype(kept, align=True)
 
     return np.dtype([("tick", "i8"), ("time", "f8"), *((n, remaining(n)) for n in _KEPT)], align=True)
@@ -168,5 +175,5 @@ def _completed(read: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     snapshot["tick"], snapshot["time"] = read["tick"], read["time"]
     for name in _KEPT:
         for field in read.dtype[name].names or ():
-            snapshot[name][field] = read[name][field]
+            snapshot["control" if field in _MOVED else name][field] = read[name][field]
     return snapshot

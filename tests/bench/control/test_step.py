@@ -574,6 +574,21 @@ def test_a_brake_has_an_end_also_without_rest() -> None:
     assert puppet.is_without_energy()
 
 
+@pytest.mark.parametrize("circuit", ["emergency_stop_clear", "guard_closed"])
+def test_a_brake_ends_when_an_open_relay_opens_the_vents(circuit: str) -> None:
+    """Also where the model-based check is off, as with hardware."""
+    puppet = Puppet(control=replace(QUICK, brake_time=3.0)).swing(250)
+    assert not puppet.parameters.model["check"][0]
+    puppet.follows = False
+    puppet.give(**{circuit: False})
+    delay = round(float(puppet.parameters.control["vent_delay"][0]) / puppet.period)
+    for k in range(delay + 3):
+        assert puppet.phase is not Phase.STANDING or k >= delay
+        puppet.offset[2] = 0.02 * np.sin(0.2 * k)
+        puppet.tick()
+    assert puppet.phase is Phase.STANDING
+
+
 def braked_blindly(sample: int, seed: int) -> tuple[int, Array, Array]:
     """Lose all readings after `sample` amid garbage; return pattern's row, desired and applied openings."""
     puppet = Puppet()
