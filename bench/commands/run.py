@@ -60,9 +60,8 @@ def run(
     if series:
         lifecycle = replace(lifecycle, series=True)
     configuration = replace(configuration, swing=swing, lifecycle=lifecycle).with_driver(settings)
-    if configuration.faults:
-        if mistakes := contradictions(configuration) + unheard_phases(configuration):
-            raise ExceptionGroup("invalid configuration", mistakes)
+    if mistakes := contradictions(configuration) + unheard_phases(configuration):
+        raise ExceptionGroup("invalid configuration", mistakes)
     daemon = Daemon(configuration, read_only=read_only)
     daemon.run(
         lambda: logging.info("bench %s answers at %s", configuration.bench.id, configuration.network.endpoint)

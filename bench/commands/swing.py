@@ -179,8 +179,7 @@ def check(
     """Check on the simulated plant how every stop ends, from every instant of a swing.
 
     Each reaction, each valve stuck open or shut, a silent bench, a missing ball and a fat shot, against the
-    ratings of stops and chambers. Exits with 1 if any of them but a stuck valve ends unsafe; that is only
-    shown.
+    ratings of stops and chambers. Exits with 1 if any of them ends unsafe.
     """
     import json
 
@@ -211,7 +210,7 @@ def check(
         typer.echo(json.dumps(check_record(swing.name, outcomes, summaries), indent=2))
     else:
         Console().print(check_table(swing.name, outcomes, summaries))
-    if any(summary.unsafe for summary in summaries if "stuck" not in summary.fault):
+    if any(summary.unsafe for summary in summaries):
         raise typer.Exit(ExitCode.REFUSED)
 
 

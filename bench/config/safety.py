@@ -100,6 +100,10 @@ BOUNDS = (
         "an encoder that is lost for longer is braked for too late",
     ),
     Bound(
+        "driver", "watchdog", (0.0, inf), (0.0, 0.02), "s",
+        "until a silent bench is noticed its last openings stay in force",
+    ),
+    Bound(
         "homing", "tolerance", (0.0, 6.3), (0.0, 0.35), "rad",
         "an encoder that may be further off proves no zero",
     ),
@@ -133,6 +137,14 @@ def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
             format_value(c.lifecycle.local_reset),
             wanted,
             "Wire the button and set the key to true.",
+        )
+    if c.is_machine and c.loop.realtime != "require":
+        wanted = '"require" with a real robot: a loop that other work delays stops swings, or brakes late'
+        yield (
+            "loop.realtime",
+            format_value(c.loop.realtime),
+            wanted,
+            "Set it, and try it with `golfbench doctor`.",
         )
     if c.is_machine and not c.homing.stops:
         wanted = "true with a real robot: neither pose nor index shows a coupling that slipped a little"

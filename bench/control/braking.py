@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.control.air import conductance_of_vents
 from bench.control.states import is_still, stand
 from drivers.base.compiled import compiled
 from sim.plant import PlantParameters
@@ -68,16 +69,17 @@ def _rest_or_wait(s: Any, parameters: Any, e: Any, trusted: bool, time: float) -
 
 
 @compiled
-def brake(state: Any, parameters: Any, trusted: bool, time: float) -> None:
+def brake(state: Any, parameters: Any, readings: Any, trusted: bool, time: float) -> None:
     """Set the desired openings of BRAKE: air against the motion, until all joints rest.
 
-    Behind an open safety relay until its vents open: spools would let arms fall into an empty manifold.
+    Behind an open safety relay until its vents open: spools would let arms fall into an empty manifold. Where
+    both vents report shut, as on a machine without that relay, it goes on.
     """
     s, e = state.control[0], state.estimator[0]
     brake_openings(s, parameters.control[0], e)
     for i in range(3):
         s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
-    if s.vent_timer > parameters.control[0].vent_delay:
+    if conductance_of_vents(parameters.plant[0], readings[0], s.vent_timer) > 0.0:
         stand(s, parameters, time)
     else:
         _rest_or_wait(s, parameters, e, trusted, time)

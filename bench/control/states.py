@@ -137,8 +137,11 @@ def react(state: Any, parameters: Any, cause: int, column: int, time: float) -> 
     """Enter the table's reaction to `cause`, unless a more severe one is under way."""
     s, p = state.control[0], parameters.control[0]
     s.emergency = _note(s, parameters, cause) or s.emergency
+    # A joint far from its reference may as well be an encoder that is stuck.
     misfit = (
-        Cause.SHOULDER_AIR <= cause <= Cause.WRIST_SENSOR or Cause.SHOULDER_ZERO <= cause <= Cause.WRIST_ZERO
+        Cause.SHOULDER_FOLLOWING <= cause <= Cause.WRIST_FOLLOWING
+        or Cause.SHOULDER_AIR <= cause <= Cause.WRIST_SENSOR
+        or Cause.SHOULDER_ZERO <= cause <= Cause.WRIST_ZERO
     )
     s.distrusted = s.distrusted or column == LOST or misfit
     if Cause.SHOULDER_INDEX <= cause <= Cause.WRIST_INDEX:

@@ -156,7 +156,7 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
         watch_motion(state, parameters, readings, interlock, asked, time)
         watch_permission(s, parameters, time)
     if s.reaction == Reaction.BRAKE:
-        brake(state, parameters, s.lost == 0, time)
+        brake(state, parameters, readings, s.lost == 0, time)
     elif s.reaction == Reaction.PASSIVE:
         wait_passive(state, parameters, s.lost == 0, time)
     elif s.reaction == Reaction.BLIND_BRAKE:

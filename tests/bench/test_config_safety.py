@@ -14,7 +14,10 @@ from bench.config.files import load_configuration
 from bench.config.safety import BOUNDS, Bound, check_safety
 from bench.config.settings import Configuration
 
-REAL = '[driver]\nname = "daq"\n[homing]\nmethod = "index"\n[lifecycle]\nlocal_reset = true\n'
+REAL = (
+    '[loop]\nrealtime = "require"\n[driver]\nname = "daq"\n[homing]\nmethod = "index"\n'
+    "[lifecycle]\nlocal_reset = true\n"
+)
 PROVEN = (
     '[daq]\nvent_proof = "pressure switches PS1 to PS6 in the guard circuit"\n'
     'shut_off_feedback = "port0/line7"\n'
@@ -178,6 +181,15 @@ def test_nodes_of_this_machine_are_no_real_robot(interface: str, simulated: Conf
         canopen=replace(simulated.canopen, interface=interface),
     )
     assert ("lifecycle.local_reset" in mistakes(c)) == (interface == "socketcan")
+
+
+@pytest.mark.parametrize("realtime", ["off", "prefer", "require"])
+def test_the_loop_of_a_real_robot_is_not_delayed(
+    realtime: Any, simulated: Configuration, real: Configuration
+) -> None:
+    for c, wrong in ((simulated, False), (real, realtime != "require")):
+        changed = replace(c, loop=replace(c.loop, realtime=realtime))
+        assert ("loop.realtime" in mistakes(changed)) is wrong
 
 
 def test_a_real_robot_is_homed_at_its_stops(simulated: Configuration, real: Configuration) -> None:

@@ -197,6 +197,13 @@ def test_a_cause_while_standing_vents_and_a_lost_reading_is_distrusted(bench: Be
     assert (s["cause"], s["latest_cause"]) == (Cause.ARM_ENCODER, Cause.GUARD)
 
 
+@pytest.mark.parametrize("joint", range(3))
+def test_a_joint_that_does_not_follow_may_have_an_encoder_that_is_stuck(joint: int) -> None:
+    puppet = reach(State.SWINGING)
+    react(puppet.state, puppet.parameters, int(Cause.SHOULDER_FOLLOWING) + joint, TRUSTED, 1.0)
+    assert puppet.control["distrusted"]
+
+
 @pytest.mark.parametrize(
     ("phase", "before", "reaction", "after"),
     [

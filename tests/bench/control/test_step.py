@@ -589,6 +589,17 @@ def test_a_brake_ends_when_an_open_relay_opens_the_vents(circuit: str) -> None:
     assert puppet.phase is Phase.STANDING
 
 
+def test_a_brake_goes_on_while_both_vents_report_shut() -> None:
+    """A machine without the relay is braked until it rests."""
+    puppet = Puppet(control=replace(QUICK, brake_time=1.0)).swing(250)
+    puppet.follows = False
+    puppet.give(emergency_stop_clear=False, vent_open=0.0)
+    for k in range(1000):
+        assert puppet.reaction is Reaction.BRAKE or k == 0
+        puppet.offset[2] = 0.02 * np.sin(0.2 * k)
+        puppet.tick()
+
+
 def braked_blindly(sample: int, seed: int) -> tuple[int, Array, Array]:
     """Lose all readings after `sample` amid garbage; return pattern's row, desired and applied openings."""
     puppet = Puppet()
