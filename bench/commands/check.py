@@ -47,6 +47,14 @@ def check_all(session: Session, name: str | None, console: Console) -> None:
         console.print(
             f"limits of the model-based check: {used.source}", style=style, highlight=False, soft_wrap=True
         )
+    else:
+        console.print(
+            "warning: the model-based check is off (envelope.model.check): "
+            "a valve that sticks is found tenths of a second later",
+            style="yellow",
+            highlight=False,
+            soft_wrap=True,
+        )
     checks = check_profile(profile, configuration.plant, configuration.envelope, str(path))
     console.print(_table(checks))
     if faults := [fault for check in checks for fault in check.faults]:
