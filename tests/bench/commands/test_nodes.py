@@ -53,9 +53,8 @@ def test_the_driver_finds_the_nodes_of_its_configuration_until_ctrl_c(file: Path
 
 
 def test_nodes_without_an_interface_say_what_to_do(file: Path) -> None:
-    file.write_text(
-        file.read_text().replace("local_socket", "no_such_interface") + "[lifecycle]\nlocal_reset = true\n"
-    )
+    of_a_robot = '[lifecycle]\nlocal_reset = true\n[loop]\nrealtime = "require"\n'
+    file.write_text(file.read_text().replace("local_socket", "no_such_interface") + of_a_robot)
     with command_beside(file, "nodes") as process:
         _, told = process.communicate(timeout=LONGEST)
     assert process.returncode == ExitCode.DEVICE
