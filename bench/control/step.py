@@ -70,6 +70,19 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     s.head[0], s.head[1], s.head[2], s.head[3], s.head[4], s.head[5] = head_motion(
         parameters.robot[0], e.angle[0], e.angle[1], e.angle[2], e.velocity[0], e.velocity[1], e.velocity[2]
     )
+    _observe(state, parameters, readings, elapsed)
+    _watch_inputs(state, parameters, readings, elapsed, time)
+    s.lost = readings_cause(parameters.envelope, state.estimator)
+    _note_lost_index(s, readings)
+    s.seen = s.seen or s.lost == 0
+    note_calm(s, parameters.control[0], e, elapsed)
+    _note_impact(parameters.control[0], s)
+
+
+@compiled
+def _observe(state: Any, parameters: Any, readings: Any, elapsed: float) -> None:
+    """Move the observers of valves and air on by `elapsed` s."""
+    s = state.control[0]
     s.vent_timer = 0.0 if s.exhaust_closed and relay_closed(readings) else s.vent_timer + elapsed
     vent = conductance_of_vents(parameters.plant[0], readings[0], s.vent_timer)
     if parameters.model[0].check:
@@ -101,12 +114,6 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
             elapsed,
             s.phase != Phase.IMPACT,
         )
-    _watch_inputs(state, parameters, readings, elapsed, time)
-    s.lost = readings_cause(parameters.envelope, state.estimator)
-    _note_lost_index(s, readings)
-    s.seen = s.seen or s.lost == 0
-    note_calm(s, parameters.control[0], e, elapsed)
-    _note_impact(parameters.control[0], s)
 
 
 @compiled

@@ -14,8 +14,8 @@ _LONGEST = 90.0
 def next_swing(bench: LockstepEngine) -> str:
     """Make `bench` ready for another ball as an operator does, and swing.
 
-    Return what is named on the way to the ball: the name of a cause, or of a request with why it is refused
-    for good. "" if the ball is struck.
+    Return the name of the cause that stops it before the ball, or of a request that is refused for good, with
+    the reason. "" if the ball is struck.
     """
     plant, latched, refused = bench.plant_state, bench.cause, ""
     plant["emergency_stop_clear"] = plant["guard_closed"] = True
