@@ -28,8 +28,9 @@ PARALLEL := -n 2 --dist loadfile --max-worker-restart 0
 test: $(VENV)/.dev  ## lint, types, import contracts, branches of the safety code, fast tests (five minutes)
 	@$(MAKE) --no-print-directory -j3 lint fast
 
+# Files in their order: those with few tests take longest, and would else come last and alone.
 test-all: $(VENV)/.dev  ## all other tests: slow and paced ones in parallel, then live ones alone (ARGS for pytest)
-	@failed=0; $(BIN)/python -m pytest -m '(slow and not live) or paced' $(PARALLEL) --durations 10 $(ARGS) || failed=$$?; \
+	@failed=0; $(BIN)/python -m pytest -m '(slow and not live) or paced' $(PARALLEL) --no-loadscope-reorder --durations 10 $(ARGS) || failed=$$?; \
 	$(BIN)/python -m pytest -m 'live and not paced' --durations 10 $(ARGS) || failed=$$?; exit $$failed
 
 # Compiled before, once: two workers would both compile it.
