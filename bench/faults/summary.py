@@ -81,9 +81,7 @@ def summarise(
             for family in FAMILIES
         },
         "reasons": _by_reason(outcomes),
-        "next_swing": dict(
-            Counter(o.next_swing for o in outcomes if o.verdict == "undetected").most_common()
-        ),
+        "next_swing": _by_next_swing(outcomes),
         "seconds": round(seconds, 1),
         "reaction_ticks": reaction_ticks(outcomes),
         "rows": rows,
