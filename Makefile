@@ -1,5 +1,6 @@
 # Two commands: `make demo` and `make test`. Both need Python >= 3.11 with venv and pip, nothing else.
-# `make test-all` has the tests that are too slow, too dependent on time or on tools for `make test`.
+# `make test-all` has the tests that are too slow, too dependent on time or on tools for `make test`;
+# `make test-release` what repeats or grinds: before a release, not with every change.
 # The rest is made here: .venv with the versions of constraints.txt.
 
 .SHELLFLAGS := -euc
@@ -29,16 +30,22 @@ test: $(VENV)/.dev  ## lint, types, import contracts, branches of the safety cod
 	@$(MAKE) --no-print-directory -j3 lint fast
 
 # Files in their order: those with few tests take longest, and would else come last and alone.
-test-all: $(VENV)/.dev  ## all other tests: slow and paced ones in parallel, then live ones alone (ARGS for pytest)
-	@failed=0; $(BIN)/python -m pytest -m '(slow and not live) or paced' $(PARALLEL) --no-loadscope-reorder --durations 10 $(ARGS) || failed=$$?; \
-	$(BIN)/python -m pytest -m 'live and not paced' --durations 10 $(ARGS) || failed=$$?; exit $$failed
+test-all: $(VENV)/.dev  ## slow and paced tests in parallel, then live ones alone (ARGS for pytest)
+	@failed=0; $(BIN)/python -m pytest -m '((slow and not live) or paced) and not release' $(PARALLEL) --no-loadscope-reorder --durations 10 $(ARGS) || failed=$$?; \
+	$(BIN)/python -m pytest -m 'live and not paced and not release' --durations 10 $(ARGS) || failed=$$?; exit $$failed
+
+test-release: $(VENV)/.benchmark  ## before a release: repeated tests, mutation, fault matrix, soak, virtual machine (hours)
+	@failed=0; $(BIN)/python -m pytest -m release $(PARALLEL) --durations 10 || failed=$$?; \
+	for part in mutation faults; do $(MAKE) --no-print-directory $$part || failed=$$?; done; \
+	$(BIN)/python -m tests.benchmarks soak --minutes 60 || failed=$$?; \
+	$(MAKE) --no-print-directory test-vm || failed=$$?; exit $$failed
 
 # Compiled before, once: two workers would both compile it.
 compile: $(VENV)/.dev
 	@$(BIN)/python -m tests.vm.compile_all
 
 fast: $(VENV)/.dev coverage compile  ## the tests of `make test` alone (ARGS for pytest)
-	@$(BIN)/python -m pytest -m 'not slow and not live' $(PARALLEL) $(ARGS)
+	@$(BIN)/python -m pytest -m 'not slow and not live and not release' $(PARALLEL) $(ARGS)
 
 lint: $(VENV)/.dev  ## ruff, strict types and import contracts
 	@$(BIN)/ruff check
@@ -114,4 +121,4 @@ $(VENV)/.benchmark: $(VENV)/.dev
 	@$(PIP) -e '.[benchmark]'
 	@touch $@
 
-.PHONY: help demo test test-all compile fast lint coverage coverage-all benchmark faults mutation test-vm benchmark-vm reference clean
+.PHONY: help demo test test-all test-release compile fast lint coverage coverage-all benchmark faults mutation test-vm benchmark-vm reference clean

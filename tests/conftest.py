@@ -9,8 +9,8 @@ Tools. `@pytest.mark.requires("chromium")`, or the fixture `tool` for its path, 
 is absent, by name; with GOLFBENCH_REQUIRE=chromium,postgres the skip is a failure. The run ends with a
 list of the skips by tool.
 
-Markers. `live` tests run alone, `slow` tests run in parallel, both in `make test-all`; a test without
-either runs in `make test`. A test that asks for a tool is `live`.
+Markers. `live` tests run alone, `slow` tests run in parallel, both in `make test-all`; `release` tests run in
+`make test-release` only; a test without a marker runs in `make test`. A test that asks for a tool is `live`.
 
 Random cases. With CI set hypothesis derives its cases from the test itself; elsewhere they are random,
 and a failure prints the blob that repeats it.

@@ -1,4 +1,4 @@
-"""A sample of a grid of cases for the fast tests; the whole grid runs in `make test-all`."""
+"""A sample of a grid of cases for the everyday tests; the whole grid runs in `make test-release`."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import Any
 import pytest
 
 
-def slow_except(fast: Collection[Any], cases: Iterable[Any]) -> list[Any]:
-    """Return `cases` for parametrize, those whose (first) value is not in `fast` marked slow.
+def release_except(sample: Collection[Any], cases: Iterable[Any]) -> list[Any]:
+    """Return `cases` for parametrize, marked `release` where their (first) value is not in `sample`.
 
     Raises:
-        ValueError: a value of `fast` is not among the cases.
+        ValueError: a value of `sample` is not among the cases.
     """
-    missing, made = set(fast), []
+    missing, marked = set(sample), []
     for case in cases:
         values = case if isinstance(case, tuple) else (case,)
         missing.discard(values[0])
-        made.append(pytest.param(*values, marks=() if values[0] in fast else pytest.mark.slow))
+        marked.append(pytest.param(*values, marks=() if values[0] in sample else pytest.mark.release))
     if missing:
         raise ValueError(f"not among the cases: {sorted(map(str, missing))}")
-    return made
+    return marked

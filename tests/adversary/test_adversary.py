@@ -1,4 +1,4 @@
-"""The adversary, for as long as `make test-all` has time; hours: `python -m tests.benchmarks adversary`."""
+"""The adversary: a few stories here, more before a release; hours: `python -m tests.benchmarks adversary`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from sim.faults import MEANINGS, SIGNALS, sort_of
 from tests.adversary.drawing import drawn_fault, improvise
 from tests.adversary.player import play
 from tests.adversary.story import Setup, Story, read_story
+from tests.sampling import release_except
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="minutes of the plant take hours without compilation"
@@ -114,7 +115,7 @@ def test_every_kind_of_fault_can_be_drawn() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("seed", range(1000, 1030))
+@pytest.mark.parametrize("seed", release_except(range(1000, 1004), range(1000, 1030)))
 def test_random_requests_and_faults_break_nothing(seed: int) -> None:
     story, _ = improvise(seed)
     assert not story.found, story.to_text()

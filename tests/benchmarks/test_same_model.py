@@ -16,6 +16,7 @@ from tests.benchmarks.mujoco_robot import SETTINGS, MujocoRobot
 from tests.benchmarks.pinocchio_robot import PinocchioRobot
 
 ROBOT = thesis_robot()
+pytestmark = pytest.mark.release
 
 
 def test_pinocchio_has_the_same_accelerations() -> None:

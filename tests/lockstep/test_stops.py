@@ -19,7 +19,7 @@ from bench.simulation.lockstep import Lockstep
 from bench.simulation.swing_operator import LONGEST_SWAY
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
-from tests.sampling import slow_except
+from tests.sampling import release_except
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
@@ -53,7 +53,7 @@ def test_the_instants_lie_in_all_parts_of_the_swing(default_profile: Profile) ->
 
 @pytest.mark.parametrize(
     ("name", "cause"),
-    slow_except(
+    release_except(
         {"none", "emergency stop", "encoders lost, no ball"},
         [
             ("none", Cause.NONE),
@@ -74,7 +74,7 @@ def test_stops_end_at_rest_within_the_ratings(stopped: StoppedAt, name: str, cau
 
 @pytest.mark.parametrize(
     "name",
-    slow_except(
+    release_except(
         {"wrist valve stuck shut"},
         ["shoulder valve stuck shut", "arm valve stuck shut", "wrist valve stuck shut"],
     ),
@@ -94,7 +94,7 @@ def test_ground_that_stands_too_high_overloads_nothing(stopped: StoppedAt, heigh
     assert outcome.time == 0.0
 
 
-@pytest.mark.parametrize("joint", slow_except({"arm"}, ["shoulder", "arm", "wrist"]))
+@pytest.mark.parametrize("joint", release_except({"arm"}, ["shoulder", "arm", "wrist"]))
 def test_it_overloads_nothing_when_the_model_tells_it_sooner(default_profile: Profile, joint: str) -> None:
     watching = EnvelopeSettings(model=ModelSettings(check="always"))
     check = SwingCheck(PlantParameters(), default_profile, envelope=watching)

@@ -32,7 +32,7 @@ from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import open_database
 from bench.telemetry.whole_file import NotStored
-from tests.sampling import slow_except
+from tests.sampling import release_except
 
 Call = Callable[..., Result]
 
@@ -320,7 +320,7 @@ def test_a_runner_that_lives_is_not_joined_by_a_second_one(user: User, tmp_path:
     require_free(tmp_path / "data", entry.bench)
 
 
-@pytest.mark.parametrize("name", slow_except({"two-balls", "repeatability"}, campaign_names()))
+@pytest.mark.parametrize("name", release_except({"two-balls", "repeatability"}, campaign_names()))
 def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
     """With two blocks; all of each: `python -m tests.benchmarks campaign_examples`."""
     shipped = load_configuration(Path("bag" if name in {"bag", "wedge"} else "shipped"))

@@ -61,7 +61,7 @@ def test_a_swing_says_what_became_wrong(configuration: Configuration, default: P
     assert not unsafe
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("name", CASES)
 def test_no_cause_is_named_that_is_not_there(
     configuration: Configuration, default: Profile, name: str

@@ -67,6 +67,7 @@ def test_a_rotation_is_its_quaternion() -> None:
         assert min(np.abs(found - expected).max(), np.abs(found + expected).max()) < 1e-12
 
 
+@pytest.mark.release
 def test_another_program_reads_the_gltf(shipped: PlantParameters, tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh", reason="needs trimesh (pip install '.[benchmark]')")
     everything = placed(shipped)
@@ -86,7 +87,7 @@ def exact(part: Part) -> float:
     return part.solid.volume.volume if ball else mesh_volume(part.solid.mesh)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("name", ["shipped", "iron7"])
 def test_exact_solids_have_the_stated_volume_and_centroid(name: str) -> None:
     b = build123d()
@@ -99,7 +100,7 @@ def test_exact_solids_have_the_stated_volume_and_centroid(name: str) -> None:
             assert centre == pytest.approx(part.solid.volume.centroid, abs=near), part.name
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_step_reads_back_with_names_and_volume(shipped: PlantParameters, tmp_path: Path) -> None:
     b = build123d()
     everything = placed(shipped)

@@ -123,6 +123,7 @@ def test_the_collision_bodies_are_those_of_the_clearance_checks(plant: PlantPara
 # Readers ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.release
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the reader's own calls
 def test_another_reader_shows_the_drawn_robot(plant: PlantParameters, folder: Path) -> None:
     yourdfpy = pytest.importorskip("yourdfpy", reason="needs yourdfpy (pip install '.[benchmark]')")
@@ -240,6 +241,7 @@ class MujocoReader:
 READERS = (PinocchioReader, MujocoReader)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("reader", READERS)
 def test_simulators_have_our_accelerations(
     plant: PlantParameters, folder: Path, reader: type[PinocchioReader] | type[MujocoReader]
@@ -252,6 +254,7 @@ def test_simulators_have_our_accelerations(
     assert worst < reader.TOLERANCE
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("reader", READERS)
 def test_the_wrist_s_cylinder_at_the_drawn_lever_has_our_accelerations(
     plant: PlantParameters, folder: Path, reader: type[PinocchioReader] | type[MujocoReader]

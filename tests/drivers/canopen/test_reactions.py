@@ -7,7 +7,7 @@ import pytest
 from bench.config import Configuration, load_configuration
 from bench.lifecycle import Phase, Reaction
 from tests.benchmarks.canopen_reactions import FAULTS, run_case
-from tests.sampling import slow_except
+from tests.sampling import release_except
 
 CASES = {
     "positions doubled": (Phase.COMMITTED, Reaction.NONE),
@@ -24,7 +24,9 @@ def configuration() -> Configuration:
     return load_configuration(None)
 
 
-@pytest.mark.parametrize("fault", slow_except({"the bench silent", "an encoder's positions missing"}, CASES))
+@pytest.mark.parametrize(
+    "fault", release_except({"the bench silent", "an encoder's positions missing"}, CASES)
+)
 def test_the_valve_node_reacts_in_time_and_nothing_breaks(configuration: Configuration, fault: str) -> None:
     phase, reaction = CASES[fault]
     case = run_case(configuration, fault, phase)
