@@ -337,7 +337,8 @@ class CanopenDriver:
             if self._awaited >> joint & 1:
                 raise DriverError(
                     f"canopen: node {self._numbers[joint]} ({self._roles[joint]}), object "
-                    f"{self.settings.encoders.position:04X}h in TPDO2: found no answer to SYNC within "
+                    f"{self.settings.encoders.position:04X}h in "
+                    f"TPDO{self.settings.encoders.position_pdo - 0x17FF}: found no answer to SYNC within "
                     f"{self.settings.service_time:g} s, expected one; check that its SYNC identifier (1005h) "
                     "is 080h"
                 )

@@ -26,6 +26,7 @@ from drivers.canopen.setup import (
     IO_PROFILE,
     OUTPUT_ERRORS,
     identify,
+    require_position_pdo,
     without_fallback,
 )
 from drivers.canopen.zero_shift import read_zero_shift
@@ -38,8 +39,6 @@ _STOPPED, _OPERATIONAL = 4, 5
 """States in a heartbeat."""
 _PROTOCOL_ABORTS = range(0x05030000, 0x05050000)
 """Abort codes of a dialogue that went wrong, as another client's questions in between make it."""
-_ENCODER_OBJECTS = (0x1017, 0, "heartbeat"), (0x1801, 1, "identifier of the PDO")
-"""Objects of an encoder that the startup needs, beside its position."""
 _ATTEMPTS = 3
 """Attempts to reach or read one node."""
 _GAP = 0.002
@@ -199,7 +198,11 @@ class _Scanner:
                 scale = read_scale(node)
                 properties, shift = describe_scale(scale), read_zero_shift(node)
                 verdict = describe_settings(wanted_settings(node, scale, self._counts))
-                _need(node, (*_ENCODER_OBJECTS, (self._settings.encoders.position, 0, "position")))
+                require_position_pdo(node, self._settings.encoders)
+                position = self._settings.encoders.position
+                _need(
+                    node, ((0x1017, 0, "heartbeat"), (position, 0, "position"), (0x1001, 0, "error register"))
+                )
             elif profile == IO_PROFILE:
                 properties, verdict = judge_io_node(node, self._settings)
             if not role:

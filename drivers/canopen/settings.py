@@ -32,6 +32,9 @@ class EncoderSettings:
     """Product code (1018h:2); 0 accepts any."""
     position: Annotated[int, Ge(0x2000), Le(0x9FFF)] = 0x6004
     """Position object, 32 bits."""
+    position_pdo: Annotated[int, Ge(0x1800), Le(0x19FF)] = 0x1801
+    """Communication object of the PDO that sends the position with SYNC, its mapping 200h above; 0x1802 for
+    devices of version 2 of DS 406."""
 
 
 @dataclass(frozen=True)

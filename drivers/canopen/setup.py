@@ -13,7 +13,7 @@ from drivers.canopen.frames import RPDO1, TPDO1, TPDO2, TPDO3, pressure_groups, 
 from drivers.canopen.polarity import check_stored, set_polarity
 from drivers.canopen.scaling import set_scale
 from drivers.canopen.services import MISSING, Node, ServiceError
-from drivers.canopen.settings import CanopenSettings, ValveNodeSettings
+from drivers.canopen.settings import CanopenSettings, EncoderSettings, ValveNodeSettings
 
 ENCODER_PROFILE, IO_PROFILE = 406, 401
 _RPDO, _RPDO_MAP, _TPDO, _TPDO_MAP = 0x1400, 0x1600, 0x1800, 0x1A00
@@ -40,10 +40,28 @@ def set_up_encoder(node: Node, settings: CanopenSettings, counts: int) -> int:
     chosen = settings.encoders
     identify(node, ENCODER_PROFILE, chosen.vendor, chosen.product)
     total = set_scale(node, counts, chosen.position)
-    _silence(node, _TPDO, {1})
-    _set_pdo(node, _TPDO + 1, _TPDO_MAP + 1, TPDO2 + node.number, 1, [chosen.position << 16 | 32])
+    pdo, mapping = require_position_pdo(node, chosen)
+    _silence(node, _TPDO, {pdo - _TPDO})
+    _set_pdo(node, pdo, mapping, TPDO2 + node.number, 1, [chosen.position << 16 | 32])
     _set_heartbeat(node, settings)
     return total
+
+
+def require_position_pdo(node: Node, chosen: EncoderSettings) -> tuple[int, int]:
+    """Return communication and mapping object of the PDO of the position.
+
+    Raises:
+        DriverError: the device does not have them, or does not answer.
+    """
+    pdo, mapping = chosen.position_pdo, chosen.position_pdo + _TPDO_MAP - _TPDO
+    for index, subindex, name in ((pdo, 1, "identifier of the PDO"), (mapping, 0, "mapping of the PDO")):
+        if node.find(index, subindex, name) is None:
+            raise DriverError(
+                f"{node.place(index, subindex, name)}: found no such object, expected the PDO that the "
+                "encoder sends with SYNC; set canopen.encoders.position_pdo to the one in its manual: "
+                "0x1801, or 0x1802 in version 2 of DS 406"
+            )
+    return pdo, mapping
 
 
 def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) -> None:

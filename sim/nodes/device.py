@@ -40,6 +40,8 @@ _ERROR_REGISTER, _SYNC_COB_ID, _EMERGENCY_COB_ID = 0x1001, 0x1005, 0x1014
 _CONSUMER_HEARTBEAT, _PRODUCER_HEARTBEAT = 0x1016, 0x1017
 _ERROR_BEHAVIOUR = 0x1029, 0x67FE
 """Object of CiA 301, and of older devices of CiA 401."""
+SYNC = EMERGENCY = 0x80
+"""Identifier of SYNC; of emergency messages with the node's number added. Default without 1005h, 1014h."""
 _STORE, _SAVE = 0x1010, int.from_bytes(b"save", "little")
 _INVALID = 0x80000000
 _EVENT = 254
@@ -127,7 +129,7 @@ class CanopenDevice:
         self._heartbeat, self._heartbeat_due = math.inf, math.inf
         self._watched: dict[int, tuple[float, float]] = {}
         """Consumer heartbeats: node -> time-out (s), time of expiry (s)."""
-        self._sync = 0x80
+        self._sync = SYNC
         self._now = 0.0
         self._trouble = False
 
@@ -222,7 +224,8 @@ class CanopenDevice:
         self.errors += code != NO_ERROR
         self.put(_ERROR_REGISTER, 0, register)
         if self.state != STOPPED:
-            self._send(self.number_at(_EMERGENCY_COB_ID) & 0x7FF, struct.pack("<HB5x", code, register))
+            identifier = self.number_at(_EMERGENCY_COB_ID, otherwise=EMERGENCY + self.number) & 0x7FF
+            self._send(identifier, struct.pack("<HB5x", code, register))
 
     def send_changed(self, index: int) -> None:
         """Send every event-driven TPDO that maps object `index`."""
@@ -237,8 +240,10 @@ class CanopenDevice:
         """Return whether the dictionary has the object (index, sub-index)."""
         return key in self._objects
 
-    def number_at(self, index: int, subindex: int = 0) -> int:
-        """Return the value of an integer object."""
+    def number_at(self, index: int, subindex: int = 0, otherwise: int = 0) -> int:
+        """Return the value of an integer object, `otherwise` if the device does not have it."""
+        if (index, subindex) not in self:
+            return otherwise
         signed = self._find(index, subindex).data_type in SIGNED_TYPES
         return int.from_bytes(self.get_data(index, subindex), "little", signed=signed)
 
@@ -247,8 +252,9 @@ class CanopenDevice:
         return len(self._find(index, subindex)) // 8
 
     def put(self, index: int, subindex: int, value: int) -> None:
-        """Set an object from inside the device."""
-        self._values[index, subindex] = self._find(index, subindex).encode_raw(value)
+        """Set an object from inside the device, if it has it."""
+        if (index, subindex) in self:
+            self._values[index, subindex] = self._find(index, subindex).encode_raw(value)
 
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
         """Return the bytes of an object for canopen's SDO server.
@@ -330,7 +336,7 @@ class CanopenDevice:
             SdoAbortedError: a valid PDO is changed, or an object cannot be mapped.
         """
         communication = index & ~0x200 if index & 0x200 else index
-        cob_id = self.number_at(communication, 1)
+        cob_id = self.number_at(communication, 1, otherwise=_INVALID)
         if index == communication:
             if subindex == 1 and not (cob_id | value) & _INVALID and cob_id & 0x7FF != value & 0x7FF:
                 raise SdoAbortedError(_BAD_VALUE)
@@ -357,14 +363,15 @@ class CanopenDevice:
         """Return the valid PDOs of one direction."""
         for number in range(8):
             if communication + number not in self.object_dictionary:
-                return
-            cob_id = self.number_at(communication + number, 1)
+                continue
+            cob_id = self.number_at(communication + number, 1, otherwise=_INVALID)
             count = self.number_at(mapping + number)
             if cob_id & _INVALID or not count:
                 continue
             entries = [self.number_at(mapping + number, n) for n in range(1, count + 1)]
-            has_timer = (communication + number, 5) in self
-            timer = self.number_at(communication + number, 5) if has_timer else 0
+            if not all((entry >> 16, entry >> 8 & 0xFF) in self for entry in entries):
+                continue
+            timer = self.number_at(communication + number, 5)
             yield Pdo(
                 number,
                 cob_id & 0x7FF,
@@ -379,10 +386,9 @@ class CanopenDevice:
         self._rpdos = {pdo.identifier: pdo for pdo in self._pdos(0x1400, 0x1600)}
         if self.state == OPERATIONAL:
             self._start_timers()
-        self._sync = self.number_at(_SYNC_COB_ID) & 0x7FF
-        heartbeat = math.inf
-        if (_PRODUCER_HEARTBEAT, 0) in self:  # older devices answer node guarding only
-            heartbeat = 1e-3 * self.number_at(_PRODUCER_HEARTBEAT) or math.inf
+        self._sync = self.number_at(_SYNC_COB_ID, otherwise=SYNC) & 0x7FF
+        # Older devices have no heartbeat: they answer node guarding only.
+        heartbeat = 1e-3 * self.number_at(_PRODUCER_HEARTBEAT) or math.inf
         if heartbeat != self._heartbeat:
             self._heartbeat, self._heartbeat_due = heartbeat, self._now + heartbeat
         watched = {}

@@ -48,7 +48,7 @@ class EncoderNode(CanopenDevice):
         """Power up with the built-in resolution, and the preset and offset as stored or delivered."""
         self._healthy = True
         super().boot(now)
-        self._offset = self.number_at(_OFFSET) if (_OFFSET, 0) in self else 0
+        self._offset = self.number_at(_OFFSET)
         changed = () if self.personality is None else self.personality.objects
         delivered = {(one.index, one.subindex) for one in changed if one.value is not None}
         total = self._resolution * max(1, self._revolutions)
@@ -58,8 +58,7 @@ class EncoderNode(CanopenDevice):
             (_UNITS, self._resolution),
             (_RANGE, total - self._range_is_last),
         ):
-            known = (index, 0) in self and (index, 0) not in delivered | self._stored.keys()
-            if known:
+            if (index, 0) not in delivered | self._stored.keys():
                 self.put(index, 0, value & _MAX)
         self.sampled()
 
@@ -74,16 +73,18 @@ class EncoderNode(CanopenDevice):
     def _positioned(self, count: int) -> int:
         """Return the position of a plant's `count`, scaled and directed according to the settings."""
         disc = self._resolution
-        operating = self.number_at(_OPERATING) if (_OPERATING, 0) in self else 0
+        operating = self.number_at(_OPERATING)
         if disc != self._plant_counts:
             count = count * disc // self._plant_counts
         if operating & _REVERSED:
             count = -count
-        if (operating & _SCALED or self._always_scaled) and (_UNITS, 0) in self:
-            units = self.number_at(_UNITS)
-            total = self.number_at(_RANGE) + self._range_is_last if (_RANGE, 0) in self else units
+        turns = max(1, self.number_at(_REVOLUTIONS, otherwise=self._revolutions))
+        if (operating & _SCALED or self._always_scaled) and (units := self.number_at(_UNITS)):
+            total = (
+                self.number_at(_RANGE, otherwise=units * turns - self._range_is_last) + self._range_is_last
+            )
             return (count * units // disc + self._offset) % (total & _MAX or _MAX + 1)
-        return (count + self._offset) % (disc * max(1, self.number_at(_REVOLUTIONS)))
+        return (count + self._offset) % (disc * turns)
 
     def written(self, index: int) -> None:
         """Apply direction and scaling, or shift the position to the preset value."""
@@ -92,8 +93,7 @@ class EncoderNode(CanopenDevice):
         if index == _PRESET:
             preset = self.number_at(_PRESET)
             self._offset += preset - self.number_at(_POSITION)
-            if (_OFFSET, 0) in self:
-                self.put(_OFFSET, 0, self._offset)
+            self.put(_OFFSET, 0, self._offset)
             self.put(_POSITION, 0, preset)
 
     def set_health(self, healthy: bool) -> None:

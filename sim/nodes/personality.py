@@ -71,7 +71,8 @@ class Personality:
                 del dictionary[index]
             else:
                 entry.subindices.pop(subindex, None)
-        for change in self.objects:
+        # The highest sub-index first: it makes the array, and the number of its entries.
+        for change in sorted(self.objects, key=lambda one: one.subindex, reverse=True):
             found = _object(dictionary, change.index, change.subindex, change.kind)
             found.data_type = found.data_type if change.kind is None else change.kind
             found.default = found.default if change.value is None else change.value

@@ -34,7 +34,7 @@ from sim.live.exchange import PLANT_SURROUNDINGS
 from sim.live.process import PlantFiles, ask_for_scheduling, send_event
 from sim.live.wall_grid import WallGrid
 from sim.live.wall_plant import WallPlant
-from sim.nodes.device import OPERATIONAL, CanopenDevice
+from sim.nodes.device import OPERATIONAL, SYNC, CanopenDevice
 from sim.nodes.encoder import EncoderNode
 from sim.nodes.plan import NodesPlan
 from sim.nodes.valves import ValveNode401
@@ -48,7 +48,6 @@ _RETRY_PERIOD = 0.5
 """Time between two attempts to reopen an interface, s."""
 _MAX_EXTRAPOLATION = 0.005
 """Max extrapolation of a stalled plant, s."""
-_SYNC = 0x80
 _LEAD, _PULL, _MAX_PULL = 0.3, 0.05, 20e-6
 """Synchronisation of the plant's ticks to shortly before the SYNCs, so that little is extrapolated: lead as a
 share of a tick, correction per SYNC as a share of the deviation, and max correction per SYNC (s)."""
@@ -280,7 +279,7 @@ def _live(
                 age = time.time() - message.timestamp
                 received = clock() - (age if 0.0 < age < _MAX_EXTRAPOLATION else 0.0)
                 nodes.receive(message.arbitration_id, bytes(message.data), received)
-                if message.arbitration_id == _SYNC:
+                if message.arbitration_id == SYNC:
                     apart = (received - nodes.instant - _LEAD * tick + tick / 2) % tick - tick / 2
                     offset += max(-_MAX_PULL, min(_MAX_PULL, _PULL * apart))
         now = clock()

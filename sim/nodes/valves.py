@@ -56,20 +56,14 @@ class ValveNode401(CanopenDevice):
         chosen, value = self._of_outputs(_OUTPUT_ERROR_MODE), self._of_outputs(_OUTPUT_ERROR_VALUE)
         self.put(_OUTPUTS, 1, before & ~chosen | value & chosen)
         for valve in (1, 2, 3):
-            if self._value(_VOLTAGE_ERROR_MODE, valve) and (_VOLTAGE_ERROR_VALUE, valve) in self:
+            if self.number_at(_VOLTAGE_ERROR_MODE, valve) and (_VOLTAGE_ERROR_VALUE, valve) in self:
                 shift = 8 * self.size_of(_VOLTAGE_ERROR_VALUE, valve) - 16
                 self.put(_VOLTAGE_OUT, valve, self.number_at(_VOLTAGE_ERROR_VALUE, valve) >> shift)
         self._drive()
 
-    def _value(self, index: int, subindex: int, otherwise: int = 0) -> int:
-        """Return the value of an object, or `otherwise` if the device does not have it."""
-        return self.number_at(index, subindex) if (index, subindex) in self else otherwise
-
     def _of_outputs(self, index: int) -> int:
         """Return error modes or values of the eight outputs, from the objects that the device has."""
-        if (index, 1) in self:
-            return self.number_at(index, 1)
-        return self._value(_GROUPS_OF_16[index], 1) & 0xFF
+        return self.number_at(index, 1, self.number_at(_GROUPS_OF_16[index], 1) & 0xFF)
 
     def sense(self, readings: Readings) -> None:
         """Update contacts and pressures from `readings`."""
@@ -85,7 +79,7 @@ class ValveNode401(CanopenDevice):
         )
         inputs = sum(closed << bit for bit, closed in enumerate(contacts))
         for polarity in _INPUT_POLARITY:
-            inputs ^= self._value(polarity, 1) & 0xFF
+            inputs ^= self.number_at(polarity, 1) & 0xFF
         self._measure((readings.supply_pressure, *readings.chamber_pressure))
         if inputs != self.number_at(_INPUTS, 1):
             self.put(_INPUTS, 1, inputs)
@@ -100,10 +94,10 @@ class ValveNode401(CanopenDevice):
     def _drive(self) -> None:
         taking = 0xFF
         for mask in _OUTPUT_MASK:
-            taking &= self._value(mask, 1, 0xFF)
+            taking &= self.number_at(mask, 1, 0xFF)
         outputs = self._latched = self._latched & ~taking | self.number_at(_OUTPUTS, 1) & taking
         for polarity in _OUTPUT_POLARITY:
-            outputs ^= self._value(polarity, 1) & 0xFF
+            outputs ^= self.number_at(polarity, 1) & 0xFF
         a, b, c = (self.number_at(_VOLTAGE_OUT, valve) * _VOLTS / _CENTRE - 1.0 for valve in (1, 2, 3))
         supply, closed, release, beacon, tee = (bool(outputs >> bit & 1) for bit in range(5))
         self._obey_outputs(device_limited(Command((a, b, c), supply, closed, not release, beacon, tee)))

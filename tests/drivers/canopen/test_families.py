@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_pl
 
 ENCODERS = {name: one for name, one in personalities().items() if one.role == ENCODER}
 NODES = {name: one for name, one in personalities().items() if one.role == IO}
-NOT_THE_SHAFTS = {"siko-msa501", "temposonics-e", "preset-17"}
+NOT_THE_SHAFTS = {"siko-msa501", "temposonics-e", "preset-17", "ds406-v2"}
 ROTARY = {name: one for name, one in ENCODERS.items() if name not in NOT_THE_SHAFTS}
 TAKEN = {name: one for name, one in NODES.items() if name != "inverted-fixed"}
 PLANT_COUNTS = 2**17
@@ -143,6 +144,45 @@ def test_an_io_node_starts_passive_after_a_loss_of_power(name: str) -> None:
     driver.write(PASSIVE._replace(valve=(1.0, 1.0, 1.0), supply_enable=True, exhaust_closed=True))
     wire.nodes.valve_node.boot(wire.now)
     assert wire.in_force == PASSIVE
+
+
+def test_encoder_of_ds406_version_2_is_taken_with_its_position_pdo_configured() -> None:
+    old = ENCODERS["ds406-v2"]
+    settings = replace(SETTINGS, encoders=replace(SETTINGS.encoders, position_pdo=0x1802))
+    driver, wire = bus(encoder=old, counts=old.counts, settings=settings)
+    driver.open()
+    assert_counts_are_the_shafts(driver, wire, old.counts)
+
+
+def test_encoder_of_ds406_version_2_is_refused_with_the_key_to_set() -> None:
+    old = ENCODERS["ds406-v2"]
+    driver, _ = bus(encoder=old, counts=old.counts)
+    with pytest.raises(DriverError, match=r"object 1801h:1 .*set canopen\.encoders\.position_pdo .* 0x1802"):
+        driver.open()
+
+
+@pytest.mark.parametrize(
+    "absent", [("6002",), ("6501",), ("6502",), ("6002", "6501", "6502", "6503", "6509")]
+)
+def test_encoder_without_a_describing_object_is_taken(absent: tuple[str, ...]) -> None:
+    missing = frozenset((int(index, 16), None) for index in absent)
+    driver, wire = bus(
+        encoder=Personality("few", ENCODER, "any", "any", "", counts=2**14, absent=missing), counts=2**14
+    )
+    driver.open()
+    assert_counts_are_the_shafts(driver, wire, 2**14)
+
+
+@pytest.mark.parametrize("role", [ENCODER, IO])
+def test_node_without_any_one_object_is_taken_or_refused_by_the_driver(role: str) -> None:
+    _, plain = bus()
+    device = plain.nodes.valve_node if role == IO else plain.nodes.encoders[0]
+    for index in device.object_dictionary:
+        lacking = Personality("lacking", role, "any", "any", "", absent=frozenset({(index, None)}))
+        driver, _ = bus(**{role: lacking})
+        with suppress(DriverError):
+            driver.open()
+            run(driver)
 
 
 def test_storing_may_take_its_time_and_no_longer() -> None:
