@@ -6,6 +6,8 @@ quick.
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -14,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn, cast
 
 import typer
 
+from bench.commands.any_terminal import accept_any_text
 from bench.commands.calibrate import app as calibration_app
 from bench.commands.campaign import app as campaign_app
 from bench.commands.certificates import certificates
@@ -243,6 +246,7 @@ def command_line() -> TyperGroup:
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line with `arguments` (those of the process by default) and exit with its code."""
+    accept_any_text()
     session = Session()
     code: int | str | None = ExitCode.OK
     try:
@@ -274,10 +278,23 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
             return ["\n".join((*lines, f"  to do:    {error.cure}"))], error.exit_code
         case DriverError():
             return [f"error: {error}"], ExitCode.DEVICE
+        case FileNotFoundError() if not _has_working_directory():
+            text = "error: working directory: it was deleted\n  to do:    cd to a folder that exists"
+            return [text], ExitCode.FILE
         case OSError(filename=str() | bytes() | Path()):
             return [f"error: {error.filename!s}: {error.strerror}"], ExitCode.FILE
+        case OSError(errno=errno.ENOSPC | errno.EDQUOT | errno.EIO | errno.EROFS):
+            return [f"error: standard output or a file: {error.strerror}"], ExitCode.FILE
         case _:
             cause = f"internal error: {type(error).__name__}: {error}"
             return [
                 f"{cause}\n  to do:    report it with the output of golfbench --debug ..."
             ], ExitCode.INTERNAL
+
+
+def _has_working_directory() -> bool:
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return False
+    return True

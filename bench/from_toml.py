@@ -11,6 +11,7 @@ import json
 import re
 import sys
 import tomllib
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from math import pi
@@ -57,18 +58,53 @@ def read_toml(path: Path, expected: str, cure: str) -> dict[str, Any]:
     Raises:
         BenchError: the file is missing, unreadable or not TOML; `expected` and `cure` go into the message.
     """
+    return parse_toml(read_text(path, expected, cure), str(path))
+
+
+def parse_toml(text: str, place: str) -> dict[str, Any]:
+    """Return the tables of TOML.
+
+    Raises:
+        BenchError: `text` is not TOML.
+    """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise BenchError(place, f"invalid TOML: {error}", "TOML", "Correct that line.") from None
+    except RecursionError:
+        raise BenchError(place, "values nested too deep", "TOML", "Correct the file.") from None
+
+
+def read_text(path: Path, expected: str, cure: str) -> str:
+    """Return the text of a file that a person has written, without the byte order mark of some editors.
+
+    Raises:
+        BenchError: the file is missing, unreadable or not UTF-8; `expected` and `cure` go into the message.
+    """
+    try:
+        content = path.read_bytes()
     except FileNotFoundError:
         raise BenchError(str(path), "no such file", expected, cure) from None
     except OSError as error:
         raise BenchError(str(path), error.strerror or str(error), "a file that can be read", cure) from None
+    if (other := _other_encoding(content)) is not None:
+        raise BenchError(str(path), f"text in {other}", "UTF-8 text", "Save it as UTF-8.")
+    try:
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BenchError(
             str(path), f"a byte that is not UTF-8 at offset {error.start}", "UTF-8 text", "Save it as UTF-8."
         ) from None
-    except tomllib.TOMLDecodeError as error:
-        raise BenchError(str(path), f"invalid TOML: {error}", "TOML", "Correct that line.") from None
+
+
+def _other_encoding(content: bytes) -> str | None:
+    """Return the name of an encoding of two or four bytes a character, by its mark or the zeros in it."""
+    if content.startswith((BOM_UTF32_LE, BOM_UTF32_BE)):  # one of them begins as that of UTF-16
+        return "UTF-32"
+    if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        return "UTF-16"
+    begin = content[:64]
+    return "UTF-16, without a byte order mark" if begin and 3 * begin.count(0) >= len(begin) else None
 
 
 def as_tree(tables: Mapping[str, Any], file: Path, faults: list[BenchError], path: str = "") -> Tree:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bench.campaign.runner import Watcher
 from bench.errors import BenchError
+from bench.from_toml import read_text
 from bench.store.campaigns import CampaignEntry, CampaignState
 
 if TYPE_CHECKING:
@@ -58,11 +59,8 @@ def read_services(file: Path) -> list[Service]:
     log = logging.getLogger("apprise")
     log.propagate = False  # its texts may name a URL
     log.addHandler(logging.NullHandler())
-    try:
-        mode, text = file.stat().st_mode, file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        cure = "Write the URLs of the services to it, one a line."
-        raise BenchError(f"notifications.file: {file}", type(error).__name__, "a text file", cure) from None
+    text = read_text(file, "a text file", "Write the URLs of the services to it, one a line.")
+    mode = file.stat().st_mode
     if mode & 0o077:
         expected, cure = "readable by its owner only: it holds secrets", f"chmod 600 {file}"
         raise BenchError(f"notifications.file: {file}", f"mode {mode & 0o777:o}", expected, cure)

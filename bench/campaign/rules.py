@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
 from math import radians
 from pathlib import Path
 from typing import Any
+
+from bench.from_toml import read_toml
 
 FILE = Path(__file__).with_name("rules.toml")
 
@@ -76,7 +77,7 @@ class RuleSet:
 
 def rule_sets() -> dict[str, RuleSet]:
     """Return the shipped rule sets by name."""
-    tables = tomllib.loads(FILE.read_text(encoding="utf-8"))
+    tables = read_toml(FILE, "the rules", "Reinstall golfbench.")
     return {name: _rule_set(name, entry) for name, entry in tables.items()}
 
 

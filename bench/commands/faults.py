@@ -244,7 +244,7 @@ def _from_matrix(matrix: Path, document: Callable[[dict[str, Any]], str]) -> str
     from bench.errors import BenchError
 
     try:
-        return document(json.loads(matrix.read_text()))
+        return document(json.loads(matrix.read_text(encoding="utf-8")))
     except (ValueError, KeyError, TypeError):
         raise BenchError(
             str(matrix),

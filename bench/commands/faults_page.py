@@ -56,7 +56,7 @@ def reasons_table(summary: dict[str, Any]) -> Table:
 def matrix_page(summary: dict[str, Any], comparison: list[dict[str, Any]] | None = None) -> str:
     """Return the page: one file without external resources."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    template = environment.from_string((files("bench.faults") / "page.html.j2").read_text())
+    template = environment.from_string((files("bench.faults") / "page.html.j2").read_text(encoding="utf-8"))
     return template.render(
         summary=summary, next_swing=next_swing_text(summary), phases=PHASES, comparison=comparison or []
     )

@@ -10,7 +10,6 @@ or `[balls]` that says `like = "driver"` gives only what differs from that one.
 from __future__ import annotations
 
 import logging
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,7 +71,7 @@ def variants_with(section: str, name: str) -> list[str]:
     """Return the variants that come with golfbench whose own file has the table [`section`.`name`]."""
     found = []
     for variant in sorted(VARIANTS.glob("*.toml")):
-        table = tomllib.loads(variant.read_text(encoding="utf-8")).get(section)
+        table = read_toml(variant, "a configuration file", "Reinstall golfbench.").get(section)
         if isinstance(table, dict) and name in table:
             found.append(variant.stem)
     return found
@@ -140,8 +139,11 @@ def _read(file: Path, faults: list[BenchError], above: tuple[Path, ...]) -> tupl
 
 
 def _name(file: Path) -> Path:
-    """Return `file` relative to the working directory when it lies in it."""
-    resolved, here = file.resolve(), Path.cwd()
+    """Return `file` relative to the working directory when it lies in it; as it is when that is gone."""
+    try:
+        resolved, here = file.resolve(), Path.cwd()
+    except FileNotFoundError:
+        return file
     return resolved.relative_to(here) if resolved.is_relative_to(here) else file
 
 

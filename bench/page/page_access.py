@@ -16,6 +16,7 @@ from threading import Lock
 from typing import NamedTuple
 
 from bench.errors import BenchError
+from bench.from_toml import read_text
 
 SHORTEST_TOKEN = 20
 """Min length of a token, characters."""
@@ -93,10 +94,8 @@ def read_tokens(file: Path) -> dict[str, PageRole]:
     Raises:
         BenchError: it cannot be read, others may read it, a line is invalid, or there is no token.
     """
-    try:
-        mode, text = file.stat().st_mode, file.read_text(encoding="ascii")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BenchError(str(file), type(error).__name__, "a text file with tokens", "Write it.") from None
+    text = read_text(file, "a text file with tokens", "Write it.")
+    mode = file.stat().st_mode
     if mode & 0o077:
         expected, cure = "readable by its owner only: it holds secrets", f"chmod 600 {file}"
         raise BenchError(str(file), f"mode {mode & 0o777:o}", expected, cure)

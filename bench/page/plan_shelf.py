@@ -7,14 +7,14 @@ and nothing else.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Collection, Mapping
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 from bench.campaign.plan_file import EXAMPLES, campaign_names
-from bench.errors import Refused
+from bench.errors import BenchError, Refused
+from bench.from_toml import parse_toml, read_text
 
 MAX_PLANS = 100
 """Max number of listed plans of the bench."""
@@ -77,15 +77,15 @@ def _described(name: str, file: Path, known: Mapping[str, Collection[str]]) -> d
     """Return a plan for the list; one that cannot be read is checked in words when it is chosen."""
     title, about, lacks = name, "", []
     try:
-        text = file.read_text(encoding="utf-8")
+        text = read_text(file, "a plan", "Correct the path.")
         lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
         about = " ".join(line.removeprefix("#").strip() for line in lines)[:_LONGEST_ABOUT]
-        plan = tomllib.loads(text)
+        plan = parse_toml(text, str(file))
         campaign = plan.get("campaign")
         if isinstance(campaign, dict) and isinstance(campaign.get("title"), str) and campaign["title"]:
             title = campaign["title"][:200]
         lacks = [one for section, names in known.items() for one in _lacking(plan, section, names)]
-    except (OSError, ValueError, RecursionError):
+    except BenchError:
         pass
     return {"name": name, "title": title, "about": about, "shipped": file.parent == EXAMPLES, "lacks": lacks}
 

@@ -273,7 +273,7 @@ def _clear(folder: int, but: str) -> None:
 def _start_of(pid: int) -> int | None:
     """Return the start time of process `pid` (clock ticks since boot), None if it is dead."""
     try:
-        state, *fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        state, *fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except (OSError, ValueError):
         return None
     return None if state in "ZX" else int(fields[18])

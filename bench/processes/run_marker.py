@@ -37,7 +37,7 @@ class RunMarker:
             ) from error
         before: Mapping[str, Any] = {}
         with suppress(OSError, ValueError):  # missing or corrupt: start without state
-            before = json.loads(self.path.read_text())
+            before = json.loads(self.path.read_text(encoding="utf-8"))
             before = before if isinstance(before, dict) else {}
         self.was_killed = bool(before.get("running"))
         """Whether the previous shutdown was unclean."""

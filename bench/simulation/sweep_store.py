@@ -31,7 +31,7 @@ class SweepStore(Generic[Result]):
         self.results: dict[str, Result] = {}
         self.seconds = 0.0
         """Time that the results took over all runs, s."""
-        lines = path.read_text().splitlines() if path.exists() else []
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
         header = {"schema": _SCHEMA, "digest": digest}
         if not lines or _parsed(lines[0]) != header:
             lines = [json.dumps(header)]
@@ -53,13 +53,13 @@ class SweepStore(Generic[Result]):
         lines = [
             json.dumps({"case": case, "result": self._encode(result)}) for case, result in results.items()
         ]
-        with self.path.open("a") as file:
+        with self.path.open("a", encoding="utf-8") as file:
             file.write("".join(f"{line}\n" for line in lines))
 
     def took(self, seconds: float) -> None:
         """Store the duration of a run."""
         self.seconds += seconds
-        with self.path.open("a") as file:
+        with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"seconds": round(seconds, 1)}) + "\n")
 
 

@@ -90,7 +90,7 @@ def quiet_environment(folder: Path, environment: Mapping[str, str]) -> dict[str,
     command = [str(rerun_program()), "analytics", "disable"]
     subprocess.run(command, env=quiet, capture_output=True, timeout=_START, check=False)
     try:
-        settings = json.loads((folder / "config" / "rerun" / "analytics.json").read_text())
+        settings = json.loads((folder / "config" / "rerun" / "analytics.json").read_text(encoding="utf-8"))
         if settings["analytics_enabled"] is False:
             return quiet
         found = f"analytics_enabled {settings['analytics_enabled']}"

@@ -28,7 +28,7 @@ class MonitorQuirk(NamedTuple):
 def quirks() -> Mapping[str, MonitorQuirk]:
     """Return the quirks by device name in lower case."""
     found: dict[str, MonitorQuirk] = {}
-    for name, entry in tomllib.loads(_FILE.read_text(encoding="utf-8")).items():
+    for name, entry in tomllib.loads(_FILE.read_text(encoding="utf-8-sig")).items():
         ignore = frozenset(field.lower() for field in entry["ignore"])
         quirk = MonitorQuirk(name, tuple(entry["names"]), ignore, entry["reason"], entry["source"])
         found |= {device.lower(): quirk for device in quirk.devices}

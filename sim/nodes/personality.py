@@ -84,7 +84,7 @@ class Personality:
 @cache
 def personalities() -> Mapping[str, Personality]:
     """Return all families by name."""
-    entries = tomllib.loads(FILE.read_text(encoding="utf-8"))
+    entries = tomllib.loads(FILE.read_text(encoding="utf-8-sig"))
     return {name: _read(name, entry) for name, entry in entries.items()}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pickle
 import re
@@ -11,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import psutil
@@ -21,6 +23,7 @@ from bench.errors import BenchError, ExitCode, Refused
 from bench.interrupt import Terminated
 from drivers.base import DriverError
 
+TOP = Path(__file__).resolve().parents[2]
 HEAVY = (
     "can",
     "filterpy",
@@ -169,6 +172,44 @@ def test_an_error_reads_well_in_one_line_and_crosses_processes() -> None:
         str(copy)
         == "hook.toml follow_through: found 78 J at the stop, expected at most 40 J. Lower the speed."
     )
+
+
+def test_full_disk_behind_standard_output_is_no_internal_error(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(OSError(errno.ENOSPC, "No space left on device")) == ExitCode.FILE
+    assert capsys.readouterr().err == "error: standard output or a file: No space left on device\n"
+
+
+def test_deleted_working_directory_is_reported_with_its_cure(
+    run: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert run(FileNotFoundError(errno.ENOENT, "No such file or directory")) == ExitCode.FILE
+    assert "working directory: it was deleted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["sim/__init__.py", "drivers/__init__.py", "sim.py"])
+def test_import_of_the_bench_beside_a_package_of_the_same_name_reports_both_places(
+    tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).touch()
+    (tmp_path / "script.py").write_text("import bench\n")
+    path = {**os.environ, "PYTHONPATH": str(TOP)}
+    script = [sys.executable, str(tmp_path / "script.py")]
+    answer = subprocess.run(script, capture_output=True, text=True, check=False, env=path)
+    package = name.partition("/")[0].removesuffix(".py")
+    assert f"golfbench: found '{package}' in {tmp_path}" in answer.stderr
+    assert f"expected it in {TOP / package}" in answer.stderr
+    script.insert(1, "-P")
+    subprocess.run(script, check=True, env=path)
 
 
 @pytest.mark.live
