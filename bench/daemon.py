@@ -259,7 +259,7 @@ class Daemon:
         stack.callback(self._link.close)
         stack.callback(self._kill_all)
         if c.driver.name == "sim" and self.wall:
-            _log.info("starting the plant; the first start compiles for about half a minute")
+            _log.info("starting the plant")
             priority = c.loop.priority - 1 if c.loop.realtime != "off" else 0
             plan = PlantPlan(
                 folder, c.plant, c.driver.watchdog, priority=priority, faults=tuple(c.faults.values())

@@ -233,7 +233,7 @@ def play(plan: NodesPlan) -> None:
     from drivers.base.shared_record import SharedMemoryError
     from sim.nodes.process import StopRequest, run_nodes
 
-    typer.echo("starting; the first start compiles for about half a minute", err=True)
+    typer.echo("starting", err=True)
     wish = StopRequest(signal.SIGTERM, signal.SIGINT)
     numbers = ", ".join(map(str, (*plan.encoders, plan.valve_node)))
     where = f"{plan.interface} {plan.channel}"

@@ -16,6 +16,7 @@ from typing import Any
 
 from bench.errors import BenchError, ExitCode
 from bench.processes.child_process import FOR_PARENT
+from drivers.base.compile_report import report_compilation
 
 _READ = 65536
 
@@ -102,7 +103,7 @@ class Child:
         return taken
 
     def wait_until_ready(self, timeout: float) -> dict[str, Any]:
-        """Wait up to `timeout` (s) for its event `ready` and return it.
+        """Wait up to `timeout` (s) for its event `ready` and return it; again as long while it compiles.
 
         Raises:
             NotStarted: it reported a failure, ended, or the time-out expired.
@@ -118,6 +119,9 @@ class Child:
                     return event
                 if event["event"] == "failed":
                     raise self._failure(event)
+                if event["event"] == "compiling":
+                    report_compilation(str(event.get("text", "")))
+                    deadline = time.monotonic() + timeout
             if ended:
                 raise NotStarted(
                     f"{self.name} process", self.ending, "it to become ready", "See its output above."
@@ -127,7 +131,7 @@ class Child:
             f"{self.name} process",
             f"not ready after {timeout:g} s",
             "it to become ready",
-            "The first start compiles for about half a minute: restart with a persistent cache.",
+            "Check the load of the machine with `golfbench doctor`, then start again.",
         )
 
     def _failure(self, event: dict[str, Any]) -> NotStarted:

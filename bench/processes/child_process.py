@@ -20,6 +20,7 @@ import numpy as np
 
 from bench.errors import BenchError, ExitCode
 from drivers.base import DriverError
+from drivers.base.compile_report import announce_compilation
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 
 FOR_PARENT = (signal.SIGINT, signal.SIGABRT)
@@ -117,7 +118,8 @@ class Parent:
 
 
 def read_plan() -> Any:
-    """Return the plan sent by the parent."""
+    """Return the plan sent by the parent, which hears from now on what this process compiles."""
+    announce_compilation(lambda text: send_event("compiling", text=text))
     return pickle.load(sys.stdin.buffer)  # noqa: S301 - from the parent, see above
 
 

@@ -9,12 +9,13 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import current_process, get_context
 from typing import Any
 
 from bench.errors import BenchError, ExitCode
 from bench.simulation.one_blas_thread import one_blas_thread_in_children
 from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Engine, Study, prepare, run_batch
+from drivers.base.compile_report import announce_compilation
 
 _PR_SET_PDEATHSIG = 1
 _LOST_IN_A_ROW = 3
@@ -117,6 +118,8 @@ def _begin(parent: int, study: Study[Any, Any]) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)
+    if not current_process().name.endswith("-1"):  # all workers compile the same: one reports it
+        announce_compilation(str)
     global _function  # noqa: PLW0603 - the only place where a pool's worker can keep what it prepared
     _function = prepare(study)
 

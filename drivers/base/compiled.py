@@ -11,7 +11,9 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core import event
 
+from drivers.base.compile_report import progress
 from drivers.base.machine_code import cache_folder, mark_in_use, prune_caches
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -25,9 +27,22 @@ def _use_cache() -> None:
     prune_caches(folder.parent)
 
 
+class _Watch(event.Listener):  # type: ignore[misc]  # numba has no types
+    """Passes numba's compilations on; a function from the cache is none."""
+
+    def on_start(self, event: object) -> None:
+        """Note the begin of a compilation."""
+        progress.note(0)
+
+    def on_end(self, event: object) -> None:
+        """Note the end of a compilation."""
+        progress.note(1)
+
+
 # Numba reads the folder when a function is decorated, so it must be set before the first one.
 if not numba.config.DISABLE_JIT:
     _use_cache()
+    event.register("numba:compile", _Watch())
 
 
 def compiled(function: _Function) -> _Function:
@@ -36,6 +51,7 @@ def compiled(function: _Function) -> _Function:
     No fast-math: lock-step simulation and the real-time loop must agree bit for bit, and NaN must
     stay NaN so that the envelope sees it.
     """
+    progress.known += 1
     decorate = numba.njit(cache=True, nogil=True, error_model="numpy")
     return cast(_Function, decorate(function))
 

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from drivers.base import DriverError
+from drivers.base.compile_report import announce_compilation, report_compilation
 from drivers.base.compiled import new_record
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 from sim.live.exchange import (
@@ -50,7 +51,7 @@ _PR_SET_TIMERSLACK, _PR_SET_THP_DISABLE = 29, 41
 
 
 def start_plant(plan: PlantPlan, timeout: float = 180.0) -> subprocess.Popen[bytes]:
-    """Start the plant process and wait until it is ready; `timeout` (s) includes compiling.
+    """Start the plant process and wait until it is ready; `timeout` (s) begins again while it compiles.
 
     Its stdout stays open for later events. End it with `terminate()`; `with` closes its pipes.
 
@@ -68,7 +69,7 @@ def start_plant(plan: PlantPlan, timeout: float = 180.0) -> subprocess.Popen[byt
         env=environment,
     )
     try:
-        _await_ready(process, plan, time.monotonic() + timeout)
+        _await_ready(process, plan, timeout)
     except BaseException:
         process.kill()
         with process:
@@ -76,7 +77,8 @@ def start_plant(plan: PlantPlan, timeout: float = 180.0) -> subprocess.Popen[byt
     return process
 
 
-def _await_ready(process: subprocess.Popen[bytes], plan: PlantPlan, deadline: float) -> None:
+def _await_ready(process: subprocess.Popen[bytes], plan: PlantPlan, timeout: float) -> None:
+    deadline = time.monotonic() + timeout
     if process.stdin is None or process.stdout is None:
         raise DriverError("plant process: started without pipes")
     with suppress(BrokenPipeError), process.stdin:  # if already dead, its stdout has the reason
@@ -87,13 +89,17 @@ def _await_ready(process: subprocess.Popen[bytes], plan: PlantPlan, deadline: fl
         for event in filter(None, map(_event, lines)):
             if event["event"] == "ready":
                 return
+            if event["event"] == "compiling":
+                report_compilation(str(event.get("text", "")))
+                deadline = time.monotonic() + timeout
+                continue
             raise DriverError(f"plant process: {event['event']}: {event.get('reason', '')}")
         received = rest
         left = deadline - time.monotonic()
         if left <= 0.0 or not select.select([process.stdout], [], [], left)[0]:
             raise DriverError(
-                "plant process: not ready in time; the first start compiles for about half a minute: "
-                "restart it, with a persistent NUMBA_CACHE_DIR"
+                f"plant process: not ready within {timeout:g} s; check the load of the machine with "
+                "`golfbench doctor`, then start again"
             )
         new = os.read(process.stdout.fileno(), 4096)
         if not new:
@@ -121,6 +127,7 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGABRT):  # sent to the whole process group; the parent decides
         signal.signal(number, signal.SIG_IGN)
     try:
+        announce_compilation(lambda text: send_event("compiling", text=text))
         plan = pickle.load(sys.stdin.buffer)  # noqa: S301 - the parent's own data
         if not isinstance(plan, PlantPlan):
             raise TypeError(f"plan: found {type(plan).__name__}, expected a PlantPlan")

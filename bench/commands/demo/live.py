@@ -82,7 +82,7 @@ def run_live_demo(configuration: Configuration, output: Path | None, swings: int
     with ExitStack() as stack:
         screen = stack.enter_context(Screen(f"{shots} swings in real time: {title}", shots))
         store = CampaignStore(stack.enter_context(open_database(database_url("", c.bench.data_dir))))
-        screen.say("starting the bench (the first time it is compiled: half a minute)")
+        screen.say("starting the bench")
         running = stack.enter_context(ExitStack())
         running.enter_context(own_bench(c, folder / "bench.log"))
         with deferred_interrupt() as asked:

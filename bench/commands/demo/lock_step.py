@@ -39,7 +39,7 @@ def run_lock_step_demo(configuration: Configuration, output: Path | None, swings
     ):
         store, entry = CampaignStore(engine), new_entry(plan, c, begin, simulated=True)
         store.begin(entry)
-        screen.say("swinging (the first time the model is compiled: half a minute)")
+        screen.say("swinging")
         outcome = run_simulated(entry, c, store, ScreenWatcher(screen), asked.is_made)
         write_result(screen, store, entry, outcome, Files.within(folder), c)
     return outcome.state is CampaignState.FINISHED

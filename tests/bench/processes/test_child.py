@@ -98,6 +98,14 @@ def test_one_that_does_not_become_ready_is_not_waited_for_for_ever(start: Start)
         start("time.sleep(60)").wait_until_ready(0.3)
 
 
+def test_wait_until_ready_of_a_child_that_compiles_begins_its_timeout_again(
+    start: Start, capsys: pytest.CaptureFixture[str]
+) -> None:
+    body = "for n in range(8): send_event('compiling', text=f'{n} functions'); time.sleep(0.5)\n"
+    start(body + "send_event('ready'); time.sleep(60)", before="# nothing\n").wait_until_ready(3.0)
+    assert "7 functions" in capsys.readouterr().err
+
+
 def test_a_stubborn_one_is_killed(start: Start) -> None:
     child = start(
         "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); send_event('ready'); time.sleep(60)"

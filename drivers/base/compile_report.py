@@ -1,0 +1,56 @@
+"""Reports of a compilation while it lasts; none where the machine code is in the cache."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+_FIRST, _BETWEEN = 1.0, 10.0
+"""Time before the first report, and between two (s)."""
+
+
+def _print(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+_report: Callable[[str], object] = _print
+
+
+def announce_compilation(report: Callable[[str], object]) -> None:
+    """Call `report` with each line on this process' compilations; without it they go to standard error."""
+    global _report  # noqa: PLW0603 - a process has one compiler
+    _report = report
+
+
+def report_compilation(text: str) -> None:
+    """Report a line of another process, for which this one waits."""
+    _report(text)
+
+
+class CompileProgress:
+    """Counts functions that are compiled, and reports their number."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self.known = 0
+        """Number of functions that may be compiled."""
+        self._compiled = 0
+        self._begin = self._due = 0.0
+
+    def note(self, done: int) -> None:
+        """Note the begin (0) or the end (1) of a function's compilation."""
+        now = self._clock()
+        if not self._begin:
+            self._begin, self._due = now, now + _FIRST
+        self._compiled += done
+        if now >= self._due:
+            self._due = now + _BETWEEN
+            report_compilation(
+                f"compiling, once for each version: {self._compiled} of at most "
+                f"{max(self.known, self._compiled)} functions, {now - self._begin:.0f} s"
+            )
+
+
+progress = CompileProgress()
+"""The compilations of this process."""

@@ -1,0 +1,44 @@
+"""A compilation is reported while it lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.base import compile_report
+from drivers.base.compile_report import CompileProgress, announce_compilation
+
+
+@pytest.fixture
+def heard(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    monkeypatch.setattr(compile_report, "_report", str)
+    lines: list[str] = []
+    announce_compilation(lines.append)
+    return lines
+
+
+def _times(*times: float) -> Iterator[float]:
+    yield from times
+
+
+def test_compile_progress_of_a_long_compilation_is_reported_at_its_begin_and_every_ten_seconds(
+    heard: list[str],
+) -> None:
+    times = _times(100.0, 100.5, 101.5, 105.0, 111.6)
+    progress = CompileProgress(lambda: next(times))
+    progress.known = 180
+    for done in (0, 0, 1, 0, 1):
+        progress.note(done)
+    assert heard == [
+        "compiling, once for each version: 1 of at most 180 functions, 2 s",
+        "compiling, once for each version: 2 of at most 180 functions, 12 s",
+    ]
+
+
+def test_compile_progress_of_less_than_a_second_is_not_reported(heard: list[str]) -> None:
+    times = _times(100.0, 100.9)
+    progress = CompileProgress(lambda: next(times))
+    progress.note(0)
+    progress.note(1)
+    assert heard == []
