@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from datetime import UTC, datetime, timedelta
-from hashlib import sha256
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,12 @@ from sim.robot import Club
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")
 """Facts of the running bench that do not differ by themselves from start to start."""
+CANNOT_CHANGE_A_SHOT = (
+    *("files", "bench.data_dir", "bench.database", "loop.priority", "loop.cpu", "network", "notifications"),
+    *("launch_monitor.address", "launch_monitor.port", "launch_monitor.clients", "launch_monitor.simulator"),
+)
+"""Keys and sections of the configuration that change no shot: a campaign may be resumed after a change of
+them. Every other key can."""
 SHORTEST_PREFIX = 4
 """Min number of characters of an abbreviated campaign id."""
 
@@ -241,10 +247,14 @@ def bench_facts(
 
 def run_start(by: str, configuration: Configuration, facts: Mapping[str, Any]) -> RunStart:
     """Return the beginning of a run by `by` on the bench with `facts`."""
-    content = json.dumps(configuration.effective(), sort_keys=True, default=str)
-    digest = sha256(content.encode()).hexdigest()[:16]
     lasting = {name: facts[name] for name in _LASTING if name in facts}
-    return RunStart(by, software_versions(), {**lasting, "configuration": digest})
+    return RunStart(by, software_versions(), {**lasting, **_harmless(configuration)})
+
+
+def _harmless(configuration: Configuration) -> dict[str, Any]:
+    """Return the values that change no shot by their keys: a change from run to run is an event."""
+    effective = configuration.effective()
+    return {key: reduce(getitem, key.split("."), effective) for key in CANNOT_CHANGE_A_SHOT if key != "files"}
 
 
 def require_balls(plan: CampaignPlan, store: CampaignStore, scope: str) -> None:
@@ -284,7 +294,8 @@ def require_resumable(
             f"the plan {entry.digest}, which is stored with it",
             "Leave the file out to go on as planned, or begin a new campaign.",
         )
-    if changed := _changed(with_new_names(entry.configuration), configuration.effective()):
+    changed = _changed(with_new_names(entry.configuration), configuration.effective())
+    if changed := [key for key in changed if _can_change_a_shot(key)]:
         raise Refused(
             place,
             f"a configuration that differs in {', '.join(changed[:5])}",
@@ -301,9 +312,14 @@ def _changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") 
             found += _changed(one, two, f"{path}{key}.")
         elif key not in before and _is_neutral(path, key, two):
             continue
-        elif one != two and f"{path}{key}" not in {"files", "bench.database"}:
+        elif one != two:
             found.append(f"{path}{key}")
     return found
+
+
+def _can_change_a_shot(key: str) -> bool:
+    """Return whether a shot may differ where the configuration's dotted `key` does."""
+    return not any(key == harmless or key.startswith(f"{harmless}.") for harmless in CANNOT_CHANGE_A_SHOT)
 
 
 def _is_neutral(path: str, key: str, value: Any) -> bool:
@@ -430,7 +446,7 @@ def is_running(data_dir: Path, name: str) -> bool:
     path = _lock_file(data_dir, name)
     if not path.exists():
         return False
-    with path.open("a+", encoding="ascii") as file:
+    with path.open("rb") as file:  # the lock needs no right to write
         return not try_lock(file.fileno())
 
 

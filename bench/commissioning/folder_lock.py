@@ -34,7 +34,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
 def commissioning_process(folder: Path) -> int | None:
     """Return the id of the process that commissions in `folder`; None without one."""
     try:
-        with (folder / _FILE).open("r+", encoding="ascii") as file:
+        with (folder / _FILE).open("rb") as file:  # the lock needs no right to write
             return None if try_lock(file.fileno()) else _owner(folder)
     except OSError:
         return None

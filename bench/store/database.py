@@ -6,12 +6,14 @@ of a newer golfbench is refused.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, func, inspect, select, update
 from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
@@ -242,9 +244,12 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         OSError: its folder cannot be made.
     """
     place = url.render_as_string(hide_password=True)
+    read_only = False
     if url.get_backend_name() == "sqlite":
         place = str(url.database)
         Path(place).parent.mkdir(parents=True, exist_ok=True)
+        if read_only := is_read_only(Path(place)):
+            url = _read_only_url(Path(place))
     try:
         # A connection that a restart of the server has cut is replaced when it is next used.
         pings = url.get_backend_name() != "sqlite"
@@ -254,7 +259,7 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
             place, f"no Python package {error.name}", "the database's driver", f"Install {error.name}."
         ) from error
     if url.get_backend_name() == "sqlite":
-        event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "connect", _prepare_reading if read_only else _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
     try:
         _bring_up_to_date(engine, place, now or datetime.now(UTC))
@@ -266,6 +271,13 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
             raise DatabaseLocked(place, BUSY_TIMEOUT) from error
         if is_away(error):
             raise DatabaseAway(place, 0.0) from error
+        if read_only and _log_of(Path(place)).exists():
+            raise BenchError(
+                place,
+                f"{str(error.orig).strip()}: read-only, with changes in {_log_of(Path(place)).name}",
+                "a database that was closed, or one that can be written",
+                "Copy its folder to a disk that can be written, and read it there.",
+            ) from error
         raise BenchError(
             place,
             str(error.orig).strip(),
@@ -276,8 +288,33 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         engine.dispose()
 
 
+def is_read_only(file: Path) -> bool:
+    """Return whether SQLite's `file` is there and may be read only, as in an archive."""
+    return file.exists() and not (os.access(file, os.W_OK) and os.access(file.parent, os.W_OK))
+
+
+def _read_only_url(file: Path) -> URL:
+    """Return the URL that opens `file` without writing beside it.
+
+    Without a log nothing is to be added to the file: SQLite needs no memory shared with writers then.
+    """
+    log = _log_of(file)
+    alone = not log.exists() or not log.stat().st_size
+    query = {"mode": "ro", "uri": "true", **({"immutable": "1"} if alone else {})}
+    return URL.create("sqlite", database=f"file:{quote(str(file.absolute()))}", query=query)
+
+
+def _log_of(file: Path) -> Path:
+    """Return the write-ahead log of SQLite's `file`."""
+    return file.with_name(f"{file.name}-wal")
+
+
 def _connect_arguments(url: URL) -> dict[str, Any]:
     return {"timeout": BUSY_TIMEOUT} if url.get_backend_name() == "sqlite" else {}
+
+
+def _prepare_reading(connection: Any, _: Any) -> None:
+    connection.isolation_level = None
 
 
 def _prepare_sqlite(connection: Any, _: Any) -> None:

@@ -496,6 +496,11 @@ def test_all_mistakes_come_at_once_each_with_its_file(overlay: Overlay, tmp_path
         (b"a = 1\na = ?", "(at line 2, column 5)"),
         (b"a = 1\na = 2", "Cannot overwrite a value"),
         (b'id = "\xff"', "not UTF-8 at offset 6"),
+        ('base = "shipped"'.encode("utf-16"), "text in UTF-16"),
+        ('base = "shipped"'.encode("utf-16-le"), "text in UTF-16, without a byte order mark"),
+        ('base = "shipped"'.encode("utf-16-be"), "text in UTF-16, without a byte order mark"),
+        ('base = "shipped"'.encode("utf-32"), "text in UTF-32"),
+        (b"a = " + 9999 * b"[", "nested too deep"),
     ],
 )
 def test_what_is_no_toml_is_told_with_its_line(content: bytes, found: str, tmp_path: Path) -> None:
@@ -504,6 +509,22 @@ def test_what_is_no_toml_is_told_with_its_line(content: bytes, found: str, tmp_p
     (fault,) = faults(path)
     assert fault.place == str(path)
     assert found in fault.found
+
+
+def test_configuration_with_a_byte_order_mark_is_read(tmp_path: Path, default: Configuration) -> None:
+    path = tmp_path / "notepad.toml"
+    path.write_bytes(b'\xef\xbb\xbfbase = "shipped"\r\n')
+    assert load_configuration(path) == default
+
+
+def test_configuration_is_read_without_a_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, default: Configuration
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert load_configuration() == default
 
 
 def test_a_missing_file_names_the_variants(tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +23,16 @@ from sqlalchemy import make_url
 from bench.campaign.course import Step
 from bench.campaign.fitting import Preparation, PromptKind, sample_for
 from bench.campaign.gate import Centre
-from bench.campaign.interruptions import RunStart
+from bench.campaign.interruptions import RunStart, changed
 from bench.campaign.operate import (
+    CANNOT_CHANGE_A_SHOT,
     ask,
     course_of,
     is_running,
     new_entry,
     require_balls,
     require_resumable,
+    run_start,
     runner_lock,
 )
 from bench.campaign.plan import CampaignPlan
@@ -394,6 +398,28 @@ def test_only_the_own_plan_and_configuration_go_on(make: Callable[..., Bench]) -
         require_resumable(bench.entry, state, warmer, None)
     with pytest.raises(Refused, match="finished"):
         require_resumable(bench.entry, CampaignState.FINISHED, configuration, None)
+
+
+@pytest.mark.parametrize("key", CANNOT_CHANGE_A_SHOT)
+def test_campaign_is_resumed_after_a_change_that_cannot_change_a_shot(
+    make: Callable[..., Bench], key: str
+) -> None:
+    bench = make()
+    stored = json.loads(json.dumps(bench.entry.configuration))
+    *tables, last = key.split(".")
+    table = reduce(getitem, tables, stored)
+    assert last in table
+    table[last] = "as it was"
+    before = replace(bench.entry, configuration=stored)
+    require_resumable(before, CampaignState.SUSPENDED, bench.configuration, None)
+
+
+def test_campaign_resumed_after_a_move_of_its_data_notes_an_event(make: Callable[..., Bench]) -> None:
+    bench = make()
+    c = bench.configuration
+    moved = replace(c, network=replace(c.network, endpoint="tcp/127.0.0.1:9"))
+    changes = changed(run_start("", c, {}).facts, run_start("", moved, {}).facts)
+    assert changes == [f"network.endpoint {c.network.endpoint} → tcp/127.0.0.1:9"]
 
 
 def test_one_runner_a_campaign(make: Callable[..., Bench]) -> None:

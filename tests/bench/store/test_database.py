@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import shutil
 import sqlite3
 from contextlib import closing, nullcontext
 from datetime import UTC, datetime, timedelta, timezone
@@ -16,7 +18,7 @@ from sqlalchemy.exc import IntegrityError, StatementError
 from bench.config import database_url
 from bench.errors import BenchError
 from bench.store import database as module
-from bench.store.database import SCHEMA_VERSION, is_there, open_database
+from bench.store.database import SCHEMA_VERSION, is_there, open_database, transaction
 from bench.store.tables import CalibrationRow, Row, SchemaVersionRow
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
@@ -173,6 +175,46 @@ def test_a_version_is_given_once(tmp_path: Path) -> None:
         for already_there in (False, True):
             with pytest.raises(IntegrityError) if already_there else nullcontext(), database.begin() as one:
                 one.execute(insert(CalibrationRow).values(ROW))
+
+
+@pytest.fixture
+def archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with a closed database of one calibration, in which nothing may be written."""
+    with open_database(database_url("", tmp_path), NOW) as database, database.begin() as connection:
+        connection.execute(insert(CalibrationRow).values(ROW))
+    monkeypatch.setattr(module.os, "access", lambda path, mode: mode != os.W_OK)
+    return tmp_path
+
+
+def test_database_in_an_archive_is_read_and_nothing_is_written_beside_it(archive: Path) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in archive.iterdir()}
+    with open_database(database_url("", archive), NOW) as database, database.connect() as connection:
+        assert connection.scalar(select(CalibrationRow.by)) == "me"
+        assert {path.name: path.stat().st_mtime_ns for path in archive.iterdir()} == before
+
+
+def test_database_in_an_archive_is_not_changed(archive: Path) -> None:
+    with (
+        pytest.raises(BenchError, match="attempt to write a readonly database"),
+        open_database(database_url("", archive), NOW) as database,
+        transaction(database, writes=True) as connection,
+    ):
+        connection.execute(insert(CalibrationRow).values(ROW | {"version": 2}))
+
+
+def test_database_in_an_archive_shows_the_changes_in_its_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_database(database_url("", tmp_path), NOW) as database, database.begin() as connection:
+        connection.execute(insert(CalibrationRow).values(ROW))
+        connection.commit()
+        copy = tmp_path / "copy"
+        copy.mkdir()
+        for file in tmp_path.glob("golfbench.sqlite*"):
+            shutil.copy(file, copy)
+    monkeypatch.setattr(module.os, "access", lambda path, mode: mode != os.W_OK)
+    with open_database(database_url("", copy), NOW) as database, database.connect() as connection:
+        assert connection.scalar(select(CalibrationRow.by)) == "me"
 
 
 def test_times_come_back_in_utc_whatever_zone_they_had(tmp_path: Path) -> None:
