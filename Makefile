@@ -68,7 +68,7 @@ coverage-all: $(VENV)/.dev  ## lines and branches reached by all tests together 
 	$(BIN)/python -m pytest --quiet --cov --cov-append --cov-report= $(ARGS) || failed=$$?; \
 	$(BIN)/coverage report; exit $$failed
 
-benchmark: $(VENV)/.benchmark  ## speed of the model, the cycle and the plant beside MuJoCo and Pinocchio
+benchmark: $(VENV)/.benchmark  ## speed of the model beside MuJoCo and Pinocchio
 	@$(BIN)/python -m tests.benchmarks $(ARGS)
 
 faults: $(VENV)/.dev  ## the whole matrix of faults, signals and phases, and the hazard table made from it

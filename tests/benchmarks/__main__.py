@@ -1,19 +1,13 @@
-"""Run the benchmarks: `python -m tests.benchmarks [NAME ...] [--json FILE]`, or `make benchmark`.
+"""Run a benchmark: `python -m tests.benchmarks [NAME [OPTION ...]]`, or `make benchmark`.
 
-Each benchmark is a file here with `run() -> list[Row]`. Long ones run only when they are named, and take
-options of their own: `python -m tests.benchmarks loop_timing --help`. Exit code 1 when a promised figure is
-missed.
+Each benchmark is a file here with `run(arguments) -> list[Row]`; its options: `python -m tests.benchmarks
+loop_timing --help`. Exit code 1 when a promised figure is missed.
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib
-import json
-import platform
 import sys
-from importlib.metadata import version
-from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -21,73 +15,28 @@ from rich.table import Table
 from tests.benchmarks.row import Row
 
 BENCHMARKS = (
-    "model_calls",
-    "dynamics_speed",
-    "equal_error",
-    "lockstep",
-    "shared_memory",
-    "canopen_driver",
-    "canopen_socket",
-    "feed_forward",
-    "model_check",
-)
-LONG = (
-    "impact",
-    "bag_swings",
-    "bag_learning",
-    "bag_speeds",
-    "loop_timing",
-    "command_fuzz",
-    "frame_fuzz",
-    "native_fuzz",
-    "sdo_fuzz",
-    "launch_monitor_fuzz",
-    "campaign_statistics",
-    "carry_and_rules",
-    "campaign_verdicts",
-    "paired_differences",
-    "reactions",
     "adversary",
-    "healthy_swings",
-    "during_stops",
-    "homing_offsets",
-    "air_at_address",
-    "stuck_valves",
-    "sweeps",
-    "canopen_reactions",
-    "canopen_bus",
-    "kills",
-    "recorder_kills",
-    "telemetry_age",
-    "telemetry_viewer",
-    "page_views",
-    "soak",
     "campaign_kills",
-    "campaign_speed",
-    "campaign_detection",
-    "campaign_examples",
     "campaign_show",
+    "campaign_speed",
+    "campaign_statistics",
+    "canopen_reactions",
+    "command_fuzz",
     "commissioning",
+    "during_stops",
+    "dynamics_speed",
+    "frame_fuzz",
+    "healthy_swings",
+    "impact",
+    "kills",
+    "launch_monitor_fuzz",
     "learning",
-    "identified",
-    "swing_design",
-    "machine_gains",
+    "loop_timing",
+    "native_fuzz",
+    "reactions",
+    "sdo_fuzz",
+    "soak",
 )
-"""Their `run` takes the rest of the command line."""
-PACKAGES = ("numpy", "numba", "mujoco", "pin", "eclipse-zenoh")
-
-
-def machine() -> dict[str, str]:
-    """Return what the figures depend on: processor, Python, versions."""
-    cpuinfo = Path("/proc/cpuinfo")
-    models = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
-    processor = models[0].split(":", 1)[1].strip() if models else platform.processor()
-    return {
-        "processor": processor,
-        "system": platform.platform(),
-        "python": platform.python_version(),
-        **{package: version(package) for package in PACKAGES},
-    }
 
 
 def show(rows: list[Row], console: Console) -> None:
@@ -115,28 +64,14 @@ def show(rows: list[Row], console: Console) -> None:
 
 
 def main() -> int:
-    """Run the named benchmarks, or all but the long ones."""
+    """Run the named benchmark, dynamics_speed if none is named."""
+    name, *options = sys.argv[1:] or ["dynamics_speed"]
+    if name not in BENCHMARKS:
+        print(f"no benchmark {name}; there are: {', '.join(BENCHMARKS)}", file=sys.stderr)
+        return 2
     console = Console()
-    rows: list[Row] = []
-    if sys.argv[1:2] and sys.argv[1] in LONG:
-        rows = importlib.import_module(f"tests.benchmarks.{sys.argv[1]}").run(sys.argv[2:])
-        show(rows, console)
-        return verdict(rows, console)
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(BENCHMARKS)} (default: all)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
-    arguments = parser.parse_args()
-    if unknown := sorted(set(arguments.names) - set(BENCHMARKS)):
-        known = f"known: {', '.join(BENCHMARKS)}; alone: {', '.join(LONG)}"
-        parser.error(f"unknown benchmark {', '.join(unknown)}; {known}")
-    for name in arguments.names or BENCHMARKS:
-        with console.status(f"{name} ..."):
-            measured = importlib.import_module(f"tests.benchmarks.{name}").run()
-        show(measured, console)
-        rows += measured
-    if arguments.json:
-        figures = [{**row._asdict(), "holds": row.holds} for row in rows]
-        arguments.json.write_text(json.dumps({"machine": machine(), "rows": figures}, indent=1) + "\n")
+    rows: list[Row] = importlib.import_module(f"tests.benchmarks.{name}").run(options)
+    show(rows, console)
     return verdict(rows, console)
 
 

@@ -8,6 +8,9 @@ Pinocchio does one evaluation for nothing but its own time and integrates for fr
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,8 +64,9 @@ def _steps(simulator: Simulator) -> Work:
     return work
 
 
-def run() -> list[Row]:
+def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Measure; about ten seconds."""
+    argparse.ArgumentParser(description=__doc__).parse_args(arguments)
     robot = thesis_robot()
     pinocchio = PinocchioRobot(robot, "Euler")
     works: dict[str, Work] = {

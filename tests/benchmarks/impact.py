@@ -17,6 +17,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares
 
@@ -26,7 +27,6 @@ from sim.flight import Launch, fly
 from sim.impact import delivery_from_angles, strike
 from sim.robot import Club
 from tests.benchmarks.row import Row
-from tests.benchmarks.whole_table import print_table
 from tests.sim.tour_averages import (
     BALL,
     MPH,
@@ -55,6 +55,12 @@ _FLOWN_UNITS = (2.5, 2.0)
 """Errors of carry (yd) and descent (deg) that count alike."""
 
 Array = NDArray[np.float64]
+
+
+def _print_table(table: Table) -> None:
+    """Print `table` as wide as it needs: a pipe counts as 80 columns."""
+    needed = Console(width=400).measure(table).maximum
+    Console(width=max(needed, Console().width)).print(table, highlight=False)
 
 
 def _table(title: str, *columns: str) -> Table:
@@ -297,9 +303,9 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     shown, found = _bag_table(bag)
     flown, flown_rows = _flight_table(flown_averages())
     for table in (tours, lofted, _face_table(bag["wood1"]), shown, flown):
-        print_table(table)
+        _print_table(table)
     if given.fit:
-        print_table(_fitted(fit(averages, bag)))
+        _print_table(_fitted(fit(averages, bag)))
     if given.picture:
         given.picture.mkdir(parents=True, exist_ok=True)
         _draw_face(bag["wood1"], given.picture / "face-map.png")

@@ -11,6 +11,7 @@ second one (libfaketime, in these processes only); the bench is then started aga
 from __future__ import annotations
 
 import argparse
+import http.client
 import json
 import os
 import re
@@ -40,7 +41,6 @@ from bench.processes.plan import RING_FILE
 from bench.telemetry.recorder import read_swing
 from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedRecord
-from tests.benchmarks.page_views import messages, wait_for_page
 from tests.benchmarks.process_samples import (
     Growth,
     ProcessFigures,
@@ -52,7 +52,7 @@ from tests.benchmarks.process_samples import (
 )
 from tests.benchmarks.row import Row
 from tests.benchmarks.wall_clock import WallClock
-from tests.running_bench import BenchProcess, running_bench, write_configuration
+from tests.running_bench import LONGEST_START, BenchProcess, running_bench, write_configuration
 
 LIMITS = {"unique": 1.0, "descriptors": 1.0, "threads": 1.0}
 """Growth an hour that counts as a leak where it is certain: MiB, numbers."""
@@ -114,14 +114,14 @@ class Beside:
                 env=self._environment,
             )
             stack.callback(_end, process)
-        wait_for_page(self.port)
+        _wait(lambda: _answers(self.port), LONGEST_START)
         reader.start()
         stack.callback(self._over.set)
 
     def _read(self) -> None:
         while not self._over.is_set():
             with suppress(OSError, ValueError):
-                for count, _ in enumerate(messages(self.port, "state")):
+                for count, _ in enumerate(_states(self.port)):
                     self.messages += 1
                     if self._over.is_set() or count == _PAGE_VISIT:
                         break
@@ -130,6 +130,31 @@ class Beside:
     def ended(self) -> list[str]:
         """Those that have ended by themselves."""
         return [name for name, process in self.processes.items() if process.poll() is not None]
+
+
+def _answers(port: int) -> bool:
+    """Return whether the page answers."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30.0)
+    try:
+        connection.request("GET", "/")
+        return connection.getresponse().status == http.HTTPStatus.OK
+    except OSError:
+        return False
+    finally:
+        connection.close()
+
+
+def _states(port: int) -> Iterator[bytes]:
+    """Yield each state that the page streams (JSON)."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30.0)
+    try:
+        connection.request("GET", "/api/stream")
+        response = connection.getresponse()
+        while line := response.readline():
+            if line == b"event: state\n":
+                yield response.readline().removeprefix(b"data: ")
+    finally:
+        connection.close()
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -374,7 +399,7 @@ def _wait(holds: Callable[[], bool], longest: float = 30.0) -> None:
     deadline = time.monotonic() + longest
     while not holds():
         if time.monotonic() > deadline:
-            raise TimeoutError("an accepted swing does not begin")
+            raise TimeoutError(f"{longest} s were not enough")
         time.sleep(0.05)
 
 

@@ -13,8 +13,8 @@ from bench.lifecycle import State
 from bench.processes.tick_timing import SEGMENTS, summary
 from bench.shot.recorded_shot import read_shot
 from drivers.canopen.frames import bus_load
-from tests.benchmarks.can_bits import bits_of
 from tests.benchmarks.row import Row
+from tests.vm.can_bits import bits_of
 from tests.vm.guest import COMMAND, OTHERS, POSITIONS, SYNC, busy_time, say
 from tests.vm.guest_bench import GuestBench, alone_on_processor
 from tests.vm.guest_bus import Listener, interface_counters, matches

@@ -22,9 +22,9 @@ from drivers.canopen.counters import CLASSES
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.frames import bus_load
 from drivers.canopen.settings import CanopenSettings
-from tests.benchmarks.can_bits import bits_of
-from tests.benchmarks.driver_loop import DriverLoop, in_real_time, times
 from tests.benchmarks.row import Row
+from tests.vm.can_bits import bits_of
+from tests.vm.driver_loop import DriverLoop, in_real_time, times
 from tests.vm.guest import (
     COMMAND,
     DRIVER_OF_CARDS,

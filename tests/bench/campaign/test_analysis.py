@@ -24,8 +24,8 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.repeatability import repeatability, variance_components
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
+from tests.bench.campaign.known_truth import Case, cases, rows_of
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots, survey
-from tests.benchmarks.campaign_verdicts import Case, cases, rows_of
 
 # Montgomery, Design and Analysis of Experiments, vascular grafts: four extrusion pressures (rows) in six
 # batches of resin. Published: SS treatments 178.17, blocks 192.25, error 109.89 with 15 degrees of freedom,
@@ -278,7 +278,6 @@ def test_repeatability_is_of_valid_shots_after_the_warm_up() -> None:
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case.name)
 def test_verdicts_keep_their_promise(case: Case) -> None:
-    """A glance at each row of `python -m tests.benchmarks campaign_verdicts`."""
     for row in rows_of(case, 15 if len(case.plan.design.balls) > 5 or case.looks else 60, slack=3.5):
         assert row.holds, row
 

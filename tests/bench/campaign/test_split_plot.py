@@ -34,7 +34,7 @@ from bench.campaign.suitability import needs, needs_words
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignState, Standing
-from tests.benchmarks.campaign_verdicts import Known, cases, drawn
+from tests.bench.campaign.known_truth import Known, cases, drawn
 
 SHIPPED = load_configuration(Path("shipped"))
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)

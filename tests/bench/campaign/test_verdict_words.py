@@ -19,7 +19,7 @@ from bench.campaign.series import foreseen, series_needed
 from bench.campaign.verdicts import Verdict
 from bench.config import load_configuration
 from bench.shot.shot import Shot
-from tests.benchmarks.campaign_verdicts import Case, Known, cases, drawn
+from tests.bench.campaign.known_truth import Case, Known, cases, drawn
 
 
 def _case(part: str) -> Case:

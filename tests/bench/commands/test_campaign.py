@@ -322,7 +322,7 @@ def test_a_runner_that_lives_is_not_joined_by_a_second_one(user: User, tmp_path:
 
 @pytest.mark.parametrize("name", release_except({"two-balls", "repeatability"}, campaign_names()))
 def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
-    """With two blocks; all of each: `python -m tests.benchmarks campaign_examples`."""
+    """With two blocks."""
     shipped = load_configuration(Path("bag" if name in {"bag", "wedge"} else "shipped"))
     configuration = replace(shipped, bench=replace(shipped.bench, data_dir=tmp_path))
     plan = load_plan(Path(name), configuration)

@@ -1,4 +1,4 @@
-"""The system's Chromium for tests and benchmarks."""
+"""The system's Chromium for tests."""
 
 from __future__ import annotations
 

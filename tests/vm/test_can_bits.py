@@ -5,7 +5,7 @@ import random
 import pytest
 
 from drivers.canopen.frames import worst_bits
-from tests.benchmarks.can_bits import bits_of
+from tests.vm.can_bits import bits_of
 
 
 @pytest.mark.parametrize("length", range(9))

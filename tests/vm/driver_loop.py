@@ -11,8 +11,8 @@ import numpy as np
 
 from drivers.base import Command
 from drivers.canopen.driver import CanopenDriver
-from tests.benchmarks.native_caller import NativeCaller
 from tests.benchmarks.row import Row
+from tests.vm.native_caller import NativeCaller
 
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
 

@@ -2,15 +2,14 @@
 
 Shots are drawn, not swung: balls hit again, one ball of each, unequal scatter, missing cells, drift, looks
 before the end, three to ten levels, clubs that stay mounted (split-plots). Seeds are fixed: SEED, the row and
-the campaign's number. Options: `--campaigns N` of each row, `--rows WORD` for those whose name contains it.
+the campaign's number.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from math import sqrt
 from pathlib import Path
@@ -25,14 +24,12 @@ from bench.campaign.fitting import sample_for
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.plan_file import load_plan
 from bench.campaign.sequence import Role, block_trials, sections
-from bench.campaign.series import foreseen, series_needed
+from bench.campaign.series import foreseen
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row
-from tests.benchmarks.swept import Sweeper, add_engine_options, in_this_process, sweeper
 
 SEED = 20261122
-CAMPAIGNS = 10_000
 TITLE = "campaign verdicts"
 BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 
@@ -192,23 +189,6 @@ def tally(case: Case, difference: float, campaigns: int, first: int = 0, *, by_s
     return found
 
 
-@dataclass(frozen=True)
-class Campaigns:
-    """Campaigns of a row, by number."""
-
-    case: Case
-    difference: float
-    by_shots: bool
-
-    def prepared(self) -> Callable[[int], Counts]:
-        """Return the function of a number."""
-        return lambda number: tally(self.case, self.difference, 1, number, by_shots=self.by_shots)
-
-
-def _sum(counts: Sequence[Counts]) -> Counts:
-    return Counts(*(sum(column) for column in zip(*(astuple(c) for c in counts), strict=True)))
-
-
 def cases() -> list[Case]:
     """Return all rows."""
     configuration = load_configuration(Path("shipped"))
@@ -277,12 +257,9 @@ def _split_cases() -> list[Case]:
     ]
 
 
-def rows_of(case: Case, campaigns: int, slack: float = 2.0, swept: Sweeper = in_this_process) -> list[Row]:
+def rows_of(case: Case, campaigns: int, slack: float) -> list[Row]:
     """Return a row's figures; `slack` binomial standard errors are allowed beyond the promise."""
     plan, known = case.plan, case.known
-
-    def counted(difference: float, numbers: range, *, by_shots: bool = False) -> Counts:
-        return _sum(swept(Campaigns(case, difference, by_shots), numbers, case.name))
 
     several = len(levels(plan)) > 2
 
@@ -293,11 +270,11 @@ def rows_of(case: Case, campaigns: int, slack: float = 2.0, swept: Sweeper = in_
         note = f"of {of}, binomial error {error:.4f}, promised {low:.3f} to {high:.3f}"
         return Row(TITLE, f"{case.name}: {what}", rate, "", note, low - slack * error, high + slack * error)
 
-    null = counted(0.0, range(campaigns))
+    null = tally(case, 0.0, campaigns)
     rows = []
     fixed = not looks_after(plan)
     if plan.split and known.mounting and not case.within:
-        naive = counted(0.0, range(min(campaigns, 1000)), by_shots=True)
+        naive = tally(case, 0.0, campaigns, by_shots=True)
         rate, of = naive.wrong / naive.campaigns, naive.campaigns
         rows.append(
             Row(
@@ -324,43 +301,7 @@ def rows_of(case: Case, campaigns: int, slack: float = 2.0, swept: Sweeper = in_
         if ahead is None:
             raise RuntimeError("nothing is foreseen")
         difference = ahead.resolution(0.8)
-        real = counted(difference, range(campaigns, 2 * campaigns))
+        real = tally(case, difference, campaigns, campaigns)
         note = row(f"{difference:.2f} m found", real.found, real.campaigns, (0.77, 0.83))
         rows.append(note._replace(note=f"{note.note}, foretold 0.800"))
     return rows
-
-
-def _covariate_rows() -> list[Row]:
-    """Return the shots that club speed as a covariate saves."""
-    case = next(c for c in cases() if c.plan.analysis.covariates)
-    rows = []
-    for share in (0.52, 0.8, 0.95):
-        plain, _ = series_needed(replace_covariates(case.plan), 2.0, 0.0)
-        with_it, _ = series_needed(case.plan, 2.0 * sqrt(1 - share), 0.0)
-        if plain is None or with_it is None:
-            raise RuntimeError("too many shots")
-        note = (
-            f"without it {plain.shots}; SD 2 m, {case.plan.analysis.difference:g} m, each with another ball"
-        )
-        name = f"shots of each with club speed as covariate that explains {100 * share:.0f} %"
-        rows.append(Row(TITLE, name, float(with_it.shots), "", note, at_most=float(plain.shots)))
-    return rows
-
-
-def replace_covariates(plan: CampaignPlan) -> CampaignPlan:
-    """Return the plan without covariates, with as many balls as shots."""
-    analysis = replace(plan.analysis, covariates=(), explained=0.0)
-    return replace(plan, analysis=analysis)
-
-
-def run(arguments: Sequence[str] = ()) -> list[Row]:
-    """Run all rows; 10,000 campaigns each take about an hour of two cores."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--campaigns", type=int, default=CAMPAIGNS, help="of each row")
-    parser.add_argument("--rows", default="", help="part of a row's name")
-    add_engine_options(parser)
-    options = parser.parse_args(arguments)
-    wanted: Callable[[Case], bool] = lambda case: options.rows in case.name  # noqa: E731
-    chosen = filter(wanted, cases())
-    rows = [row for case in chosen for row in rows_of(case, options.campaigns, swept=sweeper(options))]
-    return [*rows, *_covariate_rows()]
