@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ from bench.processes.publisher import PublisherPlan
 from bench.processes.recorder import RecorderPlan
 from bench.processes.run_marker import RunMarker
 from bench.processes.service_notify import ServiceNotifier, watchdog_interval
-from bench.processes.stall import stall_note, supervisor_note
+from bench.processes.stall import BEFORE, stall_note, supervisor_note
 from bench.processes.status import NO_LAUNCH_MONITOR, NO_STATISTICS, cause_text, status_of
 from bench.processes.support import ManagedProcess
 from bench.processes.tick_timing import TimingReader, summary
@@ -127,6 +128,8 @@ class Daemon:
         self._device = DeviceStatus(trouble="", counters={})
         self._swings = 0
         self._stall = ""
+        self._explain: Callable[[str], str] = lambda trouble: ""
+        """Explains the last stop by the device's trouble, which may be known later."""
         self._ending = False
         self._started = time.monotonic()
 
@@ -419,6 +422,8 @@ class Daemon:
                 self._publish("exception", {"text": str(event.get("text"))})
             elif event["event"] == "device":
                 self._device = DeviceStatus(trouble=event["trouble"], counters=event["counters"])
+                self._link.trouble = event["trouble"]
+                self._stall = self._explain(event["trouble"]) or self._stall
             elif event["event"] == "reopening":
                 self._reopening_until = now + _REOPENING
             elif event["event"] == "reopened":
@@ -461,7 +466,9 @@ class Daemon:
             self._before = state, phase, reaction, cause
             if cause is not old[3]:
                 envelope, period = self.configuration.envelope, 1.0 / self.configuration.loop.rate
-                self._stall = stall_note(cycles[: k + 1], cause, envelope.lost_time, period)
+                last = cycles[max(k - BEFORE, 0) : k + 1].copy()
+                self._explain = partial(stall_note, last, cause, envelope.lost_time, period)
+                self._stall = self._explain(self._device["trouble"])
                 gap = max(self._turn_gap, time.monotonic() - self._turned)
                 silence = self.configuration.lifecycle.supervisor_time
                 self._stall = self._stall or supervisor_note(cause, gap, silence)

@@ -178,7 +178,13 @@ def _commission(
         task = bar.add_task(ALL_STEPS[0].title, total=len(ALL_STEPS), completed=len(state.done))
         try:
             known = commission(
-                state, nominal, machine.measured, now, observe=machine.observe, on_step=on_step
+                state,
+                nominal,
+                machine.measured,
+                now,
+                observe=machine.observe,
+                on_step=on_step,
+                progress=lambda what: bar.update(task, description=what),
             )
             machine.measured.set_supply(float("inf"))
             _write_robot(file, state, known, configuration.envelope)

@@ -19,7 +19,7 @@ from bench.commissioning.healthy_limits import HealthyLimits
 from bench.commissioning.known_robot import FoundValue, KnownRobot
 from bench.commissioning.leakage import Leakage
 from bench.commissioning.learned_swing import LearnedSwing
-from bench.commissioning.machine import CommissionedMachine
+from bench.commissioning.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
 from bench.commissioning.response_times import ResponseTimes
 from bench.commissioning.rising_swings import SWING_FILE, RisingSwings
 from bench.commissioning.slow_moves import SlowMoves
@@ -180,6 +180,33 @@ def plant_digest(plant: PlantParameters) -> str:
     return sha256(json.dumps(asdict(plant), sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
+class _CountedMachine:
+    """A machine whose motions in a step are counted and shown."""
+
+    def __init__(self, machine: CommissionedMachine, title: str, progress: Callable[[str], None]) -> None:
+        self._machine, self._title, self._progress = machine, title, progress
+        self._motions = 0
+
+    @property
+    def time(self) -> float:
+        return self._machine.time
+
+    def set_supply(self, pressure: float) -> None:
+        self._machine.set_supply(pressure)
+
+    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
+        self._motions += 1
+        self._progress(f"{self._title}: motion {self._motions}")
+        return self._machine.run(segments, bounds)
+
+    def vent(self, duration: float = 40.0) -> MotionTrace:
+        self._progress(f"{self._title}: venting after motion {self._motions}")
+        return self._machine.vent(duration)
+
+    def make_passive(self) -> None:
+        self._machine.make_passive()
+
+
 def commission(
     state: Commissioning,
     nominal: PlantParameters,
@@ -188,11 +215,12 @@ def commission(
     *,
     observe: Callable[[], tuple[str, ...]] = tuple,
     on_step: Callable[[NamedStep], None] = lambda step: None,
+    progress: Callable[[str], None] = lambda what: None,
 ) -> KnownRobot:
     """Do the measuring steps of `state` that are not done; store it after each.
 
     The machine is passive at the end. `observe` returns further notes after a step, such as a simulated
-    robot's loads.
+    robot's loads; `progress` is given each motion within a step.
 
     Raises:
         WrongMachine: a step found the machine wrong; the state says so.
@@ -202,8 +230,9 @@ def commission(
     try:
         while (step := state.next_step()) is not None:
             on_step(step)
+            counted = _CountedMachine(machine, step.title, progress)
             with _noting_what_is_wrong(state, step, now):
-                state.done.append(_do(step, state, machine, known, now, observe))
+                state.done.append(_do(step, state, counted, known, now, observe))
             state.save()
             known.add(state.done[-1].values)
     finally:

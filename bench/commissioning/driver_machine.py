@@ -44,6 +44,8 @@ _LOOK = 0.4
 """s without motion after which a vented robot rests."""
 _LOST = 5
 """Ticks for which sensors may fail in a row: a bus may lose a frame."""
+_STALL, _STALL_FELT = 5.0, 0.5
+"""Ticks without one that are a stall, and the time after one for which it explains lost readings (s)."""
 _READY = 3.0
 """s in which a device that was opened gives its first readings and the guard locks."""
 
@@ -60,6 +62,8 @@ class _Trouble(NamedTuple):
     cure: str = ""
     lasting: bool = False
     """Whether it cannot pass by itself."""
+    of_device: bool = False
+    """Whether a stall of the machine may be its reason."""
 
 
 class DriverMachine:
@@ -88,13 +92,16 @@ class DriverMachine:
         self._atmosphere = believed.supply.atmosphere
         self._now = self._began = 0.0
         self._failed, self._trouble = 0, _Trouble()
+        self._stall = self._stalled_at = 0.0
+        """Duration and end of the last stall, s."""
         self._seen = deque[NDArray[np.int64]](maxlen=_SPEED_SPAN + 1)
         self._readings = new_record(READINGS)
         self._readings["chamber_pressure"] = self._readings["supply_pressure"] = ABSENT
         self._applied = Command()
         self._bounds: MotionBounds | None = None
         driver.open()
-        self._now = self._began = self._clock.wait()
+        self._await_tick()
+        self._began = self._stalled_at = self._now
         self._read()
         self._await_readings()
 
@@ -227,7 +234,7 @@ class DriverMachine:
                 self._failed = 0
                 return
             self._driver.write(PASSIVE)
-            self._now = self._clock.wait()
+            self._await_tick()
             self._read()
         self._refuse_to_go_on()
 
@@ -237,7 +244,7 @@ class DriverMachine:
         Raises:
             Refused: the machine is passive, as an interlock is open, readings fail, or it was stopped.
         """
-        self._now = self._clock.wait()
+        self._await_tick()
         self._read()
         trouble = self._trouble
         self._failed = self._failed + 1 if trouble.text else 0
@@ -246,6 +253,12 @@ class DriverMachine:
         if self._stop():
             self.make_passive()
             raise stopped_by_operator()
+
+    def _await_tick(self) -> None:
+        """Wait for the next tick, and note a stall before it."""
+        before, self._now = self._now, self._clock.wait()
+        if self._now - before > _STALL * self._tick:
+            self._stall, self._stalled_at = self._now - before, self._now
 
     def _read(self) -> None:
         """Take the readings; a pressure without a believable value keeps its last one, and is a problem."""
@@ -270,14 +283,17 @@ class DriverMachine:
             Refused: always.
         """
         self.make_passive()
-        raise Refused(
-            "commission", self._trouble.text, "a machine that reads and may move", self._trouble.cure
-        )
+        text, cure = self._trouble.text, self._trouble.cure
+        if self._trouble.of_device and self._stall and self._now - self._stalled_at < _STALL_FELT:
+            stall = f"this program stood still for {1e3 * self._stall:.0f} ms, a stall of the computer"
+            text = f"{text}, after {stall}"
+            cure = "End other programs, see golfbench doctor, then continue with --resume."
+        raise Refused("commission", text, "a machine that reads and may move", cure)
 
     def _problem(self) -> _Trouble:
         """Return why the machine may not move."""
         r = self._readings[0]
-        problem, cure, lasting = "", "", False
+        problem, cure, lasting, of_device = "", "", False, False
         if not r["emergency_stop_clear"]:
             problem, lasting = "the emergency stop is pressed", True
             cure = "Clear it, then continue with --resume."
@@ -285,18 +301,21 @@ class DriverMachine:
             problem, lasting = "the guard is open", True
             cure = "Close it, then continue with --resume."
         elif not self._driver.operational:
-            problem, lasting = "the device went passive by its watchdog", True
-            cure = "Check its link, then --resume."
+            trouble = getattr(self._driver, "trouble", "") or "its watchdog, or its link"
+            problem, lasting, of_device = f"the device went passive: {trouble}", True, True
+            cure = "Check its link, then continue with --resume."
         elif not all(r["encoder_valid"]):
             lost = ", ".join(JOINTS[i] for i in range(3) if not r["encoder_valid"][i])
             problem, cure = f"no valid reading of the encoder of {lost}", "Check its plug and cable."
+            of_device = True
         elif not np.isfinite(r["supply_pressure"]):
             problem, cure = "no reading of the supply's pressure", "Check the sensor and its cable."
+            of_device = True
         elif not np.all(np.isfinite(r["chamber_pressure"])):
             lost = ", ".join(CHAMBERS[k] for k in range(6) if not np.isfinite(r["chamber_pressure"][k]))
-            problem = f"no pressure of {lost}"
+            problem, of_device = f"no pressure of {lost}", True
             cure = "Fit chamber sensors, or check their cables: commissioning measures the air by them."
-        return _Trouble(problem, cure, lasting)
+        return _Trouble(problem, cure, lasting, of_device)
 
 
 class _Log:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import REFUSAL_TEXT, Answer, Refusal, Request, State
+from bench.lifecycle import Answer, Refusal, Request, State
 from bench.network.bench_service import Reply
 from bench.processes.correction import (
     CORRECTED,
@@ -24,6 +24,7 @@ from bench.processes.correction import (
     pack_correction,
 )
 from bench.processes.plan import RING_FILE
+from bench.processes.status import refusal_text
 from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE
 from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedRecord
@@ -55,6 +56,8 @@ class LoopLink:
         self._looks: RingReader | None = None
         self._stops_seen = dict.fromkeys(_COUNTERS, 0)
         self._news: RingReader | None = None
+        self.trouble = ""
+        """Why the device does not follow commands; empty while it does."""
 
     def connect(self) -> None:
         """Open the ring created by the loop.
@@ -129,7 +132,7 @@ class LoopLink:
             late = time.monotonic() >= deadline  # looked at once more: this process may have stood still
             newest = self.newest()
             if newest is not None and newest["request_number"][0] >= number:
-                return _reply(newest)
+                return _reply(newest, self.trouble)
             if late:
                 return None
             time.sleep(_POLL_PERIOD)
@@ -181,8 +184,8 @@ class LoopLink:
             self._shared.write(self._orders)
 
 
-def _reply(newest: Cycles) -> Reply:
+def _reply(newest: Cycles, trouble: str) -> Reply:
     state = State(int(newest["state"][0])).name
     if newest["answer"][0] == Answer.ACCEPTED:
         return Reply(True, state, "")
-    return Reply(False, state, REFUSAL_TEXT[Refusal(int(newest["refusal"][0]))])
+    return Reply(False, state, refusal_text(Refusal(int(newest["refusal"][0])), trouble))

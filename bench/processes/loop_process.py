@@ -284,7 +284,9 @@ class LoopProcess:
         trouble = getattr(self.driver, "trouble", "")
         if trouble and trouble != self._trouble:
             send_event("exception", text=f"device went passive: {trouble}")
-        self._trouble = trouble
+        if trouble != self._trouble:
+            self._trouble = trouble
+            self._report_device()
 
     def _report_device(self) -> None:
         """Report the status of the device if it changed."""

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from bench.control.air_watch import FAULTS
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
+from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Cause, Phase, Reaction, Refusal, State
 from bench.network.bench_service import (
     STATUS_VERSION,
     BenchStatus,
@@ -99,6 +99,14 @@ def cause_text(cause: Cause, stall: str) -> str:
     """Return the operator's text for `cause`; with a stall in place of its cure, if there was one."""
     text = CAUSE_TEXT[cause]
     return f"{text.partition(':')[0]}: {stall}" if stall else text
+
+
+def refusal_text(refusal: Refusal, trouble: str) -> str:
+    """Return the operator's text for `refusal`; the device's `trouble`, if known, in place of its cure."""
+    text = REFUSAL_TEXT[refusal]
+    if trouble and refusal in (Refusal.READINGS, Refusal.DEVICE):
+        return f"{text.partition(':')[0]}: {trouble}"
+    return text
 
 
 def _cause(cause: Cause, stall: str = "") -> CauseStatus | None:

@@ -73,7 +73,7 @@ from drivers.canopen.zero_shift import read_zero_shift
 
 _START, _STOP, _ENTER_PRE_OPERATIONAL = 1, 2, 128
 """NMT commands."""
-_BOOT_UP, _OPERATIONAL = 0, 5
+_BOOT_UP, _STOPPED, _OPERATIONAL, _PRE_OPERATIONAL = 0, 4, 5, 127
 """States in a heartbeat."""
 _ALL = 0b111
 """Bit mask: samples of all encoders are expected."""
@@ -92,6 +92,19 @@ _VALVE_NODE = 3
 """Index of the valve node among the nodes, after the encoders."""
 
 _Opened = Callable[[CanopenSettings, list[int]], FrameLink]
+
+
+def _left_for(state: int) -> str:
+    """Return the NMT state of a node that this bench has not commanded, why it is in it, and the action."""
+    if state == _STOPPED:
+        return (
+            f"NMT state {state} (stopped): another master has commanded it; end that program or take it off "
+            "the bus, then reset"
+        )
+    return (
+        f"NMT state {state}{' (pre-operational)' if state == _PRE_OPERATIONAL else ''}: another master has "
+        "commanded it, or its error behaviour (1029h); end that program or look at the node, then reset"
+    )
 
 
 class CanopenDriver:
@@ -621,11 +634,14 @@ class CanopenDriver:
         who = f"node {self._numbers[index]} ({self._roles[index]})"
         if state == _BOOT_UP:
             self._counters.boot_ups += 1
-            self._note_trouble(f"{who} has restarted")
+            self._note_trouble(
+                f"{who} has restarted: its supply failed, or another master has reset it; check both, then "
+                "reset"
+            )
         else:
             self._counters.heartbeats += 1
             if state != _OPERATIONAL:
-                self._note_trouble(f"{who} has left the operational state for state {state}")
+                self._note_trouble(f"{who} has left the operational state for {_left_for(state)}")
 
     def _take_emergency(self, index: int, data: bytes) -> None:
         if len(data) != EMERGENCY_LENGTH:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.lifecycle import CAUSE_TEXT, Cause
+from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Cause, Refusal
 from bench.processes.stall import stall_note, supervisor_note
-from bench.processes.status import cause_text
+from bench.processes.status import cause_text, refusal_text
 from bench.telemetry.cycle_record import CYCLE
 
 LOST_TIME, PERIOD = 0.0045, 0.001
@@ -34,6 +34,22 @@ def test_all_encoders_at_once_are_no_cable_of_one() -> None:
     cycles = records()
     cycles["encoder_age"][-5:] += np.linspace(0.001, 0.005, 5)[:, None]
     assert "all three encoders were lost at once" in note(cycles)
+
+
+def test_stall_note_names_the_trouble_of_the_device_before_cables() -> None:
+    cycles = records()
+    cycles["encoder_valid"][-5:, 0] = 0
+    trouble = "node 1 has left the operational state: another master has commanded it"
+    for cause in (Cause.SHOULDER_ENCODER, Cause.DEVICE_PASSIVE):
+        assert stall_note(cycles, cause, LOST_TIME, PERIOD, trouble) == trouble
+    assert stall_note(cycles, Cause.GUARD, LOST_TIME, PERIOD, trouble) == ""
+
+
+def test_refusal_names_the_trouble_of_the_device_before_cables() -> None:
+    trouble = "another master has commanded node 1"
+    assert refusal_text(Refusal.READINGS, trouble) == f"an encoder gives no valid readings: {trouble}"
+    assert refusal_text(Refusal.READINGS, "") == REFUSAL_TEXT[Refusal.READINGS]
+    assert refusal_text(Refusal.GUARD, trouble) == REFUSAL_TEXT[Refusal.GUARD]
 
 
 @pytest.mark.parametrize("lost", [0, 2])

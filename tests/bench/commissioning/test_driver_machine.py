@@ -1,0 +1,61 @@
+"""A commissioned machine that stops reports whether the device or the computer is the reason."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from bench.commissioning.driver_machine import DriverMachine
+from bench.commissioning.machine import MotionBounds, Segment
+from bench.errors import Refused
+from sim.driver import SimDriver
+from sim.plant import PlantParameters, build_plant
+
+PLANT = PlantParameters()
+BOUNDS = MotionBounds((10.0, 10.0, 20.0), (3.0, 3.0, 5.0), 9e5)
+
+
+class TroubledDriver(SimDriver):
+    """Goes passive with a `trouble`."""
+
+    trouble = ""
+
+    @property
+    def operational(self) -> bool:
+        return not self.trouble
+
+
+class JumpingClock:
+    """Ticks one after the other; the hundredth comes `stall` s late, and `driver` is passive then."""
+
+    def __init__(self, driver: TroubledDriver, stall: float) -> None:
+        self._driver, self._stall = driver, stall
+        self._ticks, self._now = 0, 0.0
+
+    def wait(self) -> float:
+        self._ticks += 1
+        self._now += PLANT.tick
+        if self._ticks == 100:
+            self._now += self._stall
+            self._driver.trouble = "node 10 reports error 8250h"
+        return self._now
+
+
+@pytest.mark.parametrize(
+    ("stall", "found", "cure"),
+    [
+        (0.0, r"went passive: node 10 reports error 8250h$", "link"),
+        (0.06, r"went passive: node 10 .*, after this program stood still for 61 ms", "golfbench doctor"),
+    ],
+)
+def test_driver_machine_that_goes_passive_reports_the_stall_before_it(
+    stall: float, found: str, cure: str
+) -> None:
+    driver = TroubledDriver(build_plant(PLANT))
+    clock = JumpingClock(driver, stall)
+    with DriverMachine(driver, PLANT, clock) as machine:  # type: ignore[arg-type]  # a clock that jumps
+        with pytest.raises(Refused) as refused:
+            machine.run((Segment(0.3, (0.0, 0.0, 0.0)),), BOUNDS)
+        assert re.search(found, refused.value.found)
+        assert cure in refused.value.cure
