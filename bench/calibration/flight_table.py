@@ -1,95 +1,241 @@
-"""Measured flights in CSV: one row a flight, and the points of trajectories in a second file.
+"""Measured flights in CSV: one row per flight, and the points of trajectories in a second file.
 
-Columns are named as in the shot table. `flight` numbers the flights where points are given. An empty cell is
-a figure that was not measured; direction and spin axis default to 0, the air to that of `sim.air.Air`.
+Columns are named as in the shot table, or as TrackMan and Foresight export them, with the unit in the name or
+in a row below. `flight` numbers the flights where points are given. An empty cell is a figure that was not
+measured; direction and spin axis default to 0, the air to that of `sim.air.Air`.
 """
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Mapping
-from math import isfinite, pi, radians
+from collections.abc import Mapping
+from math import atan2, hypot, pi
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.calibration.aerodynamics_fit import MeasuredFlight
+from bench.calibration.measurement_table import MeasurementTable, read_table
 from bench.errors import BenchError
 from drivers.base import Launch
 from sim.air import Air
 
-MPH, YARD = 0.44704, 0.9144
-
-_COLUMNS: Mapping[str, tuple[str, Callable[[float], float]]] = {
-    "ball_speed_mps": ("speed", float),
-    "ball_speed_mph": ("speed", lambda value: MPH * value),
-    "launch_angle_deg": ("launch_angle", radians),
-    "direction_deg": ("direction", radians),
-    "spin_rpm": ("spin", lambda value: value * pi / 30),
-    "spin_axis_deg": ("spin_axis", radians),
-    "carry_m": ("carry", float),
-    "carry_yd": ("carry", lambda value: YARD * value),
-    "apex_m": ("apex", float),
-    "apex_yd": ("apex", lambda value: YARD * value),
-    "time_s": ("time", float),
-    "air_temperature_k": ("temperature", float),
-    "air_pressure_pa": ("pressure", float),
-    "relative_humidity": ("relative_humidity", float),
-    "wind_mps": ("wind", float),
-    "cross_wind_mps": ("cross_wind", float),
+_UNITS: Mapping[str, Mapping[str, tuple[float, float]]] = {
+    dimension: {name: (factor, offset) for names, factor, offset in units for name in names.split()}
+    for dimension, units in {
+        "speed": [("mps m_s", 1.0, 0.0), ("mph", 0.44704, 0.0), ("kmh km_h kph", 1 / 3.6, 0.0)],
+        "angle": [("deg degrees", pi / 180, 0.0)],
+        "spin": [("rpm", pi / 30, 0.0)],
+        "length": [("m meters metres", 1.0, 0.0), ("yd yds yards", 0.9144, 0.0), ("ft feet", 0.3048, 0.0)],
+        "time": [("s sec seconds", 1.0, 0.0)],
+        "temperature": [("k", 1.0, 0.0), ("c deg_c", 1.0, 273.15), ("f deg_f", 5 / 9, 273.15 - 160 / 9)],
+        "pressure": [("pa", 1.0, 0.0), ("hpa h_pa mbar", 100.0, 0.0), ("kpa k_pa", 1000.0, 0.0)],
+        "ratio": [("ratio", 1.0, 0.0), ("percent", 0.01, 0.0)],
+    }.items()
 }
-"""Column -> figure and its conversion to SI; wind along the target line and to the right."""
+"""Units by dimension: factor and offset to SI."""
+_ASSUMED = {"angle": "deg", "spin": "rpm", "time": "s", "ratio": "ratio"}
+"""Units of columns that name none."""
+
+
+class _Figure(NamedTuple):
+    """A figure of a flight."""
+
+    dimension: str
+    names: tuple[str, ...]
+    """Column names without unit: that of the shot table first, then of exports."""
+    sided: bool = False
+    """Whether it has a sign: right is positive."""
+
+
+# TrackMan: header of TPS and of Range exports. Foresight: FSX 2020 (LastShot.CSV) and FSX sessions.
+_FIGURES: Mapping[str, _Figure] = {
+    "speed": _Figure("speed", ("ball_speed",)),
+    "launch_angle": _Figure("angle", ("launch_angle", "vla")),
+    "direction": _Figure(
+        "angle", ("direction", "launch_direction", "azimuth", "side_angle", "hla"), sided=True
+    ),
+    "spin": _Figure("spin", ("spin", "spin_rate", "total_spin")),
+    "spin_axis": _Figure("angle", ("spin_axis", "spin_axis_tilt"), sided=True),
+    "back_spin": _Figure("spin", ("back_spin", "backspin")),
+    "side_spin": _Figure("spin", ("side_spin", "sidespin"), sided=True),
+    "carry": _Figure("length", ("carry", "carry_distance", "carry_dist", "carry_flat_length")),
+    "apex": _Figure(
+        "length", ("apex", "apex_height", "peak_height", "max_height", "max_height_height", "height")
+    ),
+    "time": _Figure("time", ("time", "hang_time", "flight_time", "carry_flat_time")),
+    "temperature": _Figure("temperature", ("air_temperature", "temperature")),
+    "pressure": _Figure("pressure", ("air_pressure",)),
+    "relative_humidity": _Figure("ratio", ("relative_humidity",)),
+    "wind": _Figure("speed", ("wind",), sided=True),
+    "cross_wind": _Figure("speed", ("cross_wind",), sided=True),
+}
+"""Wind along the target line and to the right."""
 _NEEDED = ("speed", "launch_angle", "spin")
 _POINT_COLUMNS = ("flight", "time_s", "distance_m", "height_m")
-_CURE = "Correct the cell."
+_NOT_MEASURED = "16777215.000000"
+"""What Foresight writes for a figure that was not measured."""
+_ESTIMATES = ("estimated", "calculated")
 
 
-def read_flights(path: Path, points: Path | None = None) -> list[MeasuredFlight]:
+class FlightTable(NamedTuple):
+    """Flights of a file."""
+
+    flights: list[MeasuredFlight]
+    notes: tuple[str, ...]
+    """Columns and rows that are not used."""
+
+
+class _Column(NamedTuple):
+    """A column with a figure."""
+
+    figure: str
+    unit: str
+    """Empty where the name has none."""
+
+
+def read_flights(path: Path, points: Path | None = None) -> FlightTable:
     """Return the flights in `path`, with the trajectories in `points` if given.
 
     Raises:
-        BenchError: a file cannot be read; names file, line and column of a cell that is no number, a column
-            that is missing, or a flight whose figures are impossible.
+        BenchError: a file cannot be read; names file, line and column of a cell that is no number, of a unit
+            that is missing or unknown and of a figure that is given twice and differs, or a flight whose
+            figures are missing or impossible.
     """
     trajectories = {} if points is None else _read_points(points)
-    flights = []
-    for line, row in _rows(path):
-        number = row.pop("flight", None)
-        place = f"{path}, line {line}"
-        if "carry_source" in row:
-            raise BenchError(
-                str(path),
-                "a campaign's shot table, whose apex and carry are computed",
-                "flights as a device measured them",
-                "Give the export of the full-flight monitor or indoor range.",
-            )
-        figures = _figures(row, place)
-        missing = [name for name in _NEEDED if name not in figures]
-        if missing:
-            wanted = [column for column, (name, _) in _COLUMNS.items() if name == missing[0]]
-            raise BenchError(place, f"no {missing[0]}", f"a figure in {' or '.join(wanted)}", "Add it.")
+    table = read_table(path, lambda key: _column(key) is not None)
+    if "carry_source" in table.keys:
+        raise BenchError(
+            str(path),
+            "a campaign's shot table, whose apex and carry are computed",
+            "flights as a device measured them",
+            "Give the export of the full-flight monitor or indoor range.",
+        )
+    columns = _columns(table)
+    flights, notes = list[MeasuredFlight](), [*table.notes]
+    for line, row in table.rows:
+        place, cells = f"{path}, line {line}", dict(zip(table.keys, row, strict=True))
+        if left_out := _left_out(cells):
+            notes.append(f"line {line}: {left_out}")
+            continue
+        figures = _figures(table, columns, line, row)
+        if not figures:
+            notes.append(f"line {line}: {' '.join(filter(None, row))}")
+            continue
+        if "spin" not in figures and {"back_spin", "side_spin"} <= figures.keys():
+            figures["spin"] = hypot(figures["back_spin"], figures["side_spin"])
+        if missing := [name for name in _NEEDED if name not in figures]:
+            raise BenchError(place, f"no {missing[0]}", "a figure", "Add it, or delete the row.")
         try:
-            flights.append(_flight(figures, trajectories.pop((number or "").strip(), None)))
+            flights.append(_flight(figures, trajectories.pop(cells.get("flight", ""), None)))
         except ValueError as error:
-            raise BenchError(place, str(error), "a possible flight", _CURE) from None
+            raise BenchError(place, str(error), "a possible flight", "Correct the row.") from None
     if trajectories:
         left = ", ".join(list(trajectories)[:5])
         raise BenchError(
             str(points), f"points of flight {left}", f"a row of it in {path}, column flight", "Correct one."
         )
-    return flights
+    used = {"", "flight", "spin_rate_type", "use_in_stat"}
+    unused = [name for n, name in enumerate(table.names) if n not in columns and table.keys[n] not in used]
+    if unused:
+        notes.append(f"columns {', '.join(unused)}")
+    return FlightTable(flights, tuple(notes))
 
 
-def _flight(figures: Mapping[str, float], points: np.ndarray[Any, Any] | None) -> MeasuredFlight:
+def _left_out(cells: Mapping[str, str]) -> str:
+    """Return why the device or its operator does not count a row as measured; empty if they do."""
+    if (kind := cells.get("spin_rate_type", "").lower()) in _ESTIMATES:
+        return f"spin {kind}, not measured"
+    return "Use In Stat is false" if cells.get("use_in_stat", "").lower() in ("false", "0", "no") else ""
+
+
+def _wanted(figure: str) -> str:
+    dimension, names, _ = _FIGURES[figure]
+    return f"column {names[0]}_{next(iter(_UNITS[dimension]))}"
+
+
+def _column(key: str) -> _Column | None:
+    """Return the figure and the unit that the column `key` names; None if it is another one."""
+    for figure, (dimension, names, _) in _FIGURES.items():
+        for name in names:
+            unit = key[len(name) + 1 :]
+            if key == name or (key.startswith(f"{name}_") and unit in _UNITS[dimension]):
+                return _Column(figure, unit)
+    return None
+
+
+def _columns(table: MeasurementTable) -> dict[int, _Column]:
+    """Return the columns with figures; BenchError if a name is there twice, or a needed figure in none."""
+    found: dict[int, _Column] = {}
+    for n, key in enumerate(table.keys):
+        column = _column(key)
+        if column is None or (key == "time" and not table.units[n]):  # a time of day
+            continue
+        if key in table.keys[:n]:
+            raise BenchError(
+                table.place(table.header, n), "the name of another column", "each figure once", "Delete one."
+            )
+        if column.unit and table.units[n] and column.unit != table.units[n]:
+            raise BenchError(
+                table.place(table.header, n),
+                f"{table.units[n]} in the row of units",
+                "one unit",
+                "Correct one of them.",
+            )
+        found[n] = column._replace(unit=column.unit or table.units[n])
+    given = {column.figure for column in found.values()}
+    for name in _NEEDED:
+        if name not in given and not (name == "spin" and {"back_spin", "side_spin"} <= given):
+            place, names = f"{table.path}, line {table.header}", ", ".join(filter(None, table.names))
+            raise BenchError(place, f"no {name} in columns {names}", _wanted(name), "Name its column so.")
+    return found
+
+
+def _figures(
+    table: MeasurementTable, columns: Mapping[int, _Column], line: int, row: tuple[str, ...]
+) -> dict[str, float]:
+    """Return the figures of a row in SI; BenchError if two columns of a figure differ."""
+    found: dict[str, tuple[float, float, int]] = {}
+    for n, (figure, unit) in columns.items():
+        cell, (dimension, _, sided) = row[n], _FIGURES[figure]
+        if not cell or cell == _NOT_MEASURED:
+            continue
+        known = _UNITS[dimension].get(unit or _ASSUMED.get(dimension, "no unit"))
+        if known is None:
+            expected = f"one of {', '.join(_UNITS[dimension])} in the name, as {table.keys[n]}_{{}}"
+            raise BenchError(
+                table.place(line, n),
+                f"unit {unit}" if unit else "no unit",
+                expected.format(next(iter(_UNITS[dimension]))),
+                "Write the unit behind the column's name.",
+            )
+        factor, offset = known
+        value = factor * table.number(line, n, cell, sided=sided) + offset
+        rounding = 0.5 * factor * 10.0 ** -len(cell.replace(",", ".").partition(".")[2].rstrip("LRlr "))
+        first, first_rounding, other = found.setdefault(figure, (value, rounding, n))
+        if abs(first - value) > 1.01 * (first_rounding + rounding):
+            raise BenchError(
+                table.place(line, n),
+                f"{cell}, and {row[other]} in {table.names[other]}",
+                f"the same {figure} in both",
+                "Delete one of the columns.",
+            )
+    return {figure: value for figure, (value, _, _) in found.items()}
+
+
+def _flight(figures: dict[str, float], points: np.ndarray[Any, Any] | None) -> MeasuredFlight:
     usual = Air()
+    axis = figures.get("spin_axis")
+    if axis is None:
+        side, back = figures.get("side_spin", 0.0), figures.get("back_spin", 0.0)
+        axis = atan2(side, back) if side and back else 0.0
     return MeasuredFlight(
         Launch(
             figures["speed"],
             figures["launch_angle"],
             figures.get("direction", 0.0),
             figures["spin"],
-            figures.get("spin_axis", 0.0),
+            axis,
         ),
         carry=figures.get("carry"),
         apex=figures.get("apex"),
@@ -104,42 +250,20 @@ def _flight(figures: Mapping[str, float], points: np.ndarray[Any, Any] | None) -
     )
 
 
-def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
-    """Return (line, cells by column) of each row."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            table = csv.DictReader(stream, strict=True, restval="")
-            return [(table.line_num, dict(row)) for row in table]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise BenchError(str(path), str(error), "a table of flights (CSV, UTF-8)", "Check it.") from error
-
-
-def _figures(row: Mapping[str, str], place: str) -> dict[str, float]:
-    """Return the figures of a row in SI; columns of other names are ignored."""
-    return {
-        name: convert(_number(row[column], f"{place}, {column}"))
-        for column, (name, convert) in _COLUMNS.items()
-        if (row.get(column) or "").strip()
-    }
-
-
 def _read_points(path: Path) -> dict[str, np.ndarray[Any, Any]]:
     """Return the points of each flight, shape (n, 3): time, distance along the launch direction, height."""
     found: dict[str, list[list[float]]] = {}
-    for line, row in _rows(path):
-        missing = [name for name in _POINT_COLUMNS if name not in row]
-        if missing:
-            raise BenchError(str(path), f"no column {missing[0]}", ", ".join(_POINT_COLUMNS), "Add it.")
-        numbers = [_number(row[name], f"{path}, line {line}, {name}") for name in _POINT_COLUMNS[1:]]
-        found.setdefault(row["flight"].strip(), []).append(numbers)
+    table = read_table(path, lambda key: key in _POINT_COLUMNS)
+    for name in _POINT_COLUMNS:
+        if (count := table.keys.count(name)) != 1:
+            raise BenchError(
+                f"{path}, line {table.header}",
+                f"{count} columns {name}",
+                ", ".join(_POINT_COLUMNS),
+                "Correct it.",
+            )
+    flight, *places = (table.keys.index(name) for name in _POINT_COLUMNS)
+    for line, row in table.rows:
+        numbers = [table.number(line, place, row[place]) for place in places]
+        found.setdefault(row[flight], []).append(numbers)
     return {flight: np.array(points) for flight, points in found.items()}
-
-
-def _number(cell: str, place: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = float("nan")
-    if not isfinite(value):
-        raise BenchError(place, repr(cell), "a number with a decimal point", _CURE)
-    return value

@@ -28,9 +28,10 @@ FlightTable = Annotated[
     Path,
     typer.Argument(
         metavar="FLIGHTS",
-        help="CSV, a row a flight: ball_speed_mps (or _mph), launch_angle_deg, spin_rpm, and of carry_m "
-        "(or _yd), apex_m (or _yd), time_s what was measured; optional direction_deg, spin_axis_deg, "
-        "air_temperature_k, air_pressure_pa, relative_humidity, wind_mps, cross_wind_mps.",
+        help="CSV, one row per flight, or an export of TrackMan or Foresight: ball_speed_mps (_mph, _kmh), "
+        "launch_angle_deg, spin_rpm, and of carry_m (_yd, _ft), apex_m (_yd, _ft), time_s what was measured; "
+        "optional direction_deg, spin_axis_deg, air_temperature_k (_c, _f), air_pressure_pa (_hpa), "
+        "relative_humidity, wind_mps, cross_wind_mps.",
     ),
 ]
 Source = Annotated[
@@ -129,9 +130,11 @@ def _fitted(
     from bench.calibration.flight_table import read_flights
     from bench.errors import BenchError
 
-    measured = read_flights(flights, points)
+    table = read_flights(flights, points)
+    for note in table.notes:
+        typer.echo(f"Not used, {flights}: {note}", err=True)
     try:
-        return fit_aerodynamics(ball, measured, scatter, calibration, mass=mass, radius=radius)
+        return fit_aerodynamics(ball, table.flights, scatter, calibration, mass=mass, radius=radius)
     except ValueError as error:
         raise BenchError(
             str(flights), str(error), "flights that determine drag and lift", "Measure more of them."

@@ -181,7 +181,8 @@ def test_a_table_of_flights_is_read(tmp_path: Path) -> None:
         "1,150,12,2600,240,30,,293.15,first\n2,60,11,3000,,,6.1,,\n"
     )
     points.write_text("flight,time_s,distance_m,height_m\n2,0.1,5.9,1.1\n2,0.2,11.7,2.2\n")
-    one, two = read_flights(table, points)
+    (one, two), notes = read_flights(table, points)
+    assert notes == ("columns note",)
     assert one.launch.speed == pytest.approx(150 * 0.44704)
     assert one.launch.spin == pytest.approx(2600 * pi / 30)
     assert one.carry == pytest.approx(240 * 0.9144)

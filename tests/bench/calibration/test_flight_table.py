@@ -1,0 +1,175 @@
+"""Tables of flights as people and devices write them: understood, or refused by what they are."""
+
+from __future__ import annotations
+
+from math import pi, radians
+from pathlib import Path
+
+import pytest
+
+from bench.calibration.flight_table import FlightTable, read_flights
+from bench.errors import BenchError
+
+HEADER = "ball_speed_mph,launch_angle_deg,spin_rpm,carry_yd"
+FLIGHT = "171,10.4,2545,282"
+SPEED = pytest.approx(171 * 0.44704)
+# Columns as in exports of TPS; the figures are made up.
+TRACKMAN = """sep=,
+Date,Club,Ball Speed,Launch Angle,Launch Direction,Spin Rate,Spin Rate Type,Spin Axis,Max Height - Height,\
+Carry Flat - Length,Carry Flat - Side,Carry Flat - Time,Carry (Sim),Use In Stat
+,,[mph],[deg],[deg],[rpm],[],[deg],[ft],[yds],[yds],[s],[yds],
+10/1/2026 1:02:03 PM,Driver,171,10.4,-0.4,2545,Measured,1.2,105.3,282.1,3.1,6.4,283,TRUE
+10/1/2026 1:03:03 PM,Driver,165,10.6,-0.4,2645,Estimated,1.2,105.3,272.1,3.1,6.4,273,TRUE
+10/1/2026 1:04:03 PM,Driver,160,10.8,-0.4,2745,Measured,1.2,105.3,262.1,3.1,6.4,263,FALSE
+"""
+# Of FSX 2020, LastShot.CSV.
+FORESIGHT = """Shot ID, Club, Ball Speed (m/s), Launch Angle (deg), Azimuth (deg), Side Spin (rpm), \
+Back Spin (rpm), Total Spin (rpm), Carry (m), Offline (m), Peak Height (m), Lie (deg),
+1, 1w, 76.44384, 10.4, 0.6, 100, 2000, 2545, 257.9, 0.0, 16777215.000000, 16777215.000000,
+"""
+# Of an FSX session: blocks by club, each with its header and its averages.
+SESSION = """Ann,Shot Analysis
+
+,Date,Time,Carry (yd),Peak Height (ft),Offline (yd),Ball Speed (mph),Launch Angle (deg),\
+Launch Direction (deg),Total Spin (rpm),Spin Axis Tilt (deg)
+Dr,,,
+1,06/24/2026,3:35:37 PM Central,282,105,3.4 L,171,10.4,1.2 R,2545,3.4L
+Average,,,282,105,3.4 L,171,10.4,1.2 R,2545,3.4L
+Std. Dev.,,,1,1,1,1,1,1,1,1
+
+,Date,Time,Carry (yd),Peak Height (ft),Offline (yd),Ball Speed (mph),Launch Angle (deg),\
+Launch Direction (deg),Total Spin (rpm),Spin Axis Tilt (deg)
+9i
+1,06/24/2026,3:36:37 PM Central,148,96,3.4 L,109,20.4,1.2 R,8647,3.4L
+"""
+GERMAN = "Datum;Ball Speed (km/h);Launch Angle;Spin Rate;Carry Distance (m)\n1.2.26;275,2;10,4;2545;257,9\n"
+
+
+def read(folder: Path, text: str | bytes) -> FlightTable:
+    file = folder / "flights.csv"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_flights(file)
+
+
+def test_a_trackman_export_is_read_with_its_units(tmp_path: Path) -> None:
+    (flight,), notes = read(tmp_path, TRACKMAN)
+    assert flight.launch == pytest.approx(
+        (171 * 0.44704, radians(10.4), radians(-0.4), 2545 * pi / 30, radians(1.2))
+    )
+    assert (flight.carry, flight.apex, flight.time) == pytest.approx((282.1 * 0.9144, 105.3 * 0.3048, 6.4))
+    assert notes == (
+        "line 5: spin estimated, not measured",
+        "line 6: Use In Stat is false",
+        "columns Date, Club, Carry Flat - Side, Carry (Sim)",
+    )
+
+
+def test_a_foresight_shot_has_its_axis_from_side_and_back_spin(tmp_path: Path) -> None:
+    (flight,), _ = read(tmp_path, FORESIGHT)
+    assert flight.launch == pytest.approx(
+        (76.44384, radians(10.4), radians(0.6), 2545 * pi / 30, 0.049958), rel=1e-4
+    )
+    assert (flight.carry, flight.apex) == (257.9, None)
+
+
+def test_a_foresight_session_gives_its_shots_and_names_the_other_rows(tmp_path: Path) -> None:
+    (one, two), notes = read(tmp_path, SESSION)
+    assert one.launch == pytest.approx(
+        (171 * 0.44704, radians(10.4), radians(1.2), 2545 * pi / 30, radians(-3.4))
+    )
+    assert (one.apex, two.carry) == pytest.approx((105 * 0.3048, 148 * 0.9144))
+    assert notes == (
+        "line 1: Ann Shot Analysis",
+        "line 6: Average",
+        "line 7: Std. Dev.",
+        "line 4: Dr",
+        "line 10: 9i",
+        "columns Date, Time, Offline (yd)",
+    )
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le"])
+def test_semicolons_with_decimal_commas_are_read(tmp_path: Path, encoding: str) -> None:
+    (flight,), notes = read(tmp_path, GERMAN.encode(encoding))
+    assert (flight.launch.speed, flight.carry) == pytest.approx((275.2 / 3.6, 257.9))
+    assert flight.launch.launch_angle == pytest.approx(radians(10.4))
+    assert notes == ("columns Datum",)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        HEADER,
+        " Ball Speed MPH ,Launch_Angle_Deg,SPIN (rpm),Carry [yd]",
+        "BallSpeed (mph),VLA,TotalSpin,CarryDistance (yds)",
+    ],
+)
+def test_capitals_spaces_and_brackets_in_headers_are_read(tmp_path: Path, header: str) -> None:
+    (flight,), notes = read(tmp_path, f"{header}\n{FLIGHT}\n")
+    assert (flight.launch.speed, flight.carry, notes) == (SPEED, pytest.approx(282 * 0.9144), ())
+
+
+@pytest.mark.parametrize(
+    ("column", "cell", "figure", "value"),
+    [
+        ("apex_ft", "105", "apex", 105 * 0.3048),
+        ("Apex Height (feet)", "105", "apex", 105 * 0.3048),
+        ("carry_m", "257.9", "carry", 282 * 0.9144),  # the same as carry_yd
+        ("hang time", "6.4", "time", 6.4),
+    ],
+)
+def test_a_known_unit_is_converted(tmp_path: Path, column: str, cell: str, figure: str, value: float) -> None:
+    (flight,), _ = read(tmp_path, f"{HEADER},{column}\n{FLIGHT},{cell}\n")
+    assert getattr(flight, figure) == pytest.approx(value)
+
+
+def test_air_in_the_units_of_a_weather_station_is_converted(tmp_path: Path) -> None:
+    more = "Temperature (°F),Air Pressure (kPa),Relative Humidity (%)"
+    (flight,), _ = read(tmp_path, f"{HEADER},{more}\n{FLIGHT},68,100.4,39\n")
+    air = flight.air
+    assert (air.temperature, air.pressure, air.relative_humidity) == pytest.approx((293.15, 100_400, 0.39))
+
+
+@pytest.mark.parametrize("row", ["Average,1,2,3", "Std. Dev.,1,2,3", "AVG (3),1,2,3", "max,1,2,3"])
+def test_a_row_of_averages_or_deviations_is_no_flight(tmp_path: Path, row: str) -> None:
+    flights, notes = read(tmp_path, f"{HEADER}\n{FLIGHT}\n{row}\n")
+    assert (len(flights), notes) == (1, (f"line 3: {row.split(',', maxsplit=1)[0]}",))
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "found"),
+    [
+        (f"{HEADER},carry_yd\n{FLIGHT},296\n", "line 1, carry_yd (column 5)", "name of another column"),
+        (f"{HEADER},Carry (yd)\n{FLIGHT},282\n", "line 1, Carry (yd) (column 5)", "name of another column"),
+        (f"{HEADER},carry_m\n{FLIGHT},250\n", "line 2, carry_m (column 5)", "250, and 282 in carry_yd"),
+        (f"{HEADER}\n,,,[m]\n{FLIGHT}\n", "line 1, carry_yd (column 4)", "m in the row of units"),
+        (f"{HEADER},Apex\n{FLIGHT},105\n", "line 2, Apex (column 5)", "no unit"),
+        (f"{HEADER},Apex\n,,,,[in]\n{FLIGHT},105\n", "line 3, Apex (column 5)", "unit in"),
+        (f"{HEADER}\n171,1.2R,2545,282\n", "line 2, launch_angle_deg (column 2)", "'1.2R'"),
+        (f"{HEADER},direction_deg\n{FLIGHT},-1.2L\n", "line 2, direction_deg (column 5)", "'-1.2L'"),
+        (f"{HEADER}\n171,10,4,2545,282\n", "line 2", "5 cells"),
+        (f'{HEADER}\n171,10.4,"2,545",282\n', "line 2, spin_rpm (column 3)", "'2,545'"),
+        (
+            f"{HEADER}\n{FLIGHT}\n".replace(",", ";").replace("2545", "2,545"),
+            "line 2, spin_rpm (column 3)",
+            "'2,545'",
+        ),
+        (GERMAN.replace("2545", "2.545"), "line 2, Spin Rate (column 4)", "'2.545'"),
+        (
+            "Datum;Ballgeschwindigkeit;Drehrate\n1.2.26;275;2545\n",
+            "line 1",
+            "no speed in columns Datum, Ballg",
+        ),
+        (f"{HEADER}\n171,,2545,282\n", "line 2", "no launch_angle"),
+        (b"PK\x03\x04", "flights.csv", "a workbook (xlsx)"),
+        (f"{HEADER}\n171,10.4\xb0,2545,282\n".encode("latin-1"), "flights.csv", "not utf-8"),
+        (HEADER, "flights.csv", "no rows"),
+    ],
+)
+def test_a_table_that_is_not_clear_is_refused_with_its_place(
+    tmp_path: Path, text: str | bytes, place: str, found: str
+) -> None:
+    with pytest.raises(BenchError) as raised:
+        read(tmp_path, text)
+    assert place in raised.value.place
+    assert found in raised.value.found
