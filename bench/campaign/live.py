@@ -38,6 +38,7 @@ from bench.lifecycle import REFUSAL_TEXT, Refusal
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
 from bench.network.live_swing import LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
+from bench.network.status_words import absent_monitor_text
 from bench.processes.bench_folder import bench_folder
 from bench.shot.ball_struck import ball_struck
 from bench.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
@@ -205,7 +206,7 @@ class LiveShots:
         if (link := status["launch_monitor"]) is None:
             raise Suspended("the bench restarted without its launch monitor, [launch_monitor] enabled")
         note = f": {link['note']}" if link["note"] else ""
-        return None if link["present"] else Hindrance(f"no launch monitor is connected{note}")
+        return None if link["present"] else Hindrance(f"{absent_monitor_text(link)}{note}")
 
     def _short_of_air(self, step: Step, status: BenchStatus) -> Hindrance | None:
         """Check the supply pressure, at the address only: otherwise its manifold is empty."""

@@ -17,6 +17,7 @@ from bench.network.client import BenchClient
 from bench.network.status_words import (
     StatusCondition,
     interlock_conditions,
+    launch_monitor_text,
     robot_conditions,
     shut_off_words,
     vent_words,
@@ -167,12 +168,13 @@ def _launch_monitor(link: LaunchMonitorStatus | None) -> Text:
     if link is None:
         return Text("none configured")
     where = f"listening at {link['listening']}" if link["listening"] else "not listening"
-    names = ", ".join(one["device"] or one["address"] for one in link["monitors"])
-    told = Text(f"{names}, {where}") if link["present"] else Text(f"none connected, {where}", "yellow")
+    told = Text(f"{launch_monitor_text(link)}, {where}", "" if link["present"] else "yellow")
     if link["note"]:
         told.append(f"\n{link['note']}", "yellow")
     if counted := ", ".join(f"{outcome} {count}" for outcome, count in link["outcomes"].items() if count):
         told.append(f"\n{counted}")
+    if link["refused"]:
+        told.append(f"\nrefused {link['refused']}, last: {link['refusal']}", "yellow")
     if (simulator := link["simulator"]) is not None:
         passed = f"passed on to GSPro {simulator['taken']}, refused {simulator['refused']}"
         told.append(f"\n{passed}" + (f": {simulator['trouble']}" if simulator["trouble"] else ""))

@@ -26,6 +26,7 @@ from bench.lifecycle import Answer, Cause, Request
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
 from bench.network.live_swing import LOOK, ShotNews, SwingRecord, in_words, tee_up
+from bench.network.status_words import launch_monitor_text
 from bench.shot.recorded_shot import plant_of
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
@@ -260,7 +261,7 @@ def require_bench(status: BenchStatus, profile: Profile, source: Source) -> None
     if source == "launch-monitor" and (link is None or not link["present"]):
         raise Refused(
             f"bench {status['bench']}: launch monitor",
-            "disabled" if link is None else "not connected",
+            "disabled" if link is None else launch_monitor_text(link),
             "a launch monitor with club data",
             "Enable and connect it ([launch_monitor] enabled = true), or choose another --source.",
         )

@@ -7,7 +7,7 @@ The supervisor implements it; tests have their own. `golfbench status --json` pr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple, NotRequired, Protocol, TypedDict
+from typing import Annotated, Literal, NamedTuple, NotRequired, Protocol, TypedDict
 
 from annotated_types import Len
 
@@ -108,8 +108,12 @@ class LaunchMonitorStatus(TypedDict):
 
     listening: str
     """ADDRESS:PORT where a monitor may connect; empty if it cannot listen."""
+    presence: Literal["connected", "per_shot"]
+    """When a monitor is present: `[launch_monitor] presence`."""
     present: bool
-    """Whether a monitor is connected."""
+    """Whether a monitor is connected, or answers for the balls that are struck."""
+    seen_s: float | None
+    """Time since the last message that was not refused, s; None before the first."""
     monitors: list[MonitorStatus]
     note: str
     """Remark; empty if all is well."""
@@ -118,7 +122,9 @@ class LaunchMonitorStatus(TypedDict):
     settled_s: float
     """Time after the impact at which a swing's outcome is settled, s."""
     refused: int
-    """Number of invalid, incomplete or too long objects from the monitors."""
+    """Number of refused connections, and of invalid, incomplete or too long objects."""
+    refusal: str
+    """Newest reason of a refusal; empty without one."""
     simulator: SimulatorStatus | None
     """None if shots are not forwarded."""
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil
 from typing import NamedTuple
 
-from bench.network.bench_service import BenchStatus
+from bench.network.bench_service import BenchStatus, LaunchMonitorStatus
 
 
 class StatusCondition(NamedTuple):
@@ -45,6 +46,22 @@ def vent_words(positions: Sequence[bool | None]) -> str:
 def shut_off_words(position: bool | None) -> str:
     """Return the position of the shut-off valve; None: without feedback."""
     return _POSITION[position]
+
+
+def launch_monitor_text(link: LaunchMonitorStatus) -> str:
+    """Return which monitors are connected, or when one that connects per shot was seen."""
+    if link["presence"] == "connected":
+        return ", ".join(one["device"] or one["address"] for one in link["monitors"]) or "not connected"
+    if (seen := link["seen_s"]) is None:
+        return "connects per shot, not seen so far"
+    return f"connects per shot, seen within {max(1, ceil(seen / 60.0))} min"
+
+
+def absent_monitor_text(link: LaunchMonitorStatus) -> str:
+    """Return the warning of a launch monitor that is not present."""
+    if link["presence"] == "connected":
+        return "no launch monitor is connected"
+    return f"the launch monitor reports no ball: {launch_monitor_text(link)}"
 
 
 def _condition(yes: str, no: str, holds: bool) -> StatusCondition:

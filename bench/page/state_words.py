@@ -7,7 +7,13 @@ from typing import Any
 from bench.lifecycle import ACCEPTED_IN, NEEDS_LEASE, Phase, Reaction, Request, State
 from bench.network.bench_service import BenchStatus, CauseStatus
 from bench.network.command import REQUESTS
-from bench.network.status_words import interlock_conditions, robot_conditions, shut_off_words, vent_words
+from bench.network.status_words import (
+    absent_monitor_text,
+    interlock_conditions,
+    robot_conditions,
+    shut_off_words,
+    vent_words,
+)
 from drivers.base import ACTUATORS, JOINTS
 
 MOVING = frozenset({State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING})
@@ -169,7 +175,7 @@ def _warnings(status: BenchStatus) -> list[str]:
         found.append("nothing is armed without recorder and publisher")
     monitor = status["launch_monitor"]
     if monitor is not None and not monitor["present"]:
-        found.append("no launch monitor is connected")
+        found.append(absent_monitor_text(monitor))
     if monitor is not None and monitor["note"]:
         found.append(f"launch monitor: {monitor['note']}")
     if status["read_only"]:

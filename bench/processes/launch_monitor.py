@@ -43,6 +43,7 @@ from bench.telemetry.ring import RingReader
 from drivers.base import DriverError
 from drivers.base.shared_record import SharedMemoryError
 from drivers.launch_monitor.client import SimulatorClient
+from drivers.launch_monitor.presence import ShotPresence
 from drivers.launch_monitor.server import LaunchMonitorServer
 
 POLL = 0.01
@@ -87,6 +88,7 @@ class LaunchMonitorService:
         self._window = settings.window
         self._watch = SwingWatch(plan.run, wall=plan.wall)
         self._book = LaunchBook(settings.window, settings.plausible, plan.plant, around)
+        self._per_shot, self._presence = settings.presence == "per_shot", ShotPresence(settings.seen_within)
         self._lost = 0
         self._arming = ArmingWatch()
         self._trouble = "not listening yet"
@@ -108,9 +110,12 @@ class LaunchMonitorService:
         lost, self._lost = self._ring.lost > self._lost, self._ring.lost
         for swing in self._watch.take(cycles, now, lost=lost):
             self._book.note_swing(swing, utc)
+            if swing.struck and swing.impact is not None:
+                self._presence.note_struck(swing.impact)
         if self._arming.take(cycles):
             self._server.announce_player(*self._player)
         self._book.note_launches(self._server.take())
+        self._book.note_asides(self._server.take_asides())
         for told in self._book.settle(now):
             send_event("shot", message=message_of(told))
             self._pass_on(told)
@@ -142,10 +147,12 @@ class LaunchMonitorService:
             self._client.send(launch, told.launch.club, carry)
 
     def _report_link(self, now: float) -> None:
-        link = self._status()
+        link = self._status(now)
         essence = (
             [(one["address"], one["device"], one["ready"]) for one in link["monitors"]],
+            link["present"],
             link["note"],
+            link["refused"],
             link["simulator"],
             link["outcomes"],
         )
@@ -153,7 +160,7 @@ class LaunchMonitorService:
             self._linked, self._link_at = essence, now
             send_event("link", link=link)
 
-    def _status(self) -> LaunchMonitorStatus:
+    def _status(self, now: float) -> LaunchMonitorStatus:
         link = self._server.link()
         listening = "" if self._trouble else "{}:{}".format(*self._server.address)
         monitors = [
@@ -176,16 +183,21 @@ class LaunchMonitorService:
                 refused=p.refused + p.out_of_date,
             )
         note = self._trouble
-        if len(monitors) > 1:
+        seen = link.understood
+        present = self._presence.is_present(seen, now) if self._per_shot else bool(monitors)
+        if len(monitors) > 1 and not self._per_shot:
             note = note or f"{len(monitors)} monitors are connected: duplicate launches are marked doubtful"
         return LaunchMonitorStatus(
             listening=listening,
-            present=bool(monitors) and not self._trouble,
+            presence="per_shot" if self._per_shot else "connected",
+            present=present and not self._trouble,
+            seen_s=None if seen is None else round(max(0.0, now - seen), 3),
             monitors=monitors,
             note=shortened(note),
             outcomes={str(outcome): count for outcome, count in self._book.counts.items()},
             settled_s=self._window.latest,
-            refused=link.counts.refused + link.counts.too_large + link.counts.cut_off,
+            refused=link.counts.refused + link.counts.too_large + link.counts.cut_off + link.rejected,
+            refusal=shortened(link.refusal),
             simulator=simulator,
         )
 

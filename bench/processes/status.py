@@ -38,12 +38,15 @@ NO_STATISTICS = LoopStatus(
 
 NO_LAUNCH_MONITOR = LaunchMonitorStatus(
     listening="",
+    presence="connected",
     present=False,
+    seen_s=None,
     monitors=[],
     note="",
     outcomes={},
     settled_s=0.0,
     refused=0,
+    refusal="",
     simulator=None,
 )
 """Status before the first report of the launch monitor process."""

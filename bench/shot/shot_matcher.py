@@ -6,6 +6,7 @@ club is measured by the encoders and whose ball by the monitor. Its flight is th
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime
 from math import degrees, pi
@@ -15,9 +16,17 @@ from bench.lifecycle import CAUSE_TEXT, Cause
 from bench.shot.recorded_shot import FlightConditions, delivery_of_cycles
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.swing_watch import FinishedSwing
-from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
+from drivers.launch_monitor.matching import (
+    Match,
+    MatchOutcome,
+    MatchWindow,
+    SwingImpact,
+    join_clubs,
+    match,
+    owner_of,
+)
 from drivers.launch_monitor.plausibility import PlausibleFigures, add_doubts
-from drivers.launch_monitor.record import LaunchRecord
+from drivers.launch_monitor.record import ClubRecord, LaunchRecord, RefusedRecord
 from sim.ball import REFERENCE_BALL
 from sim.flight import Flight, fly
 from sim.plant import PlantParameters
@@ -25,6 +34,8 @@ from sim.plant import PlantParameters
 NO_IMPACT = "no swing through the ball's place"
 NO_BALL = "no ball struck"
 NOT_TOLD = "the launch monitor saw no ball"
+REFUSED = "the launch monitor's message was refused"
+CLUB_ALONE = "the launch monitor reported the club without a ball"
 _MOST_OPEN = 64
 """Launches that may wait for their swing; beyond that the oldest are given up as unmatched."""
 
@@ -72,6 +83,8 @@ class LaunchBook:
         self._swings: dict[str, tuple[int, datetime, FinishedSwing]] = {}
         self._open: tuple[SwingImpact, ...] = ()
         self._launches: tuple[LaunchRecord, ...] = ()
+        self._clubs: list[ClubRecord] = []
+        self._refused: list[RefusedRecord] = []
         self._told: list[Told] = []
         self.counts = dict.fromkeys(MatchOutcome, 0)
         """Outcomes so far."""
@@ -90,31 +103,63 @@ class LaunchBook:
         """Add the launches of the monitors."""
         self._launches = (*self._launches, *launches)
 
+    def note_asides(self, asides: Iterable[ClubRecord | RefusedRecord]) -> None:
+        """Add the monitors' clubs without a ball and refused messages."""
+        for aside in asides:
+            if isinstance(aside, ClubRecord):
+                self._clubs.append(aside)
+            else:
+                self._refused.append(aside)
+
     def settle(self, now: float) -> list[Told]:
         """Return the outcomes that are settled at `now` (s, CLOCK_MONOTONIC)."""
         while len(self._launches) > _MOST_OPEN:  # nobody swings that often: they are nobody's
             self._tell(Match(MatchOutcome.NO_SWING, "", self._launches[0]), None)
             self._launches = self._launches[1:]
-        found = match(self._open, self._launches, now, self._window)
+        launches, self._clubs = join_clubs(self._launches, self._clubs, self._window)
+        found = match(self._open, launches, now, self._window)
+        ordered = sorted(self._open, key=lambda swing: swing.time)
         self._open, self._launches = found.swings, found.launches
         swings = {one.shot: self._swings[one.shot] for one in found.decided if one.shot}
         for one in found.decided:
-            self._tell(one, swings.get(one.shot))
+            self._tell(one, swings.get(one.shot), self._unseen(one.shot, ordered))
         for shot in swings:
             del self._swings[shot]
+        self._forget(now)
         told, self._told = self._told, []
         return told
 
-    def _tell(self, one: Match, of: tuple[int, datetime, FinishedSwing] | None) -> None:
+    def _unseen(self, shot: str, ordered: Sequence[SwingImpact]) -> str:
+        """Return why no launch is known of `shot`, one of the `ordered` swings."""
+
+        def of_shot(time: float) -> bool:
+            owner = owner_of(time, ordered, self._window)
+            return owner is not None and owner.shot == shot
+
+        if refused := dict.fromkeys(one.reason for one in self._refused if of_shot(one.time)):
+            return f"{REFUSED}: {'; '.join(refused)}"
+        return CLUB_ALONE if any(of_shot(club.time) for club in self._clubs) else NOT_TOLD
+
+    def _forget(self, now: float) -> None:
+        """Drop clubs and refused messages whose swing must be settled by `now`."""
+        first = now - self._window.latest - self._window.patience
+        self._clubs = [one for one in self._clubs if one.time > first][-_MOST_OPEN:]
+        self._refused = [one for one in self._refused if one.time > first][-_MOST_OPEN:]
+
+    def _tell(
+        self, one: Match, of: tuple[int, datetime, FinishedSwing] | None, unseen: str = NOT_TOLD
+    ) -> None:
         self.counts[one.outcome] += 1
         if of is None or one.outcome not in (MatchOutcome.MATCHED, MatchOutcome.NO_LAUNCH):
             launch = None if one.launch is None else add_doubts(one.launch, self._plausible)
             self._told.append(Told(one.outcome, one.shot, launch, str(one.outcome), None))
             return
-        self._told.append(self._of_swing(one, *of))
+        self._told.append(self._of_swing(one, *of, unseen))
 
-    def _of_swing(self, one: Match, number: int, time_utc: datetime, swing: FinishedSwing) -> Told:
-        """Return the outcome of a swing."""
+    def _of_swing(
+        self, one: Match, number: int, time_utc: datetime, swing: FinishedSwing, unseen: str
+    ) -> Told:
+        """Return the outcome of a swing; `unseen` is the reason where a ball was struck and none reported."""
         plant, trips = self._plant, swing.cycles["trip"]
         delivery = delivery_of_cycles(swing.cycles, plant)
         launch = one.launch
@@ -122,7 +167,7 @@ class LaunchBook:
             launch = add_doubts(launch, self._plausible, None if delivery is None else delivery.speed)
             reason = "; ".join(filter(None, (one.reason, launch.reason)))
         else:
-            reason = NO_IMPACT if swing.impact is None else NOT_TOLD if swing.struck else NO_BALL
+            reason = NO_IMPACT if swing.impact is None else unseen if swing.struck else NO_BALL
         flight: Flight | None = None
         if launch is not None and launch.launch is not None and not launch.doubts:
             try:

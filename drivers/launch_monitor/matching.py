@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple
 
 from annotated_types import Ge, Gt, Le
 
-from drivers.launch_monitor.record import LaunchRecord
+from drivers.launch_monitor.record import NO_CLUB, ClubRecord, LaunchRecord
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,31 @@ class MatchWindow:
     """End of the window after the impact, s; the slowest monitors process images for some seconds."""
     patience: Annotated[float, Gt(0.0), Le(120.0)] = 15.0
     """Time for which a launch waits for its swing, s; a swing is reported when the robot stands again."""
+    club_delay: Annotated[float, Gt(0.0), Le(30.0)] = 3.0
+    """Maximum time between the messages of ball and club of one shot, s: monitors that send two take about
+    one second for the second, and the robot needs six from one swing to the next."""
+
+
+def join_clubs(
+    launches: Sequence[LaunchRecord], clubs: Iterable[ClubRecord], window: MatchWindow
+) -> tuple[list[LaunchRecord], list[ClubRecord]]:
+    """Return `launches` with the figures of `clubs`, and the clubs that belong to none of them.
+
+    A club belongs to the nearest launch of its device within `club_delay`, before those that have a club.
+    """
+    joined, alone = list(launches), list[ClubRecord]()
+    for club in clubs:
+        near = [
+            (one.club != NO_CLUB, abs(one.time - club.time), n)
+            for n, one in enumerate(joined)
+            if one.device == club.device and abs(one.time - club.time) <= window.club_delay
+        ]
+        if near:
+            n = min(near)[2]
+            joined[n] = joined[n].with_club(club.club, club.absent)
+        else:
+            alone.append(club)
+    return joined, alone
 
 
 class SwingImpact(NamedTuple):
@@ -44,7 +69,7 @@ class MatchOutcome(StrEnum):
     NO_LAUNCH = "swing without a launch"
     NO_SWING = "launch without a swing"
     REPEATED = "launch sent again"
-    """Repeat of the matched launch: the monitor got no answer and retried."""
+    """Repeat of the matched launch: the monitor got no answer and retried, or completed it with its club."""
     DOUBLE = "second launch of a swing"
     """Another launch in the same swing's window: ambiguous."""
 
@@ -86,7 +111,7 @@ def match(
     decided: list[Match] = []
     open_launches: list[LaunchRecord] = []
     for launch in sorted(launches, key=lambda launch: launch.time):
-        owner = _owner(launch.time, ordered, window)
+        owner = owner_of(launch.time, ordered, window)
         if owner is not None:
             of_swing[owner.shot].append(launch)
         elif now - launch.time > window.patience:
@@ -109,7 +134,8 @@ def _end(n: int, ordered: Sequence[SwingImpact], window: MatchWindow) -> float:
     return end if n + 1 == len(ordered) else min(end, ordered[n + 1].time - window.earliest)
 
 
-def _owner(time: float, ordered: Sequence[SwingImpact], window: MatchWindow) -> SwingImpact | None:
+def owner_of(time: float, ordered: Sequence[SwingImpact], window: MatchWindow) -> SwingImpact | None:
+    """Return the swing of `ordered`, by time, whose window contains `time`, else None."""
     before = [swing for swing in ordered if swing.time - window.earliest <= time]
     return before[-1] if before and time <= before[-1].time + window.latest else None
 
@@ -123,6 +149,9 @@ def _settle(swing: SwingImpact, launches: Sequence[LaunchRecord]) -> list[Match]
         Match(MatchOutcome.REPEATED if later.is_repeat_of(first) else MatchOutcome.DOUBLE, swing.shot, later)
         for later in rest
     ]
+    for later, other in zip(rest, others, strict=True):
+        if other.outcome is MatchOutcome.REPEATED:
+            first = first.with_club(later.club, later.absent)
     doubles = sum(other.outcome is MatchOutcome.DOUBLE for other in others)
     reason = f"{doubles + 1} different launches after one swing" if doubles else ""
     return [Match(MatchOutcome.MATCHED, swing.shot, first, reason), *others]

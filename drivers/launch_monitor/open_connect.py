@@ -1,11 +1,13 @@
 """GSPro's Open Connect, version 1: its messages, read tolerantly and written exactly.
 
-Accepted variants: numbers as strings, other capitals and underscores in names, `BackSpin` and `SideSpin`
-instead of `TotalSpin` and `SpinAxis`, missing figures, null or 0 for values that were not measured: 0 rpm, no
-carry, 0 degrees of loft, a strike of exactly 0 in both directions, and every club figure of 0 beside a club
-without speed. Fields of known devices that hold something else are ignored, see
-`drivers.launch_monitor.quirks`. Speeds are mph whatever `Units` says, `CarryDistance` is in yards unless
-`Units` is "Meters". Angles keep their signs: `HLA`, `SpinAxis` and `SideSpin` are positive to the right.
+Accepted variants: any `APIversion` with the fields of version 1, numbers as strings, other capitals and
+underscores in names, `BackSpin` and `SideSpin` instead of `TotalSpin` and `SpinAxis`, missing figures, null
+or 0 for values that were not measured: 0 rpm, no carry, 0 degrees of loft, a strike of exactly 0 in both
+directions, and every club figure of 0 where the club has no speed or all others are 0. A ball of speed 0 is
+no ball: the message is one of the club. Fields of known devices that hold something else are ignored, see
+`drivers.launch_monitor.quirks`. Speeds are mph whatever `Units` says; `CarryDistance` is in yards without
+`Units`, and absent with one that is unknown. Angles keep their signs: `HLA`, `SpinAxis` and `SideSpin` are
+positive to the right.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from typing import Any, NamedTuple
 
 from drivers.base import Launch
 from drivers.launch_monitor.quirks import MonitorQuirk, quirk_of
-from drivers.launch_monitor.record import NO_CLUB, ClubFigures, LaunchRecord
+from drivers.launch_monitor.record import NO_CLUB, ClubFigures, ClubRecord, LaunchRecord
 
 MPH = 0.44704
 """m/s."""
@@ -53,7 +55,7 @@ class RejectedMessage(NamedTuple):
     reason: str
 
 
-Message = LaunchRecord | ReportedStatus | RejectedMessage
+Message = LaunchRecord | ClubRecord | ReportedStatus | RejectedMessage
 
 
 class _Bounds(NamedTuple):
@@ -72,6 +74,12 @@ _SPIN = _Bounds(0.0, 20_000.0, "rpm", RPM)
 _BACK_SPIN = _Bounds(-20_000.0, 20_000.0, "rpm", RPM)
 _CARRY_YD = _Bounds(0.0, 600.0, "yd", YARD)
 _CARRY_M = _Bounds(0.0, 550.0, "m", 1.0)
+_CARRY = {
+    **dict.fromkeys(("", "yards", "yard", "yds", "yd", "imperial"), _CARRY_YD),
+    **dict.fromkeys(("meters", "metres", "meter", "metre", "m", "metric"), _CARRY_M),
+}
+"""Bounds of the carry by `Units` in lower case; the specification's default is yards."""
+_BALL_FIELDS = ("Speed", "VLA", "HLA", "TotalSpin", "SpinAxis", "BackSpin", "SideSpin")
 _STRIKE = _Bounds(-100.0, 100.0, "mm", 1e-3)
 _NOT_MEASURED = "0: not measured"
 
@@ -89,28 +97,41 @@ def read_message(data: bytes, time: float) -> Message:
         _plain_names(part) if isinstance(part, dict) else {}
         for part in (root.get("shotdataoptions"), root.get("balldata"), root.get("clubdata"))
     )
-    device = _text(root.get("deviceid"))
-    has_ball, has_club = _yes(options.get("containsballdata")), _yes(options.get("containsclubdata"))
-    heartbeat = _yes(options.get("isheartbeat"))
+    flags = (
+        "containsballdata",
+        "containsclubdata",
+        "isheartbeat",
+        "launchmonitorisready",
+        "launchmonitorballdetected",
+    )
+    has_ball, has_club, heartbeat, ready, detected = (_yes(options.get(name)) for name in flags)
+    status = ReportedStatus(_text(root.get("deviceid")), bool(heartbeat), ready, detected)
     if has_ball is None:
         has_ball = bool(ball) and not heartbeat
     if has_club is None:
         has_club = bool(club) and not heartbeat
     if not has_ball and not has_club:
-        if not options:
-            return RejectedMessage(FAILURE, "neither BallData nor ShotDataOptions")
-        ready = _yes(options.get("launchmonitorisready"))
-        return ReportedStatus(device, bool(heartbeat), ready, _yes(options.get("launchmonitorballdetected")))
+        return status if options else _unknown_layout("neither BallData nor ShotDataOptions", root)
+    figures = _Figures(ball, club if has_club else {}, quirk_of(status.device))
+    ball_known = any(name.lower() in ball for name in _BALL_FIELDS)
+    if has_ball and ball_known and _number(ball.get("speed")) != 0.0:
+        return _record(figures, time, status.device, root)
+    known = figures.of_club()
+    if any(value is not None for value in known):
+        return ClubRecord(time, status.device, known, tuple(figures.absent))
+    if not has_ball:
+        return status
+    if "speed" in ball:
+        return RejectedMessage(SHOT_TAKEN, "a ball of speed 0, and no club")
+    found = f"BallData of {_short(', '.join(ball))}" if ball else "ContainsBallData without BallData"
+    return _unknown_layout(f"{found}, expected {', '.join(_BALL_FIELDS)}", root)
+
+
+def _unknown_layout(found: str, root: Mapping[str, Any]) -> RejectedMessage:
+    """Return the refusal of a message without the fields of version 1; names its `APIversion` if another."""
     version = root.get("apiversion")
-    if version is not None and _number(version) != 1.0:
-        return RejectedMessage(FAILURE, f"APIversion {_short(version)}, expected 1")
-    if has_ball and not ball:
-        return RejectedMessage(FAILURE, "ContainsBallData without BallData")
-    quirk = quirk_of(device)
-    in_metres = _text(root.get("units")).lower() in ("meters", "metres", "meter", "metre", "m")
-    number = _number(root.get("shotnumber"))
-    whole = int(number) if number is not None and 0 <= number <= 1e9 and number == int(number) else None
-    return _record(_Figures(ball, club if has_club else {}, quirk), time, device, whole, in_metres)
+    other = "" if version is None or _number(version) == 1.0 else f"; APIversion {_short(version)}"
+    return RejectedMessage(FAILURE, found + other)
 
 
 class _Figures:
@@ -134,7 +155,7 @@ class _Figures:
         strike = [self.value(club, f"{way}FaceImpact", _STRIKE) for way in ("Horizontal", "Vertical")]
         if all(isinstance(part, str) or part == 0.0 for part in strike):
             strike = [_NOT_MEASURED if part == 0.0 else part for part in strike]
-        figures = {
+        sent = {
             "speed": speed,
             "attack_angle": self.value(club, "AngleOfAttack", _ELEVATION),
             "path": self.value(club, "Path", _ELEVATION),
@@ -143,10 +164,13 @@ class _Figures:
             "strike_x": strike[0],
             "strike_y": strike[1],
         }
+        resting |= not any(
+            isinstance(value, float) and value for name, value in sent.items() if name != "speed"
+        )
         return ClubFigures(
             *(
                 self._kept(f"club.{name}", _NOT_MEASURED if resting and value == 0.0 else value)
-                for name, value in figures.items()
+                for name, value in sent.items()
             )
         )
 
@@ -166,7 +190,8 @@ class _Figures:
         return value
 
 
-def _record(figures: _Figures, time: float, device: str, number: int | None, in_metres: bool) -> LaunchRecord:
+def _record(figures: _Figures, time: float, device: str, root: Mapping[str, Any]) -> LaunchRecord:
+    units, number = _text(root.get("units")).strip(), _number(root.get("shotnumber"))
     speed = figures.of_ball("speed", "Speed", _SPEED)
     launch_angle = figures.of_ball("launch_angle", "VLA", _ELEVATION)
     direction = figures.of_ball("direction", "HLA", _AZIMUTH)
@@ -174,14 +199,16 @@ def _record(figures: _Figures, time: float, device: str, number: int | None, in_
     for name, value in (("spin", spin), ("spin_axis", spin_axis)):
         if isinstance(value, str):
             figures.absent.append((name, value))
-    carry = figures.of_ball(
-        "carry", "CarryDistance", _CARRY_M if in_metres else _CARRY_YD, measured_zero=False
-    )
+    bounds = _CARRY.get(units.lower())
+    carry = figures.of_ball("carry", "CarryDistance", bounds or _CARRY_M, measured_zero=False)
+    if carry is not None and bounds is None:
+        carry = None
+        figures.absent.append(("carry", f"CarryDistance in Units {_short(units)}, expected Yards or Meters"))
     club = figures.of_club()
     return LaunchRecord(
         time=time,
         device=device,
-        number=number,
+        number=int(number) if number is not None and 0 <= number <= 1e9 and number == int(number) else None,
         speed=speed,
         launch_angle=launch_angle,
         direction=direction,

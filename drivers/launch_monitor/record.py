@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from drivers.base import Launch
@@ -28,6 +28,25 @@ class ClubFigures(NamedTuple):
 
 
 NO_CLUB = ClubFigures()
+
+
+class ClubRecord(NamedTuple):
+    """Club figures of a message without a ball: never a launch, but part of one."""
+
+    time: float
+    """Time of its last byte, s (CLOCK_MONOTONIC)."""
+    device: str
+    club: ClubFigures
+    absent: tuple[tuple[str, str], ...] = ()
+    """Missing figures with the reason."""
+
+
+class RefusedRecord(NamedTuple):
+    """A message that was refused."""
+
+    time: float
+    """Time of its last byte, s (CLOCK_MONOTONIC)."""
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -71,10 +90,20 @@ class LaunchRecord:
         missing = (f"no {name}: {why}" for name, why in self.absent if name in Launch._fields)
         return "; ".join([*missing, *self.doubts])
 
+    def with_club(self, club: ClubFigures, absent: tuple[tuple[str, str], ...]) -> LaunchRecord:
+        """Return the record with the figures of `club` that it lacks; `absent` are those of `club`."""
+        known = ClubFigures(*(b if a is None else a for a, b in zip(self.club, club, strict=True)))
+        if known == self.club:
+            return self
+        lacking = {f"club.{name}" for name, value in known._asdict().items() if value is None}
+        of_ball = (each for each in self.absent if not each[0].startswith("club."))
+        of_club = (each for each in (*self.absent, *absent) if each[0] in lacking)
+        return replace(self, club=known, absent=tuple(dict.fromkeys((*of_ball, *of_club))))
+
     def is_repeat_of(self, other: LaunchRecord) -> bool:
-        """Whether `other` is the same record sent again: equal except for its time."""
-        return all(
-            getattr(self, field.name) == getattr(other, field.name)
-            for field in fields(self)
-            if field.name != "time"
+        """Whether it is the ball of `other`: sent again, or sent with and without its club."""
+        same = all(
+            getattr(self, name) == getattr(other, name) for name in ("device", "carry", *Launch._fields)
         )
+        completed = (self.club == NO_CLUB) != (other.club == NO_CLUB)
+        return same and (self.number == other.number or completed)

@@ -19,9 +19,9 @@ from ipaddress import ip_address
 from typing import NamedTuple
 
 from drivers.base import DriverError
-from drivers.launch_monitor.conversation import Conversation, MessageCounts
+from drivers.launch_monitor.conversation import Conversation, MeasuredClubFields, MessageCounts
 from drivers.launch_monitor.open_connect import write_ended, write_player, write_ready
-from drivers.launch_monitor.record import LaunchRecord
+from drivers.launch_monitor.record import ClubRecord, LaunchRecord, RefusedRecord
 from drivers.launch_monitor.settings import LaunchMonitorSettings
 
 MAX_CONNECTIONS = 8
@@ -62,6 +62,10 @@ class Link(NamedTuple):
     """Internal errors; each closed its connection."""
     lost: int
     """Records dropped because the queue was full."""
+    understood: float | None
+    """Time of the last message that was not refused, s; None before the first."""
+    refusal: str
+    """Newest reason of a refused message or connection; empty without one."""
 
 
 class _Client:
@@ -90,6 +94,10 @@ class LaunchMonitorServer:
         self._clock = clock
         self._lock = threading.Lock()
         self._records: deque[LaunchRecord] = deque()
+        self._asides: deque[ClubRecord | RefusedRecord] = deque(maxlen=MAX_WAITING)
+        self._measured = MeasuredClubFields()
+        self._understood: float | None = None
+        self._refusal = ""
         self._clients: dict[int, _Client] = {}
         self._counts = MessageCounts()
         self._connections = self._rejected = self._disconnected = self._failures = self._lost = 0
@@ -148,6 +156,13 @@ class LaunchMonitorServer:
             self._records.clear()
         return taken
 
+    def take_asides(self) -> list[ClubRecord | RefusedRecord]:
+        """Return the clubs without a ball and the refused messages since the last call, in order."""
+        with self._lock:
+            taken = list(self._asides)
+            self._asides.clear()
+        return taken
+
     def link(self) -> Link:
         """Return the status of the connections."""
         with self._lock:
@@ -169,6 +184,8 @@ class LaunchMonitorServer:
                 self._disconnected,
                 self._failures,
                 self._lost,
+                self._understood,
+                self._refusal,
             )
 
     def announce_player(self, club: str, handed: str = "RH", distance: float = 0.0) -> None:
@@ -244,18 +261,25 @@ class LaunchMonitorServer:
         except OSError:  # disconnected already, or no file descriptors left
             wall.sleep(0.01)
             return
-        if len(self._clients) >= MAX_CONNECTIONS or not self.settings.accepts(peer[0].split("%")[0]):
-            self._rejected += 1
+        full = len(self._clients) >= MAX_CONNECTIONS
+        if full or not self.settings.accepts(peer[0].split("%")[0]):
+            why = f"{MAX_CONNECTIONS} are connected" if full else "not in launch_monitor.clients"
+            with self._lock:
+                self._rejected += 1
+                self._refusal = f"connection from {peer[0]}: {why}"
             connection.close()
             return
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        client = _Client(connection, peer[0], Conversation(self.settings.plausible, self._clock()))
+        client = _Client(
+            connection, peer[0], Conversation(self.settings.plausible, self._clock(), self._measured)
+        )
         with self._lock:
             self._connections += 1
             self._clients[id(client)] = client
-            client.unread += self._player
+            if self.settings.presence == "connected":  # others await the answer alone
+                client.unread += self._player
         selector.register(connection, selectors.EVENT_READ, client)
         self._attend(selector, client, selectors.EVENT_WRITE)
 
@@ -285,6 +309,7 @@ class LaunchMonitorServer:
             return False
         with self._lock:
             parsed = client.conversation.receive(data, self._clock())
+            self._take_asides(client.conversation)
             self._records += parsed.records
             while len(self._records) > MAX_WAITING:
                 self._records.popleft()
@@ -294,6 +319,16 @@ class LaunchMonitorServer:
             if client.closing:
                 self._disconnected += 1
         return True
+
+    def _take_asides(self, conversation: Conversation) -> None:
+        """Take clubs and refused messages of `conversation`; the lock must be held."""
+        for aside in conversation.asides:
+            self._asides.append(aside)
+            if isinstance(aside, RefusedRecord):
+                self._refusal = aside.reason
+        conversation.asides.clear()
+        if conversation.understood is not None:
+            self._understood = max(conversation.understood, self._understood or conversation.understood)
 
     def _answer(self, selector: selectors.BaseSelector, client: _Client) -> bool:
         """Send queued answers; return whether the connection is still open."""
@@ -315,6 +350,7 @@ class LaunchMonitorServer:
         for client in list(self._clients.values()):
             with self._lock:
                 client.conversation.check(now)
+                self._take_asides(client.conversation)
                 silent = now - client.conversation.last_received > self.settings.silence
             if client.closing or (silent and client.conversation.heartbeats):
                 self._disconnected += not client.closing
@@ -324,7 +360,8 @@ class LaunchMonitorServer:
         with self._lock:
             if self._clients.pop(id(client), None) is None:
                 return  # already dropped in this round
-            client.conversation.end()
+            client.conversation.end(self._clock())
+            self._take_asides(client.conversation)
             self._counts.add(client.conversation.counts)
         with suppress(KeyError, ValueError):
             selector.unregister(client.connection)

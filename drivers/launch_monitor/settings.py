@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from ipaddress import ip_address
-from typing import Annotated
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
@@ -64,6 +64,10 @@ class LaunchMonitorSettings:
     """Port; the Open Connect standard 921 needs the privilege to bind ports below 1024."""
     clients: tuple[str, ...] = ()
     """Addresses that may connect; if empty, only this machine."""
+    presence: Literal["connected", "per_shot"] = "connected"
+    """When a monitor counts as present: while it is connected, or while it reports the struck balls."""
+    seen_within: Annotated[float, Ge(10.0), Le(3600.0)] = 120.0
+    """Time after a struck ball within which a monitor that connects per shot must have sent something, s."""
     silence: Annotated[float, Ge(1.0), Le(3600.0)] = 30.0
     """Time-out of a monitor that sends heartbeats, s."""
     device: str = "golfbench"

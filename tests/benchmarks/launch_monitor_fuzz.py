@@ -211,7 +211,7 @@ def rows_of(result: Result, title: str) -> list[Row]:
     if link is None:
         raise ValueError("the run did not end")
     counts = link.counts
-    in_no_class = counts.objects - counts.shots - counts.statuses - counts.refused
+    in_no_class = counts.objects - counts.shots - counts.clubs - counts.statuses - counts.refused
     note = ", ".join(f"{name} {count}" for name, count in vars(counts).items())
     untaken = counts.shots - result.records - result.probes - link.lost
     unserved = result.connections + result.probes - link.connections - link.rejected

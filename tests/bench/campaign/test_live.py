@@ -42,6 +42,7 @@ from bench.lifecycle import REFUSAL_TEXT, Phase, Refusal, State
 from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
 from bench.network.live_swing import SwingRecord
+from bench.processes.status import NO_LAUNCH_MONITOR
 from bench.shot.shot import ShotStatus
 from bench.shot.shot_message import ShotMessage
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
@@ -482,7 +483,9 @@ def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_of
     plan: CampaignPlan,
 ) -> None:
     step = a_step()
-    bench = StandingBench(launch_monitor={"present": False, "note": "not listening"}, supply_pressure_pa=None)
+    bench = StandingBench(
+        launch_monitor={**NO_LAUNCH_MONITOR, "note": "not listening"}, supply_pressure_pa=None
+    )
     assert shots_of(plan, bench).hindrance(step) is None  # begun without one
     assert shots_of(plan, bench, monitored=True).hindrance(step) == Hindrance(
         "no launch monitor is connected: not listening"

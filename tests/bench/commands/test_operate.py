@@ -22,8 +22,10 @@ from bench.cli import main
 from bench.commands.status_table import status_table
 from bench.errors import ExitCode
 from bench.lifecycle import Request, State
+from bench.network.bench_service import LaunchMonitorStatus
 from bench.network.client import REST
 from bench.network.free_port import free_port
+from bench.processes.status import NO_LAUNCH_MONITOR
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
 
@@ -252,6 +254,16 @@ def shown(age: float = 0.0, state: State = State.ESTOP) -> str:
     console = Console(width=80, record=True, file=StringIO())
     console.print(status_table(FakeDesk(state).status(), age))
     return console.export_text()
+
+
+def test_a_refused_message_of_a_launch_monitor_is_in_the_table() -> None:
+    link = {**NO_LAUNCH_MONITOR, "listening": "127.0.0.1:2921", "refused": 2, "refusal": "invalid JSON"}
+    console = Console(width=80, record=True, file=StringIO())
+    status = FakeDesk().status() | {"launch_monitor": LaunchMonitorStatus(**link)}
+    console.print(status_table(status, 0.0))  # type: ignore[arg-type]
+    text = console.export_text()
+    assert "not connected, listening at 127.0.0.1:2921" in text
+    assert "refused 2, last: invalid JSON" in text
 
 
 def test_the_table_shows_everything_within_80_columns() -> None:

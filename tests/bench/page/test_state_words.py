@@ -19,6 +19,7 @@ from bench.page.state_words import (
     accepted_commands,
     state_view,
 )
+from bench.processes.status import NO_LAUNCH_MONITOR
 from tests.bench.fake_bench_service import FakeDesk
 
 
@@ -52,6 +53,13 @@ def test_what_needs_attention_is_named() -> None:
         "nothing is armed without recorder and publisher",
         "read only: the bench observes and sends nothing but safe outputs",
     ]
+
+
+def test_a_launch_monitor_that_is_not_present_is_a_warning() -> None:
+    status = FakeDesk().status() | {"launch_monitor": {**NO_LAUNCH_MONITOR, "note": "not listening"}}
+    warnings = state_view(status)["warnings"]  # type: ignore[arg-type]
+    assert "no launch monitor is connected" in warnings
+    assert "launch monitor: not listening" in warnings
 
 
 @pytest.mark.parametrize("state", State)

@@ -11,11 +11,11 @@ import pytest
 from bench.lifecycle import CAUSE_TEXT, Cause
 from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot import ShotStatus
-from bench.shot.shot_matcher import NO_BALL, NO_IMPACT, NOT_TOLD, LaunchBook, Told
+from bench.shot.shot_matcher import CLUB_ALONE, NO_BALL, NO_IMPACT, NOT_TOLD, REFUSED, LaunchBook, Told
 from bench.shot.swing_watch import FinishedSwing
 from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
 from drivers.launch_monitor.plausibility import PlausibleFigures
-from drivers.launch_monitor.record import LaunchRecord
+from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord, RefusedRecord
 from sim.plant import PlantParameters, Site
 from tests.bench.conftest import BALL
 
@@ -133,6 +133,28 @@ def test_a_misread_is_kept_and_does_not_count(book: LaunchBook, swing: FinishedS
     assert told.shot.launch_angle_deg == pytest.approx(np.degrees(0.2))
     assert told.shot.spin_rpm is None
     assert told.shot.direction_deg == pytest.approx(np.degrees(0.01))
+
+
+@pytest.mark.parametrize(("time", "hears"), [(100.4, True), (104.1, False), (99.8, False)])
+def test_a_message_refused_in_the_window_is_the_shots_reason(
+    book: LaunchBook, swing: FinishedSwing, time: float, hears: bool
+) -> None:
+    book.note_asides([RefusedRecord(time, "no JSON"), RefusedRecord(time, "no JSON")])
+    book.note_swing(swing, NOW)
+    told = one(book.settle(110.0))
+    reason = f"{REFUSED}: no JSON" if hears else NOT_TOLD
+    assert told.shot is not None
+    assert (told.reason, told.shot.reason, told.shot.status) == (reason, reason, ShotStatus.EXCLUDED)
+
+
+def test_a_club_without_a_ball_is_the_shots_reason_and_no_launch(
+    book: LaunchBook, swing: FinishedSwing
+) -> None:
+    book.note_swing(swing, NOW)
+    book.note_asides([ClubRecord(100.4, "monitor", ClubFigures(speed=36.0))])
+    told = one(book.settle(105.0))
+    assert (told.outcome, told.reason) == (MatchOutcome.NO_LAUNCH, CLUB_ALONE)
+    assert book.settle(300.0) == []  # and nothing else comes of it
 
 
 def test_a_flood_of_launches_is_bounded_and_counted(book: LaunchBook) -> None:

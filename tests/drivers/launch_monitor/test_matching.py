@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
-from drivers.launch_monitor.record import LaunchRecord
+from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, join_clubs, match
+from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord
 
 WINDOW = MatchWindow(earliest=0.1, latest=5.0, patience=10.0)
 
@@ -60,6 +62,46 @@ def test_another_launch_in_the_same_swing_puts_both_in_doubt() -> None:
     decided = match([SwingImpact("7", 100.0)], [told(101.0), told(101.2, 2, 61.0)], 200.0, WINDOW).decided
     assert [m.outcome for m in decided] == [MatchOutcome.MATCHED, MatchOutcome.DOUBLE]
     assert "2 different launches" in decided[0].reason
+
+
+CLUB = ClubFigures(speed=43.0, path=0.01)
+
+
+@pytest.mark.parametrize("delay", [-3.0, 0.4, 3.0])
+def test_a_club_joins_the_launch_of_its_device(delay: float) -> None:
+    club = ClubRecord(101.0 + delay, "monitor", CLUB, (("club.attack_angle", "no AngleOfAttack"),))
+    (joined,), alone = join_clubs([told(101.0)], [club], WINDOW)
+    assert (joined.club, joined.absent, alone) == (CLUB, club.absent, [])
+    assert (joined.time, joined.speed) == (101.0, 60.0)
+
+
+@pytest.mark.parametrize(("delay", "device"), [(3.01, "monitor"), (-3.01, "monitor"), (0.1, "another")])
+def test_a_club_of_another_time_or_device_stays_alone(delay: float, device: str) -> None:
+    club = ClubRecord(101.0 + delay, device, CLUB)
+    assert join_clubs([told(101.0)], [club], WINDOW) == ([told(101.0)], [club])
+
+
+def test_a_club_joins_the_nearest_launch_without_one() -> None:
+    clubs = [ClubRecord(104.1, "monitor", CLUB), ClubRecord(102.0, "monitor", CLUB._replace(speed=44.0))]
+    joined, alone = join_clubs([told(101.0), told(104.0, 2)], clubs, WINDOW)
+    assert ([one.club.speed for one in joined], alone) == ([44.0, 43.0], [])
+
+
+def test_a_launch_keeps_its_own_club_figures() -> None:
+    own = replace(told(101.0), club=ClubFigures(speed=44.0))
+    (joined,), _ = join_clubs([own], [ClubRecord(101.1, "monitor", CLUB)], WINDOW)
+    assert joined.club == ClubFigures(speed=44.0, path=0.01)
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_ball_sent_without_and_with_its_club_is_one_launch(number: int) -> None:
+    both = [told(101.0), replace(told(101.4, number), club=CLUB)]
+    for launches in (both, [replace(both[1], time=101.0), replace(both[0], time=101.4)]):
+        first, second = match([SwingImpact("7", 100.0)], launches, 200.0, WINDOW).decided
+        assert (first.outcome, first.reason) == (MatchOutcome.MATCHED, "")
+        assert second.outcome is MatchOutcome.REPEATED
+        assert first.launch is not None
+        assert first.launch.club == CLUB
 
 
 def test_a_window_ends_where_the_next_swing_begins() -> None:

@@ -22,7 +22,7 @@ from drivers.launch_monitor.open_connect import (
     write_player,
     write_shot,
 )
-from drivers.launch_monitor.record import ClubFigures, LaunchRecord
+from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord
 
 SPECIFICATION: dict[str, Any] = {
     "DeviceID": "UF-BENCH",
@@ -158,11 +158,34 @@ def test_not_a_number_outside_json_is_none() -> None:
     assert shot.speed is None
 
 
-def test_metres() -> None:
-    shot = read(Units="Meters")
+@pytest.mark.parametrize(
+    ("units", "carry"),
+    [
+        ("Yards", 256.5 * 0.9144),
+        ("yd", 256.5 * 0.9144),
+        ("", 256.5 * 0.9144),  # the specification's default
+        ("Meters", 256.5),
+        (" Metric ", 256.5),
+        ("M", 256.5),
+    ],
+)
+def test_carry_in_known_units_is_in_metres(units: str, carry: float) -> None:
+    shot = read(Units=units)
     assert isinstance(shot, LaunchRecord)
-    assert shot.carry == 256.5
+    assert shot.carry == pytest.approx(carry)
     assert shot.speed == pytest.approx(65.9384)
+
+
+def test_carry_in_unknown_units_is_absent_with_its_reason() -> None:
+    shot = read(Units="Furlongs")
+    assert isinstance(shot, LaunchRecord)
+    assert (shot.carry, shot.valid) == (None, True)
+    assert shot.absent == (("carry", "CarryDistance in Units 'Furlongs', expected Yards or Meters"),)
+
+
+@pytest.mark.parametrize("version", ["2", "1.1", "v1", 3, None, "", [1]])
+def test_a_message_of_another_version_with_the_layout_of_version_1_is_read(version: Any) -> None:
+    assert read(APIversion=version) == read()
 
 
 @pytest.mark.parametrize("options", [{}, {"IsHeartBeat": True}, {"IsHeartBeat": "1"}])
@@ -182,11 +205,49 @@ def test_ball_data_without_options_is_a_shot() -> None:
     assert isinstance(read_message(json.dumps(tree).encode(), 0.0), LaunchRecord)
 
 
-def test_club_data_alone_is_a_record_without_a_launch() -> None:
-    shot = read(BallData={}, ShotDataOptions={"ContainsBallData": False, "ContainsClubData": True})
+CLUB_ALONE = {"ContainsBallData": False, "ContainsClubData": True}
+BOTH = {"ContainsBallData": True, "ContainsClubData": True}
+ZERO_BALL = {"Speed": 0, "SpinAxis": 0, "TotalSpin": 0, "HLA": 0, "VLA": 0}
+
+
+@pytest.mark.parametrize(
+    ("ball", "options"),
+    [
+        ({}, CLUB_ALONE),
+        (ZERO_BALL, CLUB_ALONE),
+        (SPECIFICATION["BallData"], CLUB_ALONE),  # of the shot before
+        ({**ZERO_BALL, "Speed": "0.0", "VLA": 12.0}, BOTH),
+        (None, BOTH),
+    ],
+)
+def test_a_club_without_a_ball_is_no_launch(ball: Any, options: dict[str, bool]) -> None:
+    club = read(BallData=ball, ShotDataOptions=options)
+    assert isinstance(club, ClubRecord)
+    assert (club.time, club.device) == (7.0, "UF-BENCH")
+    assert club.club.speed == pytest.approx(45.240448)
+
+
+ZERO_CLUB = dict.fromkeys(SPECIFICATION["ClubData"], 0.0)
+
+
+def test_a_zeroed_club_alone_counts_as_nothing() -> None:
+    message = read(BallData=ZERO_BALL, ClubData=ZERO_CLUB, ShotDataOptions=CLUB_ALONE)
+    assert message == ReportedStatus("UF-BENCH", False, None, None)
+
+
+@pytest.mark.parametrize("options", [{"ContainsBallData": True}, BOTH])
+def test_a_ball_of_speed_0_without_a_club_is_refused_and_not_sent_again(options: dict[str, bool]) -> None:
+    message = read(BallData=ZERO_BALL, ClubData=ZERO_CLUB, ShotDataOptions=options)
+    assert message == RejectedMessage(200, "a ball of speed 0, and no club")
+
+
+def test_zeros_beside_the_clubs_speed_alone_are_not_measured() -> None:
+    shot = read(ClubData={**ZERO_CLUB, "Speed": 101.2})
     assert isinstance(shot, LaunchRecord)
-    assert shot.launch is None
-    assert shot.club.speed == pytest.approx(45.240448)
+    assert shot.club == ClubFigures(speed=pytest.approx(45.240448))
+    assert {name for name, _ in shot.absent} == {
+        f"club.{name}" for name in ClubFigures._fields if name != "speed"
+    }
 
 
 @pytest.mark.parametrize(
@@ -200,7 +261,8 @@ def test_club_data_alone_is_a_record_without_a_launch() -> None:
         (b'{"DeviceID": "x"}', "neither"),
         (b'{"BallData": {}, "ShotDataOptions": {"ContainsBallData": true}}', "without BallData"),
         (b'{"BallData": 3, "ShotDataOptions": {"ContainsBallData": true}}', "without BallData"),
-        (b'{"APIversion": "2", "BallData": {"Speed": 3}}', "APIversion"),
+        (b'{"APIversion": "2", "Ball": {"Speed": 3}}', "ShotDataOptions; APIversion '2'"),
+        (b'{"APIversion": "2", "BallData": {"BallSpeed": 3}}', "BallData of 'ballspeed', expected Speed"),
         (b'{"Speed": ' + b"9" * 5000 + b"}", "invalid JSON"),
         (b"{" * 100_000, "invalid JSON"),
         (b'{"a":' + b"[" * 100_000, "invalid JSON"),

@@ -5,13 +5,14 @@ import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from math import pi
+from math import pi, radians
 
 import pytest
 
 from drivers.base import DriverError
 from drivers.launch_monitor import server as server_module
 from drivers.launch_monitor.open_connect import write_heartbeat
+from drivers.launch_monitor.record import ClubRecord, RefusedRecord
 from drivers.launch_monitor.server import LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings, SimulatorSettings
 from tests.drivers.launch_monitor.stream import LAUNCH, receive, shot, wait_for
@@ -158,11 +159,64 @@ def test_a_monitor_may_go_and_come_again(server: LaunchMonitorServer, connect: C
     assert [record.number for record in server.take()] == [0, 1, 2, 3, 4]
 
 
+CLUB = b'{"DeviceID": "monitor", "ClubData": {"Speed": 96, "Path": %s}}'
+
+
+def test_a_club_and_a_refused_message_are_taken_beside_the_launches(
+    server: LaunchMonitorServer, connect: Connect, clock: Clock
+) -> None:
+    connection = connect()
+    connection.sendall(CLUB % b"0.4" + b'{"Ball": 1}')
+    assert b'"Code": 200' in receive(connection, 2)
+    club, refused = server.take_asides()
+    assert isinstance(club, ClubRecord)
+    assert isinstance(refused, RefusedRecord)
+    assert (club.device, club.club.speed) == ("monitor", pytest.approx(96 * 0.44704))
+    assert refused == RefusedRecord(100.0, "neither BallData nor ShotDataOptions")
+    link = server.link()
+    assert (link.counts.clubs, link.understood, link.refusal) == (1, 100.0, refused.reason)
+    assert (server.take(), server.take_asides()) == ([], [])
+    clock.now += 1.0
+    connection.sendall(shot()[:50])
+    connection.close()
+    wait_for(lambda: server.link().refusal == "an object cut off after 50 bytes")
+
+
+def test_a_zero_is_measured_once_its_device_has_sent_another_value(
+    server: LaunchMonitorServer, connect: Connect
+) -> None:
+    for path in (b"0", b"0.4", b"0"):  # a connection each
+        connection = connect()
+        connection.sendall((CLUB % path).replace(b"Path", b'AngleOfAttack": 1.5, "Path'))
+        receive(connection, 1)
+    clubs = [club for club in server.take_asides() if isinstance(club, ClubRecord)]
+    assert [club.club.path for club in clubs] == [None, pytest.approx(radians(0.4)), 0.0]
+    assert ("club.path", "0 in each message so far: not measured") in clubs[0].absent
+
+
+def test_a_shot_of_a_connection_closed_at_once_is_taken_and_answered_alone(clock: Clock) -> None:
+    per_shot = LaunchMonitorServer(LaunchMonitorSettings(presence="per_shot"), port=0, clock=clock)
+    per_shot.open()
+    try:
+        per_shot.announce_player("DR")
+        for number in range(50):
+            with socket.create_connection(per_shot.address, 10.0) as connection:
+                connection.sendall(shot(number))
+        with socket.create_connection(per_shot.address, 10.0) as connection:
+            connection.sendall(shot(50))
+            assert json.loads(receive(connection, 1))["Code"] == 200
+        wait_for(lambda: per_shot.link().counts.shots == 51)
+        assert [record.number for record in per_shot.take()] == list(range(51))
+    finally:
+        per_shot.close()
+
+
 def test_no_more_connections_than_there_is_room_for(server: LaunchMonitorServer, connect: Connect) -> None:
     first = [connect() for _ in range(server_module.MAX_CONNECTIONS)]
     wait_for(lambda: len(server.link().connected) == len(first))
     assert connect().recv(1) == b""
     assert server.link().rejected == 1
+    assert server.link().refusal == "connection from 127.0.0.1: 8 are connected"
 
 
 def test_the_player_is_told_to_who_is_there_and_who_comes(

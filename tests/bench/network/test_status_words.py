@@ -1,0 +1,34 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus
+from bench.network.status_words import absent_monitor_text, launch_monitor_text
+from bench.processes.status import NO_LAUNCH_MONITOR
+
+
+def link(**changes: Any) -> LaunchMonitorStatus:
+    return LaunchMonitorStatus(**{**NO_LAUNCH_MONITOR, **changes})
+
+
+def test_launch_monitor_text_of_connected_monitors_is_their_names() -> None:
+    names = [
+        MonitorStatus(address="::1", device=name, silent_s=0.0, ready=None, ball_detected=None)
+        for name in ("radar", "")
+    ]
+    assert launch_monitor_text(link(monitors=names)) == "radar, ::1"
+    assert launch_monitor_text(link()) == "not connected"
+    assert absent_monitor_text(link()) == "no launch monitor is connected"
+
+
+@pytest.mark.parametrize(
+    ("seen", "text"), [(None, "not seen so far"), (0.5, "seen within 1 min"), (61.0, "seen within 2 min")]
+)
+def test_launch_monitor_text_of_a_connection_per_shot_is_when_it_was_seen(
+    seen: float | None, text: str
+) -> None:
+    status = link(presence="per_shot", seen_s=seen)
+    assert launch_monitor_text(status) == f"connects per shot, {text}"
+    assert absent_monitor_text(status).endswith(text)

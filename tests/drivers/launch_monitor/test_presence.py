@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+from drivers.launch_monitor.presence import ShotPresence
+
+
+def test_a_monitor_is_present_while_no_ball_is_struck() -> None:
+    presence = ShotPresence(120.0)
+    assert presence.is_present(None, 1e6)
+    assert presence.is_present(10.0, 1e6)
+
+
+def test_a_monitor_that_leaves_balls_unanswered_is_absent_until_it_is_seen() -> None:
+    presence = ShotPresence(120.0)
+    for impact in (100.0, 110.0, 215.0):
+        presence.note_struck(impact)
+        assert presence.is_present(90.0, impact + 5.0)
+    assert not presence.is_present(90.0, 220.1)  # since the first of them
+    assert not presence.is_present(None, 220.1)
+    assert presence.is_present(221.0, 222.0)
+    assert presence.is_present(221.0, 1e6)
+
+
+def test_an_answered_ball_starts_the_time_again() -> None:
+    presence = ShotPresence(120.0)
+    presence.note_struck(100.0)
+    assert presence.is_present(101.0, 105.0)
+    presence.note_struck(300.0)
+    assert presence.is_present(101.0, 420.0)
+    assert not presence.is_present(101.0, 420.1)
