@@ -13,6 +13,7 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any
@@ -20,14 +21,21 @@ from typing import Any
 import numpy as np
 
 from bench.calibration.archive import calibration_of
-from bench.calibration.calibration import apply
 from bench.config import Configuration
-from bench.design.validate import beyond_range, other_rate
+from bench.design.validate import beyond_range
 from bench.errors import BenchError, ExitCode
 from bench.interrupt import StopFlag, stop_on_signals
-from bench.lifecycle import Cause, Phase, Reaction, Request, State
-from bench.network.bench_service import BenchStatus, DeviceStatus, LaunchMonitorStatus, LoopStatus, Reply
+from bench.lifecycle import Block, Cause, Phase, Reaction, Request, State
+from bench.network.bench_service import (
+    ArmingBlock,
+    BenchStatus,
+    DeviceStatus,
+    LaunchMonitorStatus,
+    LoopStatus,
+    Reply,
+)
 from bench.network.command_plane import CommandPlane
+from bench.network.status_words import block_text
 from bench.network.zenoh_session import close_session, open_daemon
 from bench.processes.child import Child
 from bench.processes.correction import CORRECTED_FILE
@@ -43,11 +51,10 @@ from bench.processes.stall import BEFORE, stall_note, supervisor_note
 from bench.processes.status import NO_LAUNCH_MONITOR, NO_STATISTICS, cause_text, status_of
 from bench.processes.support import ManagedProcess
 from bench.processes.tick_timing import TimingReader, summary
+from bench.readiness import arming_block, assess, assess_bench
 from bench.shot.shot_join import ShotJoin
 from bench.shot.shot_message import shot_publication
 from bench.swing.correction import basis_of, digest_of
-from bench.swing.library import find_profile
-from bench.swing.profile import load_profile
 from bench.telemetry.shot_id import run_id
 from bench.telemetry.snapshot import SNAPSHOT
 from drivers.launch_monitor.open_connect import club_code
@@ -100,17 +107,22 @@ class Daemon:
     ) -> None:
         """Load profile and calibration; `now` returns the date and time (UTC).
 
+        A bench that cannot be armed starts all the same: its status and its answers give the reasons.
+
         Raises:
             BenchError: the profile or the calibration is invalid.
         """
         self._now, self.read_only = now, read_only
-        self.calibration = calibration_of(configuration, now())
-        running = apply(self.calibration, configuration).running()
-        path = find_profile(running.swing.profile)
-        self.profile = load_profile(path)
-        self.configuration = running.for_profile(self.profile, path)
-        if note := other_rate(self.profile, running.plant):
+        self._nominal = configuration
+        """Configuration without calibrations."""
+        self._readiness = assess_bench(configuration, now(), running=True)
+        self.calibration, self.profile = self._readiness.calibration, self._readiness.profile
+        self.configuration = self._readiness.configuration
+        self._blocks = self._readiness.blocks(now())
+        for note in self._readiness.warnings:
             _log.warning(note)
+        for block in self._blocks:
+            _log.warning("arming blocked: %s", block_text(block))
         self._basis, self._profile_digest = basis_of(self.profile), digest_of(self.profile)
         self.wall = not configuration.driver.paced
         """Whether the loop runs in wall-clock time."""
@@ -136,11 +148,38 @@ class Daemon:
     # Commands ------------------------------------------------------------------------------------
 
     def request(self, request: Request) -> Reply:
-        """Send `request` to the loop and wait for its answer; arming needs a valid calibration."""
-        if request is Request.ARM and (problems := self.calibration.problems(self._now())):
-            return Reply(False, self._link.state, "; ".join(problems))
+        """Send `request` to the loop and wait for its answer; a bench that is not ready is not armed."""
+        if request is Request.ARM:
+            self._blocks = self._assess_again()
+            if self._blocks:
+                reason = f"arming blocked: {'; '.join(map(block_text, self._blocks))}"
+                return Reply(False, self._link.state, reason, self._blocks)
         self._grant()  # a lease taken since the last turn counts for this request
         return self._link.request(request)
+
+    def _assess_again(self) -> list[ArmingBlock]:
+        """Return what blocks arming with the calibrations in force now; the loop keeps those of its start."""
+        now, before = self._now(), self._readiness
+        try:
+            calibration = calibration_of(self._nominal, now)
+            if calibration.entries == before.calibration.entries:
+                self._readiness = replace(before, calibration=calibration)
+            else:
+                self._readiness = assess(self._nominal, calibration, self.profile, before.file, running=True)
+        except BenchError as error:
+            return [arming_block(Block.UNREADABLE, error)]
+        blocks = self._readiness.blocks(now)
+        if self._readiness.configuration.plant != self.configuration.plant:
+            blocks.append(
+                ArmingBlock(
+                    code=Block.CALIBRATION_NOT_LOADED,
+                    place=f"calibrations of bench {self.configuration.bench.id}",
+                    found=f"{calibration.summary()}, since the start",
+                    expected=f"{self.calibration.summary()}, as the loop was started with",
+                    cure="Restart the bench: golfbench run.",
+                )
+            )
+        return blocks
 
     def correct(self, profile: str, weights: Sequence[float]) -> Reply:
         """Apply a correction learned for this profile from now on; without weights none."""
@@ -186,6 +225,8 @@ class Daemon:
             correction=self._link.correction,
             club=self.configuration.swing.club,
             series=self.configuration.lifecycle.series,
+            arming_blocks=self._blocks,
+            readiness_warnings=list(self._readiness.warnings),
             support_ready=self._support_ready,
             launch_monitor=self._launch_monitor_status(),
             device=self._device,

@@ -7,7 +7,7 @@ be trusted. The compiled control step reads them as `transition_table` and `reac
 
 from __future__ import annotations
 
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +61,23 @@ class Answer(IntEnum):
     NONE = 0
     ACCEPTED = 1
     REFUSED = 2
+
+
+class Block(StrEnum):
+    """Reason that blocks arming until the configuration, a calibration or the profile changes."""
+
+    CONFIGURATION = "configuration"
+    """Configuration and calibrations contradict each other."""
+    SWING = "swing"
+    """Profile, club, ball and site do not fit the calibrated machine."""
+    CALIBRATION_MISSING = "calibration_missing"
+    CALIBRATION_EXPIRED = "calibration_expired"
+    CALIBRATION_AHEAD = "calibration_ahead"
+    """Calibration dated later than the clock."""
+    CALIBRATION_NOT_LOADED = "calibration_not_loaded"
+    """Calibration newer than the one that the loop was started with."""
+    UNREADABLE = "unreadable"
+    """Calibrations that cannot be read."""
 
 
 class Refusal(IntEnum):

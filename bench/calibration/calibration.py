@@ -16,7 +16,8 @@ from bench.calibration.values import (
     content_of,
 )
 from bench.config import Configuration
-from bench.errors import BenchError
+from bench.errors import BenchError, Refused
+from bench.lifecycle import Block
 from bench.telemetry.zero_shift import CalibratedShifts
 
 
@@ -67,6 +68,19 @@ class Entry:
         }
 
 
+class CalibrationProblem(Refused):
+    """Calibration that blocks arming: missing, expired or dated in the future."""
+
+    def __init__(self, code: Block, place: str, found: str, expected: str, cure: str) -> None:
+        super().__init__(place, found, expected, cure)
+        self.code = code
+
+    @property
+    def text(self) -> str:
+        """Problem and action in one sentence."""
+        return f"{self.place} {self.found}: {self.cure}"
+
+
 @dataclass(frozen=True)
 class Calibration:
     """The newest of each kind; a kind without one is nominal: as the configuration has it."""
@@ -99,20 +113,31 @@ class Calibration:
             return None
         return CalibratedShifts(entry.name, entry.values.zero_shift)
 
-    def problems(self, at: datetime, now: datetime | None = None) -> list[str]:
-        """Return the reasons against arming `at` a time, each with its action; empty if there are none.
+    def problems(self, at: datetime, now: datetime | None = None) -> list[CalibrationProblem]:
+        """Return the reasons against arming `at` a time; empty if there are none.
 
         The words are those of `now`, by default the same time.
         """
         found = [
-            f"{entry.name} {'expired' if entry.expired(now or at) else 'expires'} on "
-            f"{entry.expires:%Y-%m-%d %H:%M} UTC: golfbench calibrate {entry.kind}"
+            CalibrationProblem(
+                Block.CALIBRATION_EXPIRED,
+                entry.name,
+                f"{'expired' if entry.expired(now or at) else 'expires'} on "
+                f"{entry.expires:%Y-%m-%d %H:%M} UTC",
+                "a calibration that has not expired",
+                f"golfbench calibrate {entry.kind}",
+            )
             for entry in self.entries
             if entry.expired(at)
         ]
         found += [
-            f"{entry.name} is of {entry.date:%Y-%m-%d %H:%M} UTC, later than this machine's clock: "
-            "set the clock"
+            CalibrationProblem(
+                Block.CALIBRATION_AHEAD,
+                entry.name,
+                f"is of {entry.date:%Y-%m-%d %H:%M} UTC, later than this machine's clock",
+                "a date before now",
+                "set the clock",
+            )
             for entry in self.later
         ]
         if self.required:
@@ -120,7 +145,13 @@ class Calibration:
                 kind: f"club {self.club}" if kind is CalibrationKind.CLUB else kind for kind in self.nominal
             }
             found += [
-                f"{name} of bench {self.bench} never calibrated: golfbench calibrate {kind}"
+                CalibrationProblem(
+                    Block.CALIBRATION_MISSING,
+                    f"{name} of bench {self.bench}",
+                    "never calibrated",
+                    "a calibration in force, as on every machine",
+                    f"golfbench calibrate {kind}",
+                )
                 for kind, name in names.items()
             ]
         return found
@@ -156,13 +187,25 @@ def apply(calibration: Calibration, configuration: Configuration) -> Configurati
             case EncoderZeros() as zeros:
                 c = _with_zeros(c, zeros, entry.name)
             case BallPosition() as ball:
-                site = replace(c.plant.site, ball_x=ball.x, ball_y=ball.y)
-                c = replace(c, plant=replace(c.plant, site=site))
+                c = _with_ball(c, ball)
             case ClubInMount() as club:
                 c = _with_club(c, club, entry.name)
             case ValveCentres() as valves:
                 c = _with_valves(c, valves)
     return c
+
+
+def _with_ball(c: Configuration, ball: BallPosition) -> Configuration:
+    """Return `c` with the tee measured, also for the other clubs whose site has it at the same place."""
+    before = c.plant.site
+    sites = {
+        name: replace(site, ball_x=ball.x, ball_y=ball.y)
+        if (site.ball_x, site.ball_y) == (before.ball_x, before.ball_y)
+        else site
+        for name, site in c.sites.items()
+    }
+    plant = replace(c.plant, site=replace(before, ball_x=ball.x, ball_y=ball.y))
+    return replace(c, plant=plant, sites=sites)
 
 
 def _with_zeros(c: Configuration, zeros: EncoderZeros, name: str) -> Configuration:

@@ -55,14 +55,15 @@ def calibration_warnings(
     `required` includes those that were never made, as on a machine.
     """
     found = [effective_calibration(database, bench, now, club=club, required=required) for club in clubs]
-    today = dict.fromkeys(text for one in found for text in one.problems(now))
-    later = dict.fromkeys(text for one in found for text in one.problems(end, now) if text not in today)
+    today = dict.fromkeys(problem.text for one in found for problem in one.problems(now))
+    ending = dict.fromkeys(problem.text for one in found for problem in one.problems(end, now))
     restart = ", then start the bench again: it does not arm before."
     return [
         *(f"{text[0].upper()}{text[1:]}{restart}" for text in today),
         *(
             f"{text[0].upper()}{text[1:]}, before the expected end of the campaign, {end:%Y-%m-%d %H:%M} UTC."
-            for text in later
+            for text in ending
+            if text not in today
         ),
     ]
 

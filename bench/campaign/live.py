@@ -29,7 +29,7 @@ from bench.campaign.refreshing import Drift
 from bench.campaign.runner import Hindrance, ShotPostponed, Suspended
 from bench.campaign.simulated import Taken, ball_as_hit, monitored, random_of, reported_carry
 from bench.campaign.suitability import START_SERIES, needs_series, series_words
-from bench.campaign.swings import Profiles, felt_alike, with_face_of
+from bench.campaign.swings import Profiles
 from bench.errors import BenchError, Refused
 from bench.from_toml import format_value
 from bench.learning.learn import LearningProblem
@@ -37,9 +37,11 @@ from bench.learning.live import LiveSwinger
 from bench.lifecycle import REFUSAL_TEXT, Refusal
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
+from bench.network.command import CommandAnswer
 from bench.network.live_swing import LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
 from bench.network.status_words import absent_monitor_text
 from bench.processes.bench_folder import bench_folder
+from bench.readiness import felt_alike, with_face_of
 from bench.shot.ball_struck import ball_struck
 from bench.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
 from bench.shot.shot import Shot, ShotStatus
@@ -66,7 +68,7 @@ _AT_THE_ROBOT = {
 }
 """Refusals that a person beside the robot cures, and the cures."""
 _LASTING = frozenset({REFUSAL_TEXT[Refusal.READ_ONLY]})
-_BY_HAND = ("golfbench calibrate", "learn again")
+_BY_HAND = ("learn again",)
 """Cures in refusals that do not pass by themselves."""
 _READY = 60.0
 """Max time until the robot rests at its address, or until the lease of a dead runner expires, s."""
@@ -355,7 +357,7 @@ class LiveShots:
                         ("reset", f"{in_words(status)}; a simulated bench resets, homes and arms itself")
                     )
             except CommandRefused as refused:  # not at rest, not vented, guard still open: all pass in time
-                if _lasts(refused.answer.reason) or time.monotonic() > deadline:
+                if _lasts(refused.answer) or time.monotonic() > deadline:
                     raise
             if time.monotonic() > deadline:
                 raise Suspended(f"{in_words(status)}, not at rest at its address after {_READY:g} s")
@@ -598,9 +600,10 @@ def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
     }
 
 
-def _lasts(reason: str) -> bool:
+def _lasts(answer: CommandAnswer) -> bool:
     """Return whether a refusal lasts until a person has calibrated, learned again or restarted the bench."""
-    return reason in _LASTING or any(command in reason for command in _BY_HAND)
+    blocked, reason = "arming_blocks" in answer.content, answer.reason
+    return blocked or reason in _LASTING or any(command in reason for command in _BY_HAND)
 
 
 @contextmanager

@@ -33,7 +33,7 @@ from bench.campaign.runner import Operator, Runner, RunOutcome, Watcher
 from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
 from bench.campaign.suitability import START_SERIES, needs, needs_series, series_words
-from bench.campaign.swings import Profiles, require_swings
+from bench.campaign.swings import Profiles, calibrated, require_swings
 from bench.config import Configuration, with_new_names
 from bench.errors import BenchError, Refused
 from bench.network.bench_service import BenchStatus
@@ -100,7 +100,7 @@ def bench_calibrations(
     plan: CampaignPlan, configuration: Configuration, store: CampaignStore, now: datetime
 ) -> dict[str, Any]:
     """Return the bench's calibrations in force `now`; raises as `require_swings`."""
-    profiles = require_swings(plan, configuration)
+    profiles = require_swings(plan, configuration, now)
     found = calibrations_in_force(store.database, configuration.bench.id, plan.design.clubs, now)
     return found | {"club_speed": speed_sensitivities(profiles, plan.clubs, configuration.plant.robot)}
 
@@ -122,7 +122,8 @@ def run_simulated(
 ) -> RunOutcome:
     """Start or resume a simulated campaign; run it until its end or a stop.
 
-    `cause` names what `interrupted` it.
+    The bench has the calibrations that were in force when the campaign began. `cause` names what
+    `interrupted` it.
 
     Raises:
         Refused: another runner has it.
@@ -130,7 +131,8 @@ def run_simulated(
         ExceptionGroup: of BenchErrors, where its swings do not fit this bench.
     """
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
-    profiles = require_swings(plan, configuration)
+    profiles = require_swings(plan, configuration, entry.date)
+    plan, configuration = calibrated(plan, configuration, entry.date)
     corrections = CampaignCorrections(entry, plan, configuration, store.database, profiles, simulated=True)
     data_dir = configuration.bench.data_dir
     with runner_lock(data_dir, entry.id):

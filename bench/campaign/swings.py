@@ -3,47 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
+from datetime import UTC, datetime
 from itertools import product
 
+from bench.calibration.archive import calibration_of
+from bench.calibration.calibration import Calibration, CalibrationProblem, apply
 from bench.campaign.plan import CampaignPlan
 from bench.config import Configuration
-from bench.design.validate import require_possible
 from bench.errors import BenchError
+from bench.readiness import assess, felt_alike, mount
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
-from sim.robot import Club
 
 Profiles = Mapping[tuple[str, str], Profile]
 """Keyed by the plan's names of swing and club."""
 
-_ON_THE_BALL_ONLY = frozenset(
-    {
-        "name",
-        "loft",
-        "face_angle",
-        "restitution",
-        "restitution_slope",
-        "tangential_factor",
-        "tangential_stiffness",
-        "tangential_loss",
-        "friction_factor",
-        "bulge_radius",
-        "roll_radius",
-        "tee_shift",
-    }
-)
-"""Fields of a club that do not act on the robot."""
 
-
-def require_swings(plan: CampaignPlan, configuration: Configuration) -> Profiles:
-    """Return the plan's profiles.
+def require_swings(
+    plan: CampaignPlan, configuration: Configuration, when: datetime | None = None
+) -> Profiles:
+    """Return the plan's profiles, assessed with the bench's calibrations in force at `when`, default now.
 
     Raises:
-        BenchError: a profile is missing or cannot be read.
+        BenchError: a profile or a calibration is missing or cannot be read.
         ExceptionGroup: of BenchErrors, if one does not fit a club or cannot be swung here.
     """
     found, faults = dict[tuple[str, str], Profile](), list[Exception]()
+    when = when or datetime.now(UTC)
     for swing, name in product(plan.design.swings, plan.design.clubs):
         path = find_profile(plan.profile(swing, name))
         profile = found[swing, name] = load_profile(path)
@@ -59,26 +46,44 @@ def require_swings(plan: CampaignPlan, configuration: Configuration) -> Profiles
                 )
             )
             continue
-        designed_for = replace(club, name=profile.club)
-        plant = configuration.plant_of(name, designed_for)
-        try:
-            require_possible(profile, plant, configuration.envelope, str(path))
-        except ExceptionGroup as group:
-            faults.extend(group.exceptions)
+        mounted, calibration = _mount(plan, configuration, name, when)
+        faults.extend(assess(mounted, calibration, profile, path).faults)
     if faults:
         raise ExceptionGroup("the plan's swings do not fit", faults)
     return found
 
 
-def with_face_of(club: Club, other: Club) -> Club:
-    """Return a club with the mechanics of `club` and the face, head and name of `other`."""
-    return replace(club, **{name: getattr(other, name) for name in _ON_THE_BALL_ONLY})
+def calibrated(
+    plan: CampaignPlan, configuration: Configuration, when: datetime
+) -> tuple[CampaignPlan, Configuration]:
+    """Return plan and configuration with the calibrations of the bench in force at `when`.
+
+    Raises:
+        BenchError: a calibration cannot be read, or belongs to another machine.
+    """
+    clubs = {}
+    for name in plan.design.clubs:
+        mounted, calibration = _mount(plan, configuration, name, when)
+        clubs[name] = apply(calibration, mounted).clubs[name]
+    measured = apply(calibration_of(configuration, when), configuration)
+    return replace(plan, clubs=plan.clubs | clubs), measured
 
 
-def felt_alike(club: Club, other: Club | None) -> bool:
-    """Return whether two clubs are the same to the robot."""
-    return other is not None and all(
-        getattr(club, f.name) == getattr(other, f.name)
-        for f in fields(Club)
-        if f.name not in _ON_THE_BALL_ONLY
-    )
+def arming_problems(
+    plan: CampaignPlan, configuration: Configuration, when: datetime
+) -> list[CalibrationProblem]:
+    """Return the calibrations that block arming at `when` with one of the plan's clubs, each once."""
+    problems = [
+        problem
+        for name in plan.design.clubs
+        for problem in _mount(plan, configuration, name, when)[1].problems(when)
+    ]
+    return list({problem.text: problem for problem in problems}.values())
+
+
+def _mount(
+    plan: CampaignPlan, configuration: Configuration, name: str, when: datetime
+) -> tuple[Configuration, Calibration]:
+    """Return the configuration with the plan's club `name` mounted, and the calibrations for it."""
+    clubs = configuration.clubs | {name: plan.clubs[name]}
+    return mount(replace(configuration, clubs=clubs), name, when)

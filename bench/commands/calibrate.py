@@ -280,13 +280,13 @@ def show(context: typer.Context, json_: Json = False) -> None:
     calibration = calibration_of(configuration, now)
     problems = calibration.problems(now)
     if json_:
-        typer.echo(json.dumps(calibration.record() | {"problems": problems}, indent=2))
+        typer.echo(json.dumps(calibration.record() | {"problems": [p.text for p in problems]}, indent=2))
     else:
         console = Console()
         console.print(f"bench {calibration.bench}, club {calibration.club}", highlight=False)
         console.print(overview(calibration, now))
         for problem in problems:
-            console.print(f"not to be armed: {problem}", style="red", highlight=False, soft_wrap=True)
+            console.print(f"arming blocked: {problem.text}", style="red", highlight=False, soft_wrap=True)
     if problems:
         raise typer.Exit(ExitCode.REFUSED)
 

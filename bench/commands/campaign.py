@@ -13,6 +13,8 @@ import typer
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from bench.campaign.carry import Measured
     from bench.campaign.findings import Findings
     from bench.campaign.plan import CampaignPlan
@@ -72,16 +74,18 @@ def check(
     everything: Annotated[bool, typer.Option("--all", help="Print every block.")] = False,
     json_: Json = False,
 ) -> None:
-    """Check a plan before anything moves; print its shot order, load lists and resolution.
+    """Check plan and bench before anything moves; print shot order, load lists and resolution.
 
-    Exits with 2 and lists all mistakes.
+    Exits with 2 and lists all mistakes; with 1 if a calibration blocks arming.
     """
     import json
+    from datetime import UTC, datetime
 
     from rich.console import Console
 
     from bench.campaign.preview import preview_record, show_preview
     from bench.campaign.suitability import START_SERIES, free_space, needs, needs_series, needs_words
+    from bench.campaign.swings import arming_problems
 
     plan, configuration, profiles = _checked(context, file)
     free, series = free_space(configuration.bench.data_dir), ""
@@ -99,11 +103,13 @@ def check(
             "series_warning": series,
         }
         typer.echo(json.dumps(preview_record(plan, hits) | beside, indent=2))
-        return
-    console = Console()
-    show_preview(plan, hits, console, everything=everything)
-    for line in (*needs_words(plan, free), *warnings):
-        console.print(line, highlight=False, markup=False)
+    else:
+        console = Console()
+        show_preview(plan, hits, console, everything=everything)
+        for line in (*needs_words(plan, free), *warnings):
+            console.print(line, highlight=False, markup=False)
+    if problems := arming_problems(plan, configuration, datetime.now(UTC)):
+        raise ExceptionGroup("arming blocked", problems)
 
 
 def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configuration, Profiles]:
@@ -165,7 +171,7 @@ def run(
     """
     from datetime import UTC, datetime
 
-    from bench.campaign.operate import bench_calibrations, measured_balls, new_entry
+    from bench.campaign.operate import measured_balls, new_entry
     from bench.campaign.reader_units import UnitSystem
     from bench.commands.campaign_baseline import read_baseline
     from bench.errors import Refused
@@ -185,7 +191,7 @@ def run(
             simulated=sim or facts["driver"] == "sim",
             real_time=facts,
             measured=measured,
-            calibrated=None if sim else bench_calibrations(plan, configuration, store, now),
+            calibrated=_calibrations(plan, configuration, store, now, sim=sim),
         )
         store.begin(entry)
         _run(
@@ -197,6 +203,16 @@ def run(
             ask=ask,
             by=by,
         )
+
+
+def _calibrations(
+    plan: CampaignPlan, configuration: Configuration, store: CampaignStore, now: datetime, *, sim: bool
+) -> dict[str, Any] | None:
+    """Return the bench's calibrations in force `now`; None for a simulation without any."""
+    from bench.campaign.operate import bench_calibrations
+
+    found = bench_calibrations(plan, configuration, store, now)
+    return None if sim and not found["in_force"] else found
 
 
 @app.command()

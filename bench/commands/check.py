@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 
 from rich.box import SIMPLE_HEAD
@@ -9,57 +10,43 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bench.calibration.archive import calibration_of
-from bench.calibration.calibration import apply
 from bench.commands.session import Session
-from bench.config import Configuration, contradictions, load_configuration, shipped_configuration
+from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.config.text import configuration_text
-from bench.design.validate import Check, check_profile
-from bench.swing.library import find_profile
-from bench.swing.profile import load_profile
+from bench.design.validate import Check
+from bench.readiness import assess_bench
 
 
 def check_all(session: Session, name: str | None, console: Console) -> None:
-    """Check the configuration, then profile `name` (None: the configuration's) against it; print the checks.
+    """Print the readiness of the bench for profile `name` (None: the configuration's), the verdict last.
 
     Raises:
         BenchError: configuration or profile cannot be read.
-        ExceptionGroup: of BenchErrors, one for each mistake.
+        ExceptionGroup: of BenchErrors, one for each reason that blocks arming.
     """
-    configuration = session.configuration()
+    configuration, now = session.configuration(), datetime.now(UTC)
     console.print(_summary(configuration), highlight=False)
-    now = datetime.now(UTC)
-    calibration = calibration_of(configuration, now)
-    configuration = apply(calibration, configuration)
-    if faults := contradictions(configuration):
-        raise ExceptionGroup("calibration and configuration contradict each other", faults)
+    found = assess_bench(configuration, now, name, running=True)
+    calibration = found.calibration
     console.print(f"calibration of bench {calibration.bench}: {calibration.summary()}", highlight=False)
-    for problem in calibration.problems(now):
-        console.print(f"warning: not to be armed: {problem}", style="yellow", highlight=False, soft_wrap=True)
-    path = find_profile(name or configuration.swing.profile)
-    profile = load_profile(path)
     console.print(
-        f"swing {path}: readable, {len(profile.angle)} samples, all finite and in range", highlight=False
+        f"swing {found.file}: readable, {len(found.profile.angle)} samples, all finite and in range",
+        highlight=False,
     )
-    if configuration.envelope.model.check != "off":
-        used = configuration.limits_in_use(profile, path)
-        style = "yellow" if used.stale else ""
-        console.print(
-            f"limits of the model-based check: {used.source}", style=style, highlight=False, soft_wrap=True
-        )
+    if found.limits:
+        console.print(f"limits of the model-based check: {found.limits}", highlight=False, soft_wrap=True)
+    for warning in found.warnings:
+        console.print(f"warning: {warning}", style="yellow", highlight=False, soft_wrap=True)
+    console.print(_table(found.checks))
+    if blocks := [*found.faults, *calibration.problems(now)]:
+        reasons = f"{len(blocks)} reason{'s' * (len(blocks) > 1)}"
+        console.print(f"Arming blocked for {reasons}: this bench does not swing.", style="red")
+        raise ExceptionGroup(f"{found.file} cannot be swung here", blocks)
+    if count := len(found.warnings):
+        warned = f"{count} warning{'s' * (count > 1)}"
+        console.print(f"Nothing blocks arming; {warned}, see above.", style="yellow")
     else:
-        console.print(
-            "warning: the model-based check is off (envelope.model.check): "
-            "a valve that sticks is found tenths of a second later",
-            style="yellow",
-            highlight=False,
-            soft_wrap=True,
-        )
-    checks = check_profile(profile, configuration.plant, configuration.envelope, str(path))
-    console.print(_table(checks))
-    if faults := [fault for check in checks for fault in check.faults]:
-        raise ExceptionGroup(f"{path} cannot be swung here", faults)
-    console.print("Everything holds: this swing may be tried on this bench.", style="green")
+        console.print("Everything holds: this swing may be tried on this bench.", style="green")
 
 
 def shipped_text() -> str:
@@ -78,7 +65,7 @@ def _summary(c: Configuration) -> str:
     )
 
 
-def _table(checks: list[Check]) -> Table:
+def _table(checks: Sequence[Check]) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for column in ("", "checked", "found", "allowed"):
         table.add_column(column, overflow="fold")

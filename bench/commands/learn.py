@@ -90,25 +90,24 @@ def learn(
 
     from bench.config import database_url
     from bench.design.planned_openings import require_planned_openings
-    from bench.design.validate import require_possible
     from bench.errors import ExitCode
     from bench.learning.recorded import read_recorded
     from bench.learning.store import Conditions, keep, stored
+    from bench.readiness import assess_bench
     from bench.simulation.series import Bench
     from bench.store.database import open_database
-    from bench.swing.library import find_profile
-    from bench.swing.profile import load_profile, save_profile
+    from bench.swing.profile import save_profile
 
     elsewhere = {"--robot": robot, "--draw": draw, "--club": club}
     _require_usable({"--source": source} if sim else elsewhere, sim)
     _require_identified(records, identified)
     recorded = read_recorded(records or [])
-    configuration = context.ensure_object(Session).configuration().with_club(club)
+    configuration = context.ensure_object(Session).configuration()
     require_planned_openings(configuration.control)
-    path = find_profile(profile)
-    swing, plant = load_profile(path), configuration.plant
-    require_possible(swing, plant, configuration.envelope, str(path))
-    configuration = configuration.for_profile(swing, path)
+    ready = assess_bench(configuration, datetime.now(UTC), profile, club=club)
+    ready.require_possible()
+    swing, configuration = ready.profile, ready.configuration
+    plant = configuration.plant
     truth = _robot(plant, robot, draw, club)
     bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
     measured, origin = source or "encoders+model", _Origin(identified, recorded)

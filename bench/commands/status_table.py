@@ -16,6 +16,7 @@ from bench.network.bench_service import BenchStatus, DeviceStatus, LaunchMonitor
 from bench.network.client import BenchClient
 from bench.network.status_words import (
     StatusCondition,
+    block_text,
     interlock_conditions,
     launch_monitor_text,
     robot_conditions,
@@ -103,6 +104,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
         *([("then found", Text(f"{latest['name']}: {latest['text']}", "red"))] if latest else []),
         ("lease", f"{lease['holder']}, {lease['seconds_left']:.0f} s left" if lease else "not held"),
         ("robot", _flags(robot_conditions(status))),
+        ("readiness", _readiness(status)),
         ("interlocks", _flags(interlock_conditions(status))),
         ("joints", ", ".join(f"{name} {_degrees(angle)}" for name, angle in joints)),
         ("supply", f"{_bar(status['supply_pressure_pa'])} bar absolute"),
@@ -139,6 +141,15 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
 def _flags(conditions: list[StatusCondition]) -> Text:
     """Return the words for `conditions`; in yellow, those not met."""
     return Text(", ").join(Text(text, "" if holds else "yellow") for text, holds in conditions)
+
+
+def _readiness(status: BenchStatus) -> Text:
+    """Return what blocks arming, in red, and the warnings, in yellow."""
+    told = Text("\n").join(
+        [Text(f"arming blocked: {block_text(block)}", "red") for block in status["arming_blocks"]]
+        + [Text(warning, "yellow") for warning in status["readiness_warnings"]]
+    )
+    return told or Text("configuration, calibrations and profile permit arming")
 
 
 def _processes(status: BenchStatus) -> Text:

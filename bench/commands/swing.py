@@ -117,7 +117,7 @@ def simulate(
     """
     from bench.swing.library import THESIS
 
-    configuration = context.ensure_object(Session).configuration().with_club(club)
+    configuration = context.ensure_object(Session).configuration()
     if output is None:
         output = configuration.bench.data_dir / "simulations" / Path(profile).stem
     if profile == THESIS:
@@ -125,10 +125,12 @@ def simulate(
 
         simulate_thesis(output, json_)
         return
-    _simulate(configuration, profile, ball, output, json_)
+    _simulate(configuration, profile, club, ball, output, json_)
 
 
-def _simulate(configuration: Configuration, name: str, ball: str | None, output: Path, json_: bool) -> None:
+def _simulate(
+    configuration: Configuration, name: str, club: str | None, ball: str | None, output: Path, json_: bool
+) -> None:
     import json
     from contextlib import nullcontext
     from datetime import UTC, datetime
@@ -136,19 +138,16 @@ def _simulate(configuration: Configuration, name: str, ball: str | None, output:
     from rich.console import Console
 
     from bench.design.outcome import outcome_record, outcome_table, write_outcome
-    from bench.design.validate import require_possible
     from bench.errors import ExitCode
     from bench.interrupt import deferred_interrupt
+    from bench.readiness import assess_bench
     from bench.shot.recorded_shot import FlightConditions
     from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
-    from bench.swing.library import find_profile
-    from bench.swing.profile import load_profile
 
-    path = find_profile(name)
-    swing = load_profile(path)
+    ready = assess_bench(configuration, datetime.now(UTC), name, club=club)
+    ready.require_possible()
+    swing, configuration = ready.profile, ready.configuration
     plant = configuration.plant_with(ball=ball)
-    require_possible(swing, plant, configuration.envelope, str(path))
-    configuration = configuration.for_profile(swing, path)
     around = FlightConditions(configuration.air, configuration.wind, configuration.turf)
     bench = SimulatedBench(
         swing, plant, configuration.control, configuration.envelope, configuration.estimator, around
@@ -182,22 +181,20 @@ def check(
     ratings of stops and chambers. Exits with 1 if any of them ends unsafe.
     """
     import json
+    from datetime import UTC, datetime
 
     from rich.console import Console
 
     from bench.commands.check_table import check_record, check_table
     from bench.commands.progress import progress_bar
     from bench.design.check import SwingCheck, summarise
-    from bench.design.validate import require_possible
     from bench.errors import ExitCode
-    from bench.swing.library import find_profile
-    from bench.swing.profile import load_profile
+    from bench.readiness import assess_bench
 
-    configuration = context.ensure_object(Session).configuration().with_club(club)
-    path = find_profile(profile or configuration.swing.profile)
-    swing = load_profile(path)
-    require_possible(swing, configuration.plant, configuration.envelope, str(path))
-    configuration = configuration.for_profile(swing, path)
+    configuration = context.ensure_object(Session).configuration()
+    ready = assess_bench(configuration, datetime.now(UTC), profile, club=club)
+    ready.require_possible()
+    swing, configuration = ready.profile, ready.configuration
     bench = SwingCheck(
         configuration.plant, swing, configuration.control, configuration.envelope, configuration.estimator
     )
@@ -530,25 +527,26 @@ def limits(
     Draws robots within their tolerances, swings and stops each without a fault, and sets the limits above all
     their deviations. Minutes.
     """
+    from datetime import UTC, datetime
+
     from rich.console import Console
 
     from bench.commands.progress import progress_bar
     from bench.control.model_limits import save_limits
     from bench.design.model_limits import make_limits
-    from bench.design.validate import require_possible
+    from bench.readiness import assess_bench
     from bench.simulation.series import Bench
-    from bench.swing.library import PROFILES, find_profile
-    from bench.swing.profile import load_profile
+    from bench.swing.library import PROFILES
 
-    c = context.ensure_object(Session).configuration().with_club(club)
-    path = find_profile(profile)
-    swing = load_profile(path)
-    require_possible(swing, c.plant, c.envelope, str(path))
+    c = context.ensure_object(Session).configuration()
+    ready = assess_bench(c, datetime.now(UTC), profile, club=club)
+    ready.require_possible()
+    swing, path, plant = ready.profile, ready.file, ready.configuration.plant
     beside, stored = c.limits_files(path)
     file = output or (stored if path.parent == PROFILES else beside)
     with sweep_engine(c, processes, cluster, draws) as engine, progress_bar() as bar:
         task = bar.add_task(f"swinging {swing.name}", total=1.0)
-        bench = Bench(c.plant, swing, c.control, c.envelope, c.estimator)
+        bench = Bench(plant, swing, c.control, c.envelope, c.estimator)
         made = make_limits(bench, draws, lambda part: bar.update(task, completed=part), engine)
     file.parent.mkdir(parents=True, exist_ok=True)
     save_limits(file, made)

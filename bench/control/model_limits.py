@@ -12,7 +12,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from hashlib import sha256
-from math import isfinite
+from math import dist, isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,8 +29,8 @@ from bench.control.settings import (
 from bench.errors import BenchError, did_you_mean
 from bench.from_toml import format_value, read_toml
 from bench.swing.correction import digest_of
-from bench.swing.profile import Profile
-from sim.plant import PlantParameters
+from bench.swing.profile import BALL_TOLERANCE, Profile
+from sim.plant import Encoders, PlantParameters
 from sim.robot import ADDED_TO_CLUBS
 
 SCHEMA = "golfbench-limits/1"
@@ -76,9 +76,9 @@ class MadeFor(NamedTuple):
     ) -> MadeFor:
         """Return the digests of a bench.
 
-        The plant counts without NOT_FELT, of the envelope only what changes a command. A club counts as the
-        profile's, whatever its name, if its body is the same and the tee is moved less than
-        LEAST_FELT_TEE_SHIFT.
+        The plant counts without NOT_FELT and encoder zeros, of the envelope only what changes a command. A
+        ball within BALL_TOLERANCE of the profile's counts as there. A club counts as the profile's, whatever
+        its name, if its body is the same and the tee is moved less than LEAST_FELT_TEE_SHIFT.
         """
         machine = {k: v for k, v in asdict(plant).items() if k not in NOT_FELT}
         club = machine["robot"]["club"]
@@ -93,6 +93,9 @@ class MadeFor(NamedTuple):
             del machine[name]["stop"]["rated"]  # no force depends on it
         if plant.wrist_lever_angle == 0.0:
             del machine["wrist_lever_angle"]  # younger than limits in use
+        machine["encoders"] |= {name: getattr(Encoders(), name) for name in ("zero_count", "sign")}
+        if dist(profile.ball, (plant.site.ball_x, plant.site.ball_y)) <= BALL_TOLERANCE:
+            machine["site"]["ball_x"], machine["site"]["ball_y"] = profile.ball
         machine["site"] = {k: v for k, v in machine["site"].items() if ADDED_TO_SITES.get(k) != v}
         bounds = (envelope.max_opening, envelope.max_slew)
         return cls(

@@ -17,7 +17,7 @@ from bench.control.settings import EnvelopeSettings
 from bench.design.air_limits import Array, force_bounds, needed_force, steady_speed, stop_forces
 from bench.errors import BenchError
 from bench.swing.motion import Motion
-from bench.swing.profile import PHASES, Profile
+from bench.swing.profile import BALL_TOLERANCE, PHASES, Profile
 from drivers.base import JOINTS
 from sim.kinematics import forward_kinematics, joint_positions
 from sim.plant import PlantParameters
@@ -25,8 +25,6 @@ from sim.pneumatics import Actuator
 
 PRESSURE_TOLERANCE = 0.01
 """Share by which the supply may differ from the one the swing was designed for."""
-BALL_TOLERANCE = 0.0005
-"""m; the same for the ball's place."""
 SLOPE_TOLERANCE = 0.5
 SLOPE_TIME = 0.010
 """Velocities may differ from the angles' slope by this (rad/s), and by more for this long (s)."""
@@ -79,7 +77,10 @@ class MachineSwing(NamedTuple):
 def check_profile(
     profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
 ) -> list[Check]:
-    """Return every check of `profile` on the machine; `place` names its file in the faults."""
+    """Return every check of `profile` on the machine but that of its rate; `place` names its file.
+
+    A running bench swings with values between the samples, see `other_rate`.
+    """
     plan = MachineSwing(profile, plant, envelope, Motion(profile, plant), place or profile.name)
     done = [check(plan) for check in _CHECKS]
     # The force that the air must give follows from the tables' slopes.
@@ -89,8 +90,18 @@ def check_profile(
 def profile_faults(
     profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
 ) -> list[BenchError]:
-    """Return every reason why `profile` may not be swung on the machine."""
-    return [fault for check in check_profile(profile, plant, envelope, place) for fault in check.faults]
+    """Return every reason why `profile` may not be swung on the machine with a sample a tick."""
+    checks = check_profile(profile, plant, envelope, place)
+    return [*rate_faults(profile, plant, place), *(fault for check in checks for fault in check.faults)]
+
+
+def rate_faults(profile: Profile, plant: PlantParameters, place: str | None = None) -> list[BenchError]:
+    """Return the fault of a profile that has no sample for each of the loop's ticks, if it is so."""
+    if not other_rate(profile, plant):
+        return []
+    found, wanted = f"{profile.period:g} s", f"{plant.tick:g} s, the loop's tick"
+    cure = "Set loop.rate_hz to its inverse."
+    return [BenchError(f"{place or profile.name}: period_s", found, wanted, cure)]
 
 
 def require_possible(
@@ -123,23 +134,20 @@ def _impact(plan: MachineSwing) -> slice:
 
 
 def _machine(plan: MachineSwing) -> Check:
-    """Compare the conditions that the profile was made for with the machine: club, period, supply."""
+    """Compare the conditions that the profile was made for with the machine: club, supply."""
     profile, plant, faults = plan.profile, plan.plant, []
     club, supply = plant.robot.club.name, plant.supply.pressure
     designed = profile.limits.get("supply_pressure_pa", 0.0)
     if profile.club != club:
         cure = f'Set swing.club = "{profile.club}", or choose a profile for this club.'
         faults.append(plan.key("club", f'"{profile.club}"', f'"{club}", the mounted one', cure))
-    if abs(profile.period - plant.tick) > 1e-9:
-        wanted, cure = f"{plant.tick:g} s, the loop's tick", "Set loop.rate_hz to its inverse."
-        faults.append(plan.key("period_s", f"{profile.period:g} s", wanted, cure))
     if abs(designed - supply) > PRESSURE_TOLERANCE * supply:
         found = f"{designed:.4g} Pa" if designed else "not given"
         wanted = f"{supply:.4g} Pa absolute, plant.supply.pressure, within 1 %"
         cure = "Choose another profile, or design one for this supply."
         faults.append(plan.key("limits.supply_pressure_pa", found, wanted, cure))
-    found = f"{profile.club}, {1e3 * profile.period:g} ms, {designed / 1e5:.2f} bar"
-    return Check("made for", found, f"{club}, {1e3 * plant.tick:g} ms, {supply / 1e5:.2f} bar", faults)
+    found = f"{profile.club}, {designed / 1e5:.2f} bar"
+    return Check("made for", found, f"{club}, {supply / 1e5:.2f} bar", faults)
 
 
 def _tables(plan: MachineSwing) -> Check:

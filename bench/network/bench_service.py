@@ -11,10 +11,20 @@ from typing import Annotated, Literal, NamedTuple, NotRequired, Protocol, TypedD
 
 from annotated_types import Len
 
-from bench.lifecycle import Cause, Phase, Reaction, Request, State
+from bench.lifecycle import Block, Cause, Phase, Reaction, Request, State
 
 STATUS_VERSION = 1
 """Version of `BenchStatus`."""
+
+
+class ArmingBlock(TypedDict):
+    """A reason that blocks arming, in the parts of an error message."""
+
+    code: Block
+    place: str
+    found: str
+    expected: str
+    cure: str
 
 
 class Reply(NamedTuple):
@@ -25,6 +35,8 @@ class Reply(NamedTuple):
     """Name of the `State` after the answer."""
     reason: str
     """Why it was refused, with the cure; empty when accepted."""
+    blocks: Sequence[ArmingBlock] = ()
+    """Reasons that block arming, if it was refused for them."""
 
 
 class CauseStatus(TypedDict):
@@ -206,6 +218,10 @@ class BenchStatus(TypedDict):
     """Number of the learned correction that swings are made with, counted from the start; 0: none."""
     club: str
     """Club that the bench was started with."""
+    arming_blocks: list[ArmingBlock]
+    """Reasons that block arming, as of the start or the latest request to arm."""
+    readiness_warnings: list[str]
+    """Properties of configuration, calibrations and profile that do not block arming."""
     series: bool
     """Whether it holds the address after a swing for the next one; otherwise it vents."""
     joints_deg: Annotated[list[float | None], Len(3, 3)]

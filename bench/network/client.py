@@ -71,6 +71,19 @@ class CommandRefused(Refused):
     """A request refused by the bench, with its `answer`."""
 
     def __init__(self, bench: str, verb: Verb, answer: CommandAnswer) -> None:
+        blocks = answer.content.get("arming_blocks", ())
+        if blocks:
+            found, expected, cures = (
+                dict.fromkeys(parts)
+                for parts in zip(
+                    *((f"{b['place']} {b['found']}", b["expected"], b["cure"]) for b in blocks), strict=True
+                )
+            )
+            super().__init__(
+                f"{verb} of bench {bench}", "; ".join(found), "; ".join(expected), " ".join(cures)
+            )
+            self.answer = answer
+            return
         why, _, cure = answer.reason.partition(": ")
         states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []
         super().__init__(

@@ -16,6 +16,7 @@ from typing import Annotated, Any, NamedTuple, NoReturn, NotRequired, TypedDict
 
 from bench.errors import BenchError
 from bench.lifecycle import Request, State
+from bench.network.bench_service import ArmingBlock
 from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_holder
 from bench.swing.correction import GREATEST_WEIGHT, MOST_WEIGHTS
 
@@ -342,6 +343,12 @@ class LeaseContent(TypedDict):
     """Of a lease that was taken now: every keyed command carries it."""
 
 
+class ArmContent(TypedDict):
+    """Content of the answer to a request to arm that configuration, calibrations or profile block."""
+
+    arming_blocks: list[ArmingBlock]
+
+
 class ErrorParts(TypedDict):
     """Parts of an error in a message."""
 
@@ -362,7 +369,8 @@ class CommandAnswer(NamedTuple):
     note: str = ""
     """Further information for the operator."""
     content: Mapping[str, Any] = {}
-    """`status` of status; `holder`, `seconds_left` and, for who took it, `key` of lease."""
+    """`status` of status; `holder`, `seconds_left` and, for who took it, `key` of lease; the reasons that
+    block arming of `arm`."""
 
 
 def encode_answer(answer: CommandAnswer) -> bytes:

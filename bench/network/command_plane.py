@@ -28,6 +28,7 @@ from bench.network.command import (
     REQUESTS,
     STOPS,
     VERSION,
+    ArmContent,
     Command,
     CommandAnswer,
     Correct,
@@ -68,6 +69,7 @@ _CHANGES = (
     "vented",
     "swings",
     "support_ready",
+    "arming_blocks",
     "emergency_stop_clear",
     "guard_closed",
     "guard_locked",
@@ -362,9 +364,11 @@ class CommandPlane:
     def _asked(self, ask: Callable[[], Reply]) -> CommandAnswer:
         """Return the desk's reply to `ask`; an exception counts as refused."""
         try:
-            return CommandAnswer(*ask())
+            reply = ask()
         except Exception as error:  # see _do
             return self._failed(error)
+        content = ArmContent(arming_blocks=list(reply.blocks)) if reply.blocks else {}
+        return CommandAnswer(reply.accepted, reply.state, reply.reason, content=content)
 
     def _failed(self, error: Exception) -> CommandAnswer:
         return CommandAnswer(

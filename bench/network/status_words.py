@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from math import ceil
 from typing import NamedTuple
 
-from bench.network.bench_service import BenchStatus, LaunchMonitorStatus
+from bench.errors import BenchError
+from bench.network.bench_service import ArmingBlock, BenchStatus, LaunchMonitorStatus
 
 
 class StatusCondition(NamedTuple):
@@ -33,6 +34,11 @@ def interlock_conditions(status: BenchStatus) -> list[StatusCondition]:
         _condition("guard closed", "guard open", status["guard_closed"]),
         _condition("guard locked", "guard not locked", status["guard_locked"]),
     ]
+
+
+def block_text(block: ArmingBlock) -> str:
+    """Return a reason that blocks arming as an error message."""
+    return str(BenchError(block["place"], block["found"], block["expected"], block["cure"]))
 
 
 _POSITION = {True: "open", False: "shut", None: "no feedback"}

@@ -17,6 +17,7 @@ from bench.network.command import (
     PLAIN,
     REQUESTS,
     VERSION,
+    ArmContent,
     CommandAnswer,
     ErrorParts,
     LeaseContent,
@@ -142,8 +143,10 @@ def _command(root: str, form: str) -> dict[str, Any]:
         content = _message(schema_of(BenchStatus), STATUS_VERSION)
     elif form in ("lease take", "lease renew"):
         content = schema_of(LeaseContent)
+    elif verb is Verb.ARM:
+        content = schema_of(ArmContent)
     answer = schema_of(CommandAnswer)
-    if content != {"type": "object"}:  # a refused command has no content
+    if content != {"type": "object"}:  # a refused command may have no content
         content = {"anyOf": [content, {"type": "object", "maxProperties": 0}]}
     answer["properties"] = answer["properties"] | {"content": content}
     states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else None

@@ -40,7 +40,7 @@ def bench_values(configuration: Configuration) -> dict[str, Any]:
     return {
         "club": calibration.club,
         "entries": entries,
-        "problems": calibration.problems(now),
+        "problems": [problem.text for problem in calibration.problems(now)],
         "air": _air(configuration, now),
         "forms": described_forms(list(configuration.clubs)),
     }

@@ -9,6 +9,7 @@ from bench.network.bench_service import BenchStatus, CauseStatus
 from bench.network.command import REQUESTS
 from bench.network.status_words import (
     absent_monitor_text,
+    block_text,
     interlock_conditions,
     robot_conditions,
     shut_off_words,
@@ -49,6 +50,9 @@ VENTING_WORDS = {
 }
 """The same of a standing robot whose chambers are not proven empty yet."""
 
+ARMING_BLOCKED = "Remove what blocks arming, then arm; or open the access."
+"""Next step of a bench that configuration, calibrations or profile keep from being armed."""
+
 NO_BALL = "No ball is on the tee: raise one with Tee, or swing without."
 """Before the next step of an armed bench."""
 
@@ -80,6 +84,8 @@ def state_view(status: BenchStatus) -> dict[str, Any]:
     state = State[status["state"]]
     known = STATE_WORDS[state]
     words, following = known if status["vented"] else VENTING_WORDS.get(state, known)
+    if state is State.READY and status["arming_blocks"]:
+        following = ARMING_BLOCKED
     if state is State.ARMED and not status["ball_present"]:
         following = f"{NO_BALL} {following}"
     chambers = status["chamber_pressure_pa"]
@@ -164,8 +170,9 @@ def _cause(cause: CauseStatus | None) -> dict[str, str] | None:
 
 
 def _warnings(status: BenchStatus) -> list[str]:
-    """Return what needs attention: air, drift, device, processes, launch monitor."""
-    found = [*status["air_faults"], *status["drift"]]
+    """Return what needs attention: readiness, air, drift, device, processes, launch monitor."""
+    found = [f"arming blocked: {block_text(block)}" for block in status["arming_blocks"]]
+    found += [*status["readiness_warnings"], *status["air_faults"], *status["drift"]]
     if trouble := status["device"]["trouble"]:
         found.append(f"device: {trouble}")
     for name, process in status["processes"].items():

@@ -40,6 +40,8 @@ PHASES = (
     Phase.FOLLOW_THROUGH,
 )
 """Phases of a profile in their order; each begins where `begins` says."""
+BALL_TOLERANCE = 0.0005
+"""Max distance of the ball from its place in the profile (m)."""
 
 
 @dataclass(frozen=True)

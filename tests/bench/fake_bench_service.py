@@ -115,6 +115,8 @@ class FakeDesk:
             time=123.456 + (time.monotonic() - self._began),
             swings=self.requests.count(Request.SWING),
             lease=None,
+            arming_blocks=[],
+            readiness_warnings=[],
             read_only=False,
             driver="sim",
             profile="default",

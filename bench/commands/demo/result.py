@@ -74,7 +74,8 @@ def demo_plan(configuration: Configuration, swings: int, seed: int) -> CampaignP
         balls={name: c.balls[name] for name in balls},
         clubs={club: c.clubs[club]},
     )
-    require_swings(plan, c)
+    # A bench of its own, which has no calibrations.
+    require_swings(plan, replace(c, bench=replace(c.bench, id="demo")))
     return plan
 
 

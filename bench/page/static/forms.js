@@ -34,7 +34,7 @@ export async function loadValues() {
   if (!response?.ok) return;
   content = await response.json();
   by("values-card").hidden = false;
-  by("values").replaceChildren(inForce(), ...content.problems.map((text) => make("p", { class: "bad" }, `Not to be armed: ${text}`)), air());
+  by("values").replaceChildren(inForce(), ...content.problems.map((text) => make("p", { class: "bad" }, `Arming blocked: ${text}`)), air());
   if (!by("forms").childElementCount) by("forms").replaceChildren(...content.forms.map(form));
 }
 

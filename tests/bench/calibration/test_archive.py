@@ -97,7 +97,10 @@ def test_one_that_is_later_than_the_clock_is_a_problem(database: Engine) -> None
     add(database, BallPosition(0.26, -1.56, 1e-3), NOW + DAY)
     set_back = effective_calibration(database, "b", NOW + 0.5 * DAY)
     (problem,) = set_back.problems(NOW + 0.5 * DAY)
-    assert "calibration ball version 2 is of 2026-11-22 12:00 UTC, later than this machine's clock" in problem
+    assert (
+        "calibration ball version 2 is of 2026-11-22 12:00 UTC, later than this machine's clock"
+        in problem.text
+    )
     assert effective_calibration(database, "b", NOW + DAY).problems(NOW + DAY) == []
 
 
@@ -132,10 +135,10 @@ def test_expiry_is_a_problem_and_missing_ones_only_with_a_machine(database: Engi
     assert simulated.problems(NOW) == []
     assert simulated.nominal == (CalibrationKind.ENCODERS, CalibrationKind.CLUB, CalibrationKind.VALVES)
     (problem,) = simulated.problems(NOW + DAY)
-    assert "calibration ball version 1 expired on 2026-11-22" in problem
-    assert "golfbench calibrate ball" in problem
+    assert "calibration ball version 1 expired on 2026-11-22" in problem.text
+    assert "golfbench calibrate ball" in problem.cure
     machine = effective_calibration(database, "b", NOW, club="iron7", required=True).problems(NOW)
-    assert [text.split(":")[0] for text in machine] == [
+    assert [problem.text.split(":")[0] for problem in machine] == [
         "encoders of bench b never calibrated",
         "club iron7 of bench b never calibrated",
         "valves of bench b never calibrated",

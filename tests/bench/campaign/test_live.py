@@ -38,7 +38,8 @@ from bench.campaign.swings import Profiles, require_swings
 from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
 from bench.learning.store import learned_swings
-from bench.lifecycle import REFUSAL_TEXT, Phase, Refusal, State
+from bench.lifecycle import REFUSAL_TEXT, Block, Phase, Refusal, State
+from bench.network.bench_service import ArmingBlock
 from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
 from bench.network.live_swing import SwingRecord
@@ -387,24 +388,38 @@ def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
     assert (taken.struck, taken.cycles, bench.asked) == (False, None, ["tee"])
 
 
-@pytest.mark.parametrize(
-    "reason",
-    [
-        "encoders of bench b expired on 2026-11-20 08:00 UTC: golfbench calibrate encoders",
-        "club driver of bench b never calibrated: golfbench calibrate club",
-        REFUSAL_TEXT[Refusal.READ_ONLY],
-    ],
+BLOCK = ArmingBlock(
+    code=Block.CALIBRATION_MISSING,
+    place="club driver of bench b",
+    found="never calibrated",
+    expected="a calibration in force",
+    cure="golfbench calibrate club",
 )
-def test_a_bench_that_will_not_arm_suspends_at_once(plan: CampaignPlan, reason: str) -> None:
+
+
+@pytest.mark.parametrize(
+    ("answer", "text"),
+    [
+        (
+            CommandAnswer(False, "READY", "arming blocked", content={"arming_blocks": [BLOCK]}),
+            "club driver of bench b never calibrated",
+        ),
+        (CommandAnswer(False, "READY", REFUSAL_TEXT[Refusal.READ_ONLY]), REFUSAL_TEXT[Refusal.READ_ONLY]),
+    ],
+    ids=["blocked", "read only"],
+)
+def test_a_bench_that_will_not_arm_suspends_at_once(
+    plan: CampaignPlan, answer: CommandAnswer, text: str
+) -> None:
     class Unarmed(StandingBench):
         """Refuses to arm."""
 
         def arm(self) -> None:
             self.asked.append("arm")
-            raise CommandRefused("b", Verb.ARM, CommandAnswer(False, "READY", reason))
+            raise CommandRefused("b", Verb.ARM, answer)
 
     bench = Unarmed()
-    with pytest.raises(Suspended, match=re.escape(reason.split(":", maxsplit=1)[0])):
+    with pytest.raises(Suspended, match=re.escape(text)):
         take(plan, bench, simulated=True)
     assert bench.asked == ["arm"]
 

@@ -80,7 +80,7 @@ def test_what_is_calibrated_is_listed_shown_and_superseded(golfbench: Run) -> No
     assert [entry["version"] for entry in shown["in_force"]] == [2]
 
 
-def test_check_takes_the_calibration_and_warns_of_an_expired_one(
+def test_check_takes_the_calibration_and_refuses_with_an_expired_one(
     golfbench: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert golfbench("calibrate", *BALL)[0] == 0
@@ -94,8 +94,12 @@ def test_check_takes_the_calibration_and_warns_of_an_expired_one(
             return cls(2100, 1, 1, tzinfo=UTC)
 
     monkeypatch.setattr(report, "datetime", Later)
-    code, text, _ = golfbench("check")
-    assert (code, "warning: not to be armed: calibration ball version 1 expired" in text) == (0, True)
+    code, text, errors = golfbench("check")
+    assert (code, text.splitlines()[-1]) == (
+        ExitCode.REFUSED,
+        "Arming blocked for 1 reason: this bench does not swing.",
+    )
+    assert "error: calibration ball version 1" in errors
 
 
 def test_check_finds_a_ball_that_the_swing_does_not_meet(golfbench: Run) -> None:

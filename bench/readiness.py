@@ -1,0 +1,194 @@
+"""Readiness of a bench: the only assessment before motion.
+
+Configuration, calibrations in force, profile, club, ball and site are checked together. `golfbench check`,
+the bench at its start and at each arming, and campaigns call it; commands that simulate this bench take its
+faults, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from datetime import datetime
+from pathlib import Path
+
+from bench.calibration.archive import calibration_of
+from bench.calibration.calibration import Calibration, apply
+from bench.calibration.values import CalibrationKind
+from bench.config import Configuration, contradictions, unheard_phases
+from bench.design.validate import Check, check_profile, other_rate, rate_faults
+from bench.errors import BenchError
+from bench.lifecycle import Block
+from bench.network.bench_service import ArmingBlock
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+from sim.plant import PlantParameters
+from sim.robot import Club
+
+NO_MODEL_CHECK = "the model-based check is off (envelope.model.check): a stuck valve is found later"
+
+_ON_THE_BALL_ONLY = frozenset(
+    {
+        "name",
+        "loft",
+        "face_angle",
+        "restitution",
+        "restitution_slope",
+        "tangential_factor",
+        "tangential_stiffness",
+        "tangential_loss",
+        "friction_factor",
+        "bulge_radius",
+        "roll_radius",
+        "tee_shift",
+    }
+)
+"""Fields of a club that do not act on the robot."""
+
+
+@dataclass(frozen=True)
+class Readiness:
+    """Assessment of a bench and a profile."""
+
+    configuration: Configuration
+    """Configuration with the calibrations in force and the limits of the profile."""
+    calibration: Calibration
+    profile: Profile
+    file: Path
+    """File of the profile."""
+    contradictions: tuple[BenchError, ...]
+    """Contradictions between configuration and calibrations."""
+    checks: tuple[Check, ...]
+    """Checks of the profile on the calibrated machine."""
+    limits: str
+    """Source of the limits of the model-based check; empty if it is off or if there are stale ones."""
+    warnings: tuple[str, ...]
+    """Properties that do not block arming."""
+
+    @property
+    def faults(self) -> list[BenchError]:
+        """Reasons why the swing is impossible here, in simulation and on a running bench."""
+        return [*self.contradictions, *(fault for check in self.checks for fault in check.faults)]
+
+    def require_possible(self) -> None:
+        """Refuse a swing that is impossible here.
+
+        Raises:
+            ExceptionGroup: of BenchErrors, one for each fault.
+        """
+        if faults := self.faults:
+            raise ExceptionGroup(f"{self.file} cannot be swung here", faults)
+
+    def blocks(self, now: datetime) -> list[ArmingBlock]:
+        """Return the reasons that block arming at `now`."""
+        swing = [fault for check in self.checks for fault in check.faults]
+        return [
+            *(arming_block(Block.CONFIGURATION, fault) for fault in self.contradictions),
+            *(arming_block(Block.SWING, fault) for fault in swing),
+            *(arming_block(problem.code, problem) for problem in self.calibration.problems(now)),
+        ]
+
+
+def arming_block(code: Block, fault: BenchError) -> ArmingBlock:
+    """Return `fault` as the bench reports it."""
+    return ArmingBlock(
+        code=code, place=fault.place, found=fault.found, expected=fault.expected, cure=fault.cure
+    )
+
+
+def assess_bench(
+    configuration: Configuration,
+    now: datetime,
+    profile: str | None = None,
+    *,
+    club: str | None = None,
+    running: bool = False,
+) -> Readiness:
+    """Return the readiness with the calibrations in force `now`; see `assess`.
+
+    Without a name profile and club are the configuration's.
+
+    Raises:
+        BenchError: profile, club, calibrations or limits cannot be read or applied.
+    """
+    mounted, calibration = mount(configuration, club, now)
+    file = find_profile(profile or configuration.swing.profile)
+    return assess(mounted, calibration, load_profile(file), file, running=running)
+
+
+def mount(
+    configuration: Configuration, club: str | None, when: datetime
+) -> tuple[Configuration, Calibration]:
+    """Return the configuration with `club` mounted, and the calibrations in force for it at `when`.
+
+    The tee's calibration is left out where the club's site has the tee elsewhere: there it is calibrated once
+    it has been moved.
+
+    Raises:
+        BenchError: the club is unknown, or the calibrations cannot be read.
+    """
+    mounted = configuration.with_club(club)
+    found, here, there = calibration_of(mounted, when), configuration.plant.site, mounted.plant.site
+    if (here.ball_x, here.ball_y) != (there.ball_x, there.ball_y):
+        entries = tuple(entry for entry in found.entries if entry.kind is not CalibrationKind.BALL)
+        found = replace(found, entries=entries)
+    return mounted, found
+
+
+def assess(
+    configuration: Configuration,
+    calibration: Calibration,
+    profile: Profile,
+    file: Path,
+    *,
+    running: bool = False,
+) -> Readiness:
+    """Return the readiness of the bench in `configuration`, as loaded, for `profile`, read from `file`.
+
+    `running`: for `golfbench run`; otherwise for lock-step, which needs a sample for each tick.
+
+    Raises:
+        BenchError: a calibration belongs to another machine, or a file of limits is invalid.
+    """
+    c = apply(calibration, configuration)
+    found, warnings = contradictions(c), list[str]()
+    if running:
+        c, found = c.running(), [*found, *unheard_phases(c)]
+        if note := other_rate(profile, c.plant):
+            warnings.append(note)
+    else:
+        found += rate_faults(profile, c.plant, str(file))
+    checks = check_profile(profile, _as_designed(configuration, c, profile), c.envelope, str(file))
+    limits = ""
+    if c.envelope.model.check == "off":
+        warnings.append(NO_MODEL_CHECK)
+    else:
+        used = c.limits_in_use(profile, file)
+        c = replace(c, envelope=replace(c.envelope, model=used.settings))
+        if used.stale:
+            warnings.append(f"limits of the model-based check: {used.source}")
+        else:
+            limits = used.source
+    return Readiness(c, calibration, profile, file, tuple(found), tuple(checks), limits, tuple(warnings))
+
+
+def _as_designed(nominal: Configuration, c: Configuration, profile: Profile) -> PlantParameters:
+    """Return the plant of `c`, its club named as the profile's if both clubs act alike on the robot."""
+    mounted = nominal.clubs.get(nominal.swing.club)
+    if mounted is None or not felt_alike(mounted, nominal.clubs.get(profile.club)):
+        return c.plant
+    club = replace(c.plant.robot.club, name=profile.club)
+    return replace(c.plant, robot=replace(c.plant.robot, club=club))
+
+
+def with_face_of(club: Club, other: Club) -> Club:
+    """Return a club with the mechanics of `club` and the face, head and name of `other`."""
+    return replace(club, **{name: getattr(other, name) for name in _ON_THE_BALL_ONLY})
+
+
+def felt_alike(club: Club, other: Club | None) -> bool:
+    """Return whether two clubs are the same to the robot."""
+    return other is not None and all(
+        getattr(club, f.name) == getattr(other, f.name)
+        for f in fields(Club)
+        if f.name not in _ON_THE_BALL_ONLY
+    )
