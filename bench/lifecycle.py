@@ -104,6 +104,7 @@ class Refusal(IntEnum):
     VENT = 18
     LOCK = 19
     AIR = 20
+    GAUGE = 21
 
 
 REFUSAL_TEXT = {
@@ -127,6 +128,7 @@ REFUSAL_TEXT = {
     Refusal.LOCK: "the guard read locked while released or open: check lock and switches, release it again",
     Refusal.STOPPED: "a stop was asked for a moment ago: wait two seconds, then ask again",
     Refusal.MOVING: "a joint still moves: wait until the robot rests, then ask again",
+    Refusal.GAUGE: "no sensor proves that the air has gone: read the gauges, press the reset button there",
     Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or vent it by hand",
 }
 """Text for the operator, with the cure."""
@@ -251,6 +253,12 @@ class Cause(IntEnum):
     WRIST_A_AIR = 75
     WRIST_B_AIR = 76
     SHUT_OFF = 77
+    SHOULDER_A_EXHAUST = 78
+    SHOULDER_B_EXHAUST = 79
+    ARM_A_EXHAUST = 80
+    ARM_B_EXHAUST = 81
+    WRIST_A_EXHAUST = 82
+    WRIST_B_EXHAUST = 83
 
 
 CAUSE_TEXT = {
@@ -332,6 +340,12 @@ CAUSE_TEXT = {
     Cause.WRIST_A_AIR: "wrist chamber A is not at its planned pressure in time: check supply and leaks",
     Cause.WRIST_B_AIR: "wrist chamber B is not at its planned pressure in time: check supply and leaks",
     Cause.SHUT_OFF: "shut-off valve does not follow its command: check valve and position switch",
+    Cause.SHOULDER_A_EXHAUST: "shoulder chamber A vents too slowly: check silencer, hose and sensor's zero",
+    Cause.SHOULDER_B_EXHAUST: "shoulder chamber B vents too slowly: check silencer, hose and sensor's zero",
+    Cause.ARM_A_EXHAUST: "arm chamber A vents too slowly: check silencer, hose and sensor's zero",
+    Cause.ARM_B_EXHAUST: "arm chamber B vents too slowly: check silencer, hose and sensor's zero",
+    Cause.WRIST_A_EXHAUST: "wrist chamber A vents too slowly: check silencer, hose and sensor's zero",
+    Cause.WRIST_B_EXHAUST: "wrist chamber B vents too slowly: check silencer, hose and sensor's zero",
 }
 """Text for the operator, with the cure where one is known."""
 

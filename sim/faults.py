@@ -18,7 +18,7 @@ import numpy as np
 from drivers.base import CHAMBERS, COMMAND, INVALID, JOINTS, READINGS
 from drivers.base.compiled import compiled, new_record
 from drivers.base.ranges import Range
-from sim.plant import OPEN, RELIEFS, SHUT, Plant
+from sim.plant import EXHAUSTS, OPEN, RELIEFS, SHUT, Plant
 from sim.random_stream import uniform
 from sim.sensors import sense
 
@@ -67,6 +67,10 @@ SIGNALS = (
     *(f"{chamber} relief" for chamber in CHAMBERS),
     "manifold relief",
     "safety relay",
+    *(f"{chamber} exhaust" for chamber in CHAMBERS),
+    "manifold exhaust",
+    *(f"{joint} exhaust" for joint in JOINTS),
+    "exhausts",
 )
 """Signals and parts that can fail."""
 
@@ -132,6 +136,9 @@ MEANINGS: dict[str, dict[Kind, str]] = {
         "stuck": "stays shut (`value` 1) or fully open (0)",
         "offset": "opens `value` Pa too high",
         "leaking": "leaks the share `value` of its full opening",
+    },
+    "exhaust": {
+        "scale": "passes the share `value` of its area, as with a clogged silencer or a kinked hose",
     },
     "safety relay": {
         "stuck": "its contacts stay closed (`value` 1) or open (0)",
@@ -212,6 +219,8 @@ def sort_of(signal: str) -> str:
         return "vent"
     if signal.endswith(" relief"):
         return "relief"
+    if signal.endswith(" exhaust") or signal == "exhausts":
+        return "exhaust"
     if signal != "ball sensor" and signal.endswith(" sensor"):
         return "pressure"
     return _SORTS.get(signal, signal)
@@ -263,6 +272,8 @@ class Fault:
             raise ValueError("value: a share, 0 to 1")
         if self.kind in ("slow", "delayed") and not self.value >= 0.0:
             raise ValueError("value: at least 0 s")
+        if sort_of(self.signal) == "exhaust" and not 0.0 <= self.value <= 1.0:
+            raise ValueError("value: a share, 0 to 1")
         if sort_of(self.signal) in _STUCK_AT_AN_END and self.kind == "stuck" and isnan(self.value):
             raise ValueError("value: 1 or 0")
 
@@ -345,6 +356,7 @@ SUPERVISOR, RECORDER, LEASE = 25, 26, 27
 """Numbers of the signals whose faults the bench applies."""
 _VENT, _VENT_FEEDBACK, _SHUT_OFF, _SHUT_OFF_FEEDBACK, _RELIEF = 29, 31, 33, 34, 35
 _RELAY = _RELIEF + RELIEFS
+_EXHAUST = _RELAY + 1
 
 _INTERLOCKS_LOST = 0.06
 """Time without inputs after which switches read as de-energised, s: three messages of the valve node."""
@@ -732,12 +744,16 @@ def revive(faults: Faults) -> None:
 def break_parts(faults: Faults, robot: Any, plant: Any, state: Any) -> None:
     """Apply the faults of parts to the plant's records (in place)."""
     r, p, s, h = robot[0], plant[0], state[0], faults.healthy_plant[0]
+    for i in range(EXHAUSTS):
+        p.exhaust[i] = h.exhaust[i]
     for k in range(len(faults.faults)):
         f, m = faults.faults[k], faults.memory[k]
         if _RELIEF <= f.signal < _RELIEF + RELIEFS:
             _break_relief(p, h, f.signal - _RELIEF, f, m.active)
         elif f.signal == _RELAY:
             p.relay_stuck = 0 if not m.active else SHUT if f.value > 0.5 else OPEN
+        elif f.signal >= _EXHAUST:
+            _throttle(p, f.signal - _EXHAUST, f.value if m.active else 1.0)
         elif f.kind == _LEAKING:
             i = f.signal - _VALVE
             p.leakage[i] = f.value if m.active else h.leakage[i]
@@ -772,6 +788,15 @@ def _break_relief(p: Any, h: Any, k: int, f: Any, active: bool) -> None:
     elif active:
         pressure = 0.0
     p.relief_pressure[k], p.relief_conductance[k], p.relief_leakage[k] = pressure, conductance, leakage
+
+
+@compiled
+def _throttle(p: Any, k: int, share: float) -> None:
+    """Leave `share` of the area of exhaust `k`: of a chamber, the manifold, both of a joint, or all."""
+    for i in range(EXHAUSTS):
+        joint = k - EXHAUSTS  # 3: all
+        if i == k or joint == 3 or (joint >= 0 and i // 2 == joint):
+            p.exhaust[i] *= share
 
 
 @compiled

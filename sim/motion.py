@@ -126,8 +126,9 @@ def chambers(
     into_a, into_b = flow(edge_a, supply, pa, ratio), flow(edge_b, supply, pb, ratio)
     across = flow(p.cross_leakage[i], pa, pb, ratio)
     # Valve edge, vent and relief valve lead to the same place: one orifice.
-    out_a = flow(edge_b + vent + _relief(p, 2 * i, pa), pa, atmosphere, ratio)
-    out_b = flow(edge_a + vent + _relief(p, 2 * i + 1, pb), pb, atmosphere, ratio)
+    vent_a, vent_b = vent * p.exhaust[2 * i], vent * p.exhaust[2 * i + 1]
+    out_a = flow(edge_b + vent_a + _relief(p, 2 * i, pa), pa, atmosphere, ratio)
+    out_b = flow(edge_a + vent_b + _relief(p, 2 * i + 1, pb), pb, atmosphere, ratio)
     volume_a = max(dead + area_a * (position - p.volume_lower[i]), 0.2 * dead)
     volume_b = max(dead + area_b * (p.volume_upper[i] - position), 0.2 * dead)
     dy[a] = p.exponent / volume_a * (into_a - across - out_a - pa * area_a * speed)
@@ -185,7 +186,7 @@ def _derivative(
     if feed > 0.0:
         fed = max(flow(feed, p.regulated, supply, _FEED_RATIO), 0.0)
     else:
-        fed = -flow(p.dump_conductance, supply, p.atmosphere, _FEED_RATIO)
+        fed = -flow(p.dump_conductance * p.exhaust[6], supply, p.atmosphere, _FEED_RATIO)
     relieved = flow(_relief(p, 6, supply), supply, p.atmosphere, _FEED_RATIO)
     dy[12] = p.exponent / p.manifold * (fed - taken1 - taken2 - taken3 - relieved)
     dy[18] = max(fed, 0.0)

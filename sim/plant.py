@@ -37,6 +37,7 @@ from sim.tee import find_contact, strike_ball
 Array = NDArray[np.float64]
 
 __all__ = [
+    "EXHAUSTS",
     "HISTORY",
     "OPEN",
     "PLANT_PARAMETERS",
@@ -218,6 +219,8 @@ OPEN, SHUT = 1, 2
 `relay_stuck` of PLANT_PARAMETERS; 0: it obeys."""
 RELIEFS = 7
 """Number of relief valves: those of the six chambers, and the manifold's."""
+EXHAUSTS = 7
+"""Number of exhausts: those of the six chambers, and the manifold's."""
 
 PLANT_PARAMETERS = np.dtype(
     [
@@ -270,6 +273,7 @@ PLANT_PARAMETERS = np.dtype(
         ("shut_off_feedback", "?"),
         ("shut_off_stuck", "i8"),
         ("relay_stuck", "i8"),
+        ("exhaust", "f8", (EXHAUSTS,)),
         ("flexible", "?"),
         ("head_mass", "f8"),
         ("head_stiffness", "f8"),
@@ -289,6 +293,8 @@ PLANT_PARAMETERS = np.dtype(
     ],
     align=True,
 )
+"""`exhaust` is the share of its area that each exhaust passes, behind the vents or the manifold's dump valve:
+less than 1 with a clogged silencer or a kinked hose."""
 
 PLANT_STATE = np.dtype(
     [
@@ -434,6 +440,7 @@ def _shared_values(parameters: PlantParameters) -> dict[str, Any]:
         "vent_conductance": supply.vent_conductance,
         "vent_delay": supply.vent_delay,
         "shut_off_delay": supply.shut_off_delay,
+        "exhaust": 1.0,
         "atmosphere": supply.atmosphere,
         "exponent": supply.polytropic_exponent,
         "encoder_counts": encoders.counts_per_revolution,

@@ -65,6 +65,7 @@ LEASE = 15.0
 _AT_THE_ROBOT = {
     REFUSAL_TEXT[Refusal.GUARD]: "Leave the robot and close the guard.",
     REFUSAL_TEXT[Refusal.LOCAL_RESET]: "Press the reset button beside the robot.",
+    REFUSAL_TEXT[Refusal.GAUGE]: "Read the gauges, and press the reset button beside them.",
 }
 """Refusals that a person beside the robot cures, and the cures."""
 _LASTING = frozenset({REFUSAL_TEXT[Refusal.READ_ONLY]})

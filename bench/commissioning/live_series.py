@@ -240,7 +240,7 @@ class LiveSeries:
         operator, waited, called = self._operator, 0.0, False
         while not operator.request(request):
             refusal = Refusal(int(operator.control["refusal"][0]))
-            person = refusal is Refusal.LOCAL_RESET
+            person = refusal in (Refusal.LOCAL_RESET, Refusal.GAUGE)
             if person and not called:
                 self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
                 called = True

@@ -29,9 +29,10 @@ FAULTS = (
     Cause.SUPPLY_DECAY,
     Cause.GUARD_LOCK,
     Cause.SHUT_OFF,
+    *(Cause(Cause.SHOULDER_A_EXHAUST + k) for k in range(SENSORS - 1)),
 )
 """What `air_fault` names, by bit; the manifold by `bench.control.manifold_watch`, the lock by
-`bench.control.lock_watch`."""
+`bench.control.lock_watch`, exhausts by `bench.control.exhaust_watch`."""
 
 DEAD_AFTER = 0.1
 """s without a believable value after which a sensor is dead."""
@@ -139,6 +140,9 @@ def air_fault(s: Any) -> int:
         bits |= 4 << (SENSORS + VENTS)
     if s.shut_off_wrong:
         bits |= 8 << (SENSORS + VENTS)
+    for k in range(SENSORS - 1):
+        if s.exhaust_slow[k] != 0:
+            bits |= 16 << (SENSORS + VENTS + k)
     return bits
 
 
@@ -155,6 +159,24 @@ def chambers_show_pressure(s: Any, p: Any) -> bool:
 def manifold_shows_pressure(s: Any, p: Any) -> bool:
     """Return whether a living sensor shows pressure in the manifold."""
     return bool(s.sensor_seen[0] != 0 and s.sensor_dead[0] == 0 and s.sensor_shown[0] > p.vented_pressure)
+
+
+@compiled
+def nothing_is_held_up(s: Any, p: Any) -> bool:
+    """Return whether no living sensor, the manifold's included, shows air that may hold an arm up."""
+    for k in range(SENSORS):
+        if s.sensor_seen[k] != 0 and s.sensor_dead[k] == 0 and s.sensor_shown[k] > p.holding_pressure:
+            return False
+    return True
+
+
+@compiled
+def all_chambers_are_seen(s: Any) -> bool:
+    """Return whether a living sensor shows each chamber's pressure."""
+    for k in range(1, SENSORS):
+        if s.sensor_seen[k] == 0 or s.sensor_dead[k] != 0:
+            return False
+    return True
 
 
 @compiled

@@ -33,7 +33,7 @@ def carry_out(state: Any, parameters: Any, request: int, time: float) -> None:
             disarm(s, parameters, time)
     elif request == Request.ACCESS:
         if change_state(s, parameters, State.ACCESS, time):
-            s.securing = False
+            s.securing = s.air_trapped = False
     elif request == Request.SECURE:
         s.securing, s.state_since, s.reset_pressed = True, time, -np.inf
     elif request == Request.TEE:
@@ -45,6 +45,8 @@ def _reset(s: Any, parameters: Any, time: float) -> None:
     if change_state(s, parameters, State.READY if s.homed else State.SAFE, time):
         s.cause = s.latest_cause = 0
         s.supply_excused = s.supply_unproven
+        for k in range(len(s.exhaust_slow)):
+            s.exhaust_slow[k] = 0
         s.emergency = False
         s.reaction, s.reset_pressed, s.stopped_at = Reaction.NONE, -np.inf, -np.inf
 

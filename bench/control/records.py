@@ -53,6 +53,7 @@ CONTROL_PARAMETERS = np.dtype(
         ("warning_time", "f8"),
         ("armed_time", "f8"),
         ("vented_pressure", "f8"),
+        ("holding_pressure", "f8"),
         ("vent_time", "f8"),
         ("vented_still", "f8"),
         ("vented_blind", "f8"),
@@ -133,6 +134,8 @@ CONTROL_STATE = np.dtype(
         ("vented", "?"),
         ("emptied", "?"),
         ("empty_since", "f8"),
+        ("drained_at", "f8"),
+        ("air_trapped", "?"),
         ("rest_angle", "f8", (3,)),
         ("vent_start", "f8"),
         ("exhaust_closed", "?"),
@@ -197,6 +200,10 @@ CONTROL_STATE = np.dtype(
         ("supply_wrong", "?"),
         ("supply_unproven", "?"),
         ("supply_excused", "?"),
+        ("exhaust_bound", "f8", (13,)),
+        ("exhaust_rate", "f8", (13,)),
+        ("exhaust_late", "f8", (6,)),
+        ("exhaust_slow", "u1", (6,)),
         ("lock_agreed", "f8"),
         ("lock_wrong", "?"),
         ("index_wrong", "i4"),
@@ -223,6 +230,9 @@ turn looks for its stop, `home_pushed` and `home_at` since when and where it pre
 `let_off` are the actuators that `bench.control.escape` moves even in PASSIVE.
 `exhaust_closed` was commanded last, `vent_timer` is for how long the vents have been without power (s).
 `calm` are the velocities by which that is judged (rad/s), `rest_angle` where the joints came to rest (rad).
+`empty_since` is from when on the time for sinking counts (s), `drained_at` when all living sensors last
+showed no more than holds nothing up (s); `air_trapped` says that air stayed in the chambers at this venting:
+a person reads the gauges before anybody is let in.
 `entered` says that the guard was seen open in ACCESS: until SECURE has ended it, somebody may be inside.
 `unseen` are the joints that BLIND_BRAKE brakes without their encoder.
 `sensor_…` and `vent_…` are those of `bench.control.air_watch`: whether a sensor was ever believable, its last
@@ -231,7 +241,9 @@ it last agreed with its command (s), whether it is wrong.
 `supply_…` are those of `bench.control.manifold_watch`: time since the supply was shut (s), the pressure then,
 the two bounds and the last reading (Pa), for how long the bounds have been broken (s), whether the manifold
 empties too slowly, whether its sensor has to prove itself at the next venting, whether a reset has taken
-notice of that. `lock_agreed` is when the guard's lock last agreed with its command (s), `lock_wrong` that it
+notice of that. `exhaust_…` are those of `bench.control.exhaust_watch`: bounds and their rates as in AIR_STATE
+(Pa, Pa/s), for how long a chamber has been above its bound (s), whether its exhaust was found too slow since
+the last reset. `lock_agreed` is when the guard's lock last agreed with its command (s), `lock_wrong` that it
 did not and has not been seen to since. `index_wrong` is the cause that names an encoder whose count was wrong
 when its index passed, or 0.
 `air_…` are those of `bench.control.address_air`: whether a joint is in its band, so that its valve serves its
@@ -323,6 +335,14 @@ def new_control_state(state: State = State.READY) -> ControlState:
     control["device_operational"] = True
     control["rest_angle"] = np.nan
     control["sensor_emptied"] = 1  # before air was on there is no decay to be seen
-    for name in ("reset_pressed", "stopped_at", "moved_at", "vent_start", "still_since", "empty_since"):
+    for name in (
+        "reset_pressed",
+        "stopped_at",
+        "moved_at",
+        "vent_start",
+        "still_since",
+        "empty_since",
+        "drained_at",
+    ):
         control[name] = -np.inf
     return made

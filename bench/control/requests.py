@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.air_watch import air_cause, chambers_show_pressure
+from bench.control.air_watch import air_cause, all_chambers_are_seen, chambers_show_pressure
 from bench.control.envelope import interlock_cause
 from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from drivers.base.compiled import compiled
@@ -84,7 +84,8 @@ def _not_vented(p: Any, s: Any, readings: Any) -> int:
         return Refusal.SENSOR.value
     if s.shut_off_wrong:
         return Refusal.VENT.value
-    return Refusal.MANIFOLD.value if manifold_is_full(p, readings) else Refusal.NOT_VENTED.value
+    full = readings[0].supply_pressure > p.holding_pressure
+    return Refusal.MANIFOLD.value if full else Refusal.NOT_VENTED.value
 
 
 @compiled
@@ -130,8 +131,12 @@ def _access_refusal(p: Any, s: Any, readings: Any, time: float) -> int:
     if s.supply_unproven:
         return Refusal.SENSOR.value
     # A robot at power-up may still sink: nobody has seen it rest yet.
-    rested = s.vented and time - s.vent_start >= p.vented_still
-    return Refusal.NONE.value if rested else _not_vented(p, s, readings)
+    if not (s.vented and time - s.vent_start >= p.vented_still):
+        return _not_vented(p, s, readings)
+    # Time and a vent's position prove no flow: what no sensor has shown to go, a person reads at the gauge.
+    read = p.local_reset and _is_confirmed(p, s, time)
+    unread = (s.air_trapped or not all_chambers_are_seen(s)) and not read
+    return Refusal.GAUGE.value if unread else Refusal.NONE.value
 
 
 @compiled

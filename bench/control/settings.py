@@ -152,7 +152,8 @@ class LifecycleSettings:
     armed_time: Positive = 120.0
     """Holding the address for longer disarms, s."""
     vented_pressure: Positive = 1.3e5
-    """Chambers and manifold below it are empty, Pa absolute."""
+    """Chambers and manifold below it are empty enough for a reset, homing and arming, Pa absolute. People are
+    let in below the pressure that holds nothing up, about 1.05 bar, which follows from the plant."""
     vent_time: Positive = 10.0
     """In which they are to be empty; without chamber sensors the proof itself, s."""
     vented_still: NotNegative = 2.0
@@ -160,7 +161,8 @@ class LifecycleSettings:
     vented_blind: NotNegative = 10.0
     """The same without trusted encoders: as long as a raised arm may take to sink, s."""
     vented_sinking: NotNegative = 7.0
-    """For which chambers must show no pressure before people are let in, whatever the encoders show, s."""
+    """For which chambers must hold nothing up before people are let in, whatever the encoders show, s; for as
+    long as they took to vent, if that was longer."""
     air_tolerance: Positive = 1.0e4
     """Max deviation of a chamber from its planned pressure at the address when a swing begins, Pa."""
     air_timeout: Positive = 20.0
@@ -373,6 +375,10 @@ class EnvelopeSettings:
 
 _CREEP = 1e-3
 """Way of a joint beyond which it does not rest, rad; of coarse or noisy encoders what they show at rest."""
+_HELD_BY_AIR = 0.2
+"""Share of a joint's static friction that the air of a chamber which holds nothing up may carry."""
+_RESOLVED = 3.0e3
+"""Pa over the atmosphere that a pressure sensor is sure to show."""
 _FOLLOWED = {
     "homing": Phase.HOMING,
     "hold": Phase.HOLD,
@@ -522,6 +528,15 @@ def with_correction(
     return with_tables_of(parameters, profile, control, plant)._replace(model=record)
 
 
+def holding_pressure(plant: PlantParameters) -> float:
+    """Return the pressure up to which the air of a chamber holds nothing up, Pa absolute.
+
+    Its force is then a fifth of the least static friction, which alone decides whether an arm hangs or sinks.
+    """
+    least = min(a.friction.static / max(a.area_a, a.area_b) for a in plant.actuators)
+    return plant.supply.atmosphere + max(_HELD_BY_AIR * least, _RESOLVED)
+
+
 def _control_record(
     control: ControlSettings,
     lifecycle: LifecycleSettings,
@@ -555,6 +570,7 @@ def _control_record(
     else:
         record["home_pose"] = (lower + upper) / 2
         record["home_tolerance"] += (upper - lower) / 2
+    record["holding_pressure"] = holding_pressure(plant)
     record["vent_delay"] = plant.supply.vent_delay
     encoders = plant.encoders
     record["vented_creep"] = max(_CREEP, 4.0 * pi / encoders.counts_per_revolution + 6.0 * encoders.noise)

@@ -11,8 +11,10 @@ from bench.control.air_watch import (
     chambers_show_pressure,
     emptiness_is_proven,
     manifold_shows_pressure,
+    nothing_is_held_up,
 )
 from bench.control.encoder_watch import resting_jump
+from bench.control.exhaust_watch import exhaust_cause
 from bench.control.homing import begin_search
 from bench.control.lock_watch import lock_is_late
 from bench.control.model import model_cause
@@ -49,7 +51,9 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     on what little air is left and then sinks: it has to rest for a while with empty chambers. Without trusted
     encoders: for as long as sinking may take. Before anybody goes near, chambers have to be empty for that
     long in any case: an encoder that is stuck shows rest, and an arm that friction holds may let go late. So,
-    too, from power-up on: the bench may have been restarted as soon as it stopped.
+    too, from power-up on: the bench may have been restarted as soon as it stopped. That time counts from a
+    pressure that holds nothing up, and is as long as it took to get there: behind a throttled exhaust the
+    last air goes as slowly as the first.
     """
     blind = s.lost != 0 or s.distrusted
     empty = not chambers_show_pressure(s, p)
@@ -62,14 +66,23 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     wait = p.vented_blind if blind else p.vented_still
     rests = time - s.still_since >= wait or s.state == State.ACCESS
     starting = s.state == State.STARTING and not np.isfinite(s.empty_since)
+    if nothing_is_held_up(s, p):
+        s.drained_at = time
+    else:
+        held = time - max(s.drained_at, s.vent_start)
+        s.empty_since = time + max(held - p.vented_sinking, 0.0)
     if not (empty and shut) or starting or (crept and s.state != State.ACCESS):
-        s.empty_since = time
+        s.empty_since = max(s.empty_since, time)
     sunk = time - s.empty_since >= p.vented_sinking or s.state == State.ACCESS
     late = time - s.vent_start >= p.vent_time
     s.emptied = empty and shut and rests and emptiness_is_proven(s, p, readings, time)
     s.vented = s.emptied and sunk
     if s.emptied and s.cause == 0:
         s.distrusted = False  # not by the reset: chambers may still be full then
+    slow = exhaust_cause(s)
+    s.air_trapped = s.air_trapped or slow != 0 or (late and not empty)
+    if slow != 0:
+        return int(slow)
     if not late or (empty and shut):
         return Cause.NONE.value
     return Cause.MANIFOLD.value if empty else Cause.NOT_VENTED.value
@@ -81,7 +94,8 @@ def _name_trapped(s: Any, trapped: int) -> None:
 
     A sensor or vent that fails then is the latest cause; what it may hide is no proof for access.
     """
-    if trapped != 0 and s.cause not in (Cause.NOT_VENTED, Cause.MANIFOLD):
+    named = s.cause in (Cause.NOT_VENTED, Cause.MANIFOLD) or s.cause >= Cause.SHOULDER_A_EXHAUST
+    if trapped != 0 and not named:
         s.cause = s.latest_cause = trapped
     elif trapped == 0 and air_cause(s) != 0:
         s.latest_cause = air_cause(s)

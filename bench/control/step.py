@@ -20,6 +20,7 @@ from bench.control.encoder_watch import index_cause
 from bench.control.envelope import interlock_cause, limit, readings_cause, relay_closed
 from bench.control.escape import escape
 from bench.control.estimator import estimate
+from bench.control.exhaust_watch import watch_exhausts
 from bench.control.feed_forward import PNEUMATIC
 from bench.control.gain_table import supply_factor
 from bench.control.homing import bounded
@@ -122,6 +123,7 @@ def _watch_inputs(state: Any, parameters: Any, readings: Any, elapsed: float, ti
     s, p = state.control[0], parameters.control[0]
     watch_air(s, p, readings, s.exhaust_closed, elapsed, time)
     watch_manifold(s, p, parameters.plant[0], readings, s.exhaust_closed, elapsed)
+    watch_exhausts(s, p, parameters.robot, parameters.plant[0], state.estimator[0], readings, elapsed)
     watch_lock(s, readings, is_released(s), time)
     s.index_wrong = index_cause(s, p, state.encoder[0], parameters.encoder[0], state.estimator[0])
 
@@ -179,7 +181,7 @@ def limit_tick(
     s, p, c = state.control[0], parameters.control[0], command[0]
     centre = parameters.plant[0].centre
     if s.phase != Phase.STANDING and s.reaction <= Reaction.COMPLETE and s.time >= s.air_from:
-        s.air, s.vented, s.emptied = True, False, False
+        s.air, s.vented, s.emptied, s.air_trapped = True, False, False, False
     obeyed = s.air and s.phase != Phase.STANDING and not p.read_only
     powered = obeyed and s.reaction != Reaction.PASSIVE
     for i in range(3):

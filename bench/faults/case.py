@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.config import Configuration
 from bench.control.records import ControlParameters, new_control_state
-from bench.control.settings import SIMULATED, build_controller
+from bench.control.settings import SIMULATED, build_controller, holding_pressure
 from bench.errors import Refused
 from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
@@ -55,7 +55,7 @@ class Workbench:
         if model_check is not None:
             self.envelope = c.envelope.with_model_check("always" if model_check else "off")
         self.plant: Plant = build_plant(c.plant)
-        lifecycle = replace(c.lifecycle, warning_time=SIMULATED.warning_time, series=True)
+        lifecycle = replace(c.lifecycle, warning_time=SIMULATED.warning_time, series=True, local_reset=True)
         self.parameters = build_controller(c.plant, profile, c.control, self.envelope, c.estimator, lifecycle)
         self.period = c.plant.tick
         self._bases: dict[Instant, LockstepEngine] = {}
@@ -156,7 +156,7 @@ class Workbench:
         runs = [self._healthy(hold, event) for event in _WITH_AND_WITHOUT_BALL]
         safety = SafetyLimits(
             frame_radius=self.envelope.frame_radius,
-            access_pressure=1.05 * self.configuration.lifecycle.vented_pressure,
+            access_pressure=1.01 * holding_pressure(self.configuration.plant),
         )
         return CaseLimits(self.plant, safety, max(run.loads.peak_head_speed for run in runs))
 

@@ -142,6 +142,16 @@ def _pressure(signal: str, event: Event) -> tuple[Breakage, ...]:
     )
 
 
+THROTTLED: tuple[Fault, ...] = tuple(
+    Fault(f"{signal} at {100 * share:g} %", signal, "scale", share)
+    for signal, shares in {
+        **{f"{part} exhaust": (0.1, 0.0) for part in (*CHAMBERS, "manifold", *JOINTS)},
+        "exhausts": (0.3, 0.1, 0.03, 0.01, 0.003, 0.0),
+    }.items()
+    for share in shares
+)
+"""Clogged silencers and kinked hoses, one and all: the vents report open."""
+
 SINGLE: tuple[Breakage, ...] = (
     *(breakage for joint in JOINTS for breakage in _encoder(joint)),
     *(breakage for joint in JOINTS for breakage in _valve(joint)),
@@ -160,6 +170,7 @@ SINGLE: tuple[Breakage, ...] = (
     _broken("shut-off", "stuck", 0.0, "shut-off valve stuck shut"),
     _broken("shut-off feedback", "stuck", event="stop"),
     _broken("shut-off feedback", "off"),
+    *(Breakage(fault, "stop") for fault in THROTTLED),
     *(breakage for valve in (*CHAMBERS, "manifold") for breakage in _relief(valve)),
     _broken("safety relay", "stuck", 0.0, "safety relay fallen open"),
     _broken("safety relay", "stuck", 1.0, "safety relay welded shut", "emergency stop"),
@@ -248,6 +259,7 @@ HARDWARE: tuple[tuple[str, str], ...] = (
     ),
     ("shut-off", "the supply valve; the position switch names one that sticks, and access is refused"),
     ("vents", "each vent's coil on an output of its own, both through the safety relay; a gauge"),
+    ("exhaust", "a gauge beside the guard that a person reads; silencers are changed before they clog"),
     ("relief", "a proof test: one that stays shut shows only when it is needed"),
     ("safety relay", "two relays with forcibly guided contacts, each read back before a reset"),
     ("vent", "the other vent; the position switch names the one that sticks"),

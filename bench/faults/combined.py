@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import nan, pi
 
-from bench.faults.catalogue import SINGLE, Breakage, Event
+from bench.faults.catalogue import SINGLE, THROTTLED, Breakage, Event
 from drivers.base import CHAMBERS, JOINTS
 from sim.faults import Fault, Kind
 
@@ -218,6 +218,7 @@ AROUND_ACCESS: tuple[Breakage, ...] = tuple(
     Breakage(fault, family="access")
     for fault in (
         *_AIR,
+        *THROTTLED,
         _fault("supply", "drifting", -2.0e5, "supply sagging 2 bar/s"),
         _fault("vents", "off", text="vents without energy"),
         _fault("shut-off", "stuck", 1.0, "shut-off valve stuck open"),

@@ -166,6 +166,9 @@ class Watch:
                     self._leave()
                 if request not in _REPEATED:
                     left.popleft()
+            # Who wants in presses the button beside the robot, again and again, whatever a gauge shows.
+            press = request == Request.ACCESS and self.ticks // _CHUNK % 2 == 0
+            self.bench.plant_state["local_reset"] = press
             self.advance(_CHUNK, request)
             if left and left[0] in _REPEATED and self._is_followed(left[0], swings):
                 left.popleft()

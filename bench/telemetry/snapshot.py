@@ -88,6 +88,12 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "let_off",
             "emptied",
             "empty_since",
+            "drained_at",
+            "air_trapped",
+            "exhaust_bound",
+            "exhaust_rate",
+            "exhaust_late",
+            "exhaust_slow",
             "exhaust_closed",
             "vent_timer",
         }

@@ -115,9 +115,8 @@ class ValveNodeSettings:
     highest_pressure: Annotated[float, Gt(1e5), Le(1e8)] = 1.55e6
     """Highest believable pressure, Pa absolute: more is a short circuit."""
     vent_proof: str = ""
-    """What proves outside the bench that manifold and chambers are empty before the guard opens, such as
-    pressure switches in the guard's circuit. Needed without a supply sensor, and if neither
-    each chamber has a sensor nor both vents have feedback."""
+    """Pressure switches on the manifold and on each actuator's exhaust that prove outside the bench, in the
+    guard's circuit, that the air has gone. Needed if the manifold or a chamber has no sensor."""
     watchdog_relay: str = ""
     """Name of an external relay that centres the valves when the bench is silent; if empty, a node without a
     fallback of its own is refused."""

@@ -72,9 +72,8 @@ class DaqSettings:
     shut_off_feedback: str = ""
     """Digital input of the shut-off valve's position switch, high when open; a real robot needs it."""
     vent_proof: str = ""
-    """What proves outside the bench that manifold and chambers are empty before the guard opens, such as
-    pressure switches in the guard's circuit. Needed without a supply sensor, and if neither
-    each chamber has a sensor nor both vents have feedback."""
+    """Pressure switches on the manifold and on each actuator's exhaust that prove outside the bench, in the
+    guard's circuit, that the air has gone. Needed if the manifold or a chamber has no sensor."""
     pressure_at_zero: Annotated[float, Ge(-1e6), Le(1e6)] = 0.0
     """Pressure at 0 V, Pa absolute; below zero for a sensor with a live zero (0.5 V, 4 mA)."""
     pressure_at_full_scale: Annotated[float, Gt(0.0), Le(1e8)] = 1.6e6

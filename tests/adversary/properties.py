@@ -91,7 +91,7 @@ class Judge:
         self.setup = setup
         self.broken: list[str] = []
         p = parameters.control[0]
-        self._vented, self._opening = float(p["vented_pressure"]), float(p["home_opening"])
+        self._holding, self._opening = float(p["holding_pressure"]), float(p["home_opening"])
         self._state, self._trip, self._supply = int(State.STARTING), 0, False
         self._latched = self._secured = False
         self._stood_since, self._press = -1, -(10**9)
@@ -252,10 +252,10 @@ class Judge:
         safe = open_ & ~(inside & np.isin(c["state"], LATCHED) & (c["trip"] != Cause.NONE))
         if safe.any() and not (keeps and hides):
             pressure = c["plant_pressure"][safe].max()
-            if pressure > _MARGIN * self._vented:
+            if pressure > _MARGIN * self._holding:
                 self._say(ticks[k], f"guard released at {1e-5 * pressure:.2f} bar in a chamber")
             manifold = float(plant_state["supply_pressure"][0])
-            if safe[-1] and manifold > _MARGIN * self._vented:
+            if safe[-1] and manifold > _MARGIN * self._holding:
                 self._say(ticks[k], f"guard released at {1e-5 * manifold:.2f} bar in the manifold")
         if not keeps and "club head" not in broken:
             if self._released_at is None:

@@ -117,7 +117,7 @@ SENSORS = ("ai1", "ai2", "ai3", "ai4", "ai5", "ai6")
         ({"supply_pressure": "ai0", "chamber_pressures": (*SENSORS[:5], "")}, {"chamber_pressures"}),
         ({"supply_pressure": "ai0", "vent_feedback": ("port0/line5", "")}, {"chamber_pressures"}),
         ({"supply_pressure": "ai0", "chamber_pressures": SENSORS}, set()),
-        ({"supply_pressure": "ai0", "vent_feedback": ("port0/line5", "port0/line6")}, set()),
+        ({"supply_pressure": "ai0", "vent_feedback": ("port0/line5", "port0/line6")}, {"chamber_pressures"}),
         ({"vent_proof": "pressure switches PS1 to PS7 in the guard circuit"}, set()),
     ],
 )
@@ -134,7 +134,7 @@ def test_the_card_proves_the_vent_or_names_what_does(
     [
         ({}, (5, 6), set()),
         ({"supply_pressure": 0}, (5, 6), {"supply_pressure"}),
-        ({"chamber_pressures": (0,) * 6}, (5, 6), set()),
+        ({"chamber_pressures": (0,) * 6}, (5, 6), {"chamber_pressures"}),
         ({"chamber_pressures": (0,) * 6}, (5, -1), {"chamber_pressures"}),
         ({"chamber_pressures": (0,) * 6, "vent_proof": "switches"}, (-1, -1), set()),
         ({}, (-1, -1), set()),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.lifecycle import Phase
-from drivers.base import CHAMBERS, COMMAND, INVALID, READINGS
+from drivers.base import CHAMBERS, COMMAND, INVALID, JOINTS, READINGS
 from drivers.base.compiled import new_record
 from sim.faults import (
     MEANINGS,
@@ -95,6 +95,8 @@ def test_every_signal_has_a_sort_and_every_meaning_a_kind() -> None:
         ("manifold relief", "stuck", nan),
         ("manifold relief", "off", nan),
         ("safety relay", "stuck", nan),
+        ("exhausts", "scale", -0.1),
+        ("arm exhaust", "scale", 1.5),
         ("arm encoder", "swapped", 3.0),
         ("arm valve", "swapped", 0.5),
     ],
@@ -241,6 +243,25 @@ def test_relief_valves_break_and_are_whole_again(
     assert p["relief_pressure"][k] == pressure
     assert p["relief_conductance"][k] == pytest.approx(full * h["relief_conductance"][k])
     assert p["relief_leakage"][k] == pytest.approx(leaks * h["relief_conductance"][k])
+    bed.run(20)
+    assert (bed.plant.plant == bed.faults.healthy_plant).all()
+
+
+@pytest.mark.parametrize(
+    ("signal", "throttled"),
+    [
+        *((f"{part} exhaust", [k]) for k, part in enumerate([*CHAMBERS, "manifold"])),
+        *((f"{joint} exhaust", [2 * i, 2 * i + 1]) for i, joint in enumerate(JOINTS)),
+        ("exhausts", list(range(7))),
+    ],
+)
+def test_exhausts_are_throttled_where_the_fault_says_and_are_whole_again(
+    signal: str, throttled: list[int]
+) -> None:
+    later = broken("exhausts", "scale", 0.5, time=10.0)
+    bed = Bed(broken(signal, "scale", 0.1, duration=0.02), later).run(10)
+    expected = np.where(np.isin(np.arange(7), throttled), 0.1, 1.0)
+    assert bed.plant.plant["exhaust"][0].tolist() == expected.tolist()
     bed.run(20)
     assert (bed.plant.plant == bed.faults.healthy_plant).all()
 

@@ -19,7 +19,7 @@ from bench.lifecycle import (
     Request,
     State,
 )
-from tests.bench.control.puppet import ADDRESS, QUICK, STILL, Puppet
+from tests.bench.control.puppet import ADDRESS, ATMOSPHERE, QUICK, STILL, Puppet
 
 VENT, HOMING, SECURING = 0.02, 0.02, 2.0
 """s."""
@@ -44,8 +44,8 @@ PERMISSIONS = ("lease_held", "support_ready", "supervisor_alive")
 Act = Callable[[Puppet], None]
 
 
-def at_power_up(**settings: Any) -> Puppet:
-    """Return a bench just switched on, its supervisor alive, everything granted."""
+def at_power_up(*, fitted: bool = True, **settings: Any) -> Puppet:
+    """Return a bench just switched on, its supervisor alive, everything granted; `fitted` with sensors."""
     puppet = Puppet(
         SHORT,
         CONTROL,
@@ -55,7 +55,7 @@ def at_power_up(**settings: Any) -> Puppet:
     )
     for name in PERMISSIONS:
         puppet.control[name] = True
-    return puppet
+    return puppet.give(chamber_pressure=(ATMOSPHERE,) * 6) if fitted else puppet
 
 
 def asked(puppet: Puppet, request: int) -> Refusal:
@@ -92,15 +92,15 @@ def until(puppet: Puppet, *states: State, longest: int = 3000) -> State:
     return puppet.bench
 
 
-def reach(state: State, *, homed: bool = True, **settings: Any) -> Puppet:
-    """Return a bench in `state`, brought there the way an operator would."""
-    return deepcopy(_reached(state, homed, tuple(settings.items())))
+def reach(state: State, *, homed: bool = True, fitted: bool = True, **settings: Any) -> Puppet:
+    """Return a bench in `state`, brought there the way an operator would; `fitted` with chamber sensors."""
+    return deepcopy(_reached(state, homed, fitted, tuple(settings.items())))
 
 
 @cache
-def _reached(state: State, homed: bool, given: tuple[tuple[str, Any], ...]) -> Puppet:
+def _reached(state: State, homed: bool, fitted: bool, given: tuple[tuple[str, Any], ...]) -> Puppet:
     settings = dict(given)
-    puppet = at_power_up(**settings)
+    puppet = at_power_up(fitted=fitted, **settings)
     puppet.run(15)
     if state is State.STARTING:
         return puppet

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, nan
 
 import numpy as np
 import pytest
 
+from bench.control.settings import holding_pressure
 from bench.lifecycle import Cause, Phase, Refusal, Request, State
-from tests.bench.control.operating import TIMES, asked, at_power_up, full, reach, until
+from sim.plant import PlantParameters
+from tests.bench.control.operating import TIMES, asked, at_power_up, full, press, reach, until
 from tests.bench.control.puppet import ATMOSPHERE, SUPPLY, Puppet
 
 EMPTY_AT = TIMES.vented_pressure
+HOLDING = holding_pressure(PlantParameters())
 LATCHED = (State.ESTOP, State.FAULT)
 FROM = (State.SAFE, State.READY, *LATCHED)
 each_source = pytest.mark.parametrize("source", FROM, ids=lambda state: state.name)
@@ -56,13 +60,13 @@ def test_the_guard_is_not_released_before_a_full_manifold(source: State) -> None
     assert not puppet.control["vented"]
 
 
-@pytest.mark.parametrize("pressure", [EMPTY_AT + 1.0, SUPPLY, inf])
+@pytest.mark.parametrize("pressure", [HOLDING + 1.0, EMPTY_AT + 1.0, SUPPLY, inf])
 def test_any_pressure_in_the_manifold_counts(pressure: float) -> None:
     puppet = reach(State.READY, vent_time=5.0)
     stick_open(puppet, pressure)
     puppet.tick()
     assert asked(puppet, Request.ACCESS) is Refusal.MANIFOLD
-    puppet.give(supply_pressure=EMPTY_AT).run(20)
+    puppet.give(supply_pressure=HOLDING).run(20)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
@@ -226,3 +230,76 @@ def test_sensors_that_fell_with_the_air_are_a_proof_at_once() -> None:
     puppet = reach(State.ARMED, vent_time=5.0)
     vent(puppet).run(3000)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_access_after_trapped_air_with_a_button_takes_a_press_beside_the_gauge() -> None:
+    puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, local_reset=True)
+    puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
+    puppet.tick(Request.DISARM)
+    puppet.run(600)
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.NOT_VENTED)
+    puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * 6).run(1000)
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+    assert asked(puppet, Request.ACCESS) is Refusal.GAUGE  # the reset has used that press up
+    press(puppet)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+    assert not puppet.control["air_trapped"]
+
+
+def test_access_after_trapped_air_without_a_button_waits_for_a_venting_that_is_seen() -> None:
+    puppet = reach(State.READY)
+    puppet.control["air_trapped"] = True
+    assert asked(puppet, Request.ACCESS) is Refusal.GAUGE
+    assert asked(puppet, Request.ARM) is Refusal.NONE
+    puppet.run(420)
+    puppet.tick(Request.DISARM)
+    puppet.run(100)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+@pytest.mark.parametrize("button", [True, False])
+def test_access_to_chambers_without_sensors_takes_a_press_beside_the_gauge(button: bool) -> None:
+    puppet = reach(State.READY, fitted=False, local_reset=button)
+    puppet.run(100)
+    assert asked(puppet, Request.ACCESS) is Refusal.GAUGE
+    press(puppet)
+    assert asked(puppet, Request.ACCESS) is (Refusal.NONE if button else Refusal.GAUGE)
+
+
+@pytest.mark.parametrize(("above", "let_in"), [(-1.0, True), (1.0, False)])
+def test_access_waits_for_a_pressure_that_holds_nothing_up(above: float, let_in: bool) -> None:
+    puppet = reach(State.READY)
+    puppet.give(chamber_pressure=(*(ATMOSPHERE,) * 5, HOLDING + above)).run(50)
+    assert puppet.cause is Cause.NONE
+    assert asked(puppet, Request.ACCESS) is (Refusal.NONE if let_in else Refusal.NOT_VENTED)
+
+
+def test_air_that_comes_back_for_an_instant_long_after_the_venting_costs_no_more_than_the_sinking() -> None:
+    puppet = reach(State.READY, vented_sinking=0.5)
+    puppet.run(2000)
+    puppet.give(chamber_pressure=(HOLDING + 1.0,) * 6).run(10)
+    puppet.give(chamber_pressure=(ATMOSPHERE,) * 6).run(400)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    puppet.run(150)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_access_waits_for_as_long_again_as_the_chambers_took_to_vent() -> None:
+    """Behind a throttled exhaust the last air, which may hold an arm, goes as slowly as the first."""
+    puppet = reach(State.ARMED, vent_time=5.0, vented_still=0.05, vented_sinking=0.5)
+    vent(puppet).give(chamber_pressure=(HOLDING + 1.0,) * 6)
+    puppet.run(700)
+    puppet.give(chamber_pressure=(ATMOSPHERE,) * 6).run(900)
+    assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
+    puppet.run(100)
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_the_pressure_that_holds_nothing_up_is_a_fifth_of_the_least_static_friction() -> None:
+    plant = PlantParameters()
+    least = min(a.friction.static / max(a.area_a, a.area_b) for a in plant.actuators)
+    assert plant.supply.atmosphere + 0.2 * least == pytest.approx(HOLDING)
+    smooth = replace(plant.shoulder, friction=replace(plant.shoulder.friction, coulomb=0.0, static=0.0))
+    resolved = holding_pressure(replace(plant, shoulder=smooth)) - plant.supply.atmosphere
+    assert 1e3 < resolved < HOLDING - plant.supply.atmosphere

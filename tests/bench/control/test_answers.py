@@ -64,6 +64,7 @@ def good(template: Situation) -> Callable[[Request], Situation]:
         for name in ("lease_held", "support_ready", "supervisor_alive", "device_operational"):
             s[name] = True
         s["emptied"] = s["vented"] = True
+        s["sensor_seen"] = 1
         s["vent_start"] = 0.0
         p["vent_time"], p["local_reset_time"], p["home_by_index"] = VENT_TIME, RESET_TIME, False
         p["address_tolerance"], p["still_speed"], p["still_time"] = TOLERANCE, STILL, STILL_TIME
@@ -158,6 +159,14 @@ CONDITIONS = (
         {"emptied": False, "vented": False},
     ),
     Condition("arm may sink", Refusal.NOT_VENTED, only(Request.ACCESS), "control", {"vented": False}),
+    Condition("trapped air", Refusal.GAUGE, only(Request.ACCESS), "control", {"air_trapped": True}),
+    Condition(
+        "a dead sensor",
+        Refusal.GAUGE,
+        only(Request.ACCESS),
+        "control",
+        {"sensor_dead": (0, 0, 1, 0, 0, 0, 0)},
+    ),
     Condition(
         "button",
         Refusal.LOCAL_RESET,

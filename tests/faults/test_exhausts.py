@@ -1,0 +1,57 @@
+"""A clogged silencer or a kinked hose: nobody is let in to an arm that air holds up, with open vents too."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+from bench.control.settings import holding_pressure
+from bench.faults.case import Workbench
+from bench.faults.catalogue import THROTTLED, Breakage
+from bench.faults.instants import Instant, instants_of
+from bench.lifecycle import Request
+from sim.faults import Fault, own_records
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
+)
+
+INSTANTS = ("hold", "follow-through 10 %", "follow-through 80 %")
+
+
+def at(workbench: Workbench, name: str) -> Instant:
+    return next(instant for instant in instants_of(workbench.profile) if instant.name == name)
+
+
+@pytest.mark.parametrize("name", INSTANTS)
+@pytest.mark.parametrize("share", [0.2, 0.1, 0.03])
+def test_behind_throttled_exhausts_the_guard_opens_once_no_arm_can_sink(
+    workbench: Workbench, name: str, share: float
+) -> None:
+    """The person presses the button again and again, and reads no gauge."""
+    bench = workbench.base(at(workbench, name))
+    bench.stepper.plant = own_records(bench.stepper.plant)
+    bench.stepper.break_with((Fault("throttled", "exhausts", "scale", share),))
+    bench.advance(1, Request.STOP)
+    plant, holding = bench.plant_state, holding_pressure(workbench.configuration.plant)
+    for count in range(4000):
+        plant["local_reset"] = count % 2 == 0
+        cycles = bench.advance(100, Request.ACCESS)
+        if not cycles["guard_lock"][-1]:
+            break
+    assert not cycles["guard_lock"][-1]
+    assert plant["pressure"][0].max() <= holding
+    before = plant["angle"][0].copy()
+    moved = np.abs(bench.advance(60_000)["plant_angle"] - before).max()
+    assert moved <= 0.02
+
+
+@pytest.mark.parametrize("fault", THROTTLED, ids=lambda fault: fault.name)
+def test_an_exhaust_that_fails_in_the_swing_ends_safe_and_is_named(
+    workbench: Workbench, fault: Fault
+) -> None:
+    case = workbench.run(Breakage(fault, "stop"), at(workbench, "follow-through 40 %"))
+    assert case.verdict == "safe", case.reasons
+    named = "SUPPLY_VALVE" if fault.signal == "manifold exhaust" else "_EXHAUST"
+    assert named in case.detected_by
