@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
 from datetime import UTC, datetime, timedelta
 from functools import reduce
 from operator import getitem
@@ -34,7 +33,7 @@ from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
 from bench.campaign.suitability import START_SERIES, needs, needs_series, series_words
 from bench.campaign.swings import Profiles, calibrated, require_swings
-from bench.config import Configuration, with_new_names
+from bench.config import Configuration
 from bench.errors import BenchError, Refused
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
@@ -43,8 +42,6 @@ from bench.processes.file_lock import try_lock
 from bench.store.air_readings import newest_reading
 from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
 from sim.air import Air
-from sim.ball import Ball
-from sim.robot import Club
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")
 """Facts of the running bench that do not differ by themselves from start to start."""
@@ -289,14 +286,14 @@ def require_resumable(
     place = f"campaign {entry.id}"
     if state in ENDED:
         raise Refused(place, str(state), "an unfinished campaign", "Begin a new one.")
-    if plan is not None and plan != plan_from_record(entry.plan, place):  # its digest has keys of its version
+    if plan is not None and plan != plan_from_record(entry.plan, place):
         raise Refused(
             place,
             "another plan than it was begun with",
             f"the plan {entry.digest}, which is stored with it",
             "Leave the file out to go on as planned, or begin a new campaign.",
         )
-    changed = _changed(with_new_names(entry.configuration), configuration.effective())
+    changed = _changed(entry.configuration, configuration.effective())
     if changed := [key for key in changed if _can_change_a_shot(key)]:
         raise Refused(
             place,
@@ -312,8 +309,6 @@ def _changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") 
         one, two = before.get(key), now.get(key)
         if isinstance(one, Mapping) and isinstance(two, Mapping):
             found += _changed(one, two, f"{path}{key}.")
-        elif key not in before and _is_neutral(path, key, two):
-            continue
         elif one != two:
             found.append(f"{path}{key}")
     return found
@@ -322,18 +317,6 @@ def _changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") 
 def _can_change_a_shot(key: str) -> bool:
     """Return whether a shot may differ where the configuration's dotted `key` does."""
     return not any(key == harmless or key.startswith(f"{harmless}.") for harmless in CANNOT_CHANGE_A_SHOT)
-
-
-def _is_neutral(path: str, key: str, value: Any) -> bool:
-    """Return whether a club's or ball's key that an older version did not store has its default."""
-    tables = set(path.split("."))
-    kinds = ((Ball, {"ball", "balls"}), (Club, {"club", "clubs"}))
-    return any(
-        field.name == key and field.default == value
-        for kind, names in kinds
-        if tables & names
-        for field in fields(kind)
-    )
 
 
 def answer(

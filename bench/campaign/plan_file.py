@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, fields, replace
+from dataclasses import fields, replace
 from datetime import date
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
@@ -85,15 +85,10 @@ def plan_from_record(record: Mapping[str, Any], place: str) -> CampaignPlan:
     """
     faults: list[BenchError] = []
     tables = json.loads(json.dumps(record))
-    for name, kind in (("balls", Ball), ("clubs", Club)):
+    for name in ("balls", "clubs"):
         for entry in tables.get(name, {}).values():
             entry.pop("name", None)
-            for field in fields(kind):  # an older one has fewer keys
-                if field.name != "name" and field.default is not MISSING:
-                    entry.setdefault(field.name, field.default)
-    today = as_tree(read_toml(DEFAULTS, "defaults", "Reinstall golfbench."), DEFAULTS, faults)
-    tree = laid_over(today, as_tree(tables, Path(place), faults))  # an older plan has fewer keys
-    plan = _build(tree, Path(place), faults)
+    plan = _build(as_tree(tables, Path(place), faults), Path(place), faults)
     if plan is None:
         raise ExceptionGroup(f"{place} is invalid", faults)
     return plan

@@ -27,7 +27,6 @@ from bench.errors import BenchError
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import (
     CampaignEntry,
-    CampaignRun,
     CampaignState,
     CampaignStore,
     Event,
@@ -269,8 +268,6 @@ class Runner:
         """Store the beginning of this run, and what there is to say about the one before."""
         campaign, now = self._entry.id, datetime.now(UTC)
         standing, runs = self._store.standing(campaign), self._store.runs(campaign)
-        if not runs and self.taken:  # begun by a version that kept no runs
-            runs = [CampaignRun(0, self._entry.date, "", self._entry.versions, self._start.facts)]
         seen = (
             datetime.fromtimestamp(self._alive.stat().st_mtime, UTC) if self._alive.exists() else self._last
         )

@@ -8,7 +8,6 @@ from bench.config.files import (
     shipped_configuration,
     variants_with,
 )
-from bench.config.renamed import with_new_names
 from bench.config.rules import (
     DATABASE_FILE,
     NAME,
@@ -43,5 +42,4 @@ __all__ = [
     "shipped_configuration",
     "unheard_phases",
     "variants_with",
-    "with_new_names",
 ]

@@ -15,7 +15,6 @@ from pathlib import Path
 
 from bench.config.club_site import ClubSite
 from bench.config.defaults import DEFAULTS, DERIVED, default_tables
-from bench.config.renamed import rename_keys
 from bench.config.rules import RULES
 from bench.config.settings import Configuration
 from bench.errors import BenchError
@@ -110,13 +109,6 @@ def _read(file: Path, faults: list[BenchError], above: tuple[Path, ...]) -> tupl
     file = _name(file)
     tables = read_toml(file, "a configuration file", "Correct the path.")
     base = tables.pop("base", None)
-    tables, renamed, twice = rename_keys(tables)
-    for old, new in renamed:
-        _log.warning("%s: %s is now called %s; the old name is still read", file, old, new)
-    for old, new in twice:
-        faults.append(
-            BenchError(f"{file}: {old}", f"also {new}, its new name", "one of the two", "Delete it.")
-        )
     tree = as_tree(tables, file, faults)
     if base is None:
         return tree, (file,)

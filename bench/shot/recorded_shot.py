@@ -31,7 +31,6 @@ from sim.flight import Flight, Wind, fly
 from sim.impact import Delivery, delivery_from_plane, strike
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
-from sim.robot import ADDED_TO_CLUBS
 from sim.turf import Turf
 
 Cycles = np.ndarray[Any, Any]
@@ -94,8 +93,6 @@ def warm_up_shots(plant: PlantParameters, around: FlightConditions) -> None:
 def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, FlightConditions]:
     """Return the plant and the surroundings in a record's configuration, today's defaults for missing keys.
 
-    A club of before its contact had further fields is struck as then.
-
     Raises:
         ExceptionGroup: of BenchErrors, one for each value that this program does not take.
     """
@@ -110,8 +107,6 @@ def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, 
         table = configuration.get(name)
         recorded = as_tree({name: table if isinstance(table, dict) else {}}, file, faults)
         defaults = json.loads(json.dumps(asdict(kind())))
-        if kind is PlantParameters and _has_club(table):
-            defaults["robot"]["club"] |= ADDED_TO_CLUBS  # what a record of before is without
         today = as_tree({name: defaults}, file, faults)
         cure = "Read it with the version of golfbench that wrote it."
         tree = laid_over(today, recorded)[name]
@@ -119,11 +114,6 @@ def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, 
     if faults:
         raise ExceptionGroup(f"{place} has an invalid configuration", faults)
     return built["plant"], FlightConditions(built["air"], built["wind"], built["turf"])
-
-
-def _has_club(plant: Any) -> bool:
-    robot = plant.get("robot") if isinstance(plant, Mapping) else None
-    return isinstance(robot, Mapping) and "club" in robot
 
 
 def shot_from_json(given: Any, place: str) -> Shot:

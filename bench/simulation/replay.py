@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.config import with_new_names
 from bench.control.records import ControlParameters, ControlState
 from bench.control.settings import (
     ControlSettings,
@@ -225,13 +224,10 @@ def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParam
         dict[str, Any](),
         list[str](),
     )
-    configuration = with_new_names(configuration)
     for name, kind in _SETTINGS.items():
         given = configuration.get(name, {})
         recorded = as_tree({name: given if isinstance(given, dict) else {}}, file, faults)
         today = as_tree({name: _as_json(asdict(kind()))}, file, faults)
-        before = {key: value for key, value in _BEFORE.get(name, {}).items() if key not in given}
-        recorded = laid_over(recorded, as_tree({name: before}, file, faults))
         defaults += _missing(today, recorded, "")
         tree = laid_over(today, recorded)[name]
         cure = "Replay it with the version of golfbench that wrote it, or renew the record."
@@ -255,14 +251,6 @@ _SETTINGS: Mapping[str, type[Any]] = {
     "homing": HomingSettings,
 }
 """Arguments of `build_controller` by their table in the configuration."""
-
-
-_BEFORE: Mapping[str, Any] = {
-    "plant": {"vent_feedback": False, "shut_off_feedback": False},
-    "control": {"gains": "hand", "downswing_stiffness": 1.0, "follow_through_lift": 0.0},
-    "lifecycle": {"vented_sinking": 0.0},
-}
-"""Values of settings for records of before they existed: what the machine was then, not today's default."""
 
 
 def _as_json(value: Any) -> Any:

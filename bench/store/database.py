@@ -1,124 +1,28 @@
 """One database per bench: SQLite in WAL mode below `data_dir`, or any other by its URL.
 
-The version of the tables stands in them. An older database is migrated step by step, in one transaction; one
-of a newer golfbench is refused.
+The version of the tables stands in them; a database of another version is refused.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, func, inspect, select, update
+from sqlalchemy import URL, Connection, Engine, create_engine, event, func, inspect, select
 from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
-from sqlalchemy.schema import CreateColumn
 
 from bench.errors import BenchError, Refused
-from bench.store.tables import (
-    SHOT_COLUMNS_6,
-    VERSION_2,
-    VERSION_3,
-    VERSION_4,
-    VERSION_5,
-    VERSION_6,
-    VERSION_7,
-    VERSION_9,
-    VERSION_10,
-    Row,
-    SchemaVersionRow,
-)
+from bench.store.tables import Row, SchemaVersionRow
 
 SCHEMA_VERSION = 10
+"""Version of `bench.store.tables`."""
 
-
-def _add_campaigns(connection: Connection) -> None:
-    """Version 1 had calibrations only."""
-    tables = [Row.metadata.tables[name] for name in VERSION_2]
-    Row.metadata.create_all(connection, tables=tables)
-
-
-def _add_prompts(connection: Connection) -> None:
-    """Version 2 had the number of the last answered prompt with the campaign, and no prompts."""
-    if "answered" in {column["name"] for column in inspect(connection).get_columns("campaigns")}:
-        connection.exec_driver_sql("ALTER TABLE campaigns DROP COLUMN answered")
-    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_3])
-
-
-def _add_learned_swings(connection: Connection) -> None:
-    """Version 3 had no learned corrections."""
-    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_4])
-
-
-def _add_air_readings(connection: Connection) -> None:
-    """Version 4 had no readings of the air."""
-    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_5])
-
-
-def _add_carries(connection: Connection) -> None:
-    """Version 5 had one carry of a shot, and no aerodynamics of balls."""
-    _add_columns(connection, "shots", SHOT_COLUMNS_6)
-    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_6])
-
-
-def _add_runs(connection: Connection) -> None:
-    """Version 6 had no runs, no notes on shots and no order of campaigns but their dates."""
-    _add_columns(connection, "shots", ("set_aside",))
-    _add_columns(connection, "campaigns", ("number",))
-    campaigns = Row.metadata.tables["campaigns"].c
-    dated = select(campaigns.id).order_by(campaigns.date, campaigns.id)
-    for number, campaign in enumerate(connection.scalars(dated).all(), 1):
-        connection.execute(update(campaigns.id.table).where(campaigns.id == campaign).values(number=number))
-    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_7])
-
-
-def _add_order_of_answers(connection: Connection) -> None:
-    """Version 7 had no order of answers but their dates."""
-    _add_columns(connection, "campaign_prompts", ("answer",))
-    prompts = Row.metadata.tables["campaign_prompts"]
-    c = prompts.c
-    dated = select(c.campaign, c.number).where(c.answered.is_not(None))
-    for order, row in enumerate(connection.execute(dated.order_by(c.answered, c.number)).all(), 1):
-        mine = (c.campaign == row[0]) & (c.number == row[1])
-        connection.execute(update(prompts).where(mine).values(answer=order))
-
-
-def _add_exclusions(connection: Connection) -> None:
-    """Version 8 had no exclusions by hand."""
-    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_9])
-
-
-def _add_writers(connection: Connection) -> None:
-    """Version 9 could store an event twice whose commit lost its answer."""
-    Row.metadata.create_all(connection, tables=[Row.metadata.tables[name] for name in VERSION_10])
-
-
-def _add_columns(connection: Connection, table: str, names: Iterable[str]) -> None:
-    """Add columns to `table` unless they came with it: a table made by a migration has today's columns."""
-    there = {column["name"] for column in inspect(connection).get_columns(table)}
-    for name in names:
-        if name not in there:
-            column = CreateColumn(Row.metadata.tables[table].c[name]).compile(dialect=connection.dialect)
-            connection.exec_driver_sql(f"ALTER TABLE {table} ADD COLUMN {column}")
-
-
-MIGRATIONS: Mapping[int, Callable[[Connection], None]] = {
-    1: _add_campaigns,
-    2: _add_prompts,
-    3: _add_learned_swings,
-    4: _add_air_readings,
-    5: _add_carries,
-    6: _add_runs,
-    7: _add_order_of_answers,
-    8: _add_exclusions,
-    9: _add_writers,
-}
-"""Migration of the tables from each version to the next."""
 
 BUSY_TIMEOUT = 5.0
 """Time to wait for another process' write, s."""
@@ -235,12 +139,12 @@ def is_there(url: URL) -> bool:
 
 @contextmanager
 def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
-    """Open the database at `url`, made or migrated to SCHEMA_VERSION if need be (dated `now`), and close it.
+    """Open the database at `url`, made if need be (dated `now`), and close it.
 
     Errors of the database within the block become BenchErrors; broken constraints do not.
 
     Raises:
-        BenchError: it cannot be opened, is no golfbench database, or is of a newer version.
+        BenchError: it cannot be opened, is no golfbench database, or is of another version.
         OSError: its folder cannot be made.
     """
     place = url.render_as_string(hide_password=True)
@@ -262,7 +166,7 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         event.listen(engine, "connect", _prepare_reading if read_only else _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
     try:
-        _bring_up_to_date(engine, place, now or datetime.now(UTC))
+        _make_tables(engine, place, now or datetime.now(UTC))
         yield engine
     except IntegrityError:
         raise
@@ -333,34 +237,32 @@ def _begin_sqlite(connection: Connection) -> None:
     connection.exec_driver_sql(f"BEGIN {kind}")
 
 
-def _bring_up_to_date(engine: Engine, place: str, now: datetime) -> None:
+def _make_tables(engine: Engine, place: str, now: datetime) -> None:
+    """Make the tables of an empty database; refuse one of another version."""
     with engine.connect() as connection:
-        if _version(connection, place) == SCHEMA_VERSION:
+        if _has_tables(connection, place):
             return
     with engine.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
-        found = _version(connection, place)  # another process may have been faster
-        if found is None:
+        if not _has_tables(connection, place):  # another process may have been faster
             Row.metadata.create_all(connection)
-        for version in range(found or SCHEMA_VERSION, SCHEMA_VERSION):
-            MIGRATIONS[version](connection)
-        if found != SCHEMA_VERSION:
-            connection.execute(
-                SchemaVersionRow.__table__.insert().values(version=SCHEMA_VERSION, date=now)  # type: ignore[attr-defined]
-            )
+            made = SchemaVersionRow.__table__.insert()  # type: ignore[attr-defined]
+            connection.execute(made.values(version=SCHEMA_VERSION, date=now))
 
 
-def _version(connection: Connection, place: str) -> int | None:
-    """Return the version of the tables, None if there are none."""
+def _has_tables(connection: Connection, place: str) -> bool:
+    """Return whether the tables are there, in SCHEMA_VERSION; raises BenchError if they are others."""
     tables = inspect(connection).get_table_names()
     if not tables:
-        return None
+        return False
     if SchemaVersionRow.__tablename__ not in tables:
         found = f"tables {', '.join(sorted(tables)[:5])}, but no {SchemaVersionRow.__tablename__}"
         raise BenchError(place, found, "a database of golfbench, or an empty one", "Name another one.")
-    version: int | None = connection.scalar(select(func.max(SchemaVersionRow.version)))
-    if version is None or not 1 <= version <= SCHEMA_VERSION:
-        found = f"schema version {version}" + (", of a newer golfbench" if version else "")
+    version = connection.scalar(select(func.max(SchemaVersionRow.version)))
+    if version != SCHEMA_VERSION:
         raise BenchError(
-            place, found, f"version 1 to {SCHEMA_VERSION}", "Update golfbench, or name another database."
+            place,
+            f"schema version {version}",
+            f"version {SCHEMA_VERSION}",
+            "Use the version of golfbench that wrote it, or name another database: bench.database.",
         )
-    return version
+    return True

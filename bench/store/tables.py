@@ -1,6 +1,6 @@
 """Tables of the bench's database.
 
-A change of these is a change of `bench.store.database.SCHEMA_VERSION` and needs a migration there.
+A change of these is a change of `bench.store.database.SCHEMA_VERSION`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Row(DeclarativeBase):
 
 
 class SchemaVersionRow(Row):
-    """One row for each version that the tables have had; the highest one is theirs now."""
+    """The version of the tables, in one row."""
 
     __tablename__ = "schema_version"
 
@@ -351,36 +351,3 @@ class BallAerodynamicsRow(Row):
 
 
 _only_add(Row.metadata.tables[BallAerodynamicsRow.__tablename__], "aerodynamics of balls")
-
-VERSION_2 = ("campaigns", "shots", "campaign_events", "hit_counts")
-"""Tables that came with schema version 2."""
-
-VERSION_3 = ("campaign_prompts",)
-"""Tables that came with schema version 3."""
-
-VERSION_4 = ("learned_swings",)
-"""Tables that came with schema version 4."""
-
-VERSION_5 = ("air_readings",)
-"""Tables that came with schema version 5."""
-
-VERSION_6 = ("ball_aerodynamics",)
-"""Tables that came with schema version 6."""
-
-SHOT_COLUMNS_6 = (
-    "carry_reference_m",
-    "carry_monitor_m",
-    "carry_measured_m",
-    "carry_measured_error_m",
-    "flight_source",
-)
-"""Columns of `shots` that came with schema version 6."""
-
-VERSION_7 = ("campaign_runs", "shot_notes")
-"""Tables that came with schema version 7."""
-
-VERSION_9 = ("shot_exclusions",)
-"""Tables that came with schema version 9."""
-
-VERSION_10 = ("writers",)
-"""Tables that came with schema version 10."""

@@ -10,7 +10,6 @@ unpacking lists, Parquet compresses each channel by itself, and a reader may loa
 
 from __future__ import annotations
 
-from math import nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -27,9 +26,6 @@ SCHEMA_VERSION = 3
 LONGEST_BATCH = 64
 """Max cycles in a telemetry message: with the schema it stays below 64 kB, which zenoh sends in one piece."""
 
-READABLE_VERSIONS = (2, SCHEMA_VERSION)
-"""Versions of files that can be read: a field that they do not have yet has its `before`."""
-
 _CHAMBERS = tuple(chamber.replace(" ", "_").lower() for chamber in CHAMBERS)
 _PLANE = ("x", "y")
 
@@ -45,8 +41,6 @@ class Field(NamedTuple):
     text: str
     components: tuple[str, ...] = ()
     """Names of the components of a vector; empty for a scalar."""
-    before: float | None = None
-    """Value in records of versions that did not have the field; None: every readable version has it."""
     names: str = ""
     """Enumeration of its codes, see `bench.telemetry.enumerations`; empty for a field without names."""
 
@@ -130,17 +124,13 @@ FIELDS = (
         "chamber pressure, absolute, as above",
         _CHAMBERS,
     ),
-    Field("vent_open", "f8", "1", "vent seen open (1) or shut (0); NaN when not fitted", ("1", "2"), nan),
-    Field(
-        "shut_off_open", "f8", "1", "shut-off valve seen open (1) or shut (0); NaN when not fitted", (), nan
-    ),
+    Field("vent_open", "f8", "1", "vent seen open (1) or shut (0); NaN when not fitted", ("1", "2")),
+    Field("shut_off_open", "f8", "1", "shut-off valve seen open (1) or shut (0); NaN when not fitted"),
     Field(
         "air_fault",
         "i4",
         "1",
         "sensors, vents, manifold and lock that fail, see `bench.control.air_watch`",
-        (),
-        0,
     ),
     Field("head_position", "f8", "m", "club head in the swing plane, from the estimated angles", _PLANE),
     Field("head_orientation", "f8", "rad", "club's angle in the swing plane, from the estimated angles"),
@@ -159,9 +149,6 @@ FIELDS = (
 )
 """The schema of one cycle, in storage order. Vectors over joints follow `drivers.base.JOINTS`; those over
 actuators carry the name of the joint that the actuator moves."""
-
-_ADDED = {"latest_cause": "trip"}
-"""Columns that records of this schema from before do not have, and the column that says the same there."""
 
 CYCLE = np.dtype([(f.name, f.dtype, f.shape) for f in FIELDS], align=True)
 """One cycle as a numpy record: the form of the loop, the ring and compiled code."""
@@ -220,19 +207,13 @@ def name_columns(cycles: np.ndarray[Any, Any]) -> dict[str, pa.DictionaryArray]:
 def from_arrow(table: pa.Table) -> np.ndarray[Any, Any]:
     """Return the records of CYCLE in `table`, bit for bit those given to `to_arrow`.
 
-    A column that the table's version did not have yet gets its field's `before`, or the value of the column
-    that `_ADDED` names. Raises KeyError naming the first other one that is missing.
+    Raises KeyError naming the first column that is missing.
     """
-    present = set(table.column_names)
     cycles = np.zeros(table.num_rows, CYCLE)
     for field in FIELDS:
         target = cycles[field.name].reshape(table.num_rows, len(field.columns))
         for index, column in enumerate(field.columns):
-            if field.before is not None and column not in present:
-                target[:, index] = field.before
-                continue
-            stored = column if column in present else _ADDED.get(column, column)
-            target[:, index] = table.column(stored).to_numpy()
+            target[:, index] = table.column(column).to_numpy()
     return cycles
 
 

@@ -13,7 +13,6 @@ from bench.errors import BenchError
 from bench.telemetry.cycle_record import (
     CYCLE,
     FIELDS,
-    READABLE_VERSIONS,
     SCHEMA_VERSION,
     from_arrow,
     name_columns,
@@ -105,7 +104,7 @@ def _read_metadata(path: Path, stored: Mapping[bytes, bytes]) -> dict[str, Any]:
             "name a file that a swing has written",
         )
     metadata: dict[str, Any] = json.loads(stored[METADATA_KEY])
-    if metadata.get("schema_version") not in READABLE_VERSIONS:
+    if metadata.get("schema_version") != SCHEMA_VERSION:
         raise BenchError(
             str(path),
             f"schema version {metadata.get('schema_version')}",

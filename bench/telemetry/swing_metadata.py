@@ -214,8 +214,7 @@ def read_profile(metadata: Mapping[str, Any], place: str) -> Profile:
         arrays = {
             key: np.array(values[key], dtype=float) for key in ("angle", "velocity", "valve", "blind_brake")
         }
-        pairs = {key: tuple(values[key]) for key in ("begins", "ball")}
-        pairs["air"] = tuple(values.get("air", ()))  # records of before have none
+        pairs = {key: tuple(values[key]) for key in ("begins", "ball", "air")}
         return Profile(**{**values, **arrays, **pairs})
     except (KeyError, TypeError, ValueError, zlib.error) as error:
         raise BenchError(

@@ -22,7 +22,6 @@ from bench.config import (
     unheard_phases,
 )
 from bench.config.defaults import default_tables
-from bench.config.renamed import RENAMED, rename_keys, with_new_names
 from bench.config.text import configuration_text
 from bench.control.settings import MODEL_ROWS
 from bench.errors import BenchError
@@ -243,47 +242,6 @@ def at(configuration: Configuration, dotted: str) -> Any:
     for part in dotted.split("."):
         found = getattr(found, part)
     return found
-
-
-@pytest.mark.parametrize(("old", "name"), RENAMED.items())
-def test_an_old_key_is_read_with_a_notice(
-    old: str, name: str, overlay: Overlay, default: Configuration, caplog: pytest.LogCaptureFixture
-) -> None:
-    table, _, key = old.rpartition(".")
-    before = at(default, f"{table}.{name}")
-    value = [v * 1.01 for v in before] if isinstance(before, tuple) else before * 0.99
-    path = overlay(f"[{table}]\n{key} = {value}")
-    found = at(load_configuration(path), f"{table}.{name}")
-    assert (list(found) if isinstance(found, tuple) else found) == value
-    assert f"{path}: {old} is now called {table}.{name}; the old name is still read" in caplog.messages
-
-
-def test_an_old_key_may_have_a_suffix(overlay: Overlay) -> None:
-    tables, renamed, twice = rename_keys({"launch_monitor": {"plausible": {"greatest_direction_deg": 20.0}}})
-    assert tables == {"launch_monitor": {"plausible": {"max_direction_deg": 20.0}}}
-    assert renamed == [
-        ("launch_monitor.plausible.greatest_direction_deg", "launch_monitor.plausible.max_direction")
-    ]
-    assert twice == []
-
-
-def test_an_old_and_a_new_key_together_are_refused(overlay: Overlay) -> None:
-    path = overlay("[envelope]\ngreatest_slew = 300.0\nmax_slew = 400.0")
-    (fault,) = faults(path)
-    assert fault.place == f"{path}: envelope.greatest_slew"
-    assert (fault.found, fault.cure) == ("also envelope.max_slew, its new name", "Delete it.")
-
-
-def test_a_stored_configuration_of_an_older_version_is_the_same(default: Configuration) -> None:
-    old = default.effective()
-    for dotted, new in RENAMED.items():
-        table = old
-        *path, key = dotted.split(".")
-        for part in path:
-            table = table[part]
-        table[key] = table.pop(new)
-    assert old != default.effective()
-    assert with_new_names(old) == default.effective()
 
 
 # Mistakes --------------------------------------------------------------------------------------------

@@ -17,14 +17,11 @@ import pytest
 
 from bench.cli import main
 from bench.control.gain_table import DAMPING, DERIVATIVE, INTEGRAL, PROPORTIONAL
-from bench.control.model import KINDS
-from bench.control.model_limits import ADDED_TO_SITES
 from bench.control.records import ControlParameters
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.loop import Cycle, CycleArray
-from bench.shot.recorded_shot import plant_of
 from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles, replay_record
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swings
 from bench.telemetry.cycle_record import FIELDS
@@ -34,8 +31,6 @@ from bench.telemetry.swing_metadata import begin_of, since, snapshot_entry
 from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from sim.driver import SimDriver
-from sim.plant import PlantParameters
-from sim.robot import ADDED_TO_CLUBS
 from tests.replay.renew import STOP, SWING, reference_bench
 
 Change = Callable[[ControlParameters], None]
@@ -62,54 +57,12 @@ def test_every_field_is_input_decided_or_measured() -> None:
     assert sorted([*INPUTS, *DECIDED, *MEASURED]) == sorted(names)
 
 
-ADDED = (
-    frozenset(
-        f"homing.{name}" for name in ("stops", "stop_tolerance", "touch_speed", "touch_lead", "touch_time")
-    )
-    | {f"envelope.model.{comparison}.arming" for comparison in KINDS}
-    | {"lifecycle.air_tolerance", "lifecycle.air_timeout"}
-)
-"""Settings that the references do not have, and that no swing or stop reads; of air only a planned one."""
-FACES = frozenset(f"plant.robot.club.{name}" for name in ADDED_TO_CLUBS)
-"""Settings of the contact with the ball that the references do not have; their defaults do nothing."""
-SITES = frozenset(f"plant.site.{name}" for name in ADDED_TO_SITES)
-"""Settings of the ground that the references do not have; their defaults do nothing."""
-CLEARANCES = frozenset(f"plant.{name}.clearance" for name in ("shoulder", "right_arm", "wrist"))
-"""Settings that the references do not have: in their time the cushion's travel, today's default."""
-MOUNTING = frozenset({"plant.wrist_lever_angle"})
-"""A setting that the references do not have: their lever stood square to the hand, today's default."""
-RATINGS = frozenset(f"plant.{name}.stop.rated" for name in ("shoulder", "right_arm", "wrist"))
-"""Settings that the references do not have; no force and no decision depends on them."""
-RELIEF = frozenset(f"plant.supply.manifold_relief_{name}" for name in ("ratio", "conductance"))
-"""Settings that the references do not have: no healthy swing reaches that valve."""
-SHUT_OFF = frozenset({"plant.supply.shut_off_delay"})
-"""A setting that the references do not have; it acts with the position switch only, which they lack, too."""
-
-
-@pytest.mark.parametrize("name", ["shoulder", "right_arm", "wrist"])
-def test_clearances_of_the_references_are_their_cushions(name: str, swing: Record, stop: Record) -> None:
-    clearance = getattr(PlantParameters(), name).clearance
-    for _, metadata in (swing, stop):
-        assert metadata["configuration"]["plant"][name]["stop"]["travel"] == clearance
-
-
-def test_faces_of_the_references_are_those_of_their_time(swing: Record, stop: Record) -> None:
-    for _, metadata in (swing, stop):
-        club = plant_of(metadata, "the reference")[0].robot.club
-        assert {name: getattr(club, name) for name in ADDED_TO_CLUBS} == ADDED_TO_CLUBS
-
-
 @pytest.mark.parametrize("path", [SWING, STOP])
 def test_todays_controller_does_what_the_reference_did(path: Path) -> None:
     replay = replay_record(path)
     assert len(replay.recorded) > 700
     assert wrong(replay) == {}
-    since = {
-        name
-        for name in replay.defaults
-        if name not in ADDED | CLEARANCES | MOUNTING | RATINGS | SHUT_OFF | RELIEF | FACES | SITES
-    }
-    assert not since, "the record is older than these settings: make reference"
+    assert not replay.defaults, "the record is older than these settings: make reference"
 
 
 def test_the_references_are_small_and_hold_what_they_are_for(swing: Record, stop: Record) -> None:
@@ -353,14 +306,10 @@ def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> No
         without(swing[1], "configuration", "control", "strike_drop"), "configuration", "homing"
     )
     replay = replay_cycles(swing[0], metadata, "swing")
-    assert (
-        set(replay.defaults) - ADDED - CLEARANCES - MOUNTING - RATINGS - SHUT_OFF - RELIEF - FACES - SITES
-        == {
-            "control.strike_drop",
-            *(f"homing.{setting.name}" for setting in fields(HomingSettings)),
-        }
-        - ADDED
-    )
+    assert set(replay.defaults) == {
+        "control.strike_drop",
+        *(f"homing.{setting.name}" for setting in fields(HomingSettings)),
+    }
     assert wrong(replay) == {}
 
 

@@ -1,4 +1,4 @@
-"""Campaigns in the database: batches are whole or not there, hits are counted once, old databases stay."""
+"""Campaigns in the database: batches are whole or not there, hits are counted once."""
 
 from __future__ import annotations
 
@@ -16,18 +16,9 @@ from typing import Any, Literal
 
 import pytest
 from sqlalchemy import (
-    URL,
-    Boolean,
     Connection,
-    DateTime,
-    DefaultClause,
-    Engine,
-    MetaData,
     create_engine,
-    false,
-    insert,
     make_url,
-    select,
 )
 from sqlalchemy import event as events
 from sqlalchemy.exc import OperationalError
@@ -47,13 +38,12 @@ from bench.store.campaigns import (
     ShotNote,
     StoredShot,
 )
-from bench.store.database import SCHEMA_VERSION, DatabaseLocked, open_database
-from bench.store.tables import CalibrationRow, SchemaVersionRow, ShotRow, UtcTime
+from bench.store.database import DatabaseLocked, open_database
+from bench.store.tables import ShotRow
 from tests.bench.lossy_proxy import LossyProxy
 from tests.bench.running_postgres import PostgresServer, running_postgres
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
-STORED = Path(__file__).with_name("stored")
 ENTRY = CampaignEntry(
     id="two-20261121T120000",
     bench="bench1",
@@ -132,25 +122,6 @@ def test_everything_comes_back_from_sqlite(tmp_path: Path) -> None:
 @pytest.mark.requires("postgres")
 def test_everything_comes_back_from_postgresql(postgres: str, tmp_path: Path) -> None:
     _round_trip(database_url(postgres, tmp_path))
-
-
-@pytest.mark.requires("postgres")
-def test_a_postgresql_database_of_version_one_is_migrated(postgres: str, tmp_path: Path) -> None:
-    url = database_url(postgres, tmp_path)
-    with open_database(url, NOW) as engine, engine.begin() as connection:
-        for table in (
-            "campaign_runs",
-            "shot_notes",
-            "shot_exclusions",
-            "campaign_prompts",
-            "campaign_events",
-            "shots",
-            "campaigns",
-            "hit_counts",
-        ):
-            connection.exec_driver_sql(f"DROP TABLE {table}")
-        connection.execute(SchemaVersionRow.__table__.update().values(version=1))  # type: ignore[attr-defined]
-    _round_trip(url)
 
 
 @pytest.fixture
@@ -475,86 +446,3 @@ def open_later(url: Any) -> Iterator[CampaignStore]:
 def test_the_table_of_shots_has_every_column_of_the_export() -> None:
     columns = set(ShotRow.__table__.columns.keys())
     assert columns == {column.name for column in COLUMNS} | {"campaign", "file", "bytes", "set_aside"}
-
-
-def test_a_database_of_version_one_is_migrated_and_keeps_its_calibrations(tmp_path: Path) -> None:
-    with closing(sqlite3.connect(tmp_path / "golfbench.sqlite")) as plain:
-        plain.executescript((STORED / "version_1.sql").read_text())
-    with open_database(database_url("", tmp_path), NOW) as engine:
-        with engine.connect() as connection:
-            assert connection.scalars(select(CalibrationRow.kind)).all() == ["encoders"]
-            versions = connection.scalars(select(SchemaVersionRow.version)).all()
-            assert sorted(versions) == [1, SCHEMA_VERSION]
-        store = CampaignStore(engine)
-        store.begin(ENTRY)
-        store.add(ENTRY, _shots(1, 1))
-        assert store.shots(ENTRY.id) == _shots(1, 1)
-
-
-@pytest.mark.parametrize("version", range(2, SCHEMA_VERSION))
-def test_databases_of_these_versions_stay_readable(tmp_path: Path, version: int) -> None:
-    _stored_in_sqlite(tmp_path, version)
-    _require_readable(database_url("", tmp_path), version)
-
-
-@pytest.mark.requires("postgres")
-def test_postgresql_databases_of_these_versions_stay_readable(postgres: str, tmp_path: Path) -> None:
-    url = database_url(postgres, tmp_path)
-    for version in range(2, SCHEMA_VERSION):
-        (folder := tmp_path / str(version)).mkdir()
-        _copied(create_engine(_stored_in_sqlite(folder, version)), engine := create_engine(url))
-        _require_readable(url, version)
-        with engine.begin() as connection:
-            connection.exec_driver_sql("DROP SCHEMA public CASCADE; CREATE SCHEMA public")
-        engine.dispose()
-
-
-def _stored_in_sqlite(folder: Path, version: int) -> URL:
-    """Make SQLite's database of this version in `folder`; return its URL."""
-    with closing(sqlite3.connect(folder / "golfbench.sqlite")) as plain:
-        plain.executescript((STORED / f"version_{version}.sql").read_text())
-    return database_url("", folder)
-
-
-def _copied(source: Engine, target: Engine) -> None:
-    """Copy tables and rows as they are, the tables as the version of that time made them in `target`."""
-    (tables := MetaData()).reflect(source)
-    for table in tables.sorted_tables:
-        for column in table.columns:
-            column.type = column.type.as_generic()
-            if isinstance(column.type, DateTime):
-                column.type = UtcTime()
-            default = column.server_default
-            if isinstance(column.type, Boolean) and isinstance(default, DefaultClause):
-                column.server_default = DefaultClause(false())
-    tables.create_all(target)
-    with source.connect() as reading, target.begin() as writing:
-        for table in tables.sorted_tables:
-            if rows := [dict(row) for row in reading.execute(select(table)).mappings()]:
-                writing.execute(insert(table), rows)
-    source.dispose()
-
-
-def _require_readable(url: URL, version: int) -> None:
-    """Migrate the database of `version`; require all that was in it, and room for what is new."""
-    with _store(url) as store:
-        ((entry, standing, counts),) = store.entries()
-        assert entry == ENTRY
-        assert standing.state is CampaignState.FINISHED
-        assert counts == {"valid": 2}
-        assert store.shots(ENTRY.id) == _shots(1, 2)
-        assert store.hits(ENTRY.id) == {Hit("ball", "tour", 3): 2}
-        assert [event.text for event in store.events(ENTRY.id)] == ["guard opened"]
-        assert store.prompts(ENTRY.id) == (PROMPTS if version > 2 else [])
-        if version > 2:
-            real = replace(ENTRY, id="real", simulated=False)
-            store.begin(real)
-            store.ask(real.id, PROMPTS[1]._replace(number=1))
-            store.answer(real.id, 1, "Ann", NOW - timedelta(days=9))
-            assert [store.last_answered(entry, "club") is not None for entry in (ENTRY, real)] == [True] * 2
-            with store.database.connect() as connection:
-                order = connection.exec_driver_sql("SELECT answer FROM campaign_prompts ORDER BY answer")
-                assert list(order.scalars()) == [0, 1, 2]
-        exclusion = ShotExclusion(2, NOW, "Ann", "a gust", True, 2)
-        store.add_exclusion(ENTRY.id, exclusion)
-        assert store.exclusions(ENTRY.id) == [exclusion]

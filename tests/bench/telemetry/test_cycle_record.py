@@ -62,12 +62,6 @@ def test_no_cycles_are_a_valid_table() -> None:
     assert from_arrow(to_arrow(np.zeros(0, CYCLE))).shape == (0,)
 
 
-def test_a_record_of_before_the_newest_cause_has_the_first_one(make_swing: Callable[[int], Cycles]) -> None:
-    cycles = make_swing(3)
-    read = from_arrow(to_arrow(cycles).drop_columns(["latest_cause"]))
-    assert (read["latest_cause"] == cycles["trip"]).all()
-
-
 def test_a_missing_column_is_named() -> None:
     table: pa.Table = to_arrow(np.zeros(2, CYCLE)).drop_columns(["velocity_arm"])
     with pytest.raises(KeyError, match="velocity_arm"):

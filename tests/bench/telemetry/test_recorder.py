@@ -125,7 +125,8 @@ def test_files_that_are_no_swing_are_refused_by_name(tmp_path: Path) -> None:
     pq.write_table(pa.table({"a": [1]}), path)
     with pytest.raises(BenchError, match="without golfbench metadata"):
         read_swing(path)
-    for metadata, message in ((b'{"schema_version": 99}', "version 99"), (b'{"schema_version": 2}', "tick")):
+    for version, message in ((SCHEMA_VERSION - 1, "schema version"), (SCHEMA_VERSION, "tick")):
+        metadata = f'{{"schema_version": {version}}}'
         pq.write_table(pa.table({"a": [1]}).replace_schema_metadata({METADATA_KEY: metadata}), path)
         with pytest.raises(BenchError, match=message):
             read_swing(path)
