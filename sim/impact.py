@@ -532,20 +532,6 @@ class Delivery:
         along = dot(self.velocity, self.axes[0])
         return atan2(norm(cross(self.velocity, self.axes[0])), along)
 
-    @property
-    def face_to_path(self) -> float:
-        """Face angle less path (rad)."""
-        return self.face_angle - self.path
-
-    def with_rigid_shaft(self) -> Delivery:
-        """Return the delivery without the loft that the shaft adds."""
-        return replace(self, dynamic_loft=self.dynamic_loft - self.shaft_loft, shaft_loft=0.0)
-
-    @property
-    def closure_rate(self) -> float:
-        """Turning rate of the head about the vertical (rad/s, + closing)."""
-        return self.angular_velocity[1]
-
 
 def delivery_from_plane(
     head: tuple[float, float, float],

@@ -55,27 +55,6 @@ class CorrectedProfiles(Protocol):
         ...
 
 
-class AsDesigned:
-    """No corrections, and none learned on the way."""
-
-    def __init__(self, profiles: Profiles) -> None:
-        self._profiles = profiles
-
-    def designed(self, arm: Arm) -> Profile:
-        """Return the profile of `arm`."""
-        return self._profiles[arm]
-
-    profile = designed
-
-    def weights(self, arm: Arm) -> tuple[float, ...]:
-        """Return none."""
-        return ()
-
-    def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
-        """Learn nothing."""
-        return f"{self._profiles[drift.arm].name}: {drift.text}; it goes on as designed"
-
-
 class CampaignCorrections:
     """Corrections by swing and club; a campaign starts with the newest valid ones of its start."""
 

@@ -29,7 +29,6 @@ from bench.campaign.live import HOLDER, LiveShots, require_live
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
 from bench.campaign.runner import Operator, Runner, RunOutcome, Watcher
-from bench.campaign.sequence import hits_needed
 from bench.campaign.simulated import SimulatedShots
 from bench.campaign.suitability import START_SERIES, needs, needs_series, series_words
 from bench.campaign.swings import Profiles, calibrated, require_swings
@@ -40,7 +39,7 @@ from bench.network.client import BenchClient
 from bench.network.lease import LONGEST_HOLDER
 from bench.processes.file_lock import try_lock
 from bench.store.air_readings import newest_reading
-from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Hit
+from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore
 from sim.air import Air
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")
@@ -254,25 +253,6 @@ def _harmless(configuration: Configuration) -> dict[str, Any]:
     """Return the values that change no shot by their keys: a change from run to run is an event."""
     effective = configuration.effective()
     return {key: reduce(getitem, key.split("."), effective) for key in CANNOT_CHANGE_A_SHOT if key != "files"}
-
-
-def require_balls(plan: CampaignPlan, store: CampaignStore, scope: str) -> None:
-    """Refuse a plan whose balls have taken too many hits already.
-
-    Raises:
-        Refused: too few hits are left.
-    """
-    handling, hits = plan.ball_handling, store.hits(scope)
-    for ball, needed in hits_needed(plan).items():
-        samples = range(handling.first_sample, handling.first_sample + handling.samples)
-        left = sum(max(0, handling.hits - hits[Hit("ball", ball, sample)]) for sample in samples)
-        if left < needed:
-            raise Refused(
-                f"balls {ball!r}, samples {samples[0]} to {samples[-1]}",
-                f"{left} hits left of {handling.hits} each",
-                f"{needed} hits",
-                f"Take a fresh box: ball_handling.first_sample = {samples[-1] + 1}.",
-            )
 
 
 def require_resumable(

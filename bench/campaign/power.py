@@ -7,7 +7,7 @@ All for two levels in randomised complete blocks: the variance of a difference o
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import ceil, sqrt
+from math import sqrt
 
 import numpy as np
 from scipy import optimize, special, stats
@@ -96,32 +96,3 @@ def blocks_needed(chance: Callable[[int], float], power: float, at_least: int = 
         else:
             high = middle
     return high
-
-
-def shots_needed(
-    difference: float, deviation: float, alpha: float, power: float, levels: int = 2, controls: int = 0
-) -> int | None:
-    """Return the valid shots of each level that find a true `difference` with `power`; None: too many."""
-    if deviation <= 0:
-        return 2
-
-    def chance(blocks: int) -> float:
-        freedom = block_freedom(levels, blocks, controls)
-        return power_of_difference(difference, deviation, blocks, freedom, alpha)
-
-    normal = 2 * ((stats.norm.ppf(1 - alpha / 2) + stats.norm.ppf(power)) * deviation / difference) ** 2
-    if normal > _MOST:
-        return None
-    return blocks_needed(chance, power, max(2, ceil(0.8 * normal)))
-
-
-def shots_for_equivalence(
-    margin: float, deviation: float, alpha: float, power: float, levels: int = 2, controls: int = 0
-) -> int | None:
-    """Return the valid shots of each level that call truly equal ones the same with `power`."""
-
-    def chance(blocks: int) -> float:
-        freedom = block_freedom(levels, blocks, controls)
-        return power_of_equivalence(margin, deviation, blocks, freedom, alpha)
-
-    return blocks_needed(chance, power) if deviation > 0 else 2

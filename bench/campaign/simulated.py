@@ -160,17 +160,6 @@ class SimulatedShots:
     def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """No action needed."""
 
-    def arm_all(self) -> None:
-        """Arm with every swing and club, which otherwise happens at the first shot of each.
-
-        Raises:
-            Refused: the robot does not reach an address.
-            KeyboardInterrupt: a stop was requested.
-        """
-        for swing in self._plan.design.swings:
-            for club in self._plan.design.clubs:
-                self._bench(swing, club)
-
     def take(self, step: Step, number: int, sample: int) -> Taken:
         """Take shot `number` with ball `sample`; a KeyboardInterrupt while arming passes."""
         s, arm = self._plan.simulation, step.trial.arm

@@ -10,10 +10,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from bench.drawing.placement import Array
-from sim.kinematics import joint_positions
 from sim.plant import PlantParameters
 
 _FRAME_LENGTH = 0.10
@@ -40,14 +36,3 @@ def collision_outline(plant: PlantParameters, frame_radius: float) -> CollisionO
     return CollisionOutline(
         club.length_to_face, club.shaft_radius, site.sole_depth, frame_radius, _FRAME_LENGTH, site.ground
     )
-
-
-def clearances(plant: PlantParameters, outline: CollisionOutline, q: Array) -> tuple[Array, Array]:
-    """Return the sole's height over ground and the club's distance to R1 (m) at joint angles `q` (n, 3)."""
-    points = joint_positions(plant.robot, q)
-    wrist = points[:, 2]
-    along = (points[:, 4] - wrist) / plant.robot.club.length_to_face
-    face = wrist + outline.club_length * along
-    nearest = np.clip(-(wrist * along).sum(axis=1), 0.0, outline.club_length)
-    distance: Array = np.linalg.norm(wrist + nearest[:, None] * along, axis=1)
-    return face[:, 1] - outline.sole_radius - outline.ground, distance

@@ -75,8 +75,3 @@ def wrist_ways(plant: PlantParameters) -> tuple[float, float]:
     turns = np.linspace(low, high, 721)
     ways = plant.wrist_stroke(turns)
     return float(ways.min()), float(ways.max())
-
-
-def lever_pin(plant: PlantParameters, theta3: float) -> tuple[float, float]:
-    """Return the pin of the wrist's lever from R3 in the left arm's frame (m)."""
-    return wrist_way(plant, theta3), -float(plant.wrist_slope(theta3))

@@ -44,7 +44,6 @@ from bench.shot.ball_struck import ball_struck
 from bench.shot.swing_drift import DriftWatch, strike_seen
 from bench.swing.correction import basis_of
 from bench.swing.profile import Profile
-from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.record_queue import (
     QueuedRecord,
     RecordQueue,
@@ -97,8 +96,6 @@ class RecorderPlan:
     lead: float = 0.5
     tail: float = 0.5
     """Lead before and tail after each record, s."""
-    segment_seconds: float = 0.0
-    """Length of continuous recording files, s; 0 disables continuous recording."""
     room: int = 65536
     """Max cycles of the current record in memory, 0.7 kB each."""
     waiting: int = 8
@@ -143,16 +140,11 @@ class Recorder:
         self._timing = None if plan.timing is None else TimingReader(plan.timing)
         self._timed = None if self._timing is None else self._timing.snapshot()
         self._drift = DriftWatch()
-        self._segment: list[Cycles] = []
-        self._segment_lost = 0
         self._swings = plan.data_dir / "swings" / plan.bench
-        self._continuous = plan.data_dir / "continuous" / plan.bench
-        self._folders = [self._swings] + ([self._continuous] if plan.segment_seconds else [])
-        for folder in self._folders:
-            remove_partial(folder)
+        remove_partial(self._swings)
         self._number = int(self._heartbeat.last["done"][0])
-        self._from = self._segment_from = 0
-        """Ticks after which records and segments begin; earlier ticks were stored by a previous recorder."""
+        self._from = 0
+        """Tick after which records begin; earlier ones were stored by a previous recorder."""
         self._resume()
         self._tick = self._from
         self._lost, self._past_lost = 0, 0
@@ -167,7 +159,7 @@ class Recorder:
         last, newest = self._heartbeat.last[0], self._ring.newest()
         if newest is None or last["tick"] > newest["tick"][0]:
             return
-        self._from, self._segment_from = int(last["resume"]), int(last["tick"])
+        self._from = int(last["resume"])
         # It may have been killed after renaming the file and before its next heartbeat.
         number = int(last["storing"])
         began = datetime.fromtimestamp(float(last["storing_began"]), UTC)
@@ -200,9 +192,7 @@ class Recorder:
             self._utc_less_loop = utc - (now if paced is None else float(paced["time"][0]))
         lost, self._lost = self._ring.lost - self._past_lost - self._lost, self._ring.lost - self._past_lost
         for cut in self._cutter.take(cycles, lost):
-            self._keep(cut, self._swings)
-        if self._plan.segment_seconds:
-            self._continue(cycles, lost)
+            self._keep(cut)
         if self._cutter.moving and now - self._last_cycle_at > self._plan.silence:
             self._finish("the loop fell silent", keep=True)
         self._store(now, at_once=ending)
@@ -212,8 +202,6 @@ class Recorder:
     def finish(self, why: str, now: float) -> int:
         """End the current records, store what can be stored, return the number of lost records."""
         self._finish(why, keep=False)
-        if self._segment:
-            self._end_segment()
         for _ in range(len(self._queue)):
             self._store(now, at_once=True)
         self._report(now, Condition.ENDING)
@@ -261,10 +249,10 @@ class Recorder:
 
     def _finish(self, why: str, *, keep: bool) -> None:
         for cut in self._cutter.finish(why, keep=keep):
-            self._keep(cut, self._swings)
+            self._keep(cut)
 
-    def _keep(self, cut: Cut, folder: Path) -> None:
-        """Queue `cut` for `folder`."""
+    def _keep(self, cut: Cut) -> None:
+        """Queue `cut`."""
         self._number += 1
         begin = begin_of(cut.cycles)
         began = datetime.fromtimestamp(float(cut.cycles["time"][0]) + self._utc_less_loop, UTC)
@@ -279,7 +267,7 @@ class Recorder:
         if cut.kind == "swing":
             metadata["drift"] = self._drift_of(cut, metadata)
         metadata["loop"] = self._loop_since_before()
-        path = record_path(folder, began, self._number)
+        path = record_path(self._swings, began, self._number)
         self._queue.put(QueuedRecord(path, began, since(cut.cycles, begin), metadata))
 
     def _loop_since_before(self) -> dict[str, Any] | None:
@@ -304,21 +292,6 @@ class Recorder:
         if seen is None:
             return None
         return self._drift.take(seen, metadata["profile"]["data"]).as_json()
-
-    def _continue(self, cycles: Cycles, lost: int) -> None:
-        """Add `cycles` to the current segment; end it at its length."""
-        self._segment_lost += lost
-        cycles = cycles[np.searchsorted(cycles["tick"], self._segment_from, side="right") :]
-        if len(cycles):
-            self._segment.append(cycles)
-            length = cycles["time"][-1] - self._segment[0]["time"][0]
-            if length >= self._plan.segment_seconds or sum(map(len, self._segment)) >= self._plan.room:
-                self._end_segment()
-
-    def _end_segment(self) -> None:
-        data = bytearray().join(part.tobytes() for part in self._segment)
-        self._keep(Cut(np.frombuffer(data, CYCLE), "segment", self._segment_lost), self._continuous)
-        self._segment, self._segment_lost = [], 0
 
     def _store(self, now: float, *, at_once: bool) -> None:
         """Try to store the oldest waiting record."""

@@ -2,7 +2,7 @@
 
 Floats are written in positional notation with the fewest digits that read back to the same float; an
 absent figure is an empty cell; times are UTC in ISO 8601. A text that a spreadsheet would take for a formula
-has an apostrophe in front, which reading removes.
+has an apostrophe in front.
 """
 
 from __future__ import annotations
@@ -12,14 +12,11 @@ import io
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from bench.errors import BenchError
-from bench.shot.shot import COLUMNS, Shot, ShotColumn, ShotStatus
+from bench.shot.shot import COLUMNS, Shot
 from bench.telemetry.whole_file import whole_file
 
 
@@ -38,24 +35,6 @@ def shot_table_text(shots: Sequence[Shot]) -> str:
     return text.getvalue()
 
 
-def read_shot_table(path: Path) -> list[Shot]:
-    """Return the shots in `path`; columns may stand in any order, unknown ones are ignored.
-
-    Raises BenchError naming file, line and column when the table is not what `write_shot_table` writes.
-    """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            table = csv.DictReader(stream, strict=True)
-            missing = [name for name in _REQUIRED if name not in (table.fieldnames or ())]
-            if missing:
-                raise BenchError(
-                    str(path), f"no column {missing[0]}", "a shot table with its header", "export it again"
-                )
-            return [_to_shot(path, table.line_num, row) for row in table]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise BenchError(str(path), str(error), "a shot table (CSV, UTF-8)", "check the file") from error
-
-
 _FORMULA = re.compile("'*[=+\\-@\t\r]")
 """Beginning of a text that a spreadsheet would take for a formula, with apostrophes put in front already."""
 
@@ -71,54 +50,3 @@ def _to_cell(value: object) -> str:
     if isinstance(value, str) and _FORMULA.match(value):
         return f"'{value}"
     return str(value)
-
-
-def _to_shot(path: Path, line: int, row: dict[str, str | None]) -> Shot:
-    """Return the shot in one row."""
-    values: dict[str, Any] = {}
-    for column in COLUMNS:
-        if column.name not in row:
-            continue  # a table of before there was this column
-        cell = row[column.name]
-        try:
-            values[column.name] = _to_value(column, cell)
-        except ValueError as error:
-            raise BenchError(
-                f"{path}, line {line}, {column.name}", repr(cell), _EXPECTED[column.kind], "correct the cell"
-            ) from error
-    try:
-        return Shot(**values)
-    except ValueError as error:
-        raise BenchError(
-            f"{path}, line {line}", str(error), "a consistent shot", "correct the row"
-        ) from error
-
-
-def _to_value(column: ShotColumn, cell: str | None) -> object:
-    """Return the value in a cell; raises ValueError when it is not of the column's kind."""
-    if cell is None:
-        raise ValueError("the row is too short")
-    if column.optional and not cell:
-        return None
-    if column.kind is float:
-        number = float(cell)
-        if not isfinite(number):
-            raise ValueError("not finite")
-        return number
-    if column.kind is datetime:
-        return datetime.fromisoformat(cell)
-    if column.kind is str and _FORMULA.match(cell):
-        return cell.removeprefix("'")
-    return column.kind(cell)
-
-
-_REQUIRED = [column.name for column in COLUMNS][: 1 + [c.name for c in COLUMNS].index("time_utc")]
-"""Columns that every table has; those behind them came later and have defaults."""
-
-_EXPECTED: dict[type, str] = {
-    int: "a whole number",
-    float: "a number with a decimal point, or nothing",
-    str: "text",
-    ShotStatus: f"one of {', '.join(ShotStatus)}",
-    datetime: "a time in UTC such as 2026-11-01T09:17:39.000000Z",
-}

@@ -40,13 +40,6 @@ class HumanSwing:
     """m"""
     wrist_cock: NDArray[np.float64]
     """rad, NaN where the wrist is free"""
-    backswing_duration: float = BACKSWING_DURATION
-    downswing_duration: float = DOWNSWING_DURATION
-
-    @property
-    def wrist_free(self) -> NDArray[np.bool_]:
-        """True where the wrist is not driven, (N,)."""
-        return self.time >= self.backswing_duration
 
 
 def step(t: ArrayLike, t0: float, h0: float, t1: float, h1: float) -> NDArray[np.float64]:

@@ -47,18 +47,14 @@ class RecordQueue:
     @property
     def owed_after(self) -> int | None:
         """Tick before the first cycle of the waiting swings; None if no swing waits."""
-        firsts = [int(r.cycles["tick"][0]) for r in self._waiting if r.metadata["kind"] != "segment"]
+        firsts = [int(r.cycles["tick"][0]) for r in self._waiting]
         return min(firsts) - 1 if firsts else None
 
     def put(self, record: QueuedRecord) -> None:
-        """Queue `record`; without room drop a continuous segment first, else the new record."""
+        """Queue `record`; drop it without room."""
         if len(self._waiting) >= self._room:
             self.dropped += 1
-            segment = next((r for r in self._waiting if r.metadata["kind"] == "segment"), None)
-            if segment is None:
-                return
-            # By place: arrays do not compare to one truth.
-            del self._waiting[[r is segment for r in self._waiting].index(True)]
+            return
         self._waiting.append(record)
 
     def due(self, now: float, *, at_once: bool = False) -> QueuedRecord | None:

@@ -33,7 +33,7 @@ class Cut(NamedTuple):
 
     cycles: Cycles
     kind: str
-    """"swing", "stop" (no swing, but a stop or a fault) or "segment"."""
+    """"swing", or "stop": no swing, but a stop or a fault."""
     lost: int
     """Number of records that the ring lost within `cycles`."""
     ended: str = ""

@@ -2,7 +2,7 @@
 
 Beside `schema_version` and `enumerations` (`bench.telemetry.recorder`):
 
-`kind`           "swing"; "stop", a stop or fault without a swing; "segment", part of a continuous recording
+`kind`           "swing"; "stop", a stop or fault without a swing
 `bench`          id of the bench
 `run`            id of the bench's run, from its start on
 `number`         number of the record in it

@@ -19,7 +19,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.campaign.corrections import AsDesigned
 from bench.campaign.operate import course_of, new_entry, runner_lock
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
@@ -31,6 +30,7 @@ from bench.shot.shot_table import shot_table_text
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore
 from bench.store.database import open_database
+from tests.bench.campaign.as_designed import AsDesigned, arm_all
 from tests.benchmarks.row import Row
 
 SEED = 20261121
@@ -92,7 +92,8 @@ def kill_and_resume(
     context = multiprocessing.get_context("fork")
     # This process loads the model but starts no thread of its own, so that it may be forked.
     configuration, entry = begin(plan, shipped, broken)
-    SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never).arm_all()
+    shots = SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never)
+    arm_all(shots, plan)
     killed, before = 0, 0
     while killed < kills:
         child = context.Process(target=run_once, args=(plan, configuration, entry, batch))

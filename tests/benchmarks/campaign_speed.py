@@ -19,7 +19,6 @@ from pathlib import Path
 
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import write_campaign_report
-from bench.campaign.corrections import AsDesigned
 from bench.campaign.findings import findings
 from bench.campaign.operate import new_entry, run_simulated
 from bench.campaign.plan import CampaignPlan
@@ -32,6 +31,7 @@ from bench.shot.shot import Shot
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignState, CampaignStore, StoredShot
 from bench.store.database import open_database
+from tests.bench.campaign.as_designed import AsDesigned, arm_all
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 from tests.benchmarks.row import Row
 
@@ -81,7 +81,8 @@ def _swung(folder: Path, shots: int) -> list[Row]:
     plan, clock = plan_of(shots), Clock()
     entry = new_entry(plan, configuration, BEGIN, simulated=True)
     # The first arming after a change of the model translates it to machine code, once.
-    SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never).arm_all()
+    armed = SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never)
+    arm_all(armed, plan)
     with open_database(database_url("", folder)) as engine:
         store = CampaignStore(engine)
         store.begin(entry)

@@ -219,11 +219,3 @@ def test_restitution_changes_with_the_approach() -> None:
         smash = strike(delivery_from_angles(speed, 0, 0, 0, 0), smooth).speed / speed
         expected = (1.882 - 0.003 * (speed - 40)) / (1 + BALL.mass / smooth.head_mass)
         assert smash == pytest.approx(expected, rel=2e-4)
-
-
-def test_shaft_loft_is_a_stated_part_of_the_delivery() -> None:
-    delivery = delivery_from_angles(45, 0, 0, 0, 0.25, shaft_loft=0.05)
-    rigid = delivery.with_rigid_shaft()
-    assert rigid.dynamic_loft == pytest.approx(0.20)
-    assert rigid.shaft_loft == 0.0
-    assert strike(rigid, DRIVER) == strike(delivery_from_angles(45, 0, 0, 0, rigid.dynamic_loft), DRIVER)

@@ -14,7 +14,7 @@ import pytest
 from sqlalchemy import Engine
 
 from bench.campaign import corrections
-from bench.campaign.corrections import AsDesigned, CampaignCorrections
+from bench.campaign.corrections import CampaignCorrections
 from bench.campaign.operate import new_entry
 from bench.campaign.plan_file import load_plan
 from bench.campaign.refreshing import Drift
@@ -24,6 +24,7 @@ from bench.learning.learn import LearningProblem, Swinger
 from bench.learning.store import Conditions, Learned, keep, learned_swings
 from bench.store.database import open_database
 from bench.swing.correction import basis_of
+from tests.bench.campaign.as_designed import AsDesigned
 
 NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
 CONFIGURATION = load_configuration(Path("shipped"))

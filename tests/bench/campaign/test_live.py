@@ -22,7 +22,6 @@ from bench.calibration.values import ClubInMount, EncoderZeros
 from bench.campaign.budget import uncertainty_budgets
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import render_campaign_report
-from bench.campaign.corrections import AsDesigned
 from bench.campaign.course import Step
 from bench.campaign.findings import findings
 from bench.campaign.fitting import PromptKind
@@ -56,6 +55,7 @@ from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import LaunchRecord
 from sim.air import Air
 from sim.ball import Ball
+from tests.bench.campaign.as_designed import AsDesigned
 from tests.bench.campaign.test_notifications import webhook
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 

@@ -16,11 +16,10 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import EXAMPLES, campaign_names, find_plan, load_plan, plan_from_record
 from bench.campaign.power import (
     block_freedom,
+    blocks_needed,
     power_of_difference,
     power_of_equivalence,
     resolution,
-    shots_for_equivalence,
-    shots_needed,
 )
 from bench.campaign.preview import outlook, outlook_words, preview_record
 from bench.campaign.rules import control_ball_speed, rule_sets
@@ -229,14 +228,19 @@ def test_sections_hold_what_is_not_compared(tmp_path: Path, configuration: Confi
     [(1.5, 1, 36), (1.5, 2, 9), (2.5, 1, 99), (2.5, 2, 25), (4, 2, 63), (6, 3, 63), (6, 5, 23)],
 )
 def test_the_number_of_shots_is_the_known_one(deviation: float, difference: float, normal: int) -> None:
-    found = shots_needed(difference, deviation, 0.05, 0.8)
+    found = blocks_needed(
+        lambda n: power_of_difference(difference, deviation, n, block_freedom(2, n), 0.05), 0.8
+    )
     assert found is not None
     assert normal <= found <= normal + 3
 
 
 def test_tost_needs_the_known_number() -> None:
     for deviation, normal in ((1.5, 10), (2.5, 27), (4.0, 69)):
-        found = shots_for_equivalence(2.0, deviation, 0.05, 0.8)
+        found = blocks_needed(
+            lambda n, sd=deviation: power_of_equivalence(2.0, sd, n, block_freedom(2, n), 0.05),  # type: ignore[misc]
+            0.8,
+        )
         assert found is not None
         assert normal <= found <= normal + 3
 

@@ -30,7 +30,6 @@ from bench.campaign.operate import (
     course_of,
     is_running,
     new_entry,
-    require_balls,
     require_resumable,
     run_start,
     runner_lock,
@@ -265,14 +264,6 @@ def test_balls_take_turns_and_are_never_hit_too_often(make: Callable[..., Bench]
     assert max(bench.store.hits(bench.entry.id)[Hit("ball", "tour", n)] for n in (1, 2)) == 3
     samples = [sample for _, step, sample in source.taken if step.trial.arm.ball == "tour"]
     assert samples == [1, 2, 1, 2, 1, 2]
-
-
-def test_a_used_up_box_is_refused_before_the_first_shot(make: Callable[..., Bench]) -> None:
-    bench = make(ball_handling={"samples": 2, "hits": 9})
-    with pytest.raises(Refused, match="first_sample = 3"):
-        require_balls(bench.plan, bench.store, "bench1")
-    enough = replace(bench.plan, ball_handling=replace(bench.plan.ball_handling, hits=20))
-    require_balls(enough, bench.store, "bench1")
 
 
 def test_the_stopping_rule_ends_a_section_early(make: Callable[..., Bench]) -> None:

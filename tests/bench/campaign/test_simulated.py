@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.campaign.corrections import AsDesigned
 from bench.campaign.course import Step
 from bench.campaign.gate import Centre
 from bench.campaign.plan import CampaignPlan, Simulation
@@ -20,6 +19,7 @@ from bench.config import Configuration, load_configuration
 from bench.shot.shot import ShotStatus
 from bench.simulation.swing_operator import never
 from bench.telemetry.cycle_record import CYCLE
+from tests.bench.campaign.as_designed import AsDesigned
 
 
 @pytest.fixture(scope="module")

@@ -27,11 +27,11 @@ from bench.campaign.simulated import BEGIN
 from bench.cli import app, main
 from bench.config import database_url, load_configuration
 from bench.errors import BenchError, ExitCode, Refused
-from bench.shot.shot_table import read_shot_table
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignState, CampaignStore
 from bench.store.database import open_database
 from bench.telemetry.whole_file import NotStored
+from tests.bench.shot.read_shots import read_shot_table
 from tests.sampling import release_except
 
 Call = Callable[..., Result]

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from bench.drawing.collision import clearances, collision_outline
+from bench.drawing.collision import CollisionOutline, collision_outline
 from bench.drawing.links import lever_parts
 from bench.drawing.placement import address, plane_to_golf
 from bench.drawing.solids import Tube
@@ -105,6 +105,17 @@ def test_the_whole_working_range_lies_within_the_joints_limits(plant: PlantParam
         values[3] %= 2 * pi
         for name, value in zip(NAMES, values, strict=True):
             assert limits[name][0] <= value <= limits[name][1], name
+
+
+def clearances(plant: PlantParameters, outline: CollisionOutline, q: Any) -> tuple[Any, Any]:
+    """Return the sole's height over ground and the club's distance to R1 (m) at joint angles `q` (n, 3)."""
+    points = joint_positions(plant.robot, q)
+    wrist = points[:, 2]
+    along = (points[:, 4] - wrist) / plant.robot.club.length_to_face
+    face = wrist + outline.club_length * along
+    nearest = np.clip(-(wrist * along).sum(axis=1), 0.0, outline.club_length)
+    distance: Any = np.linalg.norm(wrist + nearest[:, None] * along, axis=1)
+    return face[:, 1] - outline.sole_radius - outline.ground, distance
 
 
 def test_the_collision_bodies_are_those_of_the_clearance_checks(plant: PlantParameters) -> None:

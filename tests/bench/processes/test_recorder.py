@@ -370,22 +370,6 @@ def test_with_its_supervisor_gone_it_records_the_loop_to_its_end(bench: Bench, d
     assert metadata["outcome"]["cause"] == "SUPERVISOR"
 
 
-def test_everything_is_recorded_on_request(bench: Bench, day: MakeDay) -> None:
-    cycles = day([(S.READY, 1024), *SWING])
-    bench.start(segment_seconds=0.5)
-    for at in range(0, len(cycles), 100):
-        bench.write(cycles[at : at + 100])
-        time.sleep(0.002)
-    bench.read_up()
-    assert bench.end() == 0
-    paths = sorted((bench.data / "continuous" / "b1").glob("*.parquet"))
-    assert len(paths) >= 2
-    parts = [stored_cycles(path) for path in paths]
-    assert b"".join(data for data, _ in parts) == cycles.tobytes()
-    assert {metadata["kind"] for _, metadata in parts} == {"segment"}
-    assert len(bench.files()) == 1
-
-
 def test_without_a_ring_it_says_why_it_cannot_work(bench: Bench, tmp_path: Path) -> None:
     bench.start_anyhow(ring=tmp_path / "absent")
     told = bench.event()

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.errors import BenchError
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
-from bench.shot.shot_table import read_shot_table, write_shot_table
+from bench.shot.shot_table import write_shot_table
+from tests.bench.shot.read_shots import read_shot_table
 
 HEADER = (
     "shot,block,position,club,ball,status,reason,club_speed_mps,attack_angle_deg,club_path_deg,"
@@ -104,50 +104,3 @@ def test_a_shot_that_no_table_can_hold_is_refused(change: dict[str, Any], match:
     values: dict[str, Any] = {"status": ShotStatus.VALID} | change
     with pytest.raises(ValueError, match=match):
         Shot(1, 1, 1, "driver", "A", **values)
-
-
-@pytest.mark.parametrize(
-    ("column", "cell", "match"),
-    [
-        ("carry_m", "210,5", "line 2, carry_m.*decimal point"),
-        ("carry_m", "nan", "line 2, carry_m"),
-        ("shot", "1.5", "line 2, shot.*whole number"),
-        ("status", "fine", "line 2, status.*valid, excluded, failed"),
-        ("time_utc", "yesterday", "line 2, time_utc"),
-        ("time_utc", "2026-11-01T09:17:39", "line 2.*time zone"),
-        ("status", "failed", "line 2.*reason"),
-    ],
-)
-def test_a_bad_cell_is_named(tmp_path: Path, column: str, cell: str, match: str) -> None:
-    path = tmp_path / "shots.csv"
-    write_shot_table(path, [SHOT])
-    rows = list(csv.reader(path.read_text().splitlines()))
-    rows[1][rows[0].index(column)] = cell
-    with path.open("w", newline="") as stream:
-        csv.writer(stream).writerows(rows)
-    with pytest.raises(BenchError, match=match):
-        read_shot_table(path)
-
-
-def test_a_table_without_the_later_columns_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "shots.csv"
-    write_shot_table(path, [SHOT])
-    head, row = path.read_text().split()
-    place = head.split(",").index("time_utc") + 1
-    path.write_text("\n".join(",".join(line.split(",")[:place]) for line in (head, row)))
-    assert read_shot_table(path) == [SHOT]
-
-
-def test_broken_tables_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "shots.csv"
-    with pytest.raises(BenchError, match="No such file"):
-        read_shot_table(path)
-    path.write_text(HEADER.replace(",club,", ","))
-    with pytest.raises(BenchError, match="no column club"):
-        read_shot_table(path)
-    path.write_text(HEADER + "\n1,1,1\n")
-    with pytest.raises(BenchError, match="line 2, club"):
-        read_shot_table(path)
-    path.write_bytes(HEADER.encode() + b"\n\xff\n")
-    with pytest.raises(BenchError, match="UTF-8"):
-        read_shot_table(path)

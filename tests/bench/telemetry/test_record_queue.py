@@ -68,16 +68,16 @@ def test_a_folder_that_cannot_be_written_keeps_the_record_for_later(tmp_path: Pa
     assert os.listdir(sealed) == ["1.parquet"]
 
 
-def test_memory_is_bounded_and_segments_go_first(tmp_path: Path) -> None:
+def test_a_full_queue_drops_the_new_record(tmp_path: Path) -> None:
     queue = RecordQueue(3, 1.0)
-    for number, kind in enumerate(["swing", "segment", "stop", "swing", "swing", "segment"], 1):
-        queue.put(record(tmp_path, number, kind))
+    for number in range(1, 7):
+        queue.put(record(tmp_path, number))
     assert len(queue) == 3
     assert queue.dropped == 3
     kept = []
     while stored := queue.store(0.0):
         kept.append(stored.metadata["number"])
-    assert kept == [1, 3, 4]
+    assert kept == [1, 2, 3]
 
 
 def test_a_disk_nearly_full_is_told(tmp_path: Path) -> None:

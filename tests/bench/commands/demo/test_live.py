@@ -17,8 +17,8 @@ from bench.commands.demo.result import demo_plan
 from bench.config import load_configuration
 from bench.errors import ExitCode
 from bench.shot.shot import ShotStatus
-from bench.shot.shot_table import read_shot_table
 from bench.telemetry.recorder import read_swing
+from tests.bench.shot.read_shots import read_shot_table
 
 pytestmark = [
     pytest.mark.live,

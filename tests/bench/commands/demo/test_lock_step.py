@@ -20,9 +20,9 @@ from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings
 from bench.errors import BenchError, ExitCode
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
-from bench.shot.shot_table import read_shot_table
 from bench.swing.library import find_profile
 from bench.telemetry.recorder import read_swing
+from tests.bench.shot.read_shots import read_shot_table
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"

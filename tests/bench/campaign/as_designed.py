@@ -1,0 +1,41 @@
+"""Swings of a campaign without corrections, and benches that are armed ahead."""
+
+from __future__ import annotations
+
+from bench.learning.robot import Robot
+
+from bench.campaign.corrections import Profiles
+from bench.campaign.plan import CampaignPlan
+from bench.campaign.refreshing import Drift
+from bench.campaign.sequence import Arm
+from bench.campaign.simulated import SimulatedShots
+from bench.swing.profile import Profile
+from sim.plant import PlantParameters
+
+
+class AsDesigned:
+    """No corrections, and none learned on the way."""
+
+    def __init__(self, profiles: Profiles) -> None:
+        self._profiles = profiles
+
+    def designed(self, arm: Arm) -> Profile:
+        """Return the profile of `arm`."""
+        return self._profiles[arm]
+
+    profile = designed
+
+    def weights(self, arm: Arm) -> tuple[float, ...]:
+        """Return none."""
+        return ()
+
+    def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
+        """Learn nothing."""
+        return f"{self._profiles[drift.arm].name}: {drift.text}; it goes on as designed"
+
+
+def arm_all(shots: SimulatedShots, plan: CampaignPlan) -> None:
+    """Arm with every swing and club, which otherwise happens at the first shot of each."""
+    for swing in plan.design.swings:
+        for club in plan.design.clubs:
+            shots._bench(swing, club)
