@@ -8,7 +8,7 @@ measured; direction and spin axis default to 0, the air to that of `sim.air.Air`
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import atan2, hypot, pi
+from math import atan2, cos, hypot, pi
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,6 +72,8 @@ _FIGURES: Mapping[str, _Figure] = {
 }
 """Wind along the target line and to the right."""
 _NEEDED = ("speed", "launch_angle", "spin")
+_SIDES = {"side_spin", "spin_axis"}
+"""Either of them gives the total spin from the back spin."""
 _POINT_COLUMNS = ("flight", "time_s", "distance_m", "height_m")
 _NOT_MEASURED = "16777215.000000"
 """What Foresight writes for a figure that was not measured."""
@@ -122,8 +124,8 @@ def read_flights(path: Path, points: Path | None = None) -> FlightTable:
         if not figures:
             notes.append(f"line {line}: {' '.join(filter(None, row))}")
             continue
-        if "spin" not in figures and {"back_spin", "side_spin"} <= figures.keys():
-            figures["spin"] = hypot(figures["back_spin"], figures["side_spin"])
+        if "spin" not in figures and (spin := _total_spin(figures)) is not None:
+            figures["spin"] = spin
         if missing := [name for name in _NEEDED if name not in figures]:
             raise BenchError(place, f"no {missing[0]}", "a figure", "Add it, or delete the row.")
         try:
@@ -147,6 +149,14 @@ def _left_out(cells: Mapping[str, str]) -> str:
     if (kind := cells.get("spin_rate_type", "").lower()) in _ESTIMATES:
         return f"spin {kind}, not measured"
     return "Use In Stat is false" if cells.get("use_in_stat", "").lower() in ("false", "0", "no") else ""
+
+
+def _total_spin(figures: Mapping[str, float]) -> float | None:
+    """Return the total spin (rad/s) from its parts; None if one is missing."""
+    back, side, axis = (figures.get(name) for name in ("back_spin", "side_spin", "spin_axis"))
+    if back is None or (side is None and axis is None):
+        return None
+    return back / cos(axis or 0.0) if side is None else hypot(back, side)
 
 
 def _wanted(figure: str) -> str:
@@ -185,7 +195,7 @@ def _columns(table: MeasurementTable) -> dict[int, _Column]:
         found[n] = column._replace(unit=column.unit or table.units[n])
     given = {column.figure for column in found.values()}
     for name in _NEEDED:
-        if name not in given and not (name == "spin" and {"back_spin", "side_spin"} <= given):
+        if name not in given and not (name == "spin" and "back_spin" in given and given & _SIDES):
             place, names = f"{table.path}, line {table.header}", ", ".join(filter(None, table.names))
             raise BenchError(place, f"no {name} in columns {names}", _wanted(name), "Name its column so.")
     return found

@@ -123,6 +123,16 @@ def test_a_known_unit_is_converted(tmp_path: Path, column: str, cell: str, figur
     assert getattr(flight, figure) == pytest.approx(value)
 
 
+@pytest.mark.parametrize(("column", "cell"), [("Side Spin", "100 R"), ("Spin Axis (deg)", "2.862405R")])
+def test_spin_and_its_axis_come_from_back_spin_and_either_part(
+    tmp_path: Path, column: str, cell: str
+) -> None:
+    header = f"ball_speed_mph,VLA,Back Spin,{column},carry_yd"
+    (flight,), _ = read(tmp_path, f"{header}\n171,10.4,2000,{cell},282\n")
+    assert flight.launch.spin == pytest.approx(2002.498 * pi / 30)
+    assert flight.launch.spin_axis == pytest.approx(radians(2.862405))
+
+
 def test_air_in_the_units_of_a_weather_station_is_converted(tmp_path: Path) -> None:
     more = "Temperature (°F),Air Pressure (kPa),Relative Humidity (%)"
     (flight,), _ = read(tmp_path, f"{HEADER},{more}\n{FLIGHT},68,100.4,39\n")
