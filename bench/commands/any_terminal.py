@@ -11,7 +11,7 @@ _PLAIN |= {"–": "-", "—": "-", "…": "..."}
 _PLAIN |= {"−": "-", "→": "->", "←": "<-", "≤": "<=", "≥": ">=", "∞": "inf", "θ": "theta", "β": "beta"}
 _PLAIN |= {"✓": "ok", "✗": "x", "●": "*", "○": "o", "’": "'", "“": '"', "”": '"'}
 _PLAIN |= dict(zip("▁▂▃▄▅▆▇█▏", "__..-=+#|", strict=True))
-"""What is written for characters that a terminal's encoding lacks; "?" for any other."""
+"""Replacements of characters that a terminal's encoding lacks; "?" replaces any other."""
 
 _HANDLER = "golfbench.plain"
 

@@ -164,6 +164,9 @@ def _commission(
     def now() -> datetime:
         return datetime.now(UTC)
 
+    def show(what: str) -> None:
+        bar.update(task, description=what)
+
     def on_step(step: NamedStep) -> None:
         bar.update(task, description=step.title, completed=len(state.done))
         _write_report(state, nominal, now())
@@ -177,25 +180,12 @@ def _commission(
         state.save()
         task = bar.add_task(ALL_STEPS[0].title, total=len(ALL_STEPS), completed=len(state.done))
         try:
-            known = commission(
-                state,
-                nominal,
-                machine.measured,
-                now,
-                observe=machine.observe,
-                on_step=on_step,
-                progress=lambda what: bar.update(task, description=what),
-            )
-            machine.measured.set_supply(float("inf"))
+            measured, observe = machine.measured, machine.observe
+            known = commission(state, nominal, measured, now, observe=observe, on_step=on_step, progress=show)
+            measured.set_supply(float("inf"))
             _write_robot(file, state, known, configuration.envelope)
-            commission_swings(
-                state,
-                load_configuration(file),
-                machine.swung,
-                now,
-                on_step=on_step,
-                progress=lambda what: bar.update(task, description=what),
-            )
+            robot = load_configuration(file)
+            commission_swings(state, robot, machine.swung, now, on_step=on_step, progress=show)
             swung = known_with_swing(load_configuration(file), state.folder).envelope
             _write_robot(file, state, known, configuration.envelope, swung.following)
             bar.update(task, completed=len(state.done))

@@ -118,7 +118,7 @@ class Parent:
 
 
 def read_plan() -> Any:
-    """Return the plan sent by the parent, which hears from now on what this process compiles."""
+    """Return the plan sent by the parent; from now on compilations are reported to it."""
     announce_compilation(lambda text: send_event("compiling", text=text))
     return pickle.load(sys.stdin.buffer)  # noqa: S301 - from the parent, see above
 

@@ -28,7 +28,7 @@ def _use_cache() -> None:
 
 
 class _Watch(event.Listener):  # type: ignore[misc]  # numba has no types
-    """Passes numba's compilations on; a function from the cache is none."""
+    """Passes numba's compilations on; a function from the cache is not compiled."""
 
     def on_start(self, event: object) -> None:
         """Note the begin of a compilation."""
