@@ -1,9 +1,9 @@
 """Analysis of a campaign, fixed by its plan beforehand: levels described and compared.
 
 Confirmatory: block effects fixed (`bench.campaign.block_model`), the drift taken out by the control ball when
-the plan says so, and the delivery by the plan's covariates; the other way stands beside it, and so does a
-mixed model. Balls are random where a model had more than one, and each level has a scatter of its own
-(`bench.campaign.unit_errors`): a statement on a difference holds for balls that were not hit, or for "this
+the plan says so, and the delivery by the plan's covariates; the other way stands beside it. Balls are random
+where a model had more than one, and each level has a scatter of its own (`bench.campaign.unit_errors`): a
+statement on a difference holds for balls that were not hit, or for "this
 ball" where there was one only. All pairs of a section err together with the plan's level (the distribution of
 the largest |t|, single step: a pair differs exactly if its joint interval leaves out 0); two one-sided tests
 (TOST), adjusted by Holm, say "the same". Before the plan's end a look has its share of the error

@@ -17,7 +17,6 @@ from bench.campaign.block_model import Array
 from bench.campaign.control_chart import ControlChart
 from bench.campaign.dispersion import DispersionEllipse
 from bench.campaign.findings import Findings, SectionViews
-from bench.campaign.lowess import lowess
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.quantities import QUANTITY_NAMES
 from bench.campaign.reader_units import DisplayUnit, UnitSystem, display_unit
@@ -238,9 +237,9 @@ def _drift(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis,
             rasterized=many,
             label="control ball",
         )
-        if len(off) >= 6:
-            at = number if len(number) <= 100 else np.linspace(number[0], number[-1], 101)
-            axes.plot(at, lowess(number, off, at, share=0.4), color=_INK, label="control ball, LOWESS")
+        if (fit := analysis.confirmatory) is not None and fit.drift is not None:
+            line = fit.drift * (number - number.mean()) / unit.size
+            axes.plot(number, line, color=_INK, label="drift as removed")
         axes.legend(loc="upper right", ncols=2)
     for shot, _ in analysis.outliers:
         axes.axvline(shot, color=_RED, linewidth=0.6, alpha=0.5)

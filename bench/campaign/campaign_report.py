@@ -26,7 +26,6 @@ from bench.campaign.exclusions import reasons_by_hand
 from bench.campaign.findings import Findings, as_flown, findings, findings_record
 from bench.campaign.fitting import PromptKind
 from bench.campaign.interruptions import software_versions
-from bench.campaign.mixed_model import MixedModel, MixedPair
 from bench.campaign.page import TABLE, flat, page_template, shot_figures
 from bench.campaign.plan import levels
 from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
@@ -122,7 +121,6 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         confidence=f"{100 * plan.analysis.confidence:g}",
         beside=_same_pair,
         decision_rule=DECISION_RULE,
-        mixed_pair=_mixed_pair,
         reasons=_reasons(found),
         many_clubs=len(plan.design.clubs) > 1,
         many_swings=len(plan.design.swings) > 1,
@@ -378,11 +376,6 @@ def _standing_words(standing: Standing) -> str:
 def _same_pair(comparison: Comparison | None, pair: Pair) -> Pair | None:
     pairs = comparison.pairs if comparison else ()
     return next((p for p in pairs if (p.first, p.second) == (pair.first, pair.second)), None)
-
-
-def _mixed_pair(model: MixedModel, pair: Pair) -> MixedPair | None:
-    found = (p for p in model.pairs if (p.first, p.second) == (pair.first, pair.second))
-    return next(found, None)
 
 
 def _reasons(found: Findings) -> list[tuple[str, int]]:

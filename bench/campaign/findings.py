@@ -11,7 +11,6 @@ from typing import Any
 from bench.campaign.analysis import SectionAnalysis, analyse
 from bench.campaign.control_chart import ControlChart, control_charts
 from bench.campaign.dispersion import DispersionEllipse, dispersion_ellipses
-from bench.campaign.mixed_model import MixedModel, mixed_model
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.quantities import LevelQuantities, level_quantities
 from bench.campaign.ranking import RankedLevel, ranking
@@ -46,8 +45,6 @@ class Findings:
     shots: int
     by_status: Mapping[str, int]
     sections: tuple[SectionAnalysis, ...]
-    mixed: tuple[MixedModel | None, ...]
-    """One for each section."""
     views: tuple[SectionViews, ...]
     """One for each section."""
     verdicts: tuple[tuple[Verdict, ...], ...]
@@ -74,12 +71,11 @@ def findings(
     `looks` are the numbers of shots after which results were looked at before; None: not known, then an
     unfinished campaign counts as looked at after each block.
     """
-    analyses, models, views = [], [], []
+    analyses, views = [], []
     named = as_flown(plan, shots)
     for section in sections(plan):
         mine = [shot for shot in shots if shot.section == section.number]
         analyses.append(analyse(plan, mine, section.number, section.name, looks))
-        models.append(mixed_model(plan, mine))
         views.append(
             SectionViews(
                 level_quantities(plan, mine),
@@ -93,7 +89,6 @@ def findings(
         len(shots),
         Counter(str(shot.status) for shot in shots),
         tuple(analyses),
-        tuple(models),
         tuple(views),
         tuple(_verdicts(named, *each, units) for each in zip(analyses, needed, strict=True)),
         needed,
@@ -142,15 +137,13 @@ def findings_record(found: Findings) -> dict[str, Any]:
         "sections": [
             _section_record(analysis)
             | {
-                "mixed": None if mixed is None else _plain(asdict(mixed)),
                 "verdicts": [verdict._asdict() for verdict in verdicts],
                 "needed": dict(zip(("different", "same"), (n and n._asdict() for n in needed), strict=True)),
                 "notes": list(notes),
             }
             | _views_record(views)
-            for analysis, mixed, verdicts, needed, notes, views in zip(
+            for analysis, verdicts, needed, notes, views in zip(
                 found.sections,
-                found.mixed,
                 found.verdicts,
                 found.needed,
                 found.notes,

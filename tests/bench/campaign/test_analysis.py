@@ -9,16 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from statsmodels.nonparametric import smoothers_lowess
 from statsmodels.regression.linear_model import OLS
-from statsmodels.regression.mixed_linear_model import MixedLM, VCSpec
 from statsmodels.stats.multitest import multipletests
 
 from bench.campaign.analysis import analyse, decide, spread
 from bench.campaign.block_model import fit_blocks, holm
 from bench.campaign.findings import findings, findings_record
-from bench.campaign.lowess import lowess
-from bench.campaign.mixed_model import fit_reml, mixed_model
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.repeatability import repeatability, variance_components
@@ -95,63 +91,6 @@ def test_levels_that_share_no_block_are_not_compared() -> None:
     assert fit.contrast(0, 1) is not None
     assert fit.contrast(2, 3) is not None
     assert fit.contrast(0, 2) is None
-
-
-def test_the_mixed_model_is_that_of_statsmodels(unbalanced: dict[str, np.ndarray[Any, Any]]) -> None:
-    level, y = unbalanced["level"], unbalanced["y"] - 0.3 * unbalanced["time"]
-    _, block = np.unique(unbalanced["block"], return_inverse=True)
-    known = MixedLM(y, (level[:, None] == np.arange(4)).astype(float), block).fit(reml=True)
-    fit = fit_reml(y, level, block, None)
-    assert fit.effects == pytest.approx(known.fe_params, abs=1e-4)
-    assert fit.variance == pytest.approx(known.scale, rel=1e-3)
-    assert fit.block_variance == pytest.approx(float(known.cov_re[0, 0]), rel=1e-3)
-    # Its errors come from a Hessian by finite differences, good to some thousandths.
-    assert np.sqrt(np.diag(fit.covariance)) == pytest.approx(known.bse_fe, rel=5e-3)
-
-
-@pytest.mark.parametrize("count", [6, 20, 300])
-def test_the_smoothed_curve_is_that_of_statsmodels(count: int) -> None:
-    random = np.random.default_rng(count)
-    x = np.sort(random.choice(4 * count, count, replace=False)).astype(float)
-    y = np.sin(5 * x / x[-1]) + 0.3 * random.normal(size=count)
-    y[count // 2] += 20.0  # an outlier, which is discounted
-    known = smoothers_lowess.lowess(y, x, frac=0.4, is_sorted=True)[:, 1]
-    assert lowess(x, y, x, share=0.4) == pytest.approx(known, abs=1e-9)
-
-
-def test_a_curve_through_equal_points_is_flat() -> None:
-    x = np.arange(10.0)
-    assert lowess(x, np.full(10, 3.0), np.array([0.0, 4.5, 9.0]), share=0.4) == pytest.approx([3.0] * 3)
-
-
-def test_crossed_random_effects_are_told_apart() -> None:
-    # A balanced two-way layout with one value a cell: REML is the ANOVA estimate.
-    random = np.random.default_rng(5)
-    ball, block = (index.ravel() for index in np.indices((8, 30)))
-    y = random.normal(size=8)[ball] * 2 + random.normal(size=30)[block] + random.normal(size=240)
-    fit = fit_reml(y, np.zeros(240, int), block, ball)
-    cells = y.reshape(8, 30)
-    rows, columns, middle = cells.mean(1), cells.mean(0), cells.mean()
-    error = ((cells - rows[:, None] - columns + middle) ** 2).sum() / (7 * 29)
-    assert fit.variance == pytest.approx(error, rel=1e-4)
-    assert fit.group_variance == pytest.approx(rows.var(ddof=1) - error / 30, rel=1e-3)
-    assert fit.block_variance == pytest.approx(columns.var(ddof=1) - error / 8, rel=1e-3)
-
-
-def test_crossed_random_effects_are_those_of_statsmodels() -> None:
-    random, n = np.random.default_rng(1), 240
-    block, ball = np.repeat(np.arange(30), 8), np.tile(np.arange(9), 27)[:n]
-    level = ball % 3
-    y = level + random.normal(size=9)[ball] + 2 * random.normal(size=30)[block] + random.normal(size=n)
-    kinds = {"ball": ball, "block": block}
-    columns = [[(codes[:, None] == np.arange(codes.max() + 1)).astype(float)] for codes in kinds.values()]
-    names = [[[str(code) for code in range(columns.shape[1])] for columns in kind] for kind in columns]
-    fixed = (level[:, None] == np.arange(3)).astype(float)
-    known = MixedLM(y, fixed, np.zeros(n), exog_vc=VCSpec(list(kinds), names, columns)).fit(reml=True)
-    fit = fit_reml(y, level, block, ball)
-    assert fit.effects == pytest.approx(known.fe_params, abs=1e-3)
-    assert [fit.group_variance, fit.block_variance] == pytest.approx(known.vcomp, rel=1e-3)
-    assert fit.variance == pytest.approx(known.scale, rel=1e-3)
 
 
 def test_variance_components_are_those_of_the_one_way_table() -> None:
@@ -255,14 +194,6 @@ def test_the_stopping_rules(plan: CampaignPlan) -> None:
     assert not decide(narrow, shots)
     assert "same" in decide(replace(plan, stop=replace(plan.stop, rule="equivalence")), shots)
     assert not decide(wide, shots[:4])
-
-
-def test_the_mixed_model_says_how_much_balls_differ(plan: CampaignPlan) -> None:
-    fit = mixed_model(plan, campaign_shots(plan, Truth(deviation=1.0, ball=3.0), 12))
-    assert fit is not None
-    assert fit.ball_deviation == pytest.approx(3.0, rel=0.4)
-    assert fit.deviation == pytest.approx(1.0, rel=0.2)
-    assert fit.freedom == 2 * 12 - 2
 
 
 def test_repeatability_is_of_valid_shots_after_the_warm_up() -> None:

@@ -10,36 +10,7 @@ from scipy import stats
 from statsmodels.regression.mixed_linear_model import MixedLM
 
 from bench.campaign.block_model import fit_blocks
-from bench.campaign.mixed_model import fit_reml
 from bench.campaign.unit_errors import UnitLayout, together, units_of
-
-# Penicillin: Davies and Goldsmith 1972, section 6.6; six samples on each of 24 plates. Recorded beside it
-# what lme4 2.0.1 says of diameter ~ 1 + (1 | plate) + (1 | sample).
-PENICILLIN = np.array(
-    """
-    27 23 26 23 23 21 27 23 26 23 23 21 25 21 25 24 24 20 26 23 25 23 23 20
-    25 22 26 22 23 20 24 22 25 23 22 19 24 20 23 21 22 19 26 22 26 24 24 21
-    24 21 24 22 22 20 24 21 24 23 22 19 26 23 26 24 24 21 25 22 26 24 24 20
-    26 24 26 24 25 22 26 23 26 23 23 20 26 23 25 24 24 22 25 22 25 23 23 20
-    25 21 24 23 23 20 25 22 24 23 23 19 24 21 23 21 21 19 26 23 26 24 24 21
-    25 21 24 22 22 18 25 22 25 22 22 20 24 21 24 22 24 19 24 21 24 22 21 18
-    """.split(),
-    dtype=float,
-).reshape(24, 6)
-LME4 = {"intercept": 22.97222, "error": 0.8085954, "plate": 0.84670, "sample": 1.93161, "residual": 0.5499227}
-
-
-def test_crossed_random_effects_are_those_recorded_of_lme4() -> None:
-    plate, sample = (index.ravel() for index in np.indices(PENICILLIN.shape))
-    fit = fit_reml(PENICILLIN.ravel(), np.zeros(144, int), plate, sample)
-    found = (
-        fit.effects[0],
-        np.sqrt(fit.covariance[0, 0]),
-        *np.sqrt([fit.block_variance, fit.group_variance]),
-    )
-    wanted = [LME4[name] for name in ("intercept", "error", "plate", "sample")]
-    assert found == pytest.approx(wanted, rel=1e-4)
-    assert np.sqrt(fit.variance) == pytest.approx(LME4["residual"], rel=1e-5)
 
 
 def test_two_levels_are_the_paired_test_of_balls() -> None:
