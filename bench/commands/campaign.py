@@ -486,13 +486,15 @@ def verify(
     for line in (*missing, *result.differences):
         typer.echo(line)
     typer.echo(f"digest of plan and data {result.digest}")
-    texts = (
-        f", {result.texts} texts of the page compared"
-        if result.texts
-        else ("; the page was written by another version of golfbench, its texts are not compared")
+    page_words = (
+        ", the page compared"
+        if result.page
+        else "; the page itself, written by another version of golfbench, is not compared"
     )
     held = not (missing or result.differences)
-    typer.echo(f"{'verified' if held else 'NOT VERIFIED'}: {result.figures} figures computed again{texts}")
+    typer.echo(
+        f"{'verified' if held else 'NOT VERIFIED'}: {result.figures} figures computed again{page_words}"
+    )
     if not held:
         raise typer.Exit(ExitCode.REFUSED)
 

@@ -40,7 +40,7 @@ def test_a_report_that_nobody_changed_is_verified(record: CampaignRecord, page: 
     found = verify_page(record, page, "report.html")
     assert found.differences == ()
     assert found.figures > 200
-    assert found.texts > 900
+    assert found.page
     assert found.digest == whole_digest(record_parts(record, shot_digests(record.shots)))
     assert page.count(found.digest) == 2
 
@@ -53,23 +53,19 @@ def test_a_changed_shot_is_named_with_the_figures_that_follow(record: CampaignRe
     assert "shot 7: not as reported" in found
     assert not any(line.startswith("shot 8") for line in found)
     assert any(line.startswith("sections.0.") for line in found)
-    assert any(line.startswith("page, ") for line in found)
+    assert "page: not the one that the records give" in found
     later = _differences(replace(record, shots=record.shots[:-2]), page)
     assert "shots: 40 in the report, 38 in the records" in later
 
 
-def test_a_changed_figure_of_the_page_is_named_with_its_place(record: CampaignRecord, page: str) -> None:
+def test_a_changed_page_is_noticed(record: CampaignRecord, page: str) -> None:
     head, tail = page.split("Repeatability:", 1)
     edited = f"{head}Repeatability:{re.sub(r'>(0[.][0-9]+)<', '>0.001<', tail, count=1)}"
-    (line,) = _differences(record, edited)
-    assert line.startswith("page, The club at the ball: how well the robot repeats, Club speed")
-    assert "'0.001' is shown" in line
     restyled = page.replace("</style>", ".verdict { display: none; }</style>", 1)
-    assert _differences(record, restyled) == (
-        "page: mark-up or style differ from those of a report by the records",
-    )
     redrawn = re.sub(r'(<svg aria-hidden.*?<path d="M )[0-9.]+', r"\g<1>1.0", page, count=1, flags=re.DOTALL)
-    assert any("a picture" in line for line in _differences(record, redrawn))
+    for changed in (edited, restyled, redrawn):
+        assert changed != page
+        assert _differences(record, changed) == ("page: not the one that the records give",)
 
 
 def test_changed_figures_and_digests_of_the_pages_data_are_named(record: CampaignRecord, page: str) -> None:
@@ -119,7 +115,7 @@ def test_a_report_of_another_campaign_is_refused(record: CampaignRecord, page: s
 def test_another_version_of_the_software_compares_figures_only(record: CampaignRecord, page: str) -> None:
     found = verify_page(record, re.sub(r'"software":"[0-9a-f]+"', '"software":"0"', page), "x.html")
     assert found.differences == ()
-    assert found.texts == 0
+    assert not found.page
 
 
 def test_missing_and_cut_records_of_swings_are_named(record: CampaignRecord, tmp_path: Path) -> None:
