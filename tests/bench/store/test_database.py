@@ -153,7 +153,7 @@ def archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder with a closed database of one calibration, in which nothing may be written."""
     with open_database(database_url("", tmp_path), NOW) as database, database.begin() as connection:
         connection.execute(insert(CalibrationRow).values(ROW))
-    monkeypatch.setattr(module.os, "access", lambda path, mode: mode != os.W_OK)
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
     return tmp_path
 
 
@@ -183,7 +183,7 @@ def test_database_in_an_archive_shows_the_changes_in_its_log(
         copy.mkdir()
         for file in tmp_path.glob("golfbench.sqlite*"):
             shutil.copy(file, copy)
-    monkeypatch.setattr(module.os, "access", lambda path, mode: mode != os.W_OK)
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)
     with open_database(database_url("", copy), NOW) as database, database.connect() as connection:
         assert connection.scalar(select(CalibrationRow.by)) == "me"
 

@@ -179,7 +179,7 @@ def test_node_without_any_one_object_is_taken_or_refused_by_the_driver(role: str
     device = plain.nodes.valve_node if role == IO else plain.nodes.encoders[0]
     for index in device.object_dictionary:
         lacking = Personality("lacking", role, "any", "any", "", absent=frozenset({(index, None)}))
-        driver, _ = bus(**{role: lacking})
+        driver, _ = bus(encoder=lacking) if role == ENCODER else bus(io=lacking)
         with suppress(DriverError):
             driver.open()
             run(driver)
