@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bench.drawing.bodies import DrawnBody, Part
 from bench.drawing.drawing import PlacedBody
 from bench.drawing.materials import Colour
 from bench.drawing.mesh import Mesh, joined_meshes
-from bench.drawing.placement import Array
 from bench.telemetry.whole_file import whole_file
 
 _FLOAT, _UNSIGNED = 5126, 5125
@@ -60,21 +60,6 @@ class _Buffer:
         }
 
 
-def quaternion(rotation: Array) -> list[float]:
-    """Return a rotation matrix as quaternion x, y, z, w: the eigenvector of Bar-Itzhack's matrix."""
-    r = rotation
-    k = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
-            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
-            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
-        ]
-    )
-    values, vectors = np.linalg.eigh(k)
-    return [float(value) for value in vectors[:, int(np.argmax(values))]]
-
-
 def by_colour(body: DrawnBody) -> dict[Colour, list[Part]]:
     """Return the parts of a body by colour."""
     return {
@@ -105,7 +90,7 @@ def gltf(bodies: Sequence[PlacedBody]) -> bytes:
                 "name": one.body.name,
                 "mesh": len(meshes) - 1,
                 "translation": [float(value) for value in one.at],
-                "rotation": quaternion(one.turn),
+                "rotation": Rotation.from_matrix(one.turn).as_quat().tolist(),
             }
         )
     content = {

@@ -16,7 +16,7 @@ from bench.cli import app
 from bench.commands.session import Session
 from bench.drawing.bodies import DrawnBody, Part
 from bench.drawing.drawing import draw, placed
-from bench.drawing.gltf import gltf, quaternion, write_gltf
+from bench.drawing.gltf import gltf, write_gltf
 from bench.drawing.mass_table import MassRow, mass_rows
 from bench.drawing.mesh import mesh_volume
 from bench.drawing.solids import Ellipsoid
@@ -52,19 +52,6 @@ def test_gltf_has_every_body_at_its_place(plant: PlantParameters) -> None:
     found = content(gltf(placed(plant)))
     assert [node["name"] for node in found["nodes"]] == [one.body.name for one in placed(plant)]
     assert all(view["byteOffset"] % 4 == 0 for view in found["bufferViews"])
-
-
-def test_a_rotation_is_its_quaternion() -> None:
-    random = np.random.default_rng(0)
-    for _ in range(20):
-        axis = random.normal(size=3)
-        axis /= np.linalg.norm(axis)
-        angle = random.uniform(-np.pi, np.pi)
-        cross = np.cross(np.eye(3), axis)
-        rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-        expected = np.array([*np.sin(angle / 2) * axis, np.cos(angle / 2)])
-        found = np.array(quaternion(rotation))
-        assert min(np.abs(found - expected).max(), np.abs(found + expected).max()) < 1e-12
 
 
 @pytest.mark.release
