@@ -323,8 +323,7 @@ class Recorder:
         """Send a heartbeat and report changes to the parent."""
         if now >= self._next_check:
             self._next_check = now + _CHECK_PERIOD
-            checks = (folder_trouble(folder, self._plan.least_free) for folder in self._folders)
-            self._folder_trouble = next(filter(None, checks), "")
+            self._folder_trouble = folder_trouble(self._swings, self._plan.least_free)
         trouble = self._queue.trouble or self._folder_trouble
         if trouble and not self._trouble_reported:
             send_event("trouble", text=trouble, waiting=len(self._queue))
