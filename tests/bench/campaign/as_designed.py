@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from bench.learning.robot import Robot
-
-from bench.campaign.corrections import Profiles
+from bench.campaign.corrections import Robot
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.refreshing import Drift
-from bench.campaign.sequence import Arm
+from bench.campaign.refreshing import Arm, Drift
 from bench.campaign.simulated import SimulatedShots
+from bench.campaign.swings import Profiles
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 
