@@ -240,6 +240,8 @@ def irrelevant(breakage: Breakage, phase: str, *, model_check: bool) -> str:
         return "the ball is present or absent from the start of the swing"
     if signal == "vents" and phase == "standing":
         return "the vents are open and the supply is shut while the robot stands"
+    if sort == "exhaust" and phase == "standing":
+        return "there is no air to let out while the robot stands"
     if signal == "supply" and breakage.event == "stop" and phase == "standing":
         return "there is nothing to stop while the robot stands"
     if sort == "pressure" and signal != "supply sensor" and phase == "standing":

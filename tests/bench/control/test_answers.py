@@ -161,11 +161,11 @@ CONDITIONS = (
     Condition("arm may sink", Refusal.NOT_VENTED, only(Request.ACCESS), "control", {"vented": False}),
     Condition("trapped air", Refusal.GAUGE, only(Request.ACCESS), "control", {"air_trapped": True}),
     Condition(
-        "a dead sensor",
+        "no sensor",
         Refusal.GAUGE,
         only(Request.ACCESS),
         "control",
-        {"sensor_dead": (0, 0, 1, 0, 0, 0, 0)},
+        {"sensor_seen": (1, 1, 0, 1, 1, 1, 1)},
     ),
     Condition(
         "button",
