@@ -28,7 +28,6 @@ from bench.network.command import (
     REQUESTS,
     STOPS,
     VERSION,
-    ArmContent,
     Command,
     CommandAnswer,
     Correct,
@@ -367,7 +366,7 @@ class CommandPlane:
             reply = ask()
         except Exception as error:  # see _do
             return self._failed(error)
-        content = ArmContent(arming_blocks=list(reply.blocks)) if reply.blocks else {}
+        content: Mapping[str, Any] = {"arming_blocks": list(reply.blocks)} if reply.blocks else {}
         return CommandAnswer(reply.accepted, reply.state, reply.reason, content=content)
 
     def _failed(self, error: Exception) -> CommandAnswer:
