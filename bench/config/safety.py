@@ -108,8 +108,8 @@ BOUNDS = (
         "an encoder that may be further off proves no zero",
     ),
     Bound(
-        "homing", "stop_tolerance", (0.0, 6.3), (0.0, 0.04), "rad",
-        "with zeros 0.1 rad off the club passes 2 mm over the ground",
+        "homing", "head_tolerance", (0.0, 1.0), (0.0, 0.03), "m",
+        "with zeros 0.1 rad off, 0.15 m at the head, the club passes 2 mm over the ground",
     ),
 )  # fmt: skip
 """Every value with what may be given in simulation, with a real robot, and why."""

@@ -35,6 +35,10 @@ _FIRM = 0.8
 """Share of the lead at which a joint counts as pressed."""
 _RESTS = 0.005
 """rad within which a joint rests."""
+_PRESSED = 0.001
+"""Range (rad) of a joint that is pressed against its stop: its air still pushes one that creeps into it."""
+_OVERSHOOT = 0.03
+"""Angle beyond the pressed stop (rad) that the impact on its spring may reach, before it rests."""
 _BEYOND = 0.1
 """rad beyond its travel in which a joint that searches comes to rest before it turns round."""
 _EASE = 0.4
@@ -125,8 +129,10 @@ def _turn(s: Any, p: Any, joint: int, speed: float, time: float, measured_step: 
 
 
 @compiled
-def _push(s: Any, p: Any, e: Any, joint: int, speed: float, time: float, measured_step: float) -> None:
-    """Turn `joint` on at `speed` (rad/s), and note whether it rests against its reference.
+def _push(
+    s: Any, p: Any, e: Any, joint: int, speed: float, rests: float, time: float, measured_step: float
+) -> None:
+    """Turn `joint` on at `speed` (rad/s); note whether it rests, within `rests` rad, against its reference.
 
     The reference waits for a joint that lags: the air then presses it no harder.
     """
@@ -134,7 +140,7 @@ def _push(s: Any, p: Any, e: Any, joint: int, speed: float, time: float, measure
     if lead < p.home_touch_lead[joint]:
         _turn(s, p, joint, speed, time, measured_step)
     # By its angle, not its velocity, which the other joints shake.
-    if lead < _FIRM * p.home_touch_lead[joint] or abs(e.angle[joint] - s.home_at) > _RESTS:
+    if lead < _FIRM * p.home_touch_lead[joint] or abs(e.angle[joint] - s.home_at) > rests:
         s.home_pushed, s.home_at = time, e.angle[joint]
 
 
@@ -142,7 +148,7 @@ def _push(s: Any, p: Any, e: Any, joint: int, speed: float, time: float, measure
 def _seek(s: Any, p: Any, e: Any, joint: int, time: float, measured_step: float) -> None:
     """Turn `joint` on to its index: as far as it may or can, then in the other direction."""
     way = s.home_way * p.home_direction[joint]
-    _push(s, p, e, joint, way * p.home_speed[joint], time, measured_step)
+    _push(s, p, e, joint, way * p.home_speed[joint], _RESTS, time, measured_step)
     far = way * (e.angle[joint] - s.home_from[joint]) > p.home_travel[joint]
     if s.home_way > 0.0 and (far or time - s.home_pushed > _LONGEST_PUSH):
         s.home_way, s.reference[joint] = -1.0, e.angle[joint]
@@ -152,7 +158,7 @@ def _seek(s: Any, p: Any, e: Any, joint: int, time: float, measured_step: float)
 @compiled
 def _press(s: Any, p: Any, e: Any, joint: int, time: float, measured_step: float) -> bool:
     """Turn `joint` to its stop; return True once it has been pressed against it, at the stop's angle."""
-    _push(s, p, e, joint, p.home_direction[joint] * p.home_touch_speed[joint], time, measured_step)
+    _push(s, p, e, joint, p.home_direction[joint] * p.home_touch_speed[joint], _PRESSED, time, measured_step)
     there = abs(e.angle[joint] - p.home_stop[joint]) <= p.home_stop_tolerance[joint]
     return bool(there and time - s.home_pushed >= p.home_touch_time)
 
@@ -208,7 +214,9 @@ def search_cause(
             continue
         if s.home_touching and p.home_stops:
             beyond = p.home_direction[i] * (angle[i] - p.home_stop[i])
-            if not (beyond <= p.home_stop_tolerance[i] and time - s.home_pushed <= _LONGEST_PUSH):
+            rested = time - s.home_pushed
+            most = p.home_stop_tolerance[i] if rested >= p.home_touch_time else _OVERSHOOT
+            if not (beyond <= most and rested <= _LONGEST_PUSH):
                 return Cause.SHOULDER_ZERO + i
         elif not time - s.home_pushed <= 1.1 * _LONGEST_PUSH:
             return Cause.SHOULDER_FOLLOWING + i

@@ -22,6 +22,7 @@ from bench.control.machine_gains import machine_gains
 from bench.control.model import ARMING, BLOW, BRAKING, KINDS, LEARNING, MODEL_LIMITS
 from bench.control.pid import design_pid
 from bench.control.planned_air import swing_periods, swing_shares, swing_widths
+from bench.control.pressed_stops import pressed_stops, stop_tolerance
 from bench.control.records import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.lifecycle import (
     EMERGENCIES,
@@ -194,8 +195,9 @@ class HomingSettings:
     stops: bool = True
     """Then turn each joint to its end stop, which must be where the encoder says; required with a real robot.
     Reference and index do not show a coupling that slipped by less than the tolerance, or a moved index."""
-    stop_tolerance: PositiveTriple = (0.03, 0.03, 0.03)
-    """rad, of the angle at which a joint comes to its stop."""
+    head_tolerance: Positive = 0.010
+    """Max shift of the head at the ball by the error of one encoder zero (m): each joint, pressed, must rest
+    at its stop within the angle that shifts the head by this."""
     touch_speed: PositiveTriple = (0.8, 0.5, 1.2)
     """rad/s, towards the stop and back."""
     touch_lead: PositiveTriple = (0.15, 0.12, 0.20)
@@ -432,7 +434,9 @@ def build_controller(
     machine = build_plant(plant).plant
     demand = demand_for(control.feed_forward, plant, profile)
     return ControlParameters(
-        control=_control_record(control, lifecycle, homing or HomingSettings(), plant, machine, read_only),
+        control=_control_record(
+            control, lifecycle, homing or HomingSettings(), plant, profile, machine, read_only
+        ),
         encoder=design_encoders(
             counts_per_revolution=(counts,) * 3,
             zero_count=plant.encoders.zero_count,
@@ -542,6 +546,7 @@ def _control_record(
     lifecycle: LifecycleSettings,
     homing: HomingSettings,
     plant: PlantParameters,
+    profile: Profile,
     machine: np.ndarray,
     read_only: bool,
 ) -> np.ndarray:
@@ -557,6 +562,8 @@ def _control_record(
         record["lift_gain"], record["lift_angle"] = control.follow_through_lift, lifted_angle(plant)
         record["escape_opening"], record["escape_time"] = escape.OPENINGS, escape.TIMES
     record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
+    record["home_stop"] = pressed_stops(plant, homing.direction)
+    record["home_stop_tolerance"] = stop_tolerance(plant, profile, homing.direction, homing.head_tolerance)
     for setting in fields(homing):
         if f"home_{setting.name}" in (CONTROL_PARAMETERS.names or ()) and setting.name != "order":
             record[f"home_{setting.name}"] = getattr(homing, setting.name)
@@ -564,7 +571,6 @@ def _control_record(
         record["move_band"] = [actuator.valve.dead_band for actuator in plant.actuators]
     record["home_by_index"] = homing.method == "index"
     lower, upper = joint_travel(plant)
-    record["home_stop"] = np.where(np.array(homing.direction) < 0, lower, upper)
     if homing.reference == "pose":
         record["home_pose"] = hanging_pose(plant)
     else:

@@ -10,14 +10,17 @@ import numba
 import numpy as np
 import pytest
 
+from bench.control.pressed_stops import pressed_stops, stop_tolerance
 from bench.control.records import new_control_state
 from bench.control.settings import SIMULATED, EnvelopeSettings, HomingSettings, build_controller
 from bench.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.swing_operator import LONGEST_SWAY
+from bench.simulation.variation import unknown_plant
 from bench.swing.profile import Profile
 from sim.driver import hanging_pose, joint_travel
+from sim.kinematics import forward_kinematics
 from sim.plant import Encoders, PlantParameters, build_plant
 
 pytestmark = pytest.mark.skipif(
@@ -212,7 +215,7 @@ def begin(default_profile: Profile, offset: tuple[float, float, float], *, incre
 
 
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
-@pytest.mark.parametrize("offset", [0.05, -0.05, 0.15, -0.3])
+@pytest.mark.parametrize("offset", [0.0125, -0.0125, 0.05, 0.15, -0.3])
 @pytest.mark.parametrize("joint", range(3))
 def test_a_wrong_zero_is_found_at_the_end_stop(
     default_profile: Profile, joint: int, offset: float, incremental: bool
@@ -229,12 +232,56 @@ def test_a_wrong_zero_is_found_at_the_end_stop(
     assert bench.plant_state["stop_energy"].max() < 5.0
 
 
+def test_stop_tolerance_and_deepest_press_shift_the_head_by_its_tolerance(default_profile: Profile) -> None:
+    plant, directions = PlantParameters(), (-1, -1, -1)
+    tolerance = stop_tolerance(plant, default_profile, directions, 0.010)
+    lower, _ = joint_travel(plant)
+    press = lower - pressed_stops(plant, directions)
+    assert (press > 0.0).all()
+    sample = default_profile.impact_time / default_profile.period
+    at = np.array([np.interp(sample, np.arange(len(column)), column) for column in default_profile.angle.T])
+    for joint in range(3):
+        wrong = at + (tolerance[joint] + 0.17 / 0.83 * press[joint]) * np.eye(3)[joint]
+        shift = (forward_kinematics(plant.robot, wrong) - forward_kinematics(plant.robot, at))[:2]
+        assert np.hypot(*shift) == pytest.approx(0.010, rel=0.02)
+    homing = build_controller(plant, default_profile, homing=HomingSettings()).control
+    assert homing["home_stop_tolerance"][0] == pytest.approx(tolerance)
+
+
+@pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
+@pytest.mark.parametrize("seed", [1, 4])
+def test_pressed_stops_of_unknown_robots_lie_well_within_the_tolerance(
+    default_profile: Profile, seed: int, incremental: bool
+) -> None:
+    """The bench believes in the nominal plant; false alarms must be far away."""
+    believed = PLANT if incremental else PlantParameters()
+    homing = HOMING if incremental else HomingSettings()
+    parameters = build_controller(believed, default_profile, lifecycle=SIMULATED, homing=homing)
+    robot = unknown_plant(believed, seed)
+    bench = Lockstep(build_plant(robot), parameters, hanging_pose(robot))
+    bench.state = new_control_state(State.SAFE)
+    bench.advance(3000)
+    bench.advance(1, Request.HOME)
+    control, limits = bench.state.control[0], parameters.control[0]
+    found: dict[int, float] = {}
+    while state(bench) is State.HOMING:
+        turn = int(control["home_turn"])
+        records = bench.advance(10)
+        if turn < int(control["home_turn"]):
+            joint = int(limits["home_order"][turn])
+            found[joint] = float(records["angle"][-1, joint] - limits["home_stop"][joint])
+    assert (state(bench), cause(bench)) == (State.READY, Cause.NONE)
+    assert len(found) == 3
+    for joint, off in found.items():
+        assert abs(off) < 0.5 * limits["home_stop_tolerance"][joint]
+
+
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
 @pytest.mark.parametrize("signs", [(1, 1, 1), (1, -1, -1), (-1, 1, -1)])
 def test_a_small_wrong_zero_leaves_the_club_clear_of_the_ground(
     default_profile: Profile, signs: tuple[int, int, int], incremental: bool
 ) -> None:
-    a, b, c = (0.012 * sign for sign in signs)
+    a, b, c = (0.003 * sign for sign in signs)
     bench = begin(default_profile, (a, b, c), incremental=incremental)
     home(bench)
     assert (state(bench), cause(bench)) == (State.READY, Cause.NONE)
