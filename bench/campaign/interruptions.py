@@ -99,7 +99,7 @@ def named(changes: list[str]) -> str:
 def _value(value: object) -> str:
     if isinstance(value, list | Mapping):
         return f"({len(value)} values)"
-    return "nothing" if value is None else str(value)
+    return "nothing" if value in (None, "") else str(value)
 
 
 def _gap(gap: timedelta) -> str:

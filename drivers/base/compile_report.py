@@ -35,20 +35,22 @@ class CompileProgress:
         self._clock = clock
         self.known = 0
         """Number of functions that may be compiled."""
-        self._compiled = 0
+        self._compiled: set[int] = set()
+        """Identities of those that were compiled, for some of them several times."""
         self._begin = self._due = 0.0
 
-    def note(self, done: int) -> None:
-        """Note the begin (0) or the end (1) of a function's compilation."""
+    def note(self, done: object = None) -> None:
+        """Note the begin of a compilation, or the end of that of the function `done`."""
         now = self._clock()
         if not self._begin:
             self._begin, self._due = now, now + _FIRST
-        self._compiled += done
+        if done is not None:
+            self._compiled.add(id(done))
         if now >= self._due:
             self._due = now + _BETWEEN
             report_compilation(
-                f"compiling, once for each version: {self._compiled} of at most "
-                f"{max(self.known, self._compiled)} functions, {now - self._begin:.0f} s"
+                f"compiling, once for each version: {len(self._compiled)} of at most "
+                f"{max(self.known, len(self._compiled))} functions, {now - self._begin:.0f} s"
             )
 
 

@@ -30,13 +30,13 @@ def _use_cache() -> None:
 class _Watch(event.Listener):  # type: ignore[misc]  # numba has no types
     """Passes numba's compilations on; a function from the cache is not compiled."""
 
-    def on_start(self, event: object) -> None:
+    def on_start(self, event: event.Event) -> None:
         """Note the begin of a compilation."""
-        progress.note(0)
+        progress.note()
 
-    def on_end(self, event: object) -> None:
+    def on_end(self, event: event.Event) -> None:
         """Note the end of a compilation."""
-        progress.note(1)
+        progress.note(event.data["dispatcher"])
 
 
 # Numba reads the folder when a function is decorated, so it must be set before the first one.

@@ -28,7 +28,7 @@ def test_compile_progress_of_a_long_compilation_is_reported_at_its_begin_and_eve
     times = _times(100.0, 100.5, 101.5, 105.0, 111.6)
     progress = CompileProgress(lambda: next(times))
     progress.known = 180
-    for done in (0, 0, 1, 0, 1):
+    for done in (None, None, "a function", "a function", "another"):
         progress.note(done)
     assert heard == [
         "compiling, once for each version: 1 of at most 180 functions, 2 s",
@@ -39,6 +39,6 @@ def test_compile_progress_of_a_long_compilation_is_reported_at_its_begin_and_eve
 def test_compile_progress_of_less_than_a_second_is_not_reported(heard: list[str]) -> None:
     times = _times(100.0, 100.9)
     progress = CompileProgress(lambda: next(times))
-    progress.note(0)
-    progress.note(1)
+    progress.note()
+    progress.note("a function")
     assert heard == []
