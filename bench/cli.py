@@ -1,7 +1,7 @@
-"""The command line: registers all commands, maps errors to messages and exit codes.
+"""The command line: names all commands, maps errors to messages and exit codes.
 
-Heavy packages are imported inside the commands that need them, so that `--help` and completion stay
-quick.
+The module of a command is imported when the command is called, and heavy packages inside the commands that
+need them: whoever stops a robot does not wait for the imports of a simulation.
 """
 
 from __future__ import annotations
@@ -10,41 +10,26 @@ import errno
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NoReturn, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TypeAlias, cast
 
 import typer
+from typer.core import TyperGroup
+from typer.models import CommandInfo, TyperInfo
 
 from bench.commands.any_terminal import accept_any_text
-from bench.commands.calibrate import app as calibration_app
-from bench.commands.campaign import app as campaign_app
-from bench.commands.certificates import certificates
-from bench.commands.cluster import cluster
-from bench.commands.commission import commission
-from bench.commands.compare import compare
-from bench.commands.draw import draw
-from bench.commands.export import export
-from bench.commands.faults import app as faults_app
-from bench.commands.identify import identify
-from bench.commands.launch_monitor import launch_monitor
-from bench.commands.learn import learn
-from bench.commands.nodes import nodes
-from bench.commands.operate import app as control_app
-from bench.commands.page import page
 from bench.commands.plain_help import show_plainly
-from bench.commands.run import run
-from bench.commands.schema import schema
+from bench.commands.plain_values import pass_plain_values
 from bench.commands.session import Session
-from bench.commands.size import size
-from bench.commands.swing import app as swing_app
-from bench.commands.tune import tune
-from bench.commands.view import view
 from bench.errors import BenchError, ExitCode
 from bench.interrupt import Terminated, leave
 
 if TYPE_CHECKING:
-    from typer.core import TyperGroup
+    from typer.core import TyperCommand
+
+    _Command: TypeAlias = TyperCommand | TyperGroup
 
 HELP = "A bench for golf clubs and balls: the swing robot, its control, and its simulation."
 
@@ -60,34 +45,97 @@ EXIT_CODES = """[bold]Exit codes[/bold]
  143  a campaign: ended by SIGTERM, as tidily as by Ctrl-C
 """
 
+_OPERATE = "bench.commands.operate:app"
+
+COMMANDS: Mapping[str, str] = {
+    "run": "bench.commands.run:run",
+    "nodes": "bench.commands.nodes:nodes",
+    "launch-monitor": "bench.commands.launch_monitor:launch_monitor",
+    "commission": "bench.commands.commission:commission",
+    "learn": "bench.commands.learn:learn",
+    "identify": "bench.commands.identify:identify",
+    "tune": "bench.commands.tune:tune",
+    "view": "bench.commands.view:view",
+    "page": "bench.commands.page:page",
+    "export": "bench.commands.export:export",
+    "draw": "bench.commands.draw:draw",
+    "size": "bench.commands.size:size",
+    "schema": "bench.commands.schema:schema",
+    "certificates": "bench.commands.certificates:certificates",
+    "cluster": "bench.commands.cluster:cluster",
+    "doctor": "bench.cli:doctor",
+    "demo": "bench.cli:demo",
+    "check": "bench.cli:check",
+    "replay": "bench.cli:replay",
+    "swing": "bench.commands.swing:app",
+    **dict.fromkeys(
+        ("status", "home", "arm", "disarm", "access", "tee", "stop", "estop", "reset", "lease"), _OPERATE
+    ),
+    "calibrate": "bench.commands.calibrate:app",
+    "campaign": "bench.commands.campaign:app",
+    "faults": "bench.commands.faults:app",
+}
+"""By name: module and attribute, a function, or a Typer app that is the command or has it."""
+
+
+class _Commands(Mapping[str, "_Command"]):
+    """All commands by name; each is loaded at its first use."""
+
+    def __init__(self) -> None:
+        self._loaded: dict[str, _Command] = {}
+
+    def __getitem__(self, name: str) -> _Command:
+        if name not in self._loaded:
+            module, _, attribute = COMMANDS[name].partition(":")
+            command = _command(getattr(import_module(module), attribute), name)
+            self._loaded[name] = _prepared(command)
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(COMMANDS)
+
+    def __len__(self) -> int:
+        return len(COMMANDS)
+
+
+def _command(found: typer.Typer | Callable[..., Any], name: str) -> Any:
+    """Return the command called `name`: a function, an app, or one of the commands of an app."""
+    style: dict[str, Any] = {"pretty_exceptions_short": True, "rich_markup_mode": "rich"}
+    if not isinstance(found, typer.Typer):
+        return typer.main.get_command_from_info(CommandInfo(name, callback=found), **style)
+    for info in found.registered_commands:
+        if name in (info.name, typer.main.get_command_name(getattr(info.callback, "__name__", ""))):
+            return typer.main.get_command_from_info(info, **style)
+    groups = [info for info in found.registered_groups if info.name == name]
+    group = groups[0] if groups else TyperInfo(found, name=name)
+    return typer.main.get_group_from_info(group, suggest_commands=True, **style)
+
+
+def _prepared(command: _Command) -> _Command:
+    show_plainly(command)
+    pass_plain_values(command)
+    below = getattr(command, "commands", {})
+    for one in below.values() if isinstance(below, dict) else ():  # of the others when they are loaded
+        _prepared(one)
+    return command
+
+
+class _Lazy(TyperGroup):
+    """The whole command line."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = cast("MutableMapping[str, Any]", _Commands())
+
+
 app = typer.Typer(
+    cls=_Lazy,
     help=HELP,
     epilog=EXIT_CODES,
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-app.command()(run)
-app.command()(nodes)
-app.command()(launch_monitor)
-app.command()(commission)
-app.command()(learn)
-app.command()(identify)
-app.command()(tune)
-app.command()(view)
-app.command()(page)
-app.command()(export)
-app.command()(draw)
-app.command()(size)
-app.command()(schema)
-app.command()(certificates)
-app.command()(cluster)
-swing_app.command()(compare)
-app.add_typer(swing_app, name="swing")
-app.add_typer(control_app)
-app.add_typer(calibration_app, name="calibrate")
-app.add_typer(campaign_app, name="campaign")
-app.add_typer(faults_app, name="faults")
 
 
 def _version(wanted: bool) -> None:
@@ -102,7 +150,7 @@ def _version(wanted: bool) -> None:
 def options(
     ctx: typer.Context,
     config: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
             metavar="FILE",
             envvar="GOLFBENCH_CONFIG",
@@ -116,10 +164,9 @@ def options(
 ) -> None:
     """Read the global options, which precede the command."""
     session = ctx.ensure_object(Session)
-    session.config, session.debug = config, debug
+    session.config, session.debug = None if config is None else Path(config), debug
 
 
-@app.command()
 def doctor(
     context: typer.Context,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
@@ -156,7 +203,6 @@ def doctor(
         raise typer.Exit(ExitCode.REFUSED)
 
 
-@app.command()
 def demo(
     context: typer.Context,
     output: Annotated[
@@ -191,7 +237,6 @@ def demo(
         raise typer.Exit(ExitCode.REFUSED)
 
 
-@app.command()
 def check(
     context: typer.Context,
     profile: Annotated[
@@ -219,7 +264,6 @@ def check(
     check_all(context.ensure_object(Session), profile, Console())
 
 
-@app.command()
 def replay(
     record: Annotated[Path, typer.Argument(metavar="RECORD", help="Record of a swing, .parquet.")],
     tolerance: Annotated[
@@ -239,9 +283,7 @@ def replay(
 
 def command_line() -> TyperGroup:
     """Return all commands as one."""
-    command = cast("TyperGroup", typer.main.get_command(app))
-    show_plainly(command)
-    return command
+    return cast("TyperGroup", _prepared(cast("TyperGroup", typer.main.get_command(app))))
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

@@ -31,10 +31,10 @@ from bench.control.records import (
 )
 from bench.control.step import decide_tick, estimate_tick, limit_tick
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import COMMAND, READINGS, TRUTH
 from drivers.base.compiled import compiled, new_record
 from drivers.base.native_calls import DECLINED, OPERATIONAL, NativeCall, NativeCalls
 from drivers.base.raw_memory import call_native, monotonic_now, pointer
+from drivers.base.records import COMMAND, READINGS, TRUTH
 from sim.plant import PLANT_PARAMETERS
 from sim.robot import ROBOT
 

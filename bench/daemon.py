@@ -25,17 +25,19 @@ from bench.config import Configuration
 from bench.design.validate import beyond_range
 from bench.errors import BenchError, ExitCode
 from bench.interrupt import StopFlag, stop_on_signals
-from bench.lifecycle import Block, Cause, Phase, Reaction, Request, State
+from bench.lifecycle import CAUSE_TEXT, Block, Cause, Phase, Reaction, Refusal, Request, State
 from bench.network.bench_service import (
     ArmingBlock,
     BenchStatus,
     DeviceStatus,
     LaunchMonitorStatus,
+    LeaseStatus,
     LoopStatus,
     Reply,
+    refused,
 )
 from bench.network.command_plane import CommandPlane
-from bench.network.status_words import block_text
+from bench.network.status_words import LATCHED, MOVING, block_text
 from bench.network.zenoh_session import close_session, open_daemon
 from bench.processes.child import Child
 from bench.processes.correction import CORRECTED_FILE
@@ -48,10 +50,17 @@ from bench.processes.recorder import RecorderPlan
 from bench.processes.run_marker import RunMarker
 from bench.processes.service_notify import ServiceNotifier, watchdog_interval
 from bench.processes.stall import BEFORE, stall_note, supervisor_note
-from bench.processes.status import NO_LAUNCH_MONITOR, NO_STATISTICS, cause_text, status_of
+from bench.processes.status import (
+    NO_LAUNCH_MONITOR,
+    NO_STATISTICS,
+    cause_text,
+    disarmed_for,
+    status_of,
+)
 from bench.processes.support import ManagedProcess
 from bench.processes.tick_timing import TimingReader, summary
 from bench.readiness import arming_block, assess, assess_bench
+from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot_join import ShotJoin
 from bench.shot.shot_message import shot_publication
 from bench.swing.correction import basis_of, digest_of
@@ -79,8 +88,6 @@ _AFTERMATH = 1.5
 """Time for which a simulated plant continues after its loop has died, s, as a real robot would."""
 _STATISTICS = 1.0
 """Period of the loop statistics, s."""
-
-_LATCHED = frozenset({State.ESTOP, State.FAULT})
 
 
 class LoopDied(BenchError):
@@ -142,6 +149,10 @@ class Daemon:
         self._stall = ""
         self._explain: Callable[[str], str] = lambda trouble: ""
         """Explains the last stop by the device's trouble, which may be known later."""
+        self._disarmed = Cause.NONE
+        """Why the robot was disarmed since it last moved."""
+        self._lease: LeaseStatus | None = None
+        """As it was told last."""
         self._ending = False
         self._started = time.monotonic()
 
@@ -152,8 +163,8 @@ class Daemon:
         if request is Request.ARM:
             self._blocks = self._assess_again()
             if self._blocks:
-                reason = f"arming blocked: {'; '.join(map(block_text, self._blocks))}"
-                return Reply(False, self._link.state, reason, self._blocks)
+                fact = f"arming blocked: {'; '.join(map(block_text, self._blocks))}"
+                return refused(self._link.state, Refusal.BLOCKED, fact)._replace(blocks=self._blocks)
         self._grant()  # a lease taken since the last turn counts for this request
         return self._link.request(request)
 
@@ -184,21 +195,20 @@ class Daemon:
     def correct(self, profile: str, weights: Sequence[float]) -> Reply:
         """Apply a correction learned for this profile from now on; without weights none."""
         if profile != self._profile_digest:
-            return self._not_corrected("learned for another profile, or another version of it: learn again")
+            return self._not_corrected("learned for another profile, or another version of it")
         if len(weights) not in (0, self._basis.size):
-            return self._not_corrected(f"{len(weights)} weights, expected {self._basis.size}: learn again")
+            return self._not_corrected(f"{len(weights)} weights, expected {self._basis.size}")
         if weights and self.configuration.control.feed_forward != "planned":
-            return self._not_corrected(
-                'corrections need planned openings: set control.feed_forward = "planned"'
-            )
+            cure = 'set control.feed_forward = "planned"'
+            return self._not_corrected("corrections need planned openings", cure)
         if weights:
             corrected = self._basis.corrected(self.profile, weights)
             if beyond := beyond_range(corrected, self.configuration.plant, self.configuration.envelope):
-                return self._not_corrected(f"corrected, {beyond}: learn again on a better model")
+                return self._not_corrected(f"corrected, {beyond}", "learn again on a better model")
         return self._link.correct(weights)
 
-    def _not_corrected(self, reason: str) -> Reply:
-        return Reply(False, self._link.state, reason)
+    def _not_corrected(self, fact: str, cure: str = "") -> Reply:
+        return refused(self._link.state, Refusal.CORRECTION, fact, cure)
 
     def stop(self) -> Reply:
         """Stop according to the stopping table."""
@@ -235,6 +245,7 @@ class Daemon:
             last_stop=self._marker.last_stop,
             uptime=time.monotonic() - self._started,
             stall=self._stall,
+            disarmed=self._disarmed,
         )
 
     @property
@@ -360,6 +371,8 @@ class Daemon:
             real_time=self._real_time,
             calibrations=self.calibration.record(),
             timing=folder / TIMING_FILE,
+            plant=None if c.launch_monitor.enabled else c.plant,
+            around=FlightConditions(c.air, c.wind, c.turf),
             wall=self.wall,
             room=round(_RECORDED * c.loop.rate),
         )
@@ -413,6 +426,7 @@ class Daemon:
         for supporter in self._attending:
             supporter.turn(now)
         self._grant()
+        self._tell_lease()
         self._watch_loop(now)
         if now - self._summed_up >= _STATISTICS:
             self._sum_up(now)
@@ -427,6 +441,18 @@ class Daemon:
             lease = self._plane.lease()
             number = 0 if lease is None else lease.number
             self._link.beat(lease=number, support_ready=self._support_ready)
+
+    def _tell_lease(self) -> None:
+        """Publish that the lease lapses soon, or that it has ended."""
+        if self._plane is None:
+            return
+        before, self._lease = self._lease, self._plane.lease_status()
+        if before is not None and self._lease is None:
+            self._publish("lease ended", {"holder": before["holder"]})
+        elif self._lease is not None and self._lease["lapsing"] and not (before and before["lapsing"]):
+            _log.warning("the lease of %s lapses soon", self._lease["holder"])
+            told = {"holder": self._lease["holder"], "seconds_left": self._lease["seconds_left"]}
+            self._publish("lease lapses", told)
 
     def _sum_up(self, now: float) -> None:
         """Update the loop statistics since the last call."""
@@ -521,14 +547,24 @@ class Daemon:
                 _log.info(
                     "%s, phase %s, reaction %s, cause %s", state.name, phase.name, reaction.name, cause.name
                 )
+            if state in MOVING and old[0] not in MOVING:
+                self._disarmed = Cause.NONE
+            elif found := disarmed_for(cycles[k], old[0], series=self.configuration.lifecycle.series):
+                self._disarmed = found
+                _log.warning("%s: %s", found.name, CAUSE_TEXT[found])
             self._marker.note_state(state.name, phase.name)
             tick = {"tick": int(cycles["tick"][k]), "loop_time": float(cycles["time"][k])}
             self._publish(
                 "change",
-                {"state": state.name, "phase": phase.name, "reaction": reaction.name, "cause": cause.name}
+                {
+                    "state": state.name,
+                    "phase": phase.name,
+                    "reaction": reaction.name,
+                    "cause": (cause or self._disarmed).name,
+                }
                 | tick,
             )
-            if state in _LATCHED and cause not in (Cause.NONE, old[3], Cause.POWER_UP, Cause.RESTART):
+            if state in LATCHED and cause not in (Cause.NONE, old[3], Cause.POWER_UP, Cause.RESTART):
                 self._marker.note_stop(
                     self._stop_entry(cause.name, cause_text(cause, self._stall), old[0], old[1])
                 )
@@ -551,11 +587,11 @@ class Daemon:
             _log.warning("swing %s: %s", event["number"], text)
         if self._plane is None:
             return
-        known = ("number", "lost_records", "complete", "replayable", "cause")
+        known = ("number", "tick", "lost_records", "complete", "replayable", "cause")
         facts = {name: event[name] for name in known} | {"record": os.path.abspath(event["path"])}
         if (shot := event["shot_id"]) is not None:
             self._shots.note_record(shot, facts)
-        self._plane.publish_shot(shot_publication(shot_id=shot, **facts))
+        self._plane.publish_shot(shot_publication(shot_id=shot, shot=event["shot"], **facts))
 
     def _note_launch(self, event: dict[str, Any]) -> None:
         """Store the launch monitor's status, or queue the outcome of a swing or launch for publishing."""

@@ -10,9 +10,6 @@ from __future__ import annotations
 from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 
 class State(IntEnum):
     """State of the bench. The robot moves in HOMING, ARMED, SWINGING and RECOVERING only."""
@@ -80,6 +77,10 @@ class Block(StrEnum):
     """Calibrations that cannot be read."""
 
 
+Words = tuple[str, str]
+"""Fact and cure, for the operator; the cure is empty where none is known."""
+
+
 class Refusal(IntEnum):
     """Why a request was refused."""
 
@@ -105,33 +106,73 @@ class Refusal(IntEnum):
     LOCK = 19
     AIR = 20
     GAUGE = 21
+    # By the supervisor, before the control step is asked:
+    BLOCKED = 22
+    """For a reason of `Block`."""
+    CORRECTION = 23
+    HELD = 24
+    SEQUENCE = 25
+    BUSY = 26
+    TOO_LATE = 27
+    SHUTTING_DOWN = 28
+    LOOP_SILENT = 29
+    FAILED = 30
 
 
-REFUSAL_TEXT = {
-    Refusal.NONE: "not refused",
-    Refusal.STATE: "not possible in this state",
-    Refusal.STOPPING: "a stop is under way: wait for standstill",
-    Refusal.EMERGENCY_STOP: "the emergency stop circuit is open: release it",
-    Refusal.GUARD: "the guard is open or not locked: close it, after an access also secure it",
-    Refusal.READINGS: "an encoder gives no valid readings: check cables and supply",
-    Refusal.NOT_AT_ADDRESS: "the robot does not rest at its address yet: wait, then ask again",
-    Refusal.AIR: "the chambers are not at their planned pressures yet: wait, then ask again",
-    Refusal.NO_LEASE: "the lease is not held: take it",
-    Refusal.SUPPORT: "the recorder or the publisher is not running: nothing is armed without a record",
-    Refusal.NOT_VENTED: "the chambers are not proven empty yet: wait, then ask again",
-    Refusal.LOCAL_RESET: "press the reset button beside the robot, then ask again",
-    Refusal.READ_ONLY: "this bench was started to observe only",
-    Refusal.SUPERVISOR: "no heartbeat from the supervisor: look at the log, then ask again",
-    Refusal.DEVICE: "the device went passive by itself: reset first",
-    Refusal.SENSOR: "a fitted pressure sensor gives no believable value: `golfbench status` names it",
-    Refusal.VENT: "a vent or the shut-off valve does not follow its command: `golfbench status` names it",
-    Refusal.LOCK: "the guard read locked while released or open: check lock and switches, release it again",
-    Refusal.STOPPED: "a stop was asked for a moment ago: wait two seconds, then ask again",
-    Refusal.MOVING: "a joint still moves: wait until the robot rests, then ask again",
-    Refusal.GAUGE: "no sensor proves that the air has gone: read the gauges, press the reset button there",
-    Refusal.MANIFOLD: "the supply manifold still holds pressure: wait, or vent it by hand",
+REFUSAL_WORDS: dict[Refusal, Words] = {
+    Refusal.NONE: ("not refused", ""),
+    Refusal.STATE: ("not possible in this state", ""),
+    Refusal.STOPPING: ("a stop is under way", "wait for standstill"),
+    Refusal.EMERGENCY_STOP: ("the emergency stop circuit is open", "release it"),
+    Refusal.GUARD: ("the guard is open or not locked", "close it, after an access also secure it"),
+    Refusal.READINGS: ("an encoder gives no valid readings", "check cables and supply"),
+    Refusal.NOT_AT_ADDRESS: ("the robot does not rest at its address yet", "wait, then ask again"),
+    Refusal.AIR: ("the chambers are not at their planned pressures yet", "wait, then ask again"),
+    Refusal.NO_LEASE: ("no valid lease", "take it (golfbench lease take), then ask again"),
+    Refusal.SUPPORT: ("the recorder or the publisher is not running", "nothing is armed without a record"),
+    Refusal.NOT_VENTED: ("the chambers are not proven empty yet", "wait, then ask again"),
+    Refusal.LOCAL_RESET: ("the reset button beside the robot was not pressed", "press it, then ask again"),
+    Refusal.READ_ONLY: ("this bench was started to observe only", ""),
+    Refusal.SUPERVISOR: ("no heartbeat from the supervisor", "look at the log, then ask again"),
+    Refusal.DEVICE: ("the device went passive by itself", "reset first"),
+    Refusal.SENSOR: ("a fitted pressure sensor gives no believable value", "`golfbench status` names it"),
+    Refusal.VENT: ("a vent or the shut-off valve does not follow its command", "`golfbench status` names it"),
+    Refusal.LOCK: (
+        "the guard read locked while released or open",
+        "check lock and switches, release it again",
+    ),
+    Refusal.STOPPED: ("a stop was asked for a moment ago", "wait two seconds, then ask again"),
+    Refusal.MOVING: ("a joint still moves", "wait until the robot rests, then ask again"),
+    Refusal.GAUGE: (
+        "no sensor proves that the air has gone",
+        "read the gauges, press the reset button there",
+    ),
+    Refusal.MANIFOLD: ("the supply manifold still holds pressure", "wait, or vent it by hand"),
+    Refusal.BLOCKED: ("arming is blocked", "remove what blocks it"),
+    Refusal.CORRECTION: ("the correction does not fit this bench", "learn again"),
+    Refusal.HELD: ("another holder has the lease", "wait, or ask the holder to release it"),
+    Refusal.SEQUENCE: ("the command was repeated or out of order", "check the state, then ask again"),
+    Refusal.BUSY: ("too many messages wait, this one was not done", "ask again"),
+    Refusal.TOO_LATE: ("it waited too long behind others and was not done", "ask again"),
+    Refusal.SHUTTING_DOWN: ("the bench is shutting down", "ask again after its restart"),
+    Refusal.LOOP_SILENT: ("the loop does not answer", "press the button beside the robot, look at the log"),
+    Refusal.FAILED: ("the bench could not do it", "look at its log, and report it"),
 }
-"""Text for the operator, with the cure."""
+"""Of a refusal that says no more; some name what they found instead."""
+
+
+def in_one(words: Words) -> str:
+    """Return fact and cure in one line."""
+    return ": ".join(filter(None, words))
+
+
+REFUSAL_TEXT = {refusal: in_one(words) for refusal, words in REFUSAL_WORDS.items()}
+
+PASSING = frozenset(
+    {Refusal.MOVING, Refusal.NOT_VENTED, Refusal.MANIFOLD, Refusal.NOT_AT_ADDRESS, Refusal.AIR}
+)
+"""Refusals that pass by themselves: the robot sways or comes to rest, chambers vent or fill. One after a stop
+is none of them: what was asked before a stop is not done after it."""
 
 
 class Phase(IntEnum):
@@ -170,9 +211,10 @@ class Reaction(IntEnum):
 
 
 class Cause(IntEnum):
-    """Why the envelope stopped the robot.
+    """Why the robot was stopped or disarmed.
 
-    The first cause of a stop is kept, unless an emergency or trapped pressure is found on top.
+    The first cause of a stop is kept, unless an emergency or trapped pressure is found on top. The last three
+    disarm and latch nothing; the supervisor names them until the robot moves again.
     """
 
     NONE = 0
@@ -259,95 +301,133 @@ class Cause(IntEnum):
     ARM_B_EXHAUST = 81
     WRIST_A_EXHAUST = 82
     WRIST_B_EXHAUST = 83
+    LEASE = 84
+    ARMED_TIME = 85
+    SUPPORT = 86
 
 
-CAUSE_TEXT = {
-    Cause.NONE: "none",
-    Cause.EMERGENCY_STOP: "emergency stop circuit open: release it, then reset",
-    Cause.GUARD: "guard open or not locked: close it, then reset",
-    Cause.NOT_FINITE: "a NaN or infinite value reached the envelope: keep the record and report it",
-    Cause.SHOULDER_ENCODER: "shoulder encoder R1 without a valid reading: check cable and supply",
-    Cause.ARM_ENCODER: "arm encoder R2 without a valid reading: check cable and supply",
-    Cause.WRIST_ENCODER: "wrist encoder R3 without a valid reading: check cable and supply",
-    Cause.TICK_GAP: "the loop stood still for longer than a swing allows: run `golfbench doctor`",
-    Cause.SUPPLY_PRESSURE: "supply pressure outside what a swing allows: check compressor and regulator",
-    Cause.SHOULDER_RANGE: "shoulder angle outside its working range",
-    Cause.ARM_RANGE: "right-arm rod outside its working range",
-    Cause.WRIST_RANGE: "wrist angle outside its working range",
-    Cause.SHOULDER_SPEED: "shoulder faster than its limit",
-    Cause.ARM_SPEED: "arm faster than its limit",
-    Cause.WRIST_SPEED: "wrist faster than its limit",
-    Cause.GROUND: "club head too near to the ground: look at the club, reset, then home, which lifts it",
-    Cause.FRAME: "club nearer to the frame than allowed",
-    Cause.SHOULDER_FOLLOWING: "shoulder too far from its reference",
-    Cause.ARM_FOLLOWING: "arm too far from its reference",
-    Cause.WRIST_FOLLOWING: "wrist too far from its reference",
-    Cause.SHOULDER_STOP_DISTANCE: "shoulder could no longer stop before its end stop",
-    Cause.ARM_STOP_DISTANCE: "right arm could no longer stop before its end stop",
-    Cause.WRIST_STOP_DISTANCE: "wrist could no longer stop before its end stop",
-    Cause.WRIST_LEVER: "wrist folded so far that its cylinder has no lever",
-    Cause.OPERATOR_STOP: "stopped by the operator",
-    Cause.EXCEPTION: "internal fault of the cycle in this tick: keep the record and report it",
-    Cause.ADDRESS_TIMEOUT: "not at the address in time: check supply, valves and obstacles",
-    Cause.NETWORK_STOP: "emergency stop requested over the network: find the reason, then reset",
-    Cause.POWER_UP: "the bench was switched on: reset to begin",
-    Cause.RESTART: "the previous shutdown was unclean: look at the last stop, then reset",
-    Cause.SUPERVISOR: "no heartbeat from the supervisor: look at the log, then reset",
-    Cause.HOMING_FAILED: "encoders and mechanical reference do not agree, or no index was found: calibrate",
-    Cause.NOT_VENTED: "the chambers did not empty in time: check vents and valves before going near",
-    Cause.DEVICE_PASSIVE: "the device went passive after a time-out of its commands: reset",
-    Cause.SHOULDER_AIR: "shoulder air does not follow its valve command: check valve, supply and sensors",
-    Cause.ARM_AIR: "right arm's air does not follow its valve command: check valve, supply and sensors",
-    Cause.WRIST_AIR: "wrist air does not follow its valve command: check valve, supply and sensors",
-    Cause.SHOULDER_VELOCITY: "shoulder does not move as the model says: check valve, supply and encoder R1",
-    Cause.ARM_VELOCITY: "arm does not move as the model says: check valve, supply and encoder R2",
-    Cause.WRIST_VELOCITY: "wrist does not move as the model says: check valve, supply and encoder R3",
-    Cause.SHOULDER_JUMP: "shoulder encoder R1 shows what the joint cannot have done: check cable and mount",
-    Cause.ARM_JUMP: "arm encoder R2 shows what the joint cannot have done: check cable and mount",
-    Cause.WRIST_JUMP: "wrist encoder R3 shows what the joint cannot have done: check cable and mount",
-    Cause.SHOULDER_EFFORT: "shoulder's motion does not fit its air: check encoder R1, club, pressure sensors",
-    Cause.ARM_EFFORT: "arm's motion does not fit its air: check encoder R2, club, pressure sensors",
-    Cause.WRIST_EFFORT: "wrist's motion does not fit its air: check encoder R3, club, pressure sensors",
-    Cause.SHOULDER_FLOW: "shoulder valve passes more or less air than commanded: check valve and sensors",
-    Cause.ARM_FLOW: "right arm's valve passes more or less air than commanded: check valve and sensors",
-    Cause.WRIST_FLOW: "wrist valve passes more or less air than commanded: check valve and sensors",
-    Cause.SHOULDER_SENSOR: "one chamber of the shoulder alone does not fit the model: check its sensor",
-    Cause.ARM_SENSOR: "one chamber of the right arm alone does not fit the model: check its sensor",
-    Cause.WRIST_SENSOR: "one chamber of the wrist alone does not fit the model: check its sensor",
-    Cause.MANIFOLD: "the manifold holds pressure with the supply shut: shut it off and vent it by hand",
-    Cause.SUPPLY_SENSOR: "supply sensor without believable value: check cable and sensor at the manifold",
-    Cause.SHOULDER_A_SENSOR: "sensor of shoulder chamber A without believable value: check cable and sensor",
-    Cause.SHOULDER_B_SENSOR: "sensor of shoulder chamber B without believable value: check cable and sensor",
-    Cause.ARM_A_SENSOR: "sensor of arm chamber A without believable value: check cable and sensor",
-    Cause.ARM_B_SENSOR: "sensor of arm chamber B without believable value: check cable and sensor",
-    Cause.WRIST_A_SENSOR: "sensor of wrist chamber A without believable value: check cable and sensor",
-    Cause.WRIST_B_SENSOR: "sensor of wrist chamber B without believable value: check cable and sensor",
-    Cause.VENT_1: "vent 1 does not follow its command: check valve and position switch",
-    Cause.VENT_2: "vent 2 does not follow its command: check valve and position switch",
-    Cause.SHOULDER_ZERO: "shoulder's end stop is not where encoder R1 says: check its coupling and zero",
-    Cause.ARM_ZERO: "right arm's end stop is not where encoder R2 says: check its coupling and zero",
-    Cause.WRIST_ZERO: "wrist's end stop is not where encoder R3 says: check its coupling and zero",
-    Cause.GUARD_LOCK: "guard reads locked while it is released or open: check lock and switch",
-    Cause.SUPPLY_VALVE: "the manifold empties too slowly: check supply valve, dump valve and its sensor",
-    Cause.SUPPLY_DECAY: "supply sensor shows less than the manifold can hold: check cable and sensor",
-    Cause.SHOULDER_INDEX: "shoulder encoder R1 had lost counts at its index: check its cable, home again",
-    Cause.ARM_INDEX: "arm encoder R2 had lost counts at its index: check its cable, home again",
-    Cause.WRIST_INDEX: "wrist encoder R3 had lost counts at its index: check its cable, home again",
-    Cause.SHOULDER_A_AIR: "shoulder chamber A is not at its planned pressure in time: check supply and leaks",
-    Cause.SHOULDER_B_AIR: "shoulder chamber B is not at its planned pressure in time: check supply and leaks",
-    Cause.ARM_A_AIR: "arm chamber A is not at its planned pressure in time: check supply and leaks",
-    Cause.ARM_B_AIR: "arm chamber B is not at its planned pressure in time: check supply and leaks",
-    Cause.WRIST_A_AIR: "wrist chamber A is not at its planned pressure in time: check supply and leaks",
-    Cause.WRIST_B_AIR: "wrist chamber B is not at its planned pressure in time: check supply and leaks",
-    Cause.SHUT_OFF: "shut-off valve does not follow its command: check valve and position switch",
-    Cause.SHOULDER_A_EXHAUST: "shoulder chamber A vents too slowly: check silencer, hose and sensor's zero",
-    Cause.SHOULDER_B_EXHAUST: "shoulder chamber B vents too slowly: check silencer, hose and sensor's zero",
-    Cause.ARM_A_EXHAUST: "arm chamber A vents too slowly: check silencer, hose and sensor's zero",
-    Cause.ARM_B_EXHAUST: "arm chamber B vents too slowly: check silencer, hose and sensor's zero",
-    Cause.WRIST_A_EXHAUST: "wrist chamber A vents too slowly: check silencer, hose and sensor's zero",
-    Cause.WRIST_B_EXHAUST: "wrist chamber B vents too slowly: check silencer, hose and sensor's zero",
+CAUSE_WORDS: dict[Cause, Words] = {
+    Cause.NONE: ("none", ""),
+    Cause.EMERGENCY_STOP: ("emergency stop circuit open", "release it, then reset"),
+    Cause.GUARD: ("guard open or not locked", "close it, then reset"),
+    Cause.NOT_FINITE: ("a NaN or infinite value reached the envelope", "keep the record and report it"),
+    Cause.SHOULDER_ENCODER: ("shoulder encoder R1 without a valid reading", "check cable and supply"),
+    Cause.ARM_ENCODER: ("arm encoder R2 without a valid reading", "check cable and supply"),
+    Cause.WRIST_ENCODER: ("wrist encoder R3 without a valid reading", "check cable and supply"),
+    Cause.TICK_GAP: ("the loop stood still for longer than a swing allows", "run `golfbench doctor`"),
+    Cause.SUPPLY_PRESSURE: ("supply pressure outside what a swing allows", "check compressor and regulator"),
+    Cause.SHOULDER_RANGE: ("shoulder angle outside its working range", ""),
+    Cause.ARM_RANGE: ("right-arm rod outside its working range", ""),
+    Cause.WRIST_RANGE: ("wrist angle outside its working range", ""),
+    Cause.SHOULDER_SPEED: ("shoulder faster than its limit", ""),
+    Cause.ARM_SPEED: ("arm faster than its limit", ""),
+    Cause.WRIST_SPEED: ("wrist faster than its limit", ""),
+    Cause.GROUND: ("club head too near to the ground", "look at the club, reset, then home, which lifts it"),
+    Cause.FRAME: ("club nearer to the frame than allowed", ""),
+    Cause.SHOULDER_FOLLOWING: ("shoulder too far from its reference", ""),
+    Cause.ARM_FOLLOWING: ("arm too far from its reference", ""),
+    Cause.WRIST_FOLLOWING: ("wrist too far from its reference", ""),
+    Cause.SHOULDER_STOP_DISTANCE: ("shoulder could no longer stop before its end stop", ""),
+    Cause.ARM_STOP_DISTANCE: ("right arm could no longer stop before its end stop", ""),
+    Cause.WRIST_STOP_DISTANCE: ("wrist could no longer stop before its end stop", ""),
+    Cause.WRIST_LEVER: ("wrist folded so far that its cylinder has no lever", ""),
+    Cause.OPERATOR_STOP: ("stopped by the operator", ""),
+    Cause.EXCEPTION: ("internal fault of the cycle in this tick", "keep the record and report it"),
+    Cause.ADDRESS_TIMEOUT: ("not at the address in time", "check supply, valves and obstacles"),
+    Cause.NETWORK_STOP: ("emergency stop requested over the network", "find the reason, then reset"),
+    Cause.POWER_UP: ("the bench was switched on", "reset to begin"),
+    Cause.RESTART: ("the previous shutdown was unclean", "look at the last stop, then reset"),
+    Cause.SUPERVISOR: ("no heartbeat from the supervisor", "look at the log, then reset"),
+    Cause.HOMING_FAILED: (
+        "encoders and mechanical reference do not agree, or no index was found",
+        "calibrate",
+    ),
+    Cause.NOT_VENTED: ("the chambers did not empty in time", "check vents and valves before going near"),
+    Cause.DEVICE_PASSIVE: ("the device went passive after a time-out of its commands", "reset"),
+    Cause.SHOULDER_AIR: ("shoulder air does not follow its valve command", "check valve, supply and sensors"),
+    Cause.ARM_AIR: ("right arm's air does not follow its valve command", "check valve, supply and sensors"),
+    Cause.WRIST_AIR: ("wrist air does not follow its valve command", "check valve, supply and sensors"),
+    Cause.SHOULDER_VELOCITY: (
+        "shoulder does not move as the model says",
+        "check valve, supply and encoder R1",
+    ),
+    Cause.ARM_VELOCITY: ("arm does not move as the model says", "check valve, supply and encoder R2"),
+    Cause.WRIST_VELOCITY: ("wrist does not move as the model says", "check valve, supply and encoder R3"),
+    Cause.SHOULDER_JUMP: (
+        "shoulder encoder R1 shows what the joint cannot have done",
+        "check cable and mount",
+    ),
+    Cause.ARM_JUMP: ("arm encoder R2 shows what the joint cannot have done", "check cable and mount"),
+    Cause.WRIST_JUMP: ("wrist encoder R3 shows what the joint cannot have done", "check cable and mount"),
+    Cause.SHOULDER_EFFORT: (
+        "shoulder's motion does not fit its air",
+        "check encoder R1, club, pressure sensors",
+    ),
+    Cause.ARM_EFFORT: ("arm's motion does not fit its air", "check encoder R2, club, pressure sensors"),
+    Cause.WRIST_EFFORT: ("wrist's motion does not fit its air", "check encoder R3, club, pressure sensors"),
+    Cause.SHOULDER_FLOW: ("shoulder valve passes more or less air than commanded", "check valve and sensors"),
+    Cause.ARM_FLOW: ("right arm's valve passes more or less air than commanded", "check valve and sensors"),
+    Cause.WRIST_FLOW: ("wrist valve passes more or less air than commanded", "check valve and sensors"),
+    Cause.SHOULDER_SENSOR: ("one chamber of the shoulder alone does not fit the model", "check its sensor"),
+    Cause.ARM_SENSOR: ("one chamber of the right arm alone does not fit the model", "check its sensor"),
+    Cause.WRIST_SENSOR: ("one chamber of the wrist alone does not fit the model", "check its sensor"),
+    Cause.MANIFOLD: ("the manifold holds pressure with the supply shut", "shut it off and vent it by hand"),
+    Cause.SUPPLY_SENSOR: ("supply sensor without believable value", "check cable and sensor at the manifold"),
+    Cause.SHOULDER_A_SENSOR: (
+        "sensor of shoulder chamber A without believable value",
+        "check cable and sensor",
+    ),
+    Cause.SHOULDER_B_SENSOR: (
+        "sensor of shoulder chamber B without believable value",
+        "check cable and sensor",
+    ),
+    Cause.ARM_A_SENSOR: ("sensor of arm chamber A without believable value", "check cable and sensor"),
+    Cause.ARM_B_SENSOR: ("sensor of arm chamber B without believable value", "check cable and sensor"),
+    Cause.WRIST_A_SENSOR: ("sensor of wrist chamber A without believable value", "check cable and sensor"),
+    Cause.WRIST_B_SENSOR: ("sensor of wrist chamber B without believable value", "check cable and sensor"),
+    Cause.VENT_1: ("vent 1 does not follow its command", "check valve and position switch"),
+    Cause.VENT_2: ("vent 2 does not follow its command", "check valve and position switch"),
+    Cause.SHOULDER_ZERO: ("shoulder's end stop is not where encoder R1 says", "check its coupling and zero"),
+    Cause.ARM_ZERO: ("right arm's end stop is not where encoder R2 says", "check its coupling and zero"),
+    Cause.WRIST_ZERO: ("wrist's end stop is not where encoder R3 says", "check its coupling and zero"),
+    Cause.GUARD_LOCK: ("guard reads locked while it is released or open", "check lock and switch"),
+    Cause.SUPPLY_VALVE: ("the manifold empties too slowly", "check supply valve, dump valve and its sensor"),
+    Cause.SUPPLY_DECAY: ("supply sensor shows less than the manifold can hold", "check cable and sensor"),
+    Cause.SHOULDER_INDEX: ("shoulder encoder R1 had lost counts at its index", "check its cable, home again"),
+    Cause.ARM_INDEX: ("arm encoder R2 had lost counts at its index", "check its cable, home again"),
+    Cause.WRIST_INDEX: ("wrist encoder R3 had lost counts at its index", "check its cable, home again"),
+    Cause.SHOULDER_A_AIR: (
+        "shoulder chamber A is not at its planned pressure in time",
+        "check supply and leaks",
+    ),
+    Cause.SHOULDER_B_AIR: (
+        "shoulder chamber B is not at its planned pressure in time",
+        "check supply and leaks",
+    ),
+    Cause.ARM_A_AIR: ("arm chamber A is not at its planned pressure in time", "check supply and leaks"),
+    Cause.ARM_B_AIR: ("arm chamber B is not at its planned pressure in time", "check supply and leaks"),
+    Cause.WRIST_A_AIR: ("wrist chamber A is not at its planned pressure in time", "check supply and leaks"),
+    Cause.WRIST_B_AIR: ("wrist chamber B is not at its planned pressure in time", "check supply and leaks"),
+    Cause.SHUT_OFF: ("shut-off valve does not follow its command", "check valve and position switch"),
+    Cause.SHOULDER_A_EXHAUST: (
+        "shoulder chamber A vents too slowly",
+        "check silencer, hose and sensor's zero",
+    ),
+    Cause.SHOULDER_B_EXHAUST: (
+        "shoulder chamber B vents too slowly",
+        "check silencer, hose and sensor's zero",
+    ),
+    Cause.ARM_A_EXHAUST: ("arm chamber A vents too slowly", "check silencer, hose and sensor's zero"),
+    Cause.ARM_B_EXHAUST: ("arm chamber B vents too slowly", "check silencer, hose and sensor's zero"),
+    Cause.WRIST_A_EXHAUST: ("wrist chamber A vents too slowly", "check silencer, hose and sensor's zero"),
+    Cause.WRIST_B_EXHAUST: ("wrist chamber B vents too slowly", "check silencer, hose and sensor's zero"),
+    Cause.LEASE: ("disarmed, as the lease lapsed or was released", "take it, then arm"),
+    Cause.ARMED_TIME: ("disarmed, as it was armed for longer than allowed", "arm again"),
+    Cause.SUPPORT: ("disarmed, as recorder or publisher stopped", "wait until both run, then arm"),
 }
-"""Text for the operator, with the cure where one is known."""
+
+CAUSE_TEXT = {cause: in_one(words) for cause, words in CAUSE_WORDS.items()}
+"""Text for the operator in one line."""
 
 EMERGENCIES = frozenset({Cause.EMERGENCY_STOP, Cause.NETWORK_STOP, Cause.POWER_UP, Cause.RESTART})
 """Causes that latch ESTOP; every other one latches FAULT."""
@@ -431,17 +511,21 @@ NEEDS_LEASE = frozenset(Request) - {Request.NONE, Request.STOP, Request.EMERGENC
 """Requests that need the lease; a request that ends motion never needs it."""
 
 
-def transition_table() -> NDArray[np.uint8]:
-    """Return EDGES as an array [source, target] of 0 and 1 for compiled code; any state may stay."""
-    table = np.eye(len(State), dtype=np.uint8)
+Table = list[list[int]]
+"""For a record of compiled code; without numpy, which clients of a bench do without."""
+
+
+def transition_table() -> Table:
+    """Return EDGES as a table [source][target] of 0 and 1; any state may stay."""
+    table = [[int(source is target) for target in State] for source in State]
     for edge in EDGES:
-        table[edge.source, edge.target] = 1
+        table[edge.source][edge.target] = 1
     return table
 
 
-def accepted_table() -> NDArray[np.uint8]:
-    """Return ACCEPTED_IN as an array [request, state] of 0 and 1 for compiled code."""
-    return np.array([[state in ACCEPTED_IN[r] for state in State] for r in Request], dtype=np.uint8)
+def accepted_table() -> Table:
+    """Return ACCEPTED_IN as a table [request][state] of 0 and 1."""
+    return [[int(state in ACCEPTED_IN[request]) for state in State] for request in Request]
 
 
 TRUSTED, LOST, EMERGENCY, DISOBEYED, WRIST_DISOBEYED, DOUBTED = 0, 1, 2, 3, 4, 5
@@ -506,6 +590,6 @@ that alone does not fit is a sensor rather than a spool, which moves air in both
 its air is worth more than its cut."""
 
 
-def reaction_table() -> NDArray[np.uint8]:
-    """Return the stopping table as an array [phase, column] for compiled code."""
-    return np.array([STOPPING[phase] for phase in Phase], dtype=np.uint8)
+def reaction_table() -> Table:
+    """Return the stopping table as a table [phase][column]."""
+    return [[int(reaction) for reaction in STOPPING[phase]] for phase in Phase]

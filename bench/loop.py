@@ -15,22 +15,12 @@ from bench.control.records import ControlParameters, ControlState, new_control_s
 from bench.control.states import give_up
 from bench.lifecycle import Cause, Phase, Request, State
 from bench.telemetry.cycle_record import CYCLE, FIELDS
-from drivers.base import (
-    ABSENT,
-    COMMAND,
-    PASSIVE,
-    READINGS,
-    Command,
-    Driver,
-    DriverError,
-    RecordReader,
-    pack_readings,
-    unpack_command,
-)
+from drivers.base import ABSENT, PASSIVE, Command, Driver, DriverError, RecordReader
 from drivers.base.compiled import new_record, numbers
 from drivers.base.native import compiled_call
 from drivers.base.native_calls import DECLINED, DONE, NativeCall, NativeCalls, NativeDriver
 from drivers.base.raw_memory import copy_bytes, pointer
+from drivers.base.records import COMMAND, READINGS, pack_readings, unpack_command
 
 Cycles = np.ndarray[Any, Any]
 """Records of CYCLE."""

@@ -13,23 +13,12 @@ import numpy as np
 from numba import carray
 from numpy.typing import ArrayLike, NDArray
 
-from drivers.base import (
-    COMMAND,
-    PASSIVE,
-    READINGS,
-    TRUTH,
-    Command,
-    DriverError,
-    Readings,
-    device_limited,
-    pack_command,
-    unpack_command,
-    unpack_readings,
-)
+from drivers.base import PASSIVE, Command, DriverError, Readings, device_limited
 from drivers.base.compiled import compiled, new_record, numbers
 from drivers.base.native import compiled_call, limit_command
 from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL, NativeCall, NativeCalls
 from drivers.base.raw_memory import copy_bytes, pointer
+from drivers.base.records import COMMAND, READINGS, TRUTH, pack_command, unpack_command, unpack_readings
 from sim.faults import (
     Fault,
     Faults,

@@ -15,9 +15,10 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from drivers.base import CHAMBERS, COMMAND, INVALID, JOINTS, READINGS
+from drivers.base import CHAMBERS, INVALID, JOINTS
 from drivers.base.compiled import compiled, new_record
 from drivers.base.ranges import Range
+from drivers.base.records import COMMAND, READINGS
 from sim.plant import EXHAUSTS, OPEN, RELIEFS, SHUT, Plant
 from sim.random_stream import uniform
 from sim.sensors import sense

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
-from drivers.base import COMMAND
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND
 from sim.driver import hanging_pose
 from sim.plant import Plant, PlantParameters, advance, build_plant, initial_state
 

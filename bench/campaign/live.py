@@ -34,10 +34,9 @@ from bench.errors import BenchError, Refused
 from bench.from_toml import format_value
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
-from bench.lifecycle import REFUSAL_TEXT, Refusal
+from bench.lifecycle import Refusal
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
-from bench.network.command import CommandAnswer
 from bench.network.live_swing import LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
 from bench.network.status_words import absent_monitor_text
 from bench.processes.bench_folder import bench_folder
@@ -63,14 +62,13 @@ HOLDER = "campaign "
 LEASE = 15.0
 """Duration of the lease, s: a dead runner holds the bench no longer."""
 _AT_THE_ROBOT = {
-    REFUSAL_TEXT[Refusal.GUARD]: "Leave the robot and close the guard.",
-    REFUSAL_TEXT[Refusal.LOCAL_RESET]: "Press the reset button beside the robot.",
-    REFUSAL_TEXT[Refusal.GAUGE]: "Read the gauges, and press the reset button beside them.",
+    Refusal.GUARD: "Leave the robot and close the guard.",
+    Refusal.LOCAL_RESET: "Press the reset button beside the robot.",
+    Refusal.GAUGE: "Read the gauges, and press the reset button beside them.",
 }
 """Refusals that a person beside the robot cures, and the cures."""
-_LASTING = frozenset({REFUSAL_TEXT[Refusal.READ_ONLY]})
-_BY_HAND = ("learn again",)
-"""Cures in refusals that do not pass by themselves."""
+_LASTING = frozenset({Refusal.READ_ONLY, Refusal.BLOCKED, Refusal.CORRECTION})
+"""Refusals that last until a person has calibrated, learned again or restarted the bench."""
 _READY = 60.0
 """Max time until the robot rests at its address, or until the lease of a dead runner expires, s."""
 _SWING = 60.0
@@ -299,7 +297,7 @@ class LiveShots:
             except CommandRefused as refused:
                 if time.monotonic() > deadline:
                     raise
-                cure = _AT_THE_ROBOT.get(refused.answer.reason, shown)
+                cure = _AT_THE_ROBOT.get(refused.refusal, shown)
                 if cure != shown:
                     shown = cure
                     ask(cure)
@@ -358,7 +356,7 @@ class LiveShots:
                         ("reset", f"{in_words(status)}; a simulated bench resets, homes and arms itself")
                     )
             except CommandRefused as refused:  # not at rest, not vented, guard still open: all pass in time
-                if _lasts(refused.answer) or time.monotonic() > deadline:
+                if refused.refusal in _LASTING or time.monotonic() > deadline:
                     raise
             if time.monotonic() > deadline:
                 raise Suspended(f"{in_words(status)}, not at rest at its address after {_READY:g} s")
@@ -599,12 +597,6 @@ def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
         "attempt": step.attempt,
         "sample": sample,
     }
-
-
-def _lasts(answer: CommandAnswer) -> bool:
-    """Return whether a refusal lasts until a person has calibrated, learned again or restarted the bench."""
-    blocked, reason = "arming_blocks" in answer.content, answer.reason
-    return blocked or reason in _LASTING or any(command in reason for command in _BY_HAND)
 
 
 @contextmanager

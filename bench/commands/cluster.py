@@ -11,7 +11,7 @@ import typer
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
-    from bench.config.identity_files import IdentityFiles
+    from bench.address import IdentityFiles
 
 _ALLOWED_DEATHS = 10
 """Workers that may die under one batch before dask gives it up: most die of something else."""
@@ -52,7 +52,7 @@ def cluster(
     """
     import asyncio
 
-    from bench.config.identity_files import identity_files
+    from bench.address import identity_files
     from bench.errors import BenchError
     from bench.simulation.cluster_engine import load_distributed
 

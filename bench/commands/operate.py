@@ -5,9 +5,10 @@ from __future__ import annotations
 import getpass
 import os
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from bench.network.bench_service import BenchStatus
     from bench.network.client import BenchClient
     from bench.network.command import CommandAnswer
-
-    WaitForIt = Callable[[BenchClient, Callable[[BenchStatus], None]], BenchStatus]
 
 PANEL = "A running bench"
 
@@ -36,6 +35,9 @@ Timeout = Annotated[
     float, typer.Option(metavar="S", min=1.0, max=600.0, help="Longest time to wait with --wait.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
+
+LONGEST_SWAY = 10.0
+"""s for which a command without --wait asks again while the robot sways or chambers vent."""
 
 _SPARE = 1000
 """Sequence numbers reserved for one command, so that the next one does not reuse those of a killed one."""
@@ -75,11 +77,11 @@ def home(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) ->
 
     With --wait: exits with 1 if the bench is not READY in time.
     """
-    _ask_as_holder(
-        context,
-        lambda bench: bench.home(),
-        (lambda bench, watch: bench.wait_for("READY", timeout=timeout, watch=watch)) if wait else None,
-    )
+    with _holding(context) as bench, _waiting(bench) as watch:
+        bench.home(timeout if wait else LONGEST_SWAY, watch)
+        if wait:
+            bench.wait_for("READY", timeout=timeout, watch=watch)
+        _tell(bench)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -89,17 +91,19 @@ def arm(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> 
     With --wait: returns when the robot rests at its address, ready to swing; exits with 1 if not in time.
     Ctrl-C then ends only the waiting, not the arming: use golfbench disarm.
     """
-    _ask_as_holder(
-        context,
-        lambda bench: bench.arm(),
-        (lambda bench, watch: bench.wait_until_armed(timeout=timeout, watch=watch)) if wait else None,
-    )
+    with _holding(context) as bench, _waiting(bench) as watch:
+        bench.arm(timeout if wait else LONGEST_SWAY, watch)
+        if wait:
+            bench.wait_until_armed(timeout=timeout, watch=watch)
+        _tell(bench)
 
 
 @app.command(rich_help_panel=PANEL)
 def disarm(context: typer.Context) -> None:
     """Disarm: vent if at rest, otherwise brake first."""
-    _ask(context, lambda bench: bench.disarm())
+    with _client(context) as bench:
+        bench.disarm()
+        _tell(bench)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -119,14 +123,17 @@ def tee(context: typer.Context) -> None:
 
 @app.command(rich_help_panel=PANEL)
 def stop(context: typer.Context) -> None:
-    """Stop the robot; needs no lease."""
-    _ask(context, lambda bench: bench.stop())
+    """Stop the robot; needs no lease. Returns when it stands."""
+    _stop(context, lambda bench: bench.stop())
 
 
 @app.command(rich_help_panel=PANEL)
 def estop(context: typer.Context) -> None:
-    """Stop the robot and latch ESTOP; needs no lease. A convenience, not a safety function."""
-    _ask(context, lambda bench: bench.emergency_stop())
+    """Stop the robot and latch ESTOP; needs no lease. A convenience, not a safety function.
+
+    Returns when the robot stands.
+    """
+    _stop(context, lambda bench: bench.emergency_stop())
 
 
 @app.command(rich_help_panel=PANEL)
@@ -135,18 +142,26 @@ def reset(context: typer.Context) -> None:
     _ask_as_holder(context, lambda bench: bench.reset())
 
 
-def swing_when_armed(context: typer.Context) -> None:
+def swing_when_armed(context: typer.Context, wait: bool, timeout: float) -> None:
     """Swing, if the bench is ARMED and this user holds its lease: `golfbench swing`."""
-    from bench.errors import Refused
+    from bench.commands.shot_lines import shot_lines
+    from bench.errors import ExitCode, Refused
+    from bench.network.client import cure_of
 
-    def ask(bench: BenchClient) -> CommandAnswer:
-        state = bench.status()["state"]
-        if state != "ARMED":
-            cure = "golfbench arm --wait"
-            raise Refused(f"swing of bench {bench.bench}", f"state {state}", "state ARMED", cure)
-        return bench.swing()
-
-    _ask_as_holder(context, ask)
+    with _holding(context) as bench, _waiting(bench) as watch:
+        status = bench.status()
+        if status["state"] != "ARMED":
+            found = f"{status['state']}{': ' + status['cause']['text'] if status['cause'] else ''}"
+            raise Refused(f"swing of bench {bench.bench}", found, "state ARMED", cure_of(status))
+        if not wait:
+            bench.swing(watch=watch)
+            _tell(bench)
+            return
+        message = bench.swing_through(timeout=timeout, watch=watch)
+        typer.echo("\n".join(shot_lines(message)))
+        _tell(bench)
+    if message.cause not in ("", "NONE"):
+        raise typer.Exit(ExitCode.REFUSED)
 
 
 # The lease -------------------------------------------------------------------------------------------
@@ -188,7 +203,10 @@ def take_lease(
                 return
         held = bench.take_lease(name, DEFAULT if seconds is None else seconds)
         file.write(held)
-        typer.echo(f"bench {bench.bench}: {name} holds it for {held.seconds:g} s")
+        typer.echo(
+            f"bench {bench.bench}: {name} holds it for {held.seconds:g} s; each command renews it, "
+            "without one an armed bench disarms"
+        )
 
 
 @lease_app.command("renew")
@@ -230,7 +248,7 @@ def show_lease(context: typer.Context, json_: Json = False) -> None:
 def _client(context: typer.Context) -> BenchClient:
     from bench.network.client import BenchClient
 
-    return BenchClient.connect(context.ensure_object(Session).configuration())
+    return BenchClient.connect(context.ensure_object(Session).address())
 
 
 def _folder() -> Path:
@@ -241,8 +259,9 @@ def _folder() -> Path:
 
 @contextmanager
 def _holding(context: typer.Context) -> Iterator[BenchClient]:
-    """Yield a client with the stored lease; store the lease again at the end."""
+    """Yield a client with the stored lease; renew the lease at the end, and store it again."""
     from bench.commands.lease_file import open_lease_file
+    from bench.network.client import CommandRefused
 
     with _client(context) as bench, open_lease_file(_folder(), bench.bench) as file:
         kept = file.read()
@@ -251,54 +270,82 @@ def _holding(context: typer.Context) -> Iterator[BenchClient]:
             file.write(replace(kept, sequence=kept.sequence + _SPARE))
         try:
             yield bench
+            if bench.held is not None:
+                with suppress(CommandRefused):  # the command is done all the same
+                    bench.renew_lease()
         finally:
             file.write(bench.held)
 
 
-def _ask_as_holder(
-    context: typer.Context, ask: Callable[[BenchClient], CommandAnswer], wait: WaitForIt | None = None
-) -> None:
-    from bench.network.client import CommandRefused
-
+def _ask_as_holder(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
     with _holding(context) as bench:
-        answer = ask(bench)
-        _tell(bench, answer)
-        if wait is not None:
-            status = _wait_as_holder(bench, wait)
-            typer.echo(f"bench {bench.bench}: {status['state']}, phase {status['phase']}")
-        with suppress(CommandRefused):  # the command is done all the same
-            bench.renew_lease()
+        ask(bench)
+        _tell(bench)
 
 
-def _wait_as_holder(bench: BenchClient, wait: WaitForIt) -> BenchStatus:
-    """Wait with the bench's state on the screen, and renew the lease on the way."""
-    from rich.console import Console
+@contextmanager
+def _waiting(bench: BenchClient) -> Iterator[Callable[[BenchStatus], None]]:
+    """Yield what shows a state while a command waits, and renews the lease on the way.
 
+    Ctrl-C ends the waiting, not what the robot does: the operator is told.
+    """
     from bench.network.client import CommandRefused
 
-    console = Console(stderr=True)
     began = renewed = time.monotonic()
-    with console.status("") if console.is_terminal else nullcontext() as line:
+    newest = ""
+    with _status_line() as show:
 
         def watch(status: BenchStatus) -> None:
-            nonlocal renewed
+            nonlocal renewed, newest
             now = time.monotonic()
-            if line is not None:
-                line.update(f"{status['state']}, phase {status['phase']}, {now - began:.0f} s")
+            newest = f"{status['state']}, phase {status['phase']}"
+            show(f"{newest}, {now - began:.0f} s")
             if bench.held is not None and now - renewed > bench.held.seconds / 3.0:
                 renewed = now
                 with suppress(CommandRefused):  # lost: the bench disarms, which ends the waiting
                     bench.renew_lease()
 
-        return wait(bench, watch)
+        try:
+            yield watch
+        except KeyboardInterrupt:
+            seen = f" ({newest})" if newest else ""
+            typer.echo(
+                f"\nbench {bench.bench}: only the waiting ended, the robot continues{seen}. "
+                "To stop it: golfbench stop",
+                err=True,
+            )
+            raise
 
 
-def _ask(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
-    with _client(context) as bench:
-        _tell(bench, ask(bench))
+@contextmanager
+def _status_line() -> Iterator[Callable[[str], object]]:
+    """Yield what shows a text in a line of its own, on a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("") as line:
+        yield line.update
 
 
-def _tell(bench: BenchClient, answer: CommandAnswer) -> None:
-    typer.echo(f"bench {bench.bench}: {answer.state}")
-    if answer.note:
-        typer.echo(answer.note)
+def _stop(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
+    from bench.lifecycle import Reaction, State
+    from bench.network.status_words import MOVING, REACTION_WORDS
+
+    with _client(context) as bench, _waiting(bench) as watch:
+        if note := ask(bench).note:
+            typer.echo(note)
+        status = bench.status()
+        if State[status["state"]] in MOVING:
+            how = REACTION_WORDS[Reaction[status["reaction"]]]
+            typer.echo(f"bench {bench.bench}: stopping{': ' if how else ''}{how}")
+            bench.wait_for_stop(watch=watch)
+        _tell(bench)
+
+
+def _tell(bench: BenchClient) -> None:
+    """Show the state with its cause and the next command."""
+    from bench.network.status_words import state_line
+
+    typer.echo(state_line(bench.status()))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def show_plainly(command: TyperCommand | TyperGroup) -> None:
-    """Prepare the help texts of `command` and of all commands below it. Its epilog stays markup."""
+    """Prepare the help texts of `command`. Its epilog stays markup."""
     if command.help:
         command.help = "\n\n".join(
             _literal(" ".join(paragraph.split())) for paragraph in command.help.split("\n\n")
@@ -26,8 +26,6 @@ def show_plainly(command: TyperCommand | TyperGroup) -> None:
             parameter.help = _literal(text)  # type: ignore[attr-defined]  # options and arguments have one
         if getattr(parameter, "is_flag", False):
             parameter.metavar = ""
-    for below in getattr(command, "commands", {}).values():
-        show_plainly(below)
 
 
 def _literal(text: str) -> str:

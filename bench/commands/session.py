@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from bench.address import BenchAddress
     from bench.config import Configuration
 
 ClubName = Annotated[
@@ -43,3 +44,12 @@ class Session:
         from bench.config import load_configuration
 
         return load_configuration(self.config)
+
+    def address(self) -> BenchAddress:
+        """Return name and addresses of the bench; the rest of the configuration is not read.
+
+        Raises: as `configuration`.
+        """
+        from bench.address import load_address
+
+        return load_address(self.config)

@@ -12,13 +12,22 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from bench.network.bench_service import BenchStatus, DeviceStatus, LaunchMonitorStatus
+from bench.lifecycle import State, in_one
+from bench.network.bench_service import (
+    BenchStatus,
+    CauseStatus,
+    DeviceStatus,
+    LaunchMonitorStatus,
+    LeaseStatus,
+)
 from bench.network.client import BenchClient
 from bench.network.status_words import (
+    COMMANDS,
     StatusCondition,
     block_text,
     interlock_conditions,
     launch_monitor_text,
+    next_step,
     robot_conditions,
     shut_off_words,
     vent_words,
@@ -100,9 +109,10 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     joints = zip(JOINTS, status["joints_deg"], strict=True)
     rows: list[tuple[str, Text | str]] = [
         ("phase", moves),
-        ("cause", Text(f"{cause['name']}: {cause['text']}", "red") if cause else "none"),
-        *([("then found", Text(f"{latest['name']}: {latest['text']}", "red"))] if latest else []),
-        ("lease", f"{lease['holder']}, {lease['seconds_left']:.0f} s left" if lease else "not held"),
+        ("next", f"{next_step(status)} {COMMANDS[State[status['state']]]}"),
+        ("cause", _cause(cause) if cause else "none"),
+        *([("then found", _cause(latest))] if latest else []),
+        ("lease", _lease(lease) if lease else "not held"),
         ("robot", _flags(robot_conditions(status))),
         ("readiness", _readiness(status)),
         ("interlocks", _flags(interlock_conditions(status))),
@@ -136,6 +146,17 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     if status["read_only"]:
         rows.append(("read only", Text("observes and sends nothing but safe outputs", "yellow")))
     return [(name, Text(value) if isinstance(value, str) else value) for name, value in rows]
+
+
+def _cause(cause: CauseStatus) -> Text:
+    return Text(f"{cause['name']}: {in_one((cause['text'], cause['cure']))}", "red")
+
+
+def _lease(lease: LeaseStatus) -> Text:
+    told = Text(f"{lease['holder']}, {lease['seconds_left']:.0f} s left")
+    if lease["lapsing"]:
+        told.append("\nlapses soon, an armed bench then disarms: golfbench lease renew", "yellow")
+    return told
 
 
 def _flags(conditions: list[StatusCondition]) -> Text:

@@ -30,7 +30,7 @@ def sweep_engine(configuration: Configuration, processes: int, cluster: str, cas
     Raises:
         BenchError: the cluster is not there, or a certificate for it.
     """
-    from bench.config.identity_files import identity_files
+    from bench.address import identity_files
     from bench.errors import BenchError
     from bench.simulation.local_engine import local_engine
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.commands.compare import compare
 from bench.commands.session import ClubName, ProfileName, Session
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 
@@ -23,18 +24,27 @@ if TYPE_CHECKING:
     from sim.plant import PlantParameters
 
 app = typer.Typer(invoke_without_command=True)
+app.command()(compare)
 
 Name = Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 @app.callback()
-def swing(context: typer.Context) -> None:
-    """Swing, if the bench is ARMED; or show, simulate, check and design profiles."""
+def swing(
+    context: typer.Context,
+    no_wait: Annotated[
+        bool, typer.Option("--no-wait", help="Return once the swing has begun, without its delivery.")
+    ] = False,
+    timeout: Annotated[
+        float, typer.Option(metavar="S", min=1.0, max=600.0, help="Longest time to wait for its record.")
+    ] = 60.0,
+) -> None:
+    """Swing, if the bench is ARMED, and print the delivery; or show, simulate, check and design profiles."""
     if context.invoked_subcommand is None:
         from bench.commands.operate import swing_when_armed
 
-        swing_when_armed(context)
+        swing_when_armed(context, not no_wait, timeout)
 
 
 @app.command("list")

@@ -28,8 +28,9 @@ from bench.errors import Refused
 from bench.loop import record_reading
 from bench.simulation.loads import Loads, loads_of
 from bench.simulation.swing_operator import never
-from drivers.base import ABSENT, CHAMBERS, JOINTS, PASSIVE, READINGS, Command, Driver
+from drivers.base import ABSENT, CHAMBERS, JOINTS, PASSIVE, Command, Driver
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
 from sim.driver import SimDriver
 from sim.faults import Fault, turn_regulator
 from sim.plant import PlantParameters, build_plant

@@ -26,7 +26,7 @@ from bench.learning.live import swung_cycles
 from bench.lifecycle import REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
 from bench.loop import Cycle, Cycles, Loop
 from bench.processes.stall import stall_note
-from bench.processes.status import cause_text, refusal_text
+from bench.processes.status import cause_text, refusal_words
 from bench.simulation.loads import Loads
 from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, not_returned
 from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, SwingOperator, joined
@@ -245,9 +245,8 @@ class LiveSeries:
                 self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
                 called = True
             if waited > (_PERSON if person else patience):
-                trouble = getattr(self._driver, "trouble", "")
-                why, _, cure = refusal_text(refusal, trouble).partition(": ")
-                raise Refused(f"{request.name.lower()} of the robot", why, "it to be accepted", f"{cure}.")
+                fact, cure = refusal_words(refusal, getattr(self._driver, "trouble", ""))
+                raise Refused(f"{request.name.lower()} of the robot", fact, "it to be accepted", f"{cure}.")
             self._require_no_stop()
             operator.advance(round(_AGAIN / operator.period))
             operator.begin_record()

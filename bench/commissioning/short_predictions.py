@@ -17,8 +17,8 @@ from scipy.signal import savgol_filter
 
 from bench.commissioning.air_fit import count_angles
 from bench.commissioning.machine import Array
-from drivers.base import COMMAND
 from drivers.base.compiled import compiled, new_record
+from drivers.base.records import COMMAND
 from sim.plant import PlantParameters, advance, build_plant, initial_state
 
 Cycles = np.ndarray[Any, Any]

@@ -1,27 +1,25 @@
 """The configuration of a bench: its values, the files they come from, the rules they keep."""
 
-from bench.config.files import (
-    SHIPPED,
-    VARIANTS,
-    find_configuration,
-    load_configuration,
-    shipped_configuration,
-    variants_with,
-)
+from bench.address import NAME, BenchSettings, NetworkSettings
+from bench.config.files import load_configuration
 from bench.config.rules import (
     DATABASE_FILE,
-    NAME,
     contradictions,
     database_url,
     unheard_phases,
 )
 from bench.config.settings import (
-    BenchSettings,
     Configuration,
     DriverSettings,
     LoopSettings,
-    NetworkSettings,
     SwingSettings,
+)
+from bench.configuration_files import (
+    SHIPPED,
+    VARIANTS,
+    find_configuration,
+    shipped_configuration,
+    variants_with,
 )
 
 __all__ = [

@@ -14,9 +14,6 @@ from typing import Any, get_type_hints
 
 from bench.config.settings import Configuration
 
-DEFAULTS = "defaults"
-"""Base of a configuration file that is laid over the defaults of the code."""
-
 DERIVED = frozenset({"plant.tick", "plant.ball", "plant.robot.club", "files"})
 """Fields that are derived from other keys, and are no keys themselves."""
 

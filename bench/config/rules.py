@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.metadata import entry_points
-from ipaddress import ip_address
 from math import asin, ceil, degrees, hypot, pi, radians
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.address import address_mistakes
 from bench.config.safety import Mistake, check_safety
 from bench.config.settings import Configuration
 from bench.control.settings import (
@@ -40,9 +39,6 @@ COST_OF_A_SYNC = 2.2
 """Ticks without a sample when a SYNC is lost: its own; the next, whose sample might answer the lost one; and
 the max delay of a tick."""
 
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
-"""Name of a person or machine in a certificate."""
-
 DATABASE_FILE = "golfbench.sqlite"
 
 
@@ -69,14 +65,11 @@ def database_url(database: str, data_dir: Path) -> URL:
     return url
 
 
+def _address(c: Configuration, tree: Tree) -> Iterator[Mistake]:
+    return address_mistakes(c)
+
+
 def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", c.bench.id):
-        yield (
-            "bench.id",
-            format_value(c.bench.id),
-            "letters, digits, - and _, at most 63",
-            "It is part of addresses.",
-        )
     if c.bench.database:
         try:
             database_url(c.bench.database, c.bench.data_dir)
@@ -104,49 +97,6 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             found = "nothing" if name in watched else "an unknown phase"
             expected = f"each of {', '.join(watched)} once"
             yield f"envelope.model.{kind}.{name}", found, expected, "Correct the table."
-
-
-def _network(c: Configuration, tree: Tree) -> Iterator[Mistake]:
-    network, inside = c.network, "tcp/127.0.0.1:PORT or tcp/[::1]:PORT, an address of this machine only"
-    beyond = "tls/HOST:PORT: beyond this machine commands must be encrypted"
-    places = (
-        ("endpoint", network.endpoint, f"{inside}, or {beyond}", _is_loopback, _is_secure),
-        ("beyond", network.beyond, f'"", or {beyond}', _is_empty, _is_secure),
-        ("router", network.router, f'"", {inside}, or {beyond}', _is_empty, _is_loopback, _is_secure),
-    )
-    for name, endpoint, wanted, *allowed in places:
-        if not any(allow(endpoint) for allow in allowed):
-            yield f"network.{name}", format_value(endpoint), f"{wanted}; PORT 1 to 65535", "Correct it."
-        elif _is_secure(endpoint) and not network.identity:
-            found = f"none, with {name} = {format_value(endpoint)}"
-            cure = "Create them with `golfbench certificates`."
-            yield "network.identity", found, "path of certificate and key, without ending", cure
-    for role in ("viewers", "operators"):
-        for name in getattr(network, role):
-            if not NAME.fullmatch(name):
-                wanted = "names as in certificates: letters, digits, ., - and _, at most 63"
-                yield f"network.{role}", format_value(name), wanted, "Correct it."
-
-
-def _is_empty(endpoint: str) -> bool:
-    return endpoint == ""
-
-
-def _is_loopback(endpoint: str) -> bool:
-    form = re.fullmatch(r"tcp/(?:\[(?P<six>[0-9a-f:]+)\]|(?P<four>[0-9.]+)):(?P<port>[0-9]{1,5})", endpoint)
-    try:
-        return form is not None and ip_address(form["six"] or form["four"]).is_loopback and _is_port(form)
-    except ValueError:
-        return False
-
-
-def _is_secure(endpoint: str) -> bool:
-    form = re.fullmatch(r"tls/(?:\[[0-9a-f:]+\]|[A-Za-z0-9.-]+):(?P<port>[0-9]{1,5})", endpoint)
-    return form is not None and _is_port(form)
-
-
-def _is_port(form: re.Match[str]) -> bool:
-    return 1 <= int(form["port"]) <= 65535
 
 
 def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
@@ -411,8 +361,8 @@ def _faults(c: Configuration, tree: Tree) -> Iterator[Mistake]:
 
 
 RULES: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
+    _address,
     _names,
-    _network,
     _actuators,
     _linkage,
     _times,

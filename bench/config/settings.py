@@ -9,6 +9,7 @@ from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from bench.address import BenchSettings, NetworkSettings
 from bench.config.club_site import ClubSite
 from bench.control.model_limits import LimitsInUse, MadeFor, limits_in_use, limits_path
 from bench.control.settings import (
@@ -35,18 +36,6 @@ from sim.turf import Turf
 
 _log = logging.getLogger("golfbench")
 _PASSWORD = re.compile(r"(//[^:/@]*:)[^/]*@")
-
-
-@dataclass(frozen=True)
-class BenchSettings:
-    """Name of the bench and its storage."""
-
-    id: str
-    """Name of this bench, part of every address on the network: letters, digits, - and _."""
-    data_dir: Path
-    """Folder of records, relative to the working directory."""
-    database: str = ""
-    """URL of the database; empty: SQLite in `data_dir`."""
 
 
 @dataclass(frozen=True)
@@ -79,25 +68,6 @@ class DriverSettings:
     def paced(self) -> bool:
         """Whether a simulated plant runs in step with the loop's ticks; otherwise in wall time."""
         return self.name == "sim" and self.time == "paced"
-
-
-@dataclass(frozen=True)
-class NetworkSettings:
-    """Addresses of the daemon, and the rights of clients on other machines."""
-
-    endpoint: str
-    """zenoh endpoint: of the daemon on its own machine; of a client elsewhere, the daemon's `beyond`."""
-    beyond: str = ""
-    """TLS endpoint for other machines; empty: none."""
-    router: str = ""
-    """zenoh router that the daemon connects to; empty: none."""
-    identity: str = ""
-    """Path, without ending, of this side's certificate (.pem) and key (.key); authority.pem beside them."""
-    viewers: tuple[str, ...] = ()
-    """Names in certificates of those who may read."""
-    operators: tuple[str, ...] = ()
-    """Names in certificates of those who may also command, a router included; stop and estop are open to
-    every certificate."""
 
 
 @dataclass(frozen=True)

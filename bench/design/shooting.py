@@ -16,8 +16,9 @@ from bench.control.braking import brake_opening
 from bench.control.gain_table import DERIVATIVE, PROPORTIONAL
 from bench.control.settings import ControlSettings
 from bench.simulation.loads import begin_tally
-from drivers.base import PASSIVE, pack_command
+from drivers.base import PASSIVE
 from drivers.base.compiled import compiled, new_record
+from drivers.base.records import pack_command
 from sim.impact import in_plane_error
 from sim.plant import PLANT_STATE, Plant, advance
 

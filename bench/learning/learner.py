@@ -30,7 +30,7 @@ from scipy.optimize import lsq_linear
 
 from bench.learning.figures import Figures, Tolerance
 from bench.learning.response import Response
-from bench.swing.correction import GREATEST_WEIGHT
+from bench.swing.correction_bounds import GREATEST_WEIGHT
 
 Array = NDArray[np.float64]
 

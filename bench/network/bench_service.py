@@ -11,7 +11,7 @@ from typing import Annotated, Literal, NamedTuple, NotRequired, Protocol, TypedD
 
 from annotated_types import Len
 
-from bench.lifecycle import Block, Cause, Phase, Reaction, Request, State
+from bench.lifecycle import REFUSAL_WORDS, Block, Cause, Phase, Reaction, Refusal, Request, State, Words
 
 STATUS_VERSION = 1
 """Version of `BenchStatus`."""
@@ -33,10 +33,17 @@ class Reply(NamedTuple):
     accepted: bool
     state: str
     """Name of the `State` after the answer."""
-    reason: str
-    """Why it was refused, with the cure; empty when accepted."""
+    refusal: Refusal = Refusal.NONE
+    words: Words = ("", "")
+    """Why it was refused, and the cure; empty when accepted."""
     blocks: Sequence[ArmingBlock] = ()
     """Reasons that block arming, if it was refused for them."""
+
+
+def refused(state: str, refusal: Refusal, fact: str = "", cure: str = "") -> Reply:
+    """Return the refusal of a request, in its own words where `fact` or `cure` say no more."""
+    words = REFUSAL_WORDS[refusal]
+    return Reply(False, state, refusal, (fact or words[0], cure or words[1]))
 
 
 class CauseStatus(TypedDict):
@@ -44,6 +51,9 @@ class CauseStatus(TypedDict):
 
     name: Annotated[str, Cause]
     text: str
+    """For people, without the cure."""
+    cure: str
+    """For people; empty where none is known."""
 
 
 class LeaseStatus(TypedDict):
@@ -51,6 +61,8 @@ class LeaseStatus(TypedDict):
 
     holder: str
     seconds_left: float
+    lapsing: bool
+    """Whether it lapses soon unless it is renewed; an armed bench then disarms."""
 
 
 class ProcessStatus(TypedDict):
@@ -200,7 +212,7 @@ class BenchStatus(TypedDict):
     phase: Annotated[str, Phase]
     reaction: Annotated[str, Reaction]
     cause: CauseStatus | None
-    """First cause of a stop."""
+    """First cause of a stop, or why it was disarmed since it last moved."""
     latest_cause: CauseStatus | None
     """Newest cause found after it; None without one."""
     homed: bool

@@ -1,6 +1,6 @@
 """Python client of a running bench, with the verbs of the command line.
 
-with BenchClient.connect(load_configuration()) as bench, bench.lease("Ann"):
+with BenchClient.connect(load_address()) as bench, bench.lease("Ann"):
     bench.home()
     bench.wait_for("READY")
     bench.arm()
@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 import zenoh
 
 from bench.errors import BenchError, Refused
-from bench.lifecycle import ACCEPTED_IN, REFUSAL_TEXT, Refusal
+from bench.lifecycle import ACCEPTED_IN, PASSING, Refusal, State
+from bench.network import status_words
 from bench.network.bench_service import STATUS_VERSION, BenchStatus
 from bench.network.command import (
     REQUESTS,
@@ -37,7 +38,7 @@ from bench.network.zenoh_session import NoAnswer, close_session, open_client
 from bench.shot.shot_message import ShotMessage, read_shot_message
 
 if TYPE_CHECKING:
-    from bench.config import Configuration, NetworkSettings
+    from bench.address import Addressed, NetworkSettings
 
 TIMEOUT = 2.0
 """Time-out of an answer, s: longer than a request may wait in the bench for its turn and for the loop."""
@@ -54,17 +55,24 @@ As long as a raised arm may take to sink, and as chambers may take to vent as sh
 LONGEST_AIR = 60.0
 """s for which a swing waits for its air; a bench that cannot bring it ends the waiting by itself."""
 
-_SETTLING = frozenset({REFUSAL_TEXT[Refusal.MOVING]})
-"""Reasons of a refused home, arm or reset that pass by themselves."""
-_VENTING = frozenset({REFUSAL_TEXT[Refusal.NOT_VENTED]})
-"""Reasons of a refused arm that pass by themselves, too: READY begins while chambers still empty."""
-_FILLING = frozenset({REFUSAL_TEXT[Refusal.AIR]})
-"""Reasons of a refused swing that pass by themselves."""
-
 _LOOK_FOR_REST = 0.1
 """s between two requests while it sways."""
 
-LATCHED = frozenset({"ESTOP", "FAULT"})
+_LOOK_AT_SWING = 0.5
+"""s between two looks at the state during a swing."""
+
+LONGEST_STOP = 20.0
+"""s that a stop may take until the robot stands; the slowest is a swing that completes and returns."""
+
+LATCHED = frozenset(state.name for state in status_words.LATCHED)
+_MOVING = frozenset(state.name for state in status_words.MOVING)
+
+_PASSING_STATES = {Verb.HOME: ("RECOVERING",), Verb.ARM: ("HOMING", "RECOVERING")}
+"""States in which a verb is refused, and that end by themselves where it is accepted. None for a swing: one
+that was asked for twice is not made twice."""
+
+Watch = Callable[[BenchStatus], None]
+"""Gets every status while a client waits."""
 
 
 class CommandRefused(Refused):
@@ -82,19 +90,31 @@ class CommandRefused(Refused):
             super().__init__(
                 f"{verb} of bench {bench}", "; ".join(found), "; ".join(expected), " ".join(cures)
             )
-            self.answer = answer
+            self.verb, self.answer = verb, answer
             return
-        why, _, cure = answer.reason.partition(": ")
         states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []
+        wrong_state = bool(states) and answer.state not in states
+        command = f"Next: {status_words.COMMANDS[State[answer.state]]}."
+        cure = status_words.sentence(answer.cure.removesuffix("."))
         super().__init__(
             f"{verb} of bench {bench}",
-            f"refused in state {answer.state}: {why}",
-            f"state {' or '.join(states)}"
-            if states and answer.state not in states
-            else "no blocking condition",
-            f"{cure[:1].upper()}{cure[1:]}." if cure else "Look at golfbench status.",
+            f"refused in state {answer.state}: {answer.reason}",
+            f"state {' or '.join(states)}" if wrong_state else "no blocking condition",
+            " ".join(filter(None, (cure, command if wrong_state else ""))) or "Look at golfbench status.",
         )
-        self.answer = answer
+        self.verb, self.answer = verb, answer
+
+    @property
+    def refusal(self) -> Refusal:
+        """Why it was refused."""
+        return Refusal[self.answer.refusal]
+
+    @property
+    def passes(self) -> bool:
+        """Whether the reason passes by itself: waiting, then asking again, is all it takes."""
+        if self.refusal is Refusal.STATE:
+            return self.answer.state in _PASSING_STATES.get(self.verb, ())
+        return self.refusal in PASSING
 
 
 @dataclass
@@ -131,13 +151,15 @@ class BenchClient:
         """The lease from `take_lease`, or one stored earlier."""
 
     @classmethod
-    def connect(cls, configuration: Configuration, timeout: float = TIMEOUT) -> Self:
-        """Connect to the bench of `configuration`; `timeout` (s) applies to each answer.
+    def connect(cls, address: Addressed, timeout: float = TIMEOUT) -> Self:
+        """Connect to the bench at `address` (`load_address()`, or a whole configuration).
+
+        `timeout` (s) applies to each answer.
 
         Raises:
             NoAnswer: no bench listens at its endpoint.
         """
-        network, bench = configuration.network, configuration.bench.id
+        network, bench = address.network, address.bench.id
         return cls(open_client(network, bench), bench, network, timeout)
 
     def __enter__(self) -> Self:
@@ -242,7 +264,7 @@ class BenchClient:
         *,
         phase: str | None = None,
         timeout: float = 30.0,
-        watch: Callable[[BenchStatus], None] | None = None,
+        watch: Watch | None = None,
     ) -> BenchStatus:
         """Wait up to `timeout` s for `state`, and for `phase` in it where given; return the status.
 
@@ -258,9 +280,7 @@ class BenchClient:
 
         return self._wait(reached, wanted, lambda status: status["state"] not in LATCHED, timeout, watch)
 
-    def wait_until_armed(
-        self, *, timeout: float = 60.0, watch: Callable[[BenchStatus], None] | None = None
-    ) -> BenchStatus:
+    def wait_until_armed(self, *, timeout: float = 60.0, watch: Watch | None = None) -> BenchStatus:
         """Wait up to `timeout` s until the robot rests at its address, ready to swing; return the status.
 
         `watch` gets every status on the way.
@@ -279,13 +299,23 @@ class BenchClient:
         wanted = "ARMED, at rest at the address"
         return self._wait(reached, wanted, lambda status: status["state"] == "ARMED", timeout, watch)
 
+    def wait_for_stop(self, *, timeout: float = LONGEST_STOP, watch: Watch | None = None) -> BenchStatus:
+        """Wait up to `timeout` s after a stop until the robot stands; return the status.
+
+        Raises:
+            Refused: time-out.
+        """
+        return self._wait(
+            lambda status: status["state"] not in _MOVING, "at rest", lambda _: True, timeout, watch
+        )
+
     def _wait(
         self,
         reached: Callable[[BenchStatus], bool],
         wanted: str,
         on_the_way: Callable[[BenchStatus], bool],
         timeout: float,
-        watch: Callable[[BenchStatus], None] | None,
+        watch: Watch | None,
     ) -> BenchStatus:
         """Wait until a status has `reached` the goal; refuse one that is not `on_the_way` to it."""
         deadline = time.monotonic() + timeout
@@ -298,11 +328,7 @@ class BenchClient:
                 if cause := status["cause"]:
                     found += f": {cause['text']}"
                 if not on_the_way(status):
-                    latched = status["state"] in LATCHED
-                    cure = (
-                        "Clear the fault, then golfbench reset." if latched else "Look at golfbench status."
-                    )
-                    raise Refused(f"bench {self.bench}", found, wanted, cure)
+                    raise Refused(f"bench {self.bench}", found, wanted, cure_of(status))
                 if time.monotonic() >= deadline:
                     cure = "Wait longer, or look at golfbench status."
                     raise Refused(f"bench {self.bench} after {timeout:g} s", found, wanted, cure)
@@ -362,16 +388,17 @@ class BenchClient:
 
     # Verbs ---------------------------------------------------------------------------------------
 
-    def home(self, patience: float | None = None) -> CommandAnswer:
-        """Prove the encoders' zeros, once the robot rests: asked again for `patience` (s)."""
-        return self._ask_at_rest(Verb.HOME, patience)
+    def home(self, patience: float = LONGEST_SWAY, watch: Watch | None = None) -> CommandAnswer:
+        """Prove the encoders' zeros.
 
-    def arm(self, patience: float | None = None) -> CommandAnswer:
-        """Warn, switch the air on, go to the address, once the robot rests.
-
-        It is asked again for `patience` (s).
+        While it is refused for what passes by itself (the robot sways or returns, chambers vent) it is asked
+        again for `patience` (s), here and in arm, swing, tee and reset; `watch` gets the states meanwhile.
         """
-        return self._ask_at_rest(Verb.ARM, patience)
+        return self._ask_patiently(Verb.HOME, patience, watch)
+
+    def arm(self, patience: float = LONGEST_SWAY, watch: Watch | None = None) -> CommandAnswer:
+        """Warn, switch the air on, go to the address."""
+        return self._ask_patiently(Verb.ARM, patience, watch)
 
     def disarm(self) -> CommandAnswer:
         """Disarm: vent if at rest, otherwise brake first; needs no lease."""
@@ -385,20 +412,52 @@ class BenchClient:
         """End the access: lock the guard."""
         return self._ask_keyed(Verb.SECURE)
 
-    def swing(self, patience: float | None = None) -> CommandAnswer:
-        """Swing from the address, once its air is as the profile plans it: asked again for `patience` (s)."""
-        return self._ask_while(Verb.SWING, _FILLING, LONGEST_AIR if patience is None else patience)
+    def swing(self, patience: float = LONGEST_AIR, watch: Watch | None = None) -> CommandAnswer:
+        """Swing from the address, once the robot rests there and its air is as the profile plans it."""
+        return self._ask_patiently(Verb.SWING, patience, watch)
 
-    def tee(self, patience: float | None = None) -> CommandAnswer:
-        """Raise the next ball, once the robot rests; it is asked again for `patience` (s)."""
-        return self._ask_at_rest(Verb.TEE, patience)
+    def swing_through(
+        self, *, patience: float = LONGEST_AIR, timeout: float = 60.0, watch: Watch | None = None
+    ) -> ShotMessage:
+        """Swing, and return the shot within `timeout` s: once its record is stored and the ball is measured.
 
-    def reset(self, patience: float | None = None) -> CommandAnswer:
-        """Leave ESTOP or FAULT once the cause is cleared and the robot rests; never moves the robot.
-
-        It is asked again for `patience` (s) while a joint moves.
+        Raises:
+            Refused: no record of it came.
         """
-        return self._ask_at_rest(Verb.RESET, patience)
+        before, stored, looked = self.status(), None, 0.0
+        monitor = before["launch_monitor"]
+        with self.shots() as following:
+            self.swing(patience, watch)
+            end = time.monotonic() + timeout
+            while (now := time.monotonic()) < end:
+                message = following()
+                if message is None:
+                    if watch is not None and now - looked > _LOOK_AT_SWING:
+                        looked = now
+                        watch(self.status())
+                    time.sleep(0.01)
+                elif stored is not None and (message.shot_id, message.outcome is not None) == (
+                    stored.shot_id,
+                    True,
+                ):
+                    return message
+                elif message.outcome is None and message.tick is not None and message.tick >= before["tick"]:
+                    stored = message
+                    if monitor is None:
+                        return stored
+                    end = max(end, now + monitor["settled_s"] + TIMEOUT)
+        if stored is not None:
+            return stored
+        place, cure = f"swing of bench {self.bench}", "Look at golfbench status: is the recorder running?"
+        raise Refused(place, f"no record within {timeout:g} s", "the record of the swing", cure)
+
+    def tee(self, patience: float = LONGEST_SWAY) -> CommandAnswer:
+        """Raise the next ball."""
+        return self._ask_patiently(Verb.TEE, patience, None)
+
+    def reset(self, patience: float = LONGEST_SWAY) -> CommandAnswer:
+        """Leave ESTOP or FAULT once the cause is cleared; never moves the robot."""
+        return self._ask_patiently(Verb.RESET, patience, None)
 
     def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
         """Apply the correction `weights` of the profile with digest `profile` to the coming swings.
@@ -434,20 +493,17 @@ class BenchClient:
             held.sequence += 1
             return self._ask(verb, key=held.key, sequence=held.sequence, **values)
 
-    def _ask_at_rest(self, verb: Verb, patience: float | None) -> CommandAnswer:
-        """Ask again while a joint still moves or a chamber vents, at most for `patience` (s)."""
-        passing = _SETTLING | _VENTING if verb is Verb.ARM else _SETTLING
-        return self._ask_while(verb, passing, LONGEST_SWAY if patience is None else patience)
-
-    def _ask_while(self, verb: Verb, passing: frozenset[str], longest: float) -> CommandAnswer:
-        """Ask again while the bench refuses for a reason that is `passing`, at most for `longest` (s)."""
-        end = time.monotonic() + longest
+    def _ask_patiently(self, verb: Verb, patience: float, watch: Watch | None) -> CommandAnswer:
+        """Ask again while the bench refuses for what passes by itself, at most for `patience` (s)."""
+        end = time.monotonic() + patience
         while True:
             try:
                 return self._ask_keyed(verb)
             except CommandRefused as refused:
-                if refused.answer.reason not in passing or time.monotonic() >= end:
+                if not refused.passes or time.monotonic() >= end:
                     raise
+            if watch is not None:
+                watch(self.status())
             time.sleep(_LOOK_FOR_REST)
 
     def _ask(self, verb: Verb, **values: Any) -> CommandAnswer:
@@ -482,6 +538,13 @@ class BenchClient:
                 raise parse_error(reply.err.payload.to_bytes())
         waited = f"waited {time.monotonic() - began:.1f} s"
         raise NoAnswer(self.bench, self._network.endpoint, waited)
+
+
+def cure_of(status: BenchStatus) -> str:
+    """Return what to do in the state of the bench: about its cause, then the next step and its command."""
+    cause = status["cause"]
+    cure = status_words.sentence(cause["cure"]) if cause else ""
+    return f"{cure or status_words.next_step(status)} Next: {status_words.next_command(status)}."
 
 
 def _read_status(payload: bytes) -> BenchStatus:

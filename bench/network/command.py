@@ -15,10 +15,10 @@ from math import isfinite
 from typing import Annotated, Any, NamedTuple, NoReturn, NotRequired, TypedDict
 
 from bench.errors import BenchError
-from bench.lifecycle import Request, State
+from bench.lifecycle import Cause, Refusal, Request, State
 from bench.network.bench_service import ArmingBlock
 from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_holder
-from bench.swing.correction import GREATEST_WEIGHT, MOST_WEIGHTS
+from bench.swing.correction_bounds import GREATEST_WEIGHT, MOST_WEIGHTS
 
 VERSION = 1
 """Version of every message."""
@@ -364,8 +364,14 @@ class CommandAnswer(NamedTuple):
     accepted: bool
     state: Annotated[str, State]
     """State after the answer."""
+    refusal: Annotated[str, Refusal] = Refusal.NONE.name
+    """Why it was refused."""
+    cause: Annotated[str, Cause] = Cause.NONE.name
+    """Why the robot was stopped or disarmed before."""
     reason: str = ""
-    """Why it was refused, and what to do; empty when accepted."""
+    """Why it was refused, for people; empty when accepted."""
+    cure: str = ""
+    """What to do about the refusal, for people."""
     note: str = ""
     """Further information for the operator."""
     content: Mapping[str, Any] = {}
@@ -400,11 +406,14 @@ def parse_answer(payload: bytes) -> CommandAnswer:
                 "version": 1,
                 "accepted": bool(accepted),
                 "state": str(state),
+                "refusal": str(refusal),
+                "cause": str(cause),
                 "reason": str(reason),
+                "cure": str(cure),
                 "note": str(note),
                 "content": dict(content),
-            }:
-                return CommandAnswer(accepted, state, reason, note, content)
+            } if refusal in Refusal.__members__ and cause in Cause.__members__:
+                return CommandAnswer(accepted, state, refusal, cause, reason, cure, note, content)
     except (ValueError, RecursionError):
         pass
     raise _other_version(payload)

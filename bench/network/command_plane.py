@@ -20,7 +20,7 @@ import zenoh
 
 from bench.control.requests import STOP_HOLDS
 from bench.errors import BenchError
-from bench.lifecycle import State
+from bench.lifecycle import REFUSAL_WORDS, Cause, Refusal, State, Words
 from bench.network.bench_service import BenchService, BenchStatus, CountStatus, LeaseStatus, Reply
 from bench.network.command import (
     CONVENIENCE,
@@ -44,6 +44,7 @@ from bench.network.command import (
     too_long,
 )
 from bench.network.lease import Lease, LeaseBook, LeaseRefused
+from bench.network.status_words import next_step
 from bench.network.wire_contract import wire_contract
 
 QUEUE = 64
@@ -76,9 +77,6 @@ _CHANGES = (
 """Parts of the state that are published as soon as they change, as the lease's holder and a launch monitor's
 coming and going are."""
 
-_BUSY = "too many messages wait, this one was not done: ask again"
-_TOO_LATE = "it waited too long behind others and was not done: ask again"
-_GOING_DOWN = "the bench is shutting down: ask again after its restart"
 _STOPS_ANYWAY = "The bench stops all the same."
 _REQUESTED = frozenset({Verb.LEASE, Verb.CORRECT, *REQUESTS})
 
@@ -218,6 +216,14 @@ class CommandPlane:
         with self._book_lock:
             return self._book.held(self._clock())
 
+    def lease_status(self) -> LeaseStatus | None:
+        """Return the valid lease as the status has it, if any."""
+        lease, now = self.lease(), self._clock()
+        if lease is None:
+            return None
+        left, lapsing = lease.expiry - now, lease.lapses_soon(now)
+        return LeaseStatus(holder=lease.holder, seconds_left=left, lapsing=lapsing)
+
     def counts(self) -> CountStatus:
         """Return the counts of messages by outcome."""
         with self._count_lock:
@@ -230,7 +236,7 @@ class CommandPlane:
         """Publish `status` if it has changed or a heartbeat is due; return whether it was."""
         status = self._completed(status)
         lease, monitor, now = status["lease"], status["launch_monitor"], self._clock()
-        beside = lease and lease["holder"], monitor and monitor["present"]
+        beside = lease and (lease["holder"], lease["lapsing"]), monitor and monitor["present"]
         telling = (*beside, *(status[name] for name in _CHANGES))  # type: ignore[literal-required]
         if telling == self._told and now - self._told_at < HEARTBEAT:
             return False
@@ -271,7 +277,7 @@ class CommandPlane:
                 note = f"Others asked before. {CONVENIENCE}" if verb == Verb.ESTOP else "Others asked before."
                 self._answer(query, verb, CommandAnswer(True, self._last_state, note=note))
             else:
-                self._refuse(query, verb, _GOING_DOWN if self._closing else _BUSY)
+                self._refuse(query, verb, Refusal.SHUTTING_DOWN if self._closing else Refusal.BUSY)
         except Exception:  # whatever it was, zenoh's thread has to go on
             with self._count_lock:
                 self._counts["dropped"] += 1
@@ -308,9 +314,9 @@ class CommandPlane:
     def _do_request(self, messages: list[Message], _: frozenset[str]) -> None:
         for query, verb, payload, arrived in messages:
             if self._closing:
-                self._refuse(query, verb, _GOING_DOWN)
+                self._refuse(query, verb, Refusal.SHUTTING_DOWN)
             elif self._clock() - arrived > LONGEST_WAIT:
-                self._refuse(query, verb, _TOO_LATE)
+                self._refuse(query, verb, Refusal.TOO_LATE)
             else:
                 self._do(query, verb, payload)
 
@@ -327,7 +333,7 @@ class CommandPlane:
         try:
             answer = self._obey(command)
         except LeaseRefused as refused:
-            answer = CommandAnswer(False, self._state_now(), str(refused))
+            answer = self._answer_of(Reply(False, "", refused.refusal, refused.words))
         except Exception as error:  # the desk may fail in any way; who asked gets an answer all the same
             answer = self._failed(error)
         self._answer(query, verb, answer)
@@ -345,7 +351,7 @@ class CommandPlane:
             case ReleaseLease(key, sequence):
                 with self._book_lock:
                     self._book.release(key, sequence, self._clock())
-                return CommandAnswer(True, self._state_now())
+                return self._answer_of(Reply(True, ""))
             case Keyed(verb, key, sequence):
                 with self._book_lock:
                     self._book.use(key, sequence, self._clock())
@@ -363,38 +369,45 @@ class CommandPlane:
     def _asked(self, ask: Callable[[], Reply]) -> CommandAnswer:
         """Return the desk's reply to `ask`; an exception counts as refused."""
         try:
-            reply = ask()
+            return self._answer_of(ask())
         except Exception as error:  # see _do
             return self._failed(error)
-        content: Mapping[str, Any] = {"arming_blocks": list(reply.blocks)} if reply.blocks else {}
-        return CommandAnswer(reply.accepted, reply.state, reply.reason, content=content)
 
     def _failed(self, error: Exception) -> CommandAnswer:
-        return CommandAnswer(
-            False, self._last_state, f"the bench could not do it, {type(error).__name__}: {error}"
-        )
+        fact = f"the bench could not do it, {type(error).__name__}: {error}"
+        return _refusal(self._last_state, Refusal.FAILED, (fact, REFUSAL_WORDS[Refusal.FAILED][1]))
 
     def _of_lease(self, lease: Lease, **more: str) -> CommandAnswer:
         content = LeaseContent(holder=lease.holder, seconds_left=lease.expiry - self._clock())
-        return CommandAnswer(True, self._state_now(), content={**content, **more})
+        return self._answer_of(Reply(True, ""))._replace(content={**content, **more})
 
-    def _state_now(self) -> str:
+    def _answer_of(self, reply: Reply) -> CommandAnswer:
+        """Return `reply` with state, cause and, refused for its state, what is possible in it."""
         try:
-            return self._desk.status()["state"]
+            status = self._desk.status()
         except Exception:  # see _do
-            return self._last_state
+            state = reply.state or self._last_state
+            return CommandAnswer(True, state) if reply.accepted else _refusal(state, *reply[2:4])
+        state, cause = reply.state or status["state"], status["cause"]
+        if reply.accepted:
+            answer = CommandAnswer(True, state)
+        else:
+            answer = _refusal(state, reply.refusal, reply.words)
+            if reply.refusal is Refusal.STATE:
+                answer = answer._replace(cure=next_step({**status, "state": state}))
+            if reply.blocks:
+                answer = answer._replace(content={"arming_blocks": list(reply.blocks)})
+        return answer._replace(cause=Cause.NONE.name if cause is None else cause["name"])
 
     def _completed(self, status: BenchStatus) -> BenchStatus:
         """Return `status` with lease and counts."""
         self._last_state = status["state"]
-        lease, now = self.lease(), self._clock()
-        told = None if lease is None else LeaseStatus(holder=lease.holder, seconds_left=lease.expiry - now)
-        return {**status, "lease": told, "counts": self.counts()}
+        return {**status, "lease": self.lease_status(), "counts": self.counts()}
 
     # Answering -----------------------------------------------------------------------------------
 
-    def _refuse(self, query: zenoh.Query, verb: str, reason: str) -> None:
-        self._answer(query, verb, CommandAnswer(False, self._last_state, reason))
+    def _refuse(self, query: zenoh.Query, verb: str, refusal: Refusal) -> None:
+        self._answer(query, verb, _refusal(self._last_state, refusal, REFUSAL_WORDS[refusal]))
 
     def _answer(self, query: zenoh.Query, verb: str, answer: CommandAnswer) -> None:
         try:
@@ -421,3 +434,7 @@ class CommandPlane:
         except zenoh.ZError:
             with self._count_lock:
                 self._counts.subtract({kind: 1, "dropped": -1})
+
+
+def _refusal(state: str, refusal: Refusal, words: Words) -> CommandAnswer:
+    return CommandAnswer(False, state, refusal.name, reason=words[0], cure=words[1])

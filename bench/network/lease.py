@@ -9,15 +9,24 @@ import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from bench.lifecycle import REFUSAL_WORDS, Refusal, Words, in_one
+
 LONGEST_HOLDER = 64
 """Characters of a holder's name."""
 
 SHORTEST, DEFAULT, LONGEST = 5.0, 30.0, 600.0
 """Min, default and max duration of a lease, s."""
 
+WARNING = 10.0
+"""Longest time before its end for which a lease is called lapsing, s."""
+
 
 class LeaseRefused(Exception):
-    """A refused lease or an invalid key; the text gives cause and action, never a key."""
+    """A refused lease or an invalid key; its `words` never repeat a key."""
+
+    def __init__(self, refusal: Refusal, words: Words | None = None) -> None:
+        self.refusal, self.words = refusal, words or REFUSAL_WORDS[refusal]
+        super().__init__(in_one(self.words))
 
 
 @dataclass(frozen=True)
@@ -31,8 +40,14 @@ class Lease:
     """s, on the clock that every call of the book is given."""
     number: int
     """Counts the leases of a book from 1: no two have the same, also of one holder."""
+    seconds: float
+    """Duration from each take or renewal, s."""
     sequence: int = 0
     """Sequence number of the newest command with the key; the next one must be higher."""
+
+    def lapses_soon(self, now: float) -> bool:
+        """Return whether it lapses within `WARNING` or a quarter of its duration, unless it is renewed."""
+        return self.expiry - now < min(WARNING, self.seconds / 4)
 
 
 def new_key() -> str:
@@ -74,9 +89,9 @@ class LeaseBook:
         if not (is_holder(holder) and is_duration(seconds)):
             raise ValueError(f"no lease for {holder!r} and {seconds!r} s")
         if lease := self.held(now):
-            raise LeaseRefused(_held_by(lease, now))
+            raise LeaseRefused(Refusal.HELD, _held_by(lease, now))
         self._given += 1
-        self._lease = Lease(holder, self._make_key(), now + seconds, self._given)
+        self._lease = Lease(holder, self._make_key(), now + seconds, self._given, seconds)
         return self._lease
 
     def use(self, key: str, sequence: int, now: float) -> Lease:
@@ -87,14 +102,12 @@ class LeaseBook:
         """
         lease = self.held(now)
         if lease is None:
-            raise LeaseRefused("no valid lease: take it (golfbench lease take), then ask again")
+            raise LeaseRefused(Refusal.NO_LEASE)
         if not secrets.compare_digest(key.encode(), lease.key.encode()):
-            raise LeaseRefused(_held_by(lease, now))
+            raise LeaseRefused(Refusal.HELD, _held_by(lease, now))
         if sequence <= lease.sequence:
-            raise LeaseRefused(
-                f"sequence {sequence} after {lease.sequence}, repeated or out of order: it was not done; "
-                "check the state, then ask again"
-            )
+            found = f"sequence {sequence} after {lease.sequence}, repeated or out of order: it was not done"
+            raise LeaseRefused(Refusal.SEQUENCE, (found, REFUSAL_WORDS[Refusal.SEQUENCE][1]))
         self._lease = replace(lease, sequence=sequence)
         return self._lease
 
@@ -107,7 +120,7 @@ class LeaseBook:
         """
         if not is_duration(seconds):
             raise ValueError(f"no lease for {seconds!r} s")
-        self._lease = replace(self.use(key, sequence, now), expiry=now + seconds)
+        self._lease = replace(self.use(key, sequence, now), expiry=now + seconds, seconds=seconds)
         return self._lease
 
     def release(self, key: str, sequence: int, now: float) -> None:
@@ -120,6 +133,7 @@ class LeaseBook:
         self._lease = None
 
 
-def _held_by(lease: Lease, now: float) -> str:
+def _held_by(lease: Lease, now: float) -> Words:
     left = max(0.0, lease.expiry - now)
-    return f"{lease.holder} holds the bench for {left:.0f} s more: wait, or ask {lease.holder} to release it"
+    fact = f"{lease.holder} holds the bench for {left:.0f} s more"
+    return fact, f"wait, or ask {lease.holder} to release it"

@@ -5,7 +5,7 @@ Those of state and shot: `bench.network.bench_service`, `bench.shot.shot_message
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal, NotRequired, TypedDict
 
 from bench.lifecycle import Cause, Phase, Reaction, State
 from bench.shot.shot import ShotStatus
@@ -31,6 +31,18 @@ class ChangeEvent(TypedDict):
     """Number of the tick since the loop's start."""
     loop_time: float
     """Time of the tick on the loop's clock, s."""
+
+
+class LeaseEvent(TypedDict):
+    """The lease lapses soon unless it is renewed, or has ended: lapsed or released."""
+
+    version: int
+    event: Literal["lease lapses", "lease ended"]
+    time: float
+    """Time of the message on the supervisor's clock (CLOCK_MONOTONIC), s."""
+    holder: str
+    seconds_left: NotRequired[float]
+    """Until it lapses, s."""
 
 
 class TroubleEvent(TypedDict):

@@ -7,7 +7,124 @@ from math import ceil
 from typing import NamedTuple
 
 from bench.errors import BenchError
+from bench.lifecycle import Phase, Reaction, State
 from bench.network.bench_service import ArmingBlock, BenchStatus, LaunchMonitorStatus
+
+MOVING = frozenset({State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING})
+"""States in which the robot moves or may move."""
+LATCHED = frozenset({State.ESTOP, State.FAULT})
+
+STATE_WORDS = {
+    State.STARTING: ("Starting", "Wait until the bench has started."),
+    State.ESTOP: ("Stopped and latched", "Clear the cause, then reset."),
+    State.SAFE: ("Vented, not homed", "Home the robot."),
+    State.HOMING: ("Homing: the robot moves", "Wait until it is homed."),
+    State.READY: ("Ready: vented and homed", "Arm to swing, or open the access to change club or ball."),
+    State.ARMED: ("Armed: air on, the robot may move", "Swing once it rests at the address, or disarm."),
+    State.SWINGING: ("Swinging: the robot moves at full speed", "Keep clear of the guard."),
+    State.RECOVERING: ("Returning or braking: the robot moves", "Wait until it rests."),
+    State.ACCESS: ("Access: vented, guard unlocked", "Close the guard, then end the access."),
+    State.FAULT: ("Fault, latched", "Clear the cause, then reset."),
+}
+"""State and next step, for the operator; of a robot whose chambers are proven empty where it says vented."""
+
+COMMANDS = {
+    State.STARTING: "golfbench status --watch",
+    State.ESTOP: "golfbench reset",
+    State.SAFE: "golfbench home --wait",
+    State.HOMING: "golfbench status --watch",
+    State.READY: "golfbench arm --wait",
+    State.ARMED: "golfbench swing",
+    State.SWINGING: "golfbench status --watch",
+    State.RECOVERING: "golfbench status --watch",
+    State.ACCESS: "golfbench access --end",
+    State.FAULT: "golfbench reset",
+}
+"""Command of the next step."""
+
+VENTING_WORDS = {
+    State.ESTOP: (
+        "Stopped and latched, not vented yet",
+        "Stay outside until it is vented; clear the cause, then reset.",
+    ),
+    State.SAFE: ("Venting, not homed", "Wait until it is vented, then home the robot."),
+    State.READY: ("Venting, homed", "Wait until it is vented."),
+    State.ACCESS: ("Access, but a chamber shows pressure", "Leave the robot and close the guard."),
+    State.FAULT: (
+        "Fault, latched, not vented yet",
+        "Stay outside until it is vented; clear the cause, then reset.",
+    ),
+}
+"""The same of a standing robot whose chambers are not proven empty yet."""
+
+ARMING_BLOCKED = "Remove what blocks arming, then arm; or open the access."
+"""Next step of a bench that configuration, calibrations or profile keep from being armed."""
+
+NO_BALL = "No ball is on the tee: raise one with Tee, or swing without."
+"""Before the next step of an armed bench."""
+
+PHASE_WORDS = {
+    Phase.STANDING: "standing",
+    Phase.HOMING: "homing",
+    Phase.HOLD: "holding the address",
+    Phase.BACKSWING: "backswing",
+    Phase.TOP: "top of the swing",
+    Phase.DOWNSWING: "downswing, can still be stopped short of the ball",
+    Phase.COMMITTED: "downswing, past the point of no return",
+    Phase.IMPACT: "impact",
+    Phase.FOLLOW_THROUGH: "follow-through",
+    Phase.RETURN: "returning",
+}
+
+REACTION_WORDS = {
+    Reaction.NONE: "",
+    Reaction.COMPLETE: "completes this swing, then disarms",
+    Reaction.BRAKE: "brakes with air on",
+    Reaction.BLIND_BRAKE: "brakes by a fixed valve pattern, without readings",
+    Reaction.PASSIVE: "spools centred, supply shut",
+    Reaction.VENT: "vents",
+}
+
+
+def state_words(status: BenchStatus) -> str:
+    """Return what the state of the bench is, for the operator."""
+    return _words_of(status)[0]
+
+
+def next_step(status: BenchStatus) -> str:
+    """Return what is to be done next in the state of the bench, for the operator."""
+    following = _words_of(status)[1]
+    if status["state"] == State.READY.name and status["arming_blocks"]:
+        return ARMING_BLOCKED
+    armed_without_ball = status["state"] == State.ARMED.name and not status["ball_present"]
+    return f"{NO_BALL} {following}" if armed_without_ball else following
+
+
+def next_command(status: BenchStatus) -> str:
+    """Return the command of the next step."""
+    if status["state"] == State.READY.name and status["arming_blocks"]:
+        return "golfbench status"
+    if status["state"] == State.ARMED.name and not status["ball_present"]:
+        return "golfbench tee, or golfbench swing without a ball"
+    return COMMANDS[State[status["state"]]]
+
+
+def state_line(status: BenchStatus) -> str:
+    """Return state, cause and next command in one line."""
+    cause = status["cause"]
+    fact = sentence(cause["text"]) if cause else f"{state_words(status)}."
+    return f"bench {status['bench']}: {status['state']}. {fact} Next: {next_command(status)}"
+
+
+def _words_of(status: BenchStatus) -> tuple[str, str]:
+    state = State[status["state"]]
+    known = STATE_WORDS[state]
+    return known if status["vented"] else VENTING_WORDS.get(state, known)
+
+
+def sentence(text: str) -> str:
+    """Return `text` as a sentence; empty without one."""
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
 
 
 class StatusCondition(NamedTuple):

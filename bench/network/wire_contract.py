@@ -31,6 +31,7 @@ from bench.network.messages import (
     LOOP_VERSION,
     CampaignMessage,
     ChangeEvent,
+    LeaseEvent,
     LoopMessage,
     TroubleEvent,
 )
@@ -111,7 +112,9 @@ def wire_contract(bench: str = "BENCH") -> dict[str, Any]:
 
 def _published(root: str) -> list[dict[str, Any]]:
     """Return the keys of publications and their messages' schemas."""
-    event: Schema = {"anyOf": [_message(schema_of(kind), VERSION) for kind in (ChangeEvent, TroubleEvent)]}
+    event: Schema = {
+        "anyOf": [_message(schema_of(kind), VERSION) for kind in (ChangeEvent, LeaseEvent, TroubleEvent)]
+    }
     state, shot = _message(schema_of(BenchStatus), STATUS_VERSION), schema_of(ShotPublication)
     campaign = _message(schema_of(CampaignMessage), CAMPAIGN_VERSION)
     rows: list[tuple[str, str, str, Schema]] = [

@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import zenoh
 
-from bench.config.identity_files import identity_files
+from bench.address import identity_files
 from bench.errors import BenchError, ExitCode
 from bench.interrupt import CLOSING_THREAD
 from bench.network.access_control import access_control
 
 if TYPE_CHECKING:
-    from bench.config import NetworkSettings
+    from bench.address import NetworkSettings
 
 LONGEST_MESSAGE = 2**20
 """Max size of a message, bytes; the transport drops longer ones."""

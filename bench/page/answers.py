@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from bench.errors import BenchError
 from bench.network.client import CommandRefused
+from bench.network.status_words import sentence
 from bench.network.zenoh_session import NoAnswer
-from bench.page.state_words import split_cure
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -29,7 +29,7 @@ def json_answer(content: Any, status: int = 200) -> Response:
 def refusal_answer(error: BenchError) -> Response:
     """Return `error` in the operator's words: `what` was found, and the `cure`."""
     if isinstance(error, CommandRefused):
-        what, cure = split_cure(error.answer.reason)
+        what, cure = sentence(error.answer.reason), sentence(error.answer.cure)
         return json_answer({"what": what, "cure": cure or "Look at the state of the bench."}, 409)
     if isinstance(error, NoAnswer):
         what = "The bench does not answer: it is unknown whether the command arrived."

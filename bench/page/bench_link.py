@@ -25,7 +25,7 @@ from bench.viewer.feed import Feed
 if TYPE_CHECKING:
     import zenoh
 
-    from bench.config import NetworkSettings
+    from bench.address import NetworkSettings
 
 TOPICS = ("state", "event", "shot", "loop")
 """Messages of the bench that the page shows; telemetry at 1 kHz is left to the viewer."""

@@ -6,7 +6,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench.config.identity_files import identity_files
+from bench.address import identity_files
 from bench.errors import BenchError, Refused
 from bench.page.page_access import PageAccess, PageRole, read_tokens
 

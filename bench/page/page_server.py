@@ -13,9 +13,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.address import identity_files
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
-from bench.config.identity_files import identity_files
 from bench.errors import BenchError, ExitCode
 from bench.page.application import page_application
 from bench.page.bench_link import BenchLink, record_of

@@ -8,93 +8,33 @@ from bench.lifecycle import ACCEPTED_IN, NEEDS_LEASE, Phase, Reaction, Request, 
 from bench.network.bench_service import BenchStatus, CauseStatus
 from bench.network.command import REQUESTS
 from bench.network.status_words import (
+    LATCHED,
+    MOVING,
+    PHASE_WORDS,
+    REACTION_WORDS,
     absent_monitor_text,
     block_text,
     interlock_conditions,
+    next_step,
     robot_conditions,
+    sentence,
     shut_off_words,
+    state_words,
     vent_words,
 )
 from drivers.base import ACTUATORS, JOINTS
-
-MOVING = frozenset({State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING})
-"""States in which the robot moves or may move."""
-LATCHED = frozenset({State.ESTOP, State.FAULT})
-
-STATE_WORDS = {
-    State.STARTING: ("Starting", "Wait until the bench has started."),
-    State.ESTOP: ("Stopped and latched", "Clear the cause, then reset."),
-    State.SAFE: ("Vented, not homed", "Home the robot."),
-    State.HOMING: ("Homing: the robot moves", "Wait until it is homed."),
-    State.READY: ("Ready: vented and homed", "Arm to swing, or open the access to change club or ball."),
-    State.ARMED: ("Armed: air on, the robot may move", "Swing once it rests at the address, or disarm."),
-    State.SWINGING: ("Swinging: the robot moves at full speed", "Keep clear of the guard."),
-    State.RECOVERING: ("Returning or braking: the robot moves", "Wait until it rests."),
-    State.ACCESS: ("Access: vented, guard unlocked", "Close the guard, then end the access."),
-    State.FAULT: ("Fault, latched", "Clear the cause, then reset."),
-}
-"""State and next step, for the operator; of a robot whose chambers are proven empty where it says vented."""
-
-VENTING_WORDS = {
-    State.ESTOP: (
-        "Stopped and latched, not vented yet",
-        "Stay outside until it is vented; clear the cause, then reset.",
-    ),
-    State.SAFE: ("Venting, not homed", "Wait until it is vented, then home the robot."),
-    State.READY: ("Venting, homed", "Wait until it is vented."),
-    State.ACCESS: ("Access, but a chamber shows pressure", "Leave the robot and close the guard."),
-    State.FAULT: (
-        "Fault, latched, not vented yet",
-        "Stay outside until it is vented; clear the cause, then reset.",
-    ),
-}
-"""The same of a standing robot whose chambers are not proven empty yet."""
-
-ARMING_BLOCKED = "Remove what blocks arming, then arm; or open the access."
-"""Next step of a bench that configuration, calibrations or profile keep from being armed."""
-
-NO_BALL = "No ball is on the tee: raise one with Tee, or swing without."
-"""Before the next step of an armed bench."""
-
-PHASE_WORDS = {
-    Phase.STANDING: "standing",
-    Phase.HOMING: "homing",
-    Phase.HOLD: "holding the address",
-    Phase.BACKSWING: "backswing",
-    Phase.TOP: "top of the swing",
-    Phase.DOWNSWING: "downswing, can still be stopped short of the ball",
-    Phase.COMMITTED: "downswing, past the point of no return",
-    Phase.IMPACT: "impact",
-    Phase.FOLLOW_THROUGH: "follow-through",
-    Phase.RETURN: "returning",
-}
-
-REACTION_WORDS = {
-    Reaction.NONE: "",
-    Reaction.COMPLETE: "completes this swing, then disarms",
-    Reaction.BRAKE: "brakes with air on",
-    Reaction.BLIND_BRAKE: "brakes by a fixed valve pattern, without readings",
-    Reaction.PASSIVE: "spools centred, supply shut",
-    Reaction.VENT: "vents",
-}
 
 
 def state_view(status: BenchStatus) -> dict[str, Any]:
     """Return `status` as the page shows it, valid as JSON."""
     state = State[status["state"]]
-    known = STATE_WORDS[state]
-    words, following = known if status["vented"] else VENTING_WORDS.get(state, known)
-    if state is State.READY and status["arming_blocks"]:
-        following = ARMING_BLOCKED
-    if state is State.ARMED and not status["ball_present"]:
-        following = f"{NO_BALL} {following}"
     chambers = status["chamber_pressure_pa"]
     sides = zip(ACTUATORS, chambers[::2], chambers[1::2], strict=True)
     return {
         "state": state.name,
         "tone": _tone(state, vented=status["vented"]),
-        "words": words,
-        "next": following,
+        "words": state_words(status),
+        "next": next_step(status),
         "phase": PHASE_WORDS[Phase[status["phase"]]],
         "reaction": _reaction(Reaction[status["reaction"]], vented=status["vented"]),
         "cause": _cause(status["cause"]),
@@ -156,17 +96,10 @@ def accepted_commands(state: State) -> list[str]:
     )
 
 
-def split_cure(text: str) -> tuple[str, str]:
-    """Return the fact and the cure of a text of `bench.lifecycle`, the cure as a sentence or empty."""
-    what, _, cure = text.partition(": ")
-    return f"{what[:1].upper()}{what[1:]}.", f"{cure[:1].upper()}{cure[1:]}." if cure else ""
-
-
 def _cause(cause: CauseStatus | None) -> dict[str, str] | None:
     if cause is None:
         return None
-    what, cure = split_cure(cause["text"])
-    return {"name": cause["name"], "what": what, "cure": cure}
+    return {"name": cause["name"], "what": sentence(cause["text"]), "cure": sentence(cause["cure"])}
 
 
 def _warnings(status: BenchStatus) -> list[str]:
@@ -185,6 +118,8 @@ def _warnings(status: BenchStatus) -> list[str]:
         found.append(absent_monitor_text(monitor))
     if monitor is not None and monitor["note"]:
         found.append(f"launch monitor: {monitor['note']}")
+    if (lease := status["lease"]) is not None and lease["lapsing"]:
+        found.append(f"the lease of {lease['holder']} lapses soon unless renewed: an armed bench disarms")
     if status["read_only"]:
         found.append("read only: the bench observes and sends nothing but safe outputs")
     return found

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.swing.correction import MOST_WEIGHTS, basis_of
+from bench.swing.correction import basis_of
+from bench.swing.correction_bounds import MOST_WEIGHTS
 from bench.swing.profile import Profile
 from drivers.base.compiled import new_record
 from drivers.base.shared_record import SharedRecord

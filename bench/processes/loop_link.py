@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from bench.lifecycle import Answer, Refusal, Request, State
-from bench.network.bench_service import Reply
+from bench.network.bench_service import Reply, refused
 from bench.processes.correction import (
     CORRECTED,
     CORRECTED_FILE,
@@ -24,7 +24,7 @@ from bench.processes.correction import (
     pack_correction,
 )
 from bench.processes.plan import RING_FILE
-from bench.processes.status import refusal_text
+from bench.processes.status import refusal_words
 from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE
 from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedRecord
@@ -121,9 +121,7 @@ class LoopLink:
             if (reply := self._answer_to(number)) is None:
                 self._order(request=0)
                 reply = self._answer_to(number)  # taken just before
-        return reply or Reply(
-            False, self.state, "the loop does not answer: it may be stalled; check its timing"
-        )
+        return reply or refused(self.state, Refusal.LOOP_SILENT)
 
     def _answer_to(self, number: int) -> Reply | None:
         """Wait for the answer to request `number`; None after the time-out."""
@@ -147,10 +145,10 @@ class LoopLink:
                 active = self._active_correction()
                 if active["asked"] == self._corrections_ordered:
                     if active["order"]["number"] == self._corrections_ordered:
-                        return Reply(True, self.state, "")
-                    return Reply(False, self.state, "the robot moves: correct it at rest or at address")
+                        return Reply(True, self.state)
+                    return refused(self.state, Refusal.MOVING, cure="correct it at rest or at address")
                 time.sleep(_POLL_PERIOD)
-        return Reply(False, self.state, "the loop does not answer: it may be stalled; check its timing")
+        return refused(self.state, Refusal.LOOP_SILENT)
 
     @property
     def correction(self) -> int:
@@ -173,9 +171,9 @@ class LoopLink:
         deadline = time.monotonic() + _ANSWER
         while time.monotonic() < deadline:
             if self._stops_seen[request] > seen:
-                return Reply(True, self.state, "")
+                return Reply(True, self.state)
             time.sleep(_POLL_PERIOD)
-        return Reply(False, self.state, "the loop does not answer: press the button beside the robot")
+        return refused(self.state, Refusal.LOOP_SILENT)
 
     def _order(self, **values: int) -> None:
         with self._order_lock:
@@ -187,5 +185,6 @@ class LoopLink:
 def _reply(newest: Cycles, trouble: str) -> Reply:
     state = State(int(newest["state"][0])).name
     if newest["answer"][0] == Answer.ACCEPTED:
-        return Reply(True, state, "")
-    return Reply(False, state, refusal_text(Refusal(int(newest["refusal"][0])), trouble))
+        return Reply(True, state)
+    refusal = Refusal(int(newest["refusal"][0]))
+    return refused(state, refusal, *refusal_words(refusal, trouble))

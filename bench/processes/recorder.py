@@ -4,7 +4,8 @@ Plan: a pickled RecorderPlan on stdin. Output on stdout, one JSON line each:
 
 `ready`      the ring is open and the folder is writable
 `stored`     `path`, `kind`, `number`, `lost_records`, `complete`, `replayable`, `shot_id`, `cause`,
-             `warnings`: what drifts from swing to swing, see `bench.shot.swing_drift`
+             `warnings`: what drifts from swing to swing, see `bench.shot.swing_drift`;
+             `tick`: at which the swing began; `shot`: its row of the shot table if the plan asks for it
 `trouble`    `text`, `waiting`: records cannot be stored; they wait in memory and are retried
 `relieved`   records can be stored again
 `dropped`    `count`: records lost so far because memory was full
@@ -41,6 +42,7 @@ from bench.processes.child_process import (
 from bench.processes.correction import CORRECTED, weights_of
 from bench.processes.tick_timing import TimingReader, summary
 from bench.shot.ball_struck import ball_struck
+from bench.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
 from bench.shot.swing_drift import DriftWatch, strike_seen
 from bench.swing.correction import basis_of
 from bench.swing.profile import Profile
@@ -55,6 +57,7 @@ from bench.telemetry.ring import RingReader
 from bench.telemetry.swing_cutter import Cut, Cycles, SwingCutter
 from bench.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry, since, swing_metadata
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
+from sim.plant import PlantParameters
 
 POLL = 0.01
 """Polling period of the ring, s."""
@@ -96,6 +99,10 @@ class RecorderPlan:
     lead: float = 0.5
     tail: float = 0.5
     """Lead before and tail after each record, s."""
+    plant: PlantParameters | None = None
+    """Plant whose club and ball the shots of stored swings are computed with; None: they are not."""
+    around: FlightConditions = field(default_factory=FlightConditions)
+    """Air, wind and turf of their flights."""
     room: int = 65536
     """Max cycles of the current record in memory, 0.7 kB each."""
     waiting: int = 8
@@ -316,8 +323,23 @@ class Recorder:
             path=str(stored.path),
             cause=outcome["cause"],
             warnings=(stored.metadata.get("drift") or {}).get("warnings", []),
+            tick=_begin(stored.cycles),
+            shot=self._shot_of(stored),
             **{key: stored.metadata[key] for key in facts},
         )
+
+    def _shot_of(self, stored: QueuedRecord) -> dict[str, Any] | None:
+        """Return a swing's row of the shot table; None of another record, or if the plan asks for none."""
+        if self._plan.plant is None or stored.metadata["kind"] != "swing":
+            return None
+        shot = shot_of_cycles(
+            stored.cycles,
+            self._plan.plant,
+            self._plan.around,
+            number=stored.metadata["number"],
+            time_utc=stored.began,
+        )
+        return shot_to_json(shot.shot)
 
     def _report(self, now: float, condition: Condition) -> None:
         """Send a heartbeat and report changes to the parent."""
@@ -349,11 +371,19 @@ class Recorder:
         )
 
 
+def _begin(cycles: Cycles) -> int | None:
+    """Return the tick at which the swing in `cycles` began; None without one."""
+    swung = cycles["tick"][cycles["state"] == State.SWINGING]
+    return int(swung[0]) if len(swung) else None
+
+
 def main() -> int:
     """Record until stopped by the supervisor or orphaned."""
     parent = Parent()
     try:
         plan: RecorderPlan = read_plan()
+        if plan.plant is not None:
+            warm_up_shots(plan.plant, plan.around)  # the first time it compiles
         recorder = Recorder(plan, time.monotonic())
     except (BenchError, SharedMemoryError) as error:
         return send_failure(error)

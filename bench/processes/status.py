@@ -9,7 +9,19 @@ from typing import Any, cast
 import numpy as np
 
 from bench.control.air_watch import FAULTS
-from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Cause, Phase, Reaction, Refusal, State
+from bench.lifecycle import (
+    CAUSE_TEXT,
+    CAUSE_WORDS,
+    REFUSAL_WORDS,
+    Cause,
+    Phase,
+    Reaction,
+    Refusal,
+    Request,
+    State,
+    Words,
+    in_one,
+)
 from bench.network.bench_service import (
     STATUS_VERSION,
     BenchStatus,
@@ -57,12 +69,14 @@ def status_of(
     children: Mapping[str, Child],
     notes: Mapping[str, str],
     stall: str = "",
+    disarmed: Cause = Cause.NONE,
     **beside: Any,
 ) -> BenchStatus:
     """Return the status from the loop's `newest` record (None if it has not run yet).
 
-    `notes` are remarks on the `children`; `stall` is what `stall_note` found at the stop; `beside` are the
-    keys of the status not in the record. The command plane adds lease and counts.
+    `notes` are remarks on the `children`; `stall` is what `stall_note` found at the stop; `disarmed` is why
+    the robot was disarmed since it last moved; `beside` are the keys of the status not in the record.
+    The command plane adds lease and counts.
     """
     r = np.zeros(1, CYCLE)[0] if newest is None else newest[0]
     cause, latest = Cause(int(r["trip"])), Cause(int(r["latest_cause"]))
@@ -71,7 +85,7 @@ def status_of(
         "state": State(int(r["state"])).name,
         "phase": Phase(int(r["phase"])).name,
         "reaction": Reaction(int(r["reaction"])).name,
-        "cause": _cause(cause, stall),
+        "cause": _cause(cause or disarmed, stall),
         "latest_cause": _cause(latest) if latest != cause else None,
         "homed": bool(r["homed"]),
         "vented": bool(r["vented"]),
@@ -100,20 +114,43 @@ def status_of(
 
 def cause_text(cause: Cause, stall: str) -> str:
     """Return the operator's text for `cause`; with a stall in place of its cure, if there was one."""
-    text = CAUSE_TEXT[cause]
-    return f"{text.partition(':')[0]}: {stall}" if stall else text
+    return in_one(_words(cause, stall))
 
 
-def refusal_text(refusal: Refusal, trouble: str) -> str:
-    """Return the operator's text for `refusal`; the device's `trouble`, if known, in place of its cure."""
-    text = REFUSAL_TEXT[refusal]
-    if trouble and refusal in (Refusal.READINGS, Refusal.DEVICE):
-        return f"{text.partition(':')[0]}: {trouble}"
-    return text
+def disarmed_for(cycle: Any, before: State, *, series: bool) -> Cause:
+    """Return why the robot was disarmed in the record `cycle`, which follows one in state `before`.
+
+    NONE without a disarming, after one that was asked for or came of a stop, and after a swing that is to
+    vent: with `series` the robot holds its address for the next one.
+    """
+    state, stops = State(int(cycle["state"])), cycle["trip"] != Cause.NONE
+    ends = state in (State.READY, State.SAFE)
+    held = before in (State.ARMED, State.HOMING)
+    on_the_way = before is State.ARMED and state is State.RECOVERING
+    after_swing = before is State.RECOVERING and ends and series
+    if stops or cycle["request"] == Request.DISARM or not ((held and ends) or on_the_way or after_swing):
+        return Cause.NONE
+    if not cycle["lease_held"]:
+        return Cause.LEASE
+    if not cycle["support_ready"]:
+        return Cause.SUPPORT
+    return Cause.ARMED_TIME if before is State.ARMED else Cause.NONE
+
+
+def _words(cause: Cause, stall: str) -> Words:
+    fact, cure = CAUSE_WORDS[cause]
+    return fact, stall or cure
+
+
+def refusal_words(refusal: Refusal, trouble: str) -> Words:
+    """Return the operator's words for `refusal`; the device's `trouble`, if known, in place of its cure."""
+    fact, cure = REFUSAL_WORDS[refusal]
+    return fact, trouble if trouble and refusal in (Refusal.READINGS, Refusal.DEVICE) else cure
 
 
 def _cause(cause: Cause, stall: str = "") -> CauseStatus | None:
-    return CauseStatus(name=cause.name, text=cause_text(cause, stall)) if cause else None
+    fact, cure = _words(cause, stall)
+    return CauseStatus(name=cause.name, text=fact, cure=cure) if cause else None
 
 
 def _position(seen: float) -> bool | None:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from enum import StrEnum
 from math import degrees, isfinite, pi
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
-from drivers.base import Launch
-from sim.flight import Flight
-from sim.impact import Delivery
+if TYPE_CHECKING:
+    from drivers.base import Launch
+    from sim.flight import Flight
+    from sim.impact import Delivery
 
 
 class ShotStatus(StrEnum):

@@ -2,9 +2,8 @@
 
 JSON of the keys of `ShotPublication`, always all of them; an unknown value is null.
 
-A bench without a launch monitor sends one message a swing, when its record is stored, and knows nothing of
-the ball. With one it sends a second message with the outcome, and one for every launch that belongs to no
-swing or came too often.
+A bench without a launch monitor sends one message a swing, when its record is stored. With one it sends a
+second message with the outcome, and one for every launch that belongs to no swing or came too often.
 """
 
 from __future__ import annotations
@@ -39,7 +38,9 @@ class ShotPublication(TypedDict):
     record: str | None
     """Path of the swing's record on the bench's machine; null while it is not stored."""
     number: int | None
-    """Number of the record in the bench's run; this and the next four are null while it is not stored."""
+    """Number of the record in the bench's run; this and the next five are null while it is not stored."""
+    tick: int | None
+    """Tick of the loop at which the swing began."""
     lost_records: int | None
     """Cycles that the record lacks."""
     complete: bool | None
@@ -48,7 +49,8 @@ class ShotPublication(TypedDict):
     cause: Annotated[str, Cause] | None
     """First cause of a stop in the record; NONE without one."""
     shot: Annotated[dict[str, Any], Shot] | None
-    """Row of the shot table; null while nothing is known of the ball."""
+    """Row of the shot table. Without a launch monitor launch and flight of a struck ball are modelled; with
+    one it is null until the outcome is settled."""
     outcome: MatchOutcome | None
     """Null until it is settled."""
     launch: Annotated[dict[str, Any], LaunchRecord] | None
@@ -76,6 +78,13 @@ class ShotMessage(NamedTuple):
 
     shot_id: str
     record: Path | None
+    number: int | None
+    tick: int | None
+    """At which the swing began."""
+    cause: str
+    """Name of the first cause of a stop in the record; empty while it is not stored."""
+    shot: Mapping[str, Any] | None
+    """Row of the shot table, its names and units."""
     outcome: MatchOutcome | None
     launch: LaunchRecord | None
     reason: str
@@ -136,10 +145,19 @@ def read_shot_message(payload: bytes) -> ShotMessage:
     if not isinstance(read, dict) or read.get("version") != SHOT_VERSION:
         raise BenchError(place, repr(payload[:40]), f"an object of version {SHOT_VERSION}", _CURE)
     record, outcome, launch = read.get("record"), read.get("outcome"), read.get("launch")
+    number, tick, shot = read.get("number"), read.get("tick"), read.get("shot")
+    whole = isinstance(number, int | None) and isinstance(tick, int | None)
+    if not (whole and isinstance(shot, dict | None)):
+        found = f"number {number!r}, tick {tick!r}, shot {type(shot).__name__}"
+        raise BenchError(place, found, "whole numbers, and a row", _CURE)
     try:
         return ShotMessage(
             _text(read.get("shot_id") or ""),
             None if record is None else Path(_text(record)),
+            number,
+            tick,
+            _text(read.get("cause") or ""),
+            shot,
             None if outcome is None else MatchOutcome(outcome),
             None if launch is None else launch_from_json(launch, f"{place}: launch"),
             _text(read.get("reason") or ""),

@@ -16,8 +16,9 @@ from bench.control.references import charging
 from bench.control.step import step
 from bench.lifecycle import Phase, Reaction
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import COMMAND, PASSIVE, READINGS, pack_command
+from drivers.base import PASSIVE
 from drivers.base.compiled import compiled, new_record
+from drivers.base.records import COMMAND, READINGS, pack_command
 from sim.faults import (
     LEASE,
     RECORDER,

@@ -15,11 +15,6 @@ from bench.swing.profile import Profile
 
 Array = NDArray[np.float64]
 
-GREATEST_WEIGHT = 1.5
-"""Of any function of a correction, in units of its opening or shift."""
-MOST_WEIGHTS = 128
-"""Of a correction: a downswing of half a second."""
-
 
 @dataclass(frozen=True)
 class Correction:

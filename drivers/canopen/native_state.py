@@ -7,9 +7,9 @@ from typing import Any
 
 import numba
 
-from drivers.base import unpack_command
 from drivers.base.compiled import new_record, numbers
 from drivers.base.native_calls import NativeCall, NativeCalls
+from drivers.base.records import unpack_command
 from drivers.canopen.frames import pressure_groups
 from drivers.canopen.native_tick import (
     COUNTED,

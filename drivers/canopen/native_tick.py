@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 from numba import carray, types
 
-from drivers.base import ABSENT, COMMAND, INVALID, READINGS
+from drivers.base import ABSENT, INVALID
 from drivers.base.compiled import compiled
 from drivers.base.native import compiled_call, limit_command
 from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL
 from drivers.base.raw_memory import copy_bytes, pointer
+from drivers.base.records import COMMAND, READINGS
 from drivers.can_bus import FRAME
 from drivers.canopen.frames import (
     COMMAND_LENGTH,

@@ -14,24 +14,13 @@ from typing import Any
 import numpy as np
 from numba import carray
 
-from drivers.base import (
-    COMMAND,
-    PASSIVE,
-    READINGS,
-    TRUTH,
-    Command,
-    DriverError,
-    Readings,
-    device_limited,
-    pack_command,
-    unpack_command,
-    unpack_readings,
-)
+from drivers.base import PASSIVE, Command, DriverError, Readings, device_limited
 from drivers.base.compiled import compiled, new_record, numbers
 from drivers.base.compiled_slots import fetch_record, put_record, slots_at
 from drivers.base.native import compiled_call, limit_command, rest_command
 from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL, NativeCall, NativeCalls
 from drivers.base.raw_memory import copy_bytes, pointer
+from drivers.base.records import COMMAND, READINGS, TRUTH, pack_command, unpack_command, unpack_readings
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 from sim.live.exchange import COMMAND_FILE, PLANT_COMMAND, PLANT_REPORT, REPORT_FILE
 from sim.live.valve_watchdog import Mode

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.base import COMMAND, READINGS, TRUTH, Triple
+from drivers.base import Triple
+from drivers.base.records import COMMAND, READINGS, TRUTH
 from sim.faults import Fault
 from sim.plant import PlantParameters
 

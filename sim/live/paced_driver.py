@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from numba import carray
 
-from drivers.base import READINGS, Command, DriverError, Readings, unpack_readings
+from drivers.base import Command, DriverError, Readings
 from drivers.base.compiled import new_record, numbers
 from drivers.base.compiled_slots import newest_record, slots_at
 from drivers.base.native import compiled_call
 from drivers.base.native_calls import DECLINED, NativeCall, NativeCalls
 from drivers.base.raw_memory import copy_bytes, pointer
+from drivers.base.records import READINGS, unpack_readings
 from drivers.base.shared_record import SharedMemoryError
 from sim.driver import SimDriver, read_plant, write_plant
 from sim.faults import Fault

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.base import COMMAND, PASSIVE, pack_command, unpack_command
+from drivers.base import PASSIVE
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND, pack_command, unpack_command
 from sim.driver import hanging_pose
 from sim.faults import (
     Faults,

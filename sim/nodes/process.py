@@ -27,8 +27,9 @@ from typing import Any
 import can
 import numpy as np
 
-from drivers.base import Command, unpack_readings
+from drivers.base import Command
 from drivers.base.compiled import new_record
+from drivers.base.records import unpack_readings
 from drivers.base.shared_record import SharedMemoryError
 from sim.live.exchange import PLANT_SURROUNDINGS
 from sim.live.process import PlantFiles, ask_for_scheduling, send_event

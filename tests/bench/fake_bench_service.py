@@ -12,7 +12,7 @@ from typing import NamedTuple
 import zenoh
 
 from bench.config import Configuration, NetworkSettings, load_configuration, shipped_configuration
-from bench.lifecycle import ACCEPTED_IN, CAUSE_TEXT, REFUSAL_TEXT, Cause, Refusal, Request, State
+from bench.lifecycle import ACCEPTED_IN, CAUSE_WORDS, Cause, Refusal, Request, State
 from bench.network.bench_service import (
     BenchStatus,
     CauseStatus,
@@ -21,10 +21,12 @@ from bench.network.bench_service import (
     LoopStatus,
     ProcessStatus,
     Reply,
+    refused,
 )
 from bench.network.command_plane import CommandPlane
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_daemon
+from bench.shot.shot_message import ShotPublication, shot_publication
 
 NEXT = {
     Request.RESET: State.SAFE,
@@ -58,6 +60,10 @@ class FakeDesk:
         """Requests to swing that are still refused because the chambers are not as planned."""
         self.armed_phase = "HOLD"
         """"RETURN" while the robot is on its way to the address."""
+        self.publish_shot: Callable[[ShotPublication], None] = lambda message: None
+        """Gets the shot of each swing, as the recorder stores it at once."""
+        self.cause = Cause.NONE
+        """Of a disarming; POWER_UP in ESTOP and FAULT."""
         self._began = time.monotonic()
 
     def request(self, request: Request) -> Reply:
@@ -66,24 +72,26 @@ class FakeDesk:
         if self.error is not None:
             raise self.error
         if self.state not in ACCEPTED_IN[request]:
-            return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.STATE])
+            return refused(self.state.name, Refusal.STATE)
         if self.sways and request in (Request.HOME, Request.ARM, Request.RESET):
             self.sways -= 1
-            return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.MOVING])
+            return refused(self.state.name, Refusal.MOVING)
         if self.vents and request in (Request.HOME, Request.ARM):
             self.vents -= 1
-            return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.NOT_VENTED])
+            return refused(self.state.name, Refusal.NOT_VENTED)
         if self.fills and request is Request.SWING:
             self.fills -= 1
-            return Reply(False, self.state.name, REFUSAL_TEXT[Refusal.AIR])
+            return refused(self.state.name, Refusal.AIR)
         self.state = NEXT[request]
-        return Reply(True, self.state.name, "")
+        if request is Request.SWING:
+            self.publish_shot(a_shot(self.requests.count(Request.SWING)))
+        return Reply(True, self.state.name)
 
     def correct(self, profile: str, weights: Sequence[float]) -> Reply:
         if self.state is State.SWINGING:
-            return Reply(False, self.state.name, "the robot moves")
+            return refused(self.state.name, Refusal.MOVING)
         self.corrections.append((profile, tuple(weights)))
-        return Reply(True, self.state.name, "")
+        return Reply(True, self.state.name)
 
     def stop(self) -> Reply:
         return self._stop("stop", State.FAULT)
@@ -96,11 +104,13 @@ class FakeDesk:
         if self.error is not None:
             raise self.error
         self.state = state
-        return Reply(True, state.name, "")
+        return Reply(True, state.name)
 
     def status(self) -> BenchStatus:
         stopped = self.state in (State.ESTOP, State.FAULT)
-        cause = CauseStatus(name=Cause.POWER_UP.name, text=CAUSE_TEXT[Cause.POWER_UP]) if stopped else None
+        why = Cause.POWER_UP if stopped else self.cause
+        fact, cure = CAUSE_WORDS[why]
+        cause = CauseStatus(name=why.name, text=fact, cure=cure) if why else None
         return BenchStatus(
             version=1,
             bench="bench1",
@@ -169,6 +179,33 @@ class FakeDesk:
         )
 
 
+def a_shot(number: int) -> ShotPublication:
+    """Return the message about a swing whose ball was struck."""
+    row = {
+        "club_speed_mps": 43.05,
+        "attack_angle_deg": 1.94,
+        "strike_x_mm": 0.1,
+        "strike_y_mm": -0.14,
+        "ball_speed_mps": 64.15,
+        "launch_angle_deg": 12.4,
+        "spin_rpm": 2406.0,
+        "carry_m": 208.0,
+        "carry_source": "model",
+        "reason": "",
+    }
+    return shot_publication(
+        shot_id=f"run-{number}",
+        record=f"/data/{number}.parquet",
+        number=number,
+        tick=123456 + number,
+        lost_records=0,
+        complete=True,
+        replayable=True,
+        cause=Cause.NONE.name,
+        shot=row,
+    )
+
+
 class RunningPlane(NamedTuple):
     plane: CommandPlane
     desk: FakeDesk
@@ -189,6 +226,7 @@ def running_plane(
 ) -> Iterator[RunningPlane]:
     with open_daemon(configuration.network) as session:
         plane = CommandPlane(session, configuration.bench.id, desk, clock)
+        desk.publish_shot = plane.publish_shot
         try:
             yield RunningPlane(plane, desk, configuration, session)
         finally:

@@ -27,7 +27,8 @@ from bench.simulation.series import SeriesSwing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.recorder import read_swing
-from drivers.base import PASSIVE, Command, unpack_command
+from drivers.base import PASSIVE, Command
+from drivers.base.records import unpack_command
 from drivers.base.shared_record import SharedRecord
 from drivers.can_bus import switch
 from drivers.canopen.counters import CLASSES

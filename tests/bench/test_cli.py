@@ -21,7 +21,10 @@ import pytest
 from bench.cli import command_line, main
 from bench.errors import BenchError, ExitCode, Refused
 from bench.interrupt import Terminated
+from bench.lifecycle import State
+from bench.network.free_port import free_port
 from drivers.base import DriverError
+from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 
 TOP = Path(__file__).resolve().parents[2]
 HEAVY = (
@@ -78,6 +81,71 @@ def test_help_starts_without_heavy_packages() -> None:
     loaded = set(answer.stdout.splitlines()[-1].split())
     assert "bench.cli" in loaded
     assert loaded.isdisjoint(HEAVY)
+
+
+NO_CLIENTS = frozenset(
+    {
+        "llvmlite",
+        "matplotlib",
+        "numba",
+        "numpy",
+        "pandas",
+        "pyarrow",
+        "pydantic",
+        "scipy",
+        "sim",
+        "sqlalchemy",
+    }
+)
+"""Packages that a command of a running bench does without: who stops a robot does not wait for them."""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "stop",
+        "estop",
+        "status",
+        "status --json",
+        "home",
+        "arm",
+        "disarm",
+        "access",
+        "access --end",
+        "tee",
+        "reset",
+        "swing",
+        "swing --no-wait",
+        "lease take",
+        "lease renew",
+        "lease release",
+        "lease show",
+    ],
+)
+def test_a_command_of_a_running_bench_loads_no_model(command: str, tmp_path: Path) -> None:
+    """With a bench that answers everything and swings at once."""
+    code = (
+        "import sys; from bench.interrupt import leave; import bench.cli\n"
+        "def show(code): print(*sys.modules); leave(code)\n"
+        "bench.cli.leave = show; bench.cli.main(sys.argv[1:])"
+    )
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)}
+    with running_plane(FakeDesk(State.ARMED), loopback_configuration(port := free_port())):
+        file = tmp_path / "bench.toml"
+        file.write_text(f'base = "shipped"\n[network]\nendpoint = "tcp/127.0.0.1:{port}"\n')
+        lease = [sys.executable, "-c", code, "--config", str(file), "lease", "take"]
+        if not command.startswith("lease take"):
+            subprocess.run(lease, env=environment, capture_output=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code, "--config", str(file), *command.split()],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    loaded = {name.partition(".")[0] for name in done.stdout.splitlines()[-1].split()}
+    assert "zenoh" in loaded
+    assert not loaded & NO_CLIENTS
 
 
 def _pages(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -16,8 +16,8 @@ from bench.lifecycle import Request, State
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import COMMAND, READINGS
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND, READINGS
 from sim.driver import SimDriver
 from sim.plant import PlantParameters
 

@@ -25,8 +25,9 @@ from bench.loop import Cycle, CycleArray, Loop, bring_to_rest
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import RingWriter
-from drivers.base import PASSIVE, Command, DriverError, Readings, pack_readings
+from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
+from drivers.base.records import pack_readings
 from drivers.mock import MockDriver
 from sim.driver import SimDriver
 from sim.plant import PlantParameters

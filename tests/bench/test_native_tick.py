@@ -20,10 +20,11 @@ from bench.loop import Cycle, CycleArray
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.ring import RingReader, RingWriter
-from drivers.base import COMMAND, Command, DriverError, device_limited, pack_command, unpack_command
+from drivers.base import Command, DriverError, device_limited
 from drivers.base.compiled import new_record
 from drivers.base.native import limit_command
 from drivers.base.native_calls import NativeCalls
+from drivers.base.records import COMMAND, pack_command, unpack_command
 from drivers.base.shared_record import SharedRecord
 from sim.driver import SimDriver
 from sim.faults import Fault

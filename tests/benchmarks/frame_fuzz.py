@@ -16,8 +16,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivers.base import PASSIVE, READINGS, pack_readings
+from drivers.base import PASSIVE
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS, pack_readings
 from drivers.can_bus import FRAME
 from drivers.canopen.counters import CLASSES
 from drivers.canopen.driver import CanopenDriver

@@ -16,17 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.processes.child import Child
-from drivers.base import (
-    PASSIVE,
-    READINGS,
-    Command,
-    Driver,
-    DriverError,
-    Readings,
-    pack_readings,
-    unpack_command,
-)
+from drivers.base import PASSIVE, Command, Driver, DriverError, Readings
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS, pack_readings, unpack_command
 from drivers.base.shared_record import SharedRecord
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings

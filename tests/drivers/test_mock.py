@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from bench.control.encoder import ENCODER_STATE, decode_encoders, design_encoders
-from drivers.base import READINGS, Command, pack_readings
+from drivers.base import Command
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS, pack_readings
 from drivers.mock import ATMOSPHERE, MockDriver
 
 PERIOD = 1e-3

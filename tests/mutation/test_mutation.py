@@ -28,9 +28,9 @@ def mutated(old, new):
 told = [
     trials.killer(source),
     mutated("HOLD = 2", "HOLD = 12"),
-    mutated("return np.array([STOPPING[phase] for phase in Phase], dtype=np.uint8)", "return np.array([0])"),
+    mutated("return [[int(reaction) for reaction in STOPPING[phase]] for phase in Phase]", "return []"),
     mutated("NEEDS_LEASE = frozenset(Request) -", "NEEDS_LEASE = frozenset(Request) +"),
-    mutated("return np.array([[state in", "while True: pass\\n    return np.array([[state in"),
+    mutated("return [[int(state in", "while True: pass\\n    return [[int(state in"),
     trials.killer(source),
 ]
 print(json.dumps(told))
@@ -44,7 +44,7 @@ WATCHING = """
         assert bench.control.envelope.Phase.IMPACT == 7 and bench.control.states.Phase.HOLD == 2
 
     def test_a_function_in_an_importer():
-        assert bench.control.settings.reaction_table().shape == (10, 6)
+        assert bench.control.settings.len(bench.control.settings.reaction_table()) == 10
 
     def test_that_ends():
         accepted_table()

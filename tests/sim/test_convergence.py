@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.base import COMMAND
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND
 from sim.plant import Plant, PlantParameters, Shaft, Site, advance, build_plant, initial_state
 
 pytestmark = pytest.mark.skipif(

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import COMMAND, PASSIVE, READINGS, Command, DriverError, pack_command, pack_readings
+from drivers.base import PASSIVE, Command, DriverError
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND, READINGS, pack_command, pack_readings
 from sim.driver import SimDriver, hanging_pose
 from sim.kane import bias_forces
 from sim.plant import Encoders, PlantParameters, advance, build_plant, initial_state

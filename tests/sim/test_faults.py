@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from bench.lifecycle import Phase
-from drivers.base import CHAMBERS, COMMAND, INVALID, JOINTS, READINGS
+from drivers.base import CHAMBERS, INVALID, JOINTS
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND, READINGS
 from sim.faults import (
     MEANINGS,
     PHASES,

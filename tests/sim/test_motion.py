@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.base import COMMAND
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND
 from sim.kane import bias_forces, mass_matrix
 from sim.kinematics import joint_positions, theta2_from_right_arm
 from sim.motion import STATES, _derivative

@@ -9,8 +9,8 @@ import numba
 import numpy as np
 import pytest
 
-from drivers.base import COMMAND
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND
 from sim.plant import OPEN, SHUT, Plant, PlantParameters, Site, advance, build_plant, initial_state
 from sim.pneumatics import Friction
 

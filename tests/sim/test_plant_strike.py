@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.base import COMMAND
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND
 from sim.kinematics import inverse_kinematics
 from sim.plant import Plant, PlantParameters, advance, build_plant, initial_state
 

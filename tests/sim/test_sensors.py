@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.base import COMMAND, READINGS
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND, READINGS
 from sim.plant import Encoders, Plant, PlantParameters, advance, build_plant, initial_state, sense
 
 POSE = np.array([0.2, 4.3, 6.0])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.base import COMMAND
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND
 from sim.impact import face_gap, golf_to_plane
 from sim.kane import mass_matrix
 from sim.kinematics import inverse_kinematics, joint_positions

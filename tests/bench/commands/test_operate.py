@@ -21,8 +21,8 @@ from rich.console import Console
 from bench.cli import main
 from bench.commands.status_table import status_table
 from bench.errors import ExitCode
-from bench.lifecycle import Request, State
-from bench.network.bench_service import LaunchMonitorStatus
+from bench.lifecycle import Cause, Request, State
+from bench.network.bench_service import LaunchMonitorStatus, Reply
 from bench.network.client import REST
 from bench.network.free_port import free_port
 from bench.processes.status import NO_LAUNCH_MONITOR
@@ -72,7 +72,7 @@ def running(port: int, golfbench: Golfbench) -> Iterator[RunningPlane]:
 
 def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None:
     taken = golfbench("lease", "take", "--holder", "Ann", "--seconds", "60")
-    assert taken == Outcome(0, "bench bench1: Ann holds it for 60 s\n", "")
+    assert taken.out.startswith("bench bench1: Ann holds it for 60 s; each command renews it")
     day = [
         ("reset", "SAFE"),
         ("access", "ACCESS"),
@@ -80,12 +80,14 @@ def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None
         ("home", "READY"),
         ("arm", "ARMED"),
         ("tee", "ARMED"),
-        ("swing", "READY"),
+        ("swing --no-wait", "READY"),
         ("arm", "ARMED"),
         ("disarm", "READY"),
     ]
     for line, state in day:
-        assert golfbench(*line.split()) == Outcome(0, f"bench bench1: {state}\n", "")
+        code, out, err = golfbench(*line.split())
+        assert (code, err) == (0, "")
+        assert out.startswith(f"bench bench1: {state}. ")
     assert running.desk.requests[-3:] == [Request.SWING, Request.ARM, Request.DISARM]
     assert golfbench("lease", "release").out == "bench bench1: lease released\n"
     assert golfbench("lease", "show").out == "bench bench1: lease not held\n"
@@ -95,12 +97,113 @@ def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None
 def test_a_script_waits_until_it_may_swing(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
     golfbench("reset")
-    assert golfbench("home", "--wait").out.splitlines()[-1] == "bench bench1: READY, phase STANDING"
+    ready = "bench bench1: READY. Ready: vented and homed. Next: golfbench arm --wait\n"
+    assert golfbench("home", "--wait").out == ready
     began = time.monotonic()
     armed = golfbench("arm", "--wait")
-    assert armed == Outcome(0, "bench bench1: ARMED\nbench bench1: ARMED, phase HOLD\n", "")
+    assert armed.out.startswith("bench bench1: ARMED. Armed: air on, the robot may move. Next: golfbench tee")
     assert time.monotonic() - began >= REST
     assert golfbench("swing").code == 0
+
+
+def test_swing_waits_and_prints_delivery_launch_and_carry(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
+    golfbench("lease", "take")
+    running.desk.state = State.ARMED
+    swung = golfbench("swing")
+    assert swung == Outcome(
+        0,
+        "swing 1: 43.05 m/s (96.3 mph) at the ball, attack +1.94°, strike +0.1 mm to the toe, -0.1 mm up\n"
+        "ball: 64.15 m/s (143.5 mph), launch 12.4°, spin 2406 rpm, carry 208.0 m (227.5 yd) by model\n"
+        "bench bench1: READY. Ready: vented and homed. Next: golfbench arm --wait\n",
+        "",
+    )
+
+
+def test_swing_without_a_record_is_refused_in_time(
+    running: RunningPlane, golfbench: Golfbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golfbench("lease", "take")
+    running.desk.state, running.desk.publish_shot = State.ARMED, lambda message: None
+    code, _, err = golfbench("swing", "--timeout", "1")
+    assert code == ExitCode.REFUSED
+    assert "no record within 1 s" in err
+
+
+def test_a_swing_that_was_stopped_exits_with_1(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    publish = running.desk.publish_shot
+    stopped = {"cause": "OPERATOR_STOP", "shot": {"reason": "stopped by the operator"}}
+    running.desk.state = State.ARMED
+    running.desk.publish_shot = lambda message: publish({**message, **stopped})  # type: ignore[typeddict-item]
+    code, out, _ = golfbench("swing")
+    assert code == ExitCode.REFUSED
+    assert out.startswith("swing 1: no delivery\nstopped by the operator\n")
+
+
+@pytest.mark.parametrize(
+    ("state", "cure"),
+    [
+        (State.ESTOP, "golfbench reset"),
+        (State.FAULT, "golfbench reset"),
+        (State.SAFE, "golfbench home --wait"),
+        (State.READY, "golfbench arm --wait"),
+        (State.ACCESS, "golfbench access --end"),
+    ],
+)
+def test_a_refused_swing_has_the_cure_of_its_state(
+    running: RunningPlane, golfbench: Golfbench, state: State, cure: str
+) -> None:
+    golfbench("lease", "take")
+    running.desk.state = state
+    code, _, err = golfbench("swing")
+    assert code == ExitCode.REFUSED
+    assert f"Next: {cure}." in err
+    assert running.desk.requests == []
+
+
+def test_a_disarming_is_told_with_its_cause(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    running.desk.state, running.desk.cause = State.READY, Cause.LEASE
+    _, _, err = golfbench("swing")
+    assert "found:    READY: disarmed, as the lease lapsed or was released" in err
+    assert "to do:    Take it, then arm. Next: golfbench arm --wait." in err
+
+
+def test_ctrl_c_while_waiting_tells_that_the_robot_continues(
+    running: RunningPlane, golfbench: Golfbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golfbench("lease", "take")
+    running.desk.state = State.SAFE
+
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bench.network.client.BenchClient.wait_for", interrupt)
+    code, _, err = golfbench("home", "--wait")
+    assert code == ExitCode.INTERRUPTED
+    assert "only the waiting ended, the robot continues" in err
+    assert "golfbench stop" in err
+    monkeypatch.undo()
+
+
+def test_stop_of_a_moving_robot_prints_the_state_after(running: RunningPlane, golfbench: Golfbench) -> None:
+    """The stop is taken in the state before; the robot brakes first."""
+    desk = running.desk
+    desk.state = State.HOMING
+
+    def stop() -> Reply:
+        threading.Timer(0.3, setattr, (desk, "state", State.FAULT)).start()
+        return Reply(True, State.HOMING.name)
+
+    desk.stop = stop  # type: ignore[method-assign]
+    code, out, _ = golfbench("stop")
+    assert code == 0
+    first, last = out.splitlines()
+    assert first == "bench bench1: stopping"
+    assert last.startswith("bench bench1: FAULT. ")
+    assert last.endswith("Next: golfbench reset")
 
 
 def test_waiting_to_be_armed_renews_the_lease_and_ends_in_time(
@@ -132,7 +235,7 @@ def test_a_fault_ends_the_waiting(running: RunningPlane, golfbench: Golfbench) -
     fault.join()
     assert code == ExitCode.REFUSED
     assert "found:    FAULT in phase STANDING: the bench was switched on" in err
-    assert "to do:    Clear the fault, then golfbench reset." in err
+    assert "to do:    Reset to begin. Next: golfbench reset." in err
 
 
 def test_the_verbs_renew_the_lease(running: RunningPlane, golfbench: Golfbench) -> None:
@@ -146,7 +249,8 @@ def test_the_verbs_renew_the_lease(running: RunningPlane, golfbench: Golfbench) 
 
 
 def test_stops_need_no_lease(running: RunningPlane, golfbench: Golfbench) -> None:
-    assert golfbench("stop") == Outcome(0, "bench bench1: FAULT\n", "")
+    told = "bench bench1: FAULT. The bench was switched on. Next: golfbench reset\n"
+    assert golfbench("stop") == Outcome(0, told, "")
     code, out, _ = golfbench("estop")
     assert code == 0
     assert "convenience, not a safety function" in out
@@ -163,7 +267,7 @@ def test_a_refusal_exits_with_1_and_says_state_and_reason(
         "error: arm of bench bench1\n"
         "  found:    refused in state ESTOP: not possible in this state\n"
         "  expected: state READY\n"
-        "  to do:    Look at golfbench status.\n"
+        "  to do:    Clear the cause, then reset. Next: golfbench reset.\n"
     )
 
 

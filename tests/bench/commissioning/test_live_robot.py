@@ -42,8 +42,9 @@ from bench.processes.ownership import take_bench
 from bench.simulation.swing_operator import SwingOperator
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
-from drivers.base import INVALID, PASSIVE, READINGS, Command
+from drivers.base import INVALID, PASSIVE, Command
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
 from drivers.canopen.frames import MAX_LOAD, bus_load
 from sim.live.paced_driver import PacedPlantDriver
 from sim.live.surroundings import SurroundingsWriter

@@ -22,8 +22,9 @@ from bench.control.step import step
 from bench.lifecycle import Answer, Cause, Phase, Reaction, Request, State
 from bench.swing.profile import PHASES, Profile
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import COMMAND, PASSIVE, READINGS, unpack_command
+from drivers.base import PASSIVE
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND, READINGS, unpack_command
 from sim.plant import PlantParameters
 
 Array = np.ndarray[Any, Any]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bench.control.air import conductance_of_vents
-from drivers.base import READINGS
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
 from sim.plant import PlantParameters, build_plant
 
 PLANT = build_plant(PlantParameters()).plant[0]

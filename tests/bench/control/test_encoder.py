@@ -19,8 +19,8 @@ from bench.control.encoder import (
     decode_encoders,
     design_encoders,
 )
-from drivers.base import READINGS
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
 
 PERIOD = 1e-3
 COUNTS = 2**16

@@ -26,8 +26,8 @@ from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.settings import EnvelopeSettings, build_controller
 from bench.lifecycle import Cause, Phase
 from bench.swing.profile import Profile
-from drivers.base import READINGS
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
 from sim.kinematics import forward_kinematics, right_arm_length
 from sim.plant import PlantParameters
 from sim.robot import thesis_robot

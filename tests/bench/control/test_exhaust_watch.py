@@ -14,8 +14,9 @@ from bench.control.exhaust_watch import LATE, SLOWEST, exhaust_cause, watch_exha
 from bench.control.records import CONTROL_PARAMETERS, CONTROL_STATE, ESTIMATOR_STATE
 from bench.control.settings import holding_pressure
 from bench.lifecycle import Cause, Phase, Refusal, Request, State
-from drivers.base import CHAMBERS, READINGS
+from drivers.base import CHAMBERS
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
 from sim.motion import chambers
 from sim.plant import PlantParameters, build_plant
 from tests.bench.control.operating import asked, press, reach

@@ -27,8 +27,8 @@ from bench.control.step import decide_tick, estimate_tick
 from bench.lifecycle import Phase
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from drivers.base import READINGS
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
 from sim.plant import PlantParameters
 
 Array = np.ndarray[Any, Any]

@@ -9,8 +9,8 @@ import pytest
 from bench.control.manifold_watch import LATE, MARGIN, PROOF_TIME, SHUTTING, watch_manifold
 from bench.control.records import CONTROL_PARAMETERS, CONTROL_STATE
 from bench.lifecycle import Cause, Refusal, Request, State
-from drivers.base import READINGS
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
 from sim.plant import PlantParameters, build_plant
 from tests.bench.control.operating import asked, press, reach
 from tests.bench.control.puppet import ATMOSPHERE, SUPPLY, Puppet

@@ -31,8 +31,8 @@ from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from drivers.base import READINGS
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
 from sim.plant import PlantParameters, build_plant
 from sim.robot import RobotParameters
 from tests.compiled_only import needs_speed

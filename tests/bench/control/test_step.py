@@ -34,8 +34,9 @@ from bench.lifecycle import (
 )
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import COMMAND, PASSIVE, unpack_command
+from drivers.base import PASSIVE
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND, unpack_command
 from tests.bench.control.puppet import (
     ADDRESS,
     BEGINS,

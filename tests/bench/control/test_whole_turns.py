@@ -10,8 +10,8 @@ import pytest
 
 from bench.control.encoder import ENCODER_STATE, FRESH, decode_encoders
 from bench.lifecycle import Cause, Refusal, Request, State
-from drivers.base import READINGS
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
 from tests.bench.control.operating import asked, press, reach
 from tests.bench.control.puppet import ADDRESS, COUNTS, Puppet
 

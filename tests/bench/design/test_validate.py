@@ -22,8 +22,8 @@ from bench.errors import BenchError
 from bench.lifecycle import Phase
 from bench.swing.motion import Motion, phase_times
 from bench.swing.profile import Profile
-from drivers.base import COMMAND
 from drivers.base.compiled import new_record
+from drivers.base.records import COMMAND
 from sim.kinematics import theta2_from_right_arm
 from sim.plant import PlantParameters, advance, build_plant, initial_state
 from sim.robot import Club

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
+from bench.address import identity_files
 from bench.commands.sweep_engine import sweep_engine
 from bench.config import load_configuration
-from bench.config.identity_files import identity_files
 from bench.errors import BenchError, ExitCode, Refused
 from bench.network.certificates import make_authority, make_certificate, write_identity
 from bench.simulation import cluster_engine

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow, to_arrow
-from drivers.base import COMMAND, READINGS
+from drivers.base.records import COMMAND, READINGS
 
 Cycles = np.ndarray[Any, Any]
 

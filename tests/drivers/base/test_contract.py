@@ -7,21 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.base import (
-    ABSENT,
-    CHAMBERS,
+from drivers.base import ABSENT, CHAMBERS, PASSIVE, Command, Readings, device_limited
+from drivers.base.compiled import new_record
+from drivers.base.records import (
     COMMAND,
-    PASSIVE,
     READINGS,
-    Command,
-    Readings,
-    device_limited,
     pack_command,
     pack_readings,
     unpack_command,
     unpack_readings,
 )
-from drivers.base.compiled import new_record
 
 number = st.floats(allow_nan=False)
 triple = st.tuples(number, number, number)

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.base import COMMAND, READINGS, Command, Readings, pack_command, unpack_command, unpack_readings
+from drivers.base import Command, Readings
 from drivers.base.compiled import new_record
 from drivers.base.native_calls import DECLINED, NativeCall
+from drivers.base.records import COMMAND, READINGS, pack_command, unpack_command, unpack_readings
 from drivers.can_bus import FRAME
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.link import SocketcanLink

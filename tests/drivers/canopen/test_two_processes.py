@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from bench.processes.child import Child
-from drivers.base import PASSIVE, Command, DriverError, unpack_command
+from drivers.base import PASSIVE, Command, DriverError
+from drivers.base.records import unpack_command
 from drivers.base.shared_record import SharedRecord
 from drivers.can_bus import switch
 from drivers.canopen.driver import CanopenDriver

@@ -24,7 +24,8 @@ from bench.control.settings import build_controller
 from bench.loop import Cycle, CycleArray
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import PASSIVE, Command, DriverError, unpack_command
+from drivers.base import PASSIVE, Command, DriverError
+from drivers.base.records import unpack_command
 from drivers.base.shared_record import SharedRecord
 from sim.live.driver import ProcessPlantDriver
 from sim.live.exchange import (

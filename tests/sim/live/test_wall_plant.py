@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from bench.telemetry.cycle_record import CYCLE
-from drivers.base import PASSIVE, READINGS, TRUTH, Command, pack_readings, unpack_command
+from drivers.base import PASSIVE, Command
 from drivers.base.compiled import new_record
+from drivers.base.records import READINGS, TRUTH, pack_readings, unpack_command
 from sim.ball import Ball
 from sim.driver import SimDriver
 from sim.impact import impact_parameters

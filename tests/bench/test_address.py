@@ -1,0 +1,56 @@
+"""Name and addresses of a bench: the same as in the whole configuration, and nothing else is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bench.address import load_address
+from bench.config import VARIANTS, load_configuration
+from bench.errors import BenchError
+
+
+@pytest.mark.parametrize("name", ["shipped", *sorted(path.stem for path in VARIANTS.glob("*.toml"))])
+def test_load_address_of_a_variant_is_that_of_its_configuration(name: str) -> None:
+    whole, address = load_configuration(Path(name)), load_address(Path(name))
+    assert (address.bench, address.network) == (whole.bench, whole.network)
+
+
+def test_load_address_over_the_defaults_of_the_code_has_them(tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(
+        'base = "defaults"\n[bench]\nid = "b"\ndata_dir = "d"\n[network]\nendpoint = "tcp/127.0.0.1:7000"\n'
+    )
+    address = load_address(file)
+    assert (address.bench.id, address.bench.database) == ("b", "")
+    assert (address.network.endpoint, address.network.operators) == ("tcp/127.0.0.1:7000", ())
+
+
+def test_load_address_with_a_mistake_elsewhere_is_read(tmp_path: Path) -> None:
+    """A robot is stopped with any configuration whose bench can be reached."""
+    file = tmp_path / "bench.toml"
+    file.write_text('base = "shipped"\n[loop]\nrate_hz = -3.0\n[no_such_section]\nx = 1\n')
+    assert load_address(file).bench.id == "bench1"
+    with pytest.raises(ExceptionGroup):
+        load_configuration(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ('[bench]\nid = "a b"', "bench.id"),
+        ("[bench]\nid = 3", "bench.id"),
+        ('[network]\nendpoint = "tcp/10.0.0.1:7451"', "network.endpoint"),
+        ('[network]\nendpont = "tcp/127.0.0.1:7451"', "network.endpont"),
+        ('[network]\nendpoint = "tls/host:7451"', "network.identity"),
+    ],
+)
+def test_load_address_with_a_mistake_in_it_is_refused(tmp_path: Path, text: str, place: str) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(f'base = "shipped"\n{text}\n')
+    with pytest.raises(ExceptionGroup) as caught:
+        load_address(file)
+    (fault,) = caught.value.exceptions
+    assert isinstance(fault, BenchError)
+    assert place in fault.place
