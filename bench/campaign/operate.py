@@ -39,7 +39,7 @@ from bench.network.client import BenchClient
 from bench.network.lease import LONGEST_HOLDER
 from bench.processes.file_lock import try_lock
 from bench.store.air_readings import newest_reading
-from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore
+from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Standing
 from sim.air import Air
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")
@@ -413,6 +413,17 @@ def is_running(data_dir: Path, name: str) -> bool:
         return False
     with path.open("rb") as file:  # the lock needs no right to write
         return not try_lock(file.fileno())
+
+
+def standing_now(data_dir: Path, campaign: str, stored: Standing) -> Standing:
+    """Return the standing of `campaign`: as `stored`, or interrupted if its runner here has died."""
+    open_states = {CampaignState.RUNNING, CampaignState.WAITING, CampaignState.PAUSED}
+    if stored.state not in open_states or not _lock_file(data_dir, campaign).exists():
+        return stored
+    if is_running(data_dir, campaign):
+        return stored
+    reason = f"its runner ended without closing it; resume it: golfbench campaign resume {campaign}"
+    return Standing(CampaignState.INTERRUPTED, reason, stored.requested)
 
 
 def _lock_file(data_dir: Path, name: str) -> Path:

@@ -560,7 +560,11 @@ def watch(
                 last, stood = message, (message["state"], message["reason"])
                 time.sleep(1.0)
                 message = running()
-    typer.echo(f"{last['state']}; {last['shots']} shots, {last['valid']} valid; its runner has ended")
+    shots = f"{last['shots']} shots, {last['valid']} valid"
+    if last["state"] in {"running", "waiting", "paused"}:
+        typer.echo(f"interrupted; {shots}; its runner ended: golfbench campaign resume {last['campaign']}")
+    else:
+        typer.echo(f"{last['state']}; {shots}; its runner has ended")
 
 
 def _local_store(stack: ExitStack, configuration: Configuration, campaign: str) -> CampaignStore | None:
@@ -760,10 +764,16 @@ def list_campaigns(
 
     from rich.console import Console
 
+    from bench.campaign.operate import standing_now
     from bench.commands.campaign_screen import listing, listing_record
 
-    with _store(context.ensure_object(Session).configuration()) as store:
-        found = [one for one in store.entries() if bench in (None, one[0].bench)]
+    configuration = context.ensure_object(Session).configuration()
+    with _store(configuration) as store:
+        found = [
+            (entry, standing_now(configuration.bench.data_dir, entry.id, standing), counts)
+            for entry, standing, counts in store.entries()
+            if bench in (None, entry.bench)
+        ]
     if json_:
         typer.echo(json.dumps(listing_record(found), indent=2))
     elif found:

@@ -412,7 +412,7 @@ def parse_answer(payload: bytes) -> CommandAnswer:
                 "cure": str(cure),
                 "note": str(note),
                 "content": dict(content),
-            } if refusal in Refusal.__members__ and cause in Cause.__members__:
+            } if state in State.__members__ and refusal in Refusal.__members__ and cause in Cause.__members__:
                 return CommandAnswer(accepted, state, refusal, cause, reason, cure, note, content)
     except (ValueError, RecursionError):
         pass

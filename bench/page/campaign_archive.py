@@ -16,7 +16,7 @@ from bench.campaign.control_chart import control_charts
 from bench.campaign.dispersion import dispersion_ellipses
 from bench.campaign.exclusions import with_exclusions
 from bench.campaign.fitting import balls_of, places
-from bench.campaign.operate import answer, ask, find_campaign, is_running
+from bench.campaign.operate import answer, ask, find_campaign, is_running, standing_now
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
 from bench.campaign.sequence import Role, sections
@@ -52,7 +52,10 @@ class CampaignArchive:
         if not is_there(self._url):
             return []
         with self._store() as store:
-            found = store.entries()[:MAX_LISTED]
+            found = [
+                (entry, standing_now(self._settings.data_dir, entry.id, standing), counts)
+                for entry, standing, counts in store.entries()[:MAX_LISTED]
+            ]
         folder = self._settings.data_dir / "campaigns"
         return [
             {
@@ -91,7 +94,8 @@ class CampaignArchive:
             plan = plan_from_record(entry.plan, f"campaign {entry.id}")
             taken = [stored.shot for stored in store.shots(entry.id)]
             shots = with_exclusions(taken, store.exclusions(entry.id))
-            prompts, state = store.prompts(entry.id), store.standing(entry.id).state
+            prompts = store.prompts(entry.id)
+            state = standing_now(self._settings.data_dir, entry.id, store.standing(entry.id)).state
         return {
             "campaign": entry.id,
             "title": entry.title,

@@ -59,9 +59,9 @@ class CampaignState(StrEnum):
     """State of a campaign."""
 
     RUNNING = "running"
-    """Or its runner died: `campaign resume` finds out."""
+    """Stored until its runner ends it; `bench.campaign.operate.standing_now` tells whether one still does."""
     WAITING = "waiting"
-    """Waiting for the answer to a prompt; or its runner died meanwhile."""
+    """Waiting for the answer to a prompt."""
     PAUSED = "paused"
     SUSPENDED = "suspended"
     """Suspended by its runner, for a reason that a person must clear."""
@@ -70,6 +70,8 @@ class CampaignState(StrEnum):
     ABORTED = "aborted"
     """Aborted by a person at once; it cannot be resumed."""
     FINISHED = "finished"
+    INTERRUPTED = "interrupted"
+    """Its runner died without closing it; never stored."""
 
 
 ENDED = frozenset({CampaignState.ABORTED, CampaignState.FINISHED})

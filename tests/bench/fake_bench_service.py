@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from typing import NamedTuple
 
 import zenoh
@@ -58,6 +59,8 @@ class FakeDesk:
         """Requests to arm or home that are still refused because a chamber shows pressure."""
         self.fills = 0
         """Requests to swing that are still refused because the chambers are not as planned."""
+        self.refuse = Refusal.NONE
+        """Why every request is refused."""
         self.armed_phase = "HOLD"
         """"RETURN" while the robot is on its way to the address."""
         self.publish_shot: Callable[[ShotPublication], None] = lambda message: None
@@ -71,6 +74,8 @@ class FakeDesk:
         self.free.wait()
         if self.error is not None:
             raise self.error
+        if self.refuse:
+            return refused(self.state.name, self.refuse)
         if self.state not in ACCEPTED_IN[request]:
             return refused(self.state.name, Refusal.STATE)
         if self.sways and request in (Request.HOME, Request.ARM, Request.RESET):
@@ -214,10 +219,15 @@ class RunningPlane(NamedTuple):
     """The daemon's."""
 
 
+@cache
+def _shipped() -> Configuration:
+    return load_configuration(shipped_configuration())
+
+
 def loopback_configuration(port: int | None = None) -> Configuration:
     """Return the shipped configuration with `port`, a free one by default."""
     endpoint = f"tcp/127.0.0.1:{free_port() if port is None else port}"
-    return replace(load_configuration(shipped_configuration()), network=NetworkSettings(endpoint))
+    return replace(_shipped(), network=NetworkSettings(endpoint))
 
 
 @contextmanager

@@ -10,16 +10,14 @@ import sys
 import time
 from pathlib import Path
 
-from bench.config import load_configuration
+from bench.address import load_address
 from bench.network.client import BenchClient
-from bench.network.live_swing import ShotNews, tee_up
-from bench.shot.recorded_shot import read_shot
-from bench.shot.shot import Shot
+from bench.shot.shot_message import ShotMessage
 
 
-def swing_once(configuration: Path | None) -> Shot:
-    """Bring the bench to its address, swing at a ball and return the shot of the stored record."""
-    with BenchClient.connect(load_configuration(configuration)) as bench, bench.lease("example"):
+def swing_once(configuration: Path | None) -> ShotMessage:
+    """Bring the bench to its address, swing at a ball and return the shot."""
+    with BenchClient.connect(load_address(configuration)) as bench, bench.lease("example"):
         while not bench.status()["support_ready"]:  # recorder and publisher start after the loop
             time.sleep(0.1)
         if bench.status()["state"] in ("ESTOP", "FAULT"):
@@ -29,19 +27,16 @@ def swing_once(configuration: Path | None) -> Shot:
         bench.wait_for("READY")
         bench.arm()
         bench.wait_until_armed()
-        tee_up(bench, lambda: time.sleep(0.05))
-        with bench.shots() as next_message:
-            begun = bench.status()["tick"]
-            bench.swing()
-            record = ShotNews(next_message).record_since(begun)
-    if record is None:
-        raise SystemExit("The bench stored no record of this swing; see golfbench status.")
-    print(f"record     {record.path}")
-    return read_shot(record.path).record.shot
+        bench.tee()
+        while not bench.status()["ball_present"]:
+            time.sleep(0.05)
+        return bench.swing_through()
 
 
 if __name__ == "__main__":
-    shot = swing_once(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
-    print(f"club speed {shot.club_speed_mps or 0:.2f} m/s")
-    print(f"ball speed {shot.ball_speed_mps or 0:.2f} m/s")
-    print(f"carry      {shot.carry_m or 0:.1f} m, {shot.carry_source}")
+    message = swing_once(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
+    shot = message.shot or {}
+    print(f"record     {message.record}")
+    print(f"club speed {shot.get('club_speed_mps') or 0:.2f} m/s")
+    print(f"ball speed {shot.get('ball_speed_mps') or 0:.2f} m/s")
+    print(f"carry      {shot.get('carry_m') or 0:.1f} m, {shot.get('carry_source')}")

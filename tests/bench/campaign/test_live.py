@@ -37,7 +37,7 @@ from bench.campaign.swings import Profiles, require_swings
 from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
 from bench.learning.store import learned_swings
-from bench.lifecycle import REFUSAL_TEXT, Block, Phase, Refusal, State
+from bench.lifecycle import REFUSAL_WORDS, Block, Phase, Refusal, State
 from bench.network.bench_service import ArmingBlock
 from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
@@ -388,6 +388,15 @@ def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
     assert (taken.struck, taken.cycles, bench.asked) == (False, None, ["tee"])
 
 
+def answer_of(refusal: Refusal, state: str = "READY") -> CommandAnswer:
+    fact, cure = REFUSAL_WORDS[refusal]
+    return CommandAnswer(False, state, refusal.name, reason=fact, cure=cure)
+
+
+def refused(verb: Verb, state: str, refusal: Refusal) -> CommandRefused:
+    return CommandRefused("b", verb, answer_of(refusal, state))
+
+
 BLOCK = ArmingBlock(
     code=Block.CALIBRATION_MISSING,
     place="club driver of bench b",
@@ -401,12 +410,13 @@ BLOCK = ArmingBlock(
     ("answer", "text"),
     [
         (
-            CommandAnswer(False, "READY", "arming blocked", content={"arming_blocks": [BLOCK]}),
+            CommandAnswer(False, "READY", "BLOCKED", content={"arming_blocks": [BLOCK]}),
             "club driver of bench b never calibrated",
         ),
-        (CommandAnswer(False, "READY", REFUSAL_TEXT[Refusal.READ_ONLY]), REFUSAL_TEXT[Refusal.READ_ONLY]),
+        (answer_of(Refusal.READ_ONLY), REFUSAL_WORDS[Refusal.READ_ONLY][0]),
+        (answer_of(Refusal.CORRECTION), REFUSAL_WORDS[Refusal.CORRECTION][0]),
     ],
-    ids=["blocked", "read only"],
+    ids=["blocked", "read only", "correction"],
 )
 def test_a_bench_that_will_not_arm_suspends_at_once(
     plan: CampaignPlan, answer: CommandAnswer, text: str
@@ -432,8 +442,7 @@ def test_a_refusal_that_passes_is_waited_for(plan: CampaignPlan, monkeypatch: py
 
         def arm(self) -> None:
             self.asked.append("arm")
-            reason = REFUSAL_TEXT[Refusal.NOT_VENTED]
-            raise CommandRefused("b", Verb.ARM, CommandAnswer(False, "READY", reason))
+            raise refused(Verb.ARM, "READY", Refusal.NOT_VENTED)
 
     bench = Venting()
     with pytest.raises(Suspended, match="not proven empty"):
@@ -458,7 +467,7 @@ def test_a_person_gets_in_through_access_only(plan: CampaignPlan) -> None:
         def access(self) -> None:
             self.asked.append("access")
             if self.asked.count("access") == 1:
-                raise CommandRefused("b", Verb.ACCESS, CommandAnswer(False, "READY", "not vented"))
+                raise refused(Verb.ACCESS, "READY", Refusal.NOT_VENTED)
             self._status["state"] = "ACCESS"
 
         def secure(self) -> None:
@@ -483,8 +492,7 @@ def test_who_comes_out_is_asked_to_close_the_guard_and_to_press_the_button(plan:
 
         def secure(self) -> None:
             if refusals:
-                reason = REFUSAL_TEXT[refusals.pop(0)]
-                raise CommandRefused("b", Verb.SECURE, CommandAnswer(False, "ACCESS", reason))
+                raise refused(Verb.SECURE, "ACCESS", refusals.pop(0))
             self._status["state"] = "READY"
 
     bench = Doors(state="ACCESS")
@@ -556,7 +564,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[SwingRecord, Launc
 def reported(launch: Launch, carry: float | None) -> ShotMessage:
     """Return what the bench's launch monitor says of a ball."""
     told = LaunchRecord(1.0, "monitor", 1, **launch._asdict(), carry=carry)
-    return ShotMessage("1", None, MatchOutcome.MATCHED, told, "")
+    return ShotMessage("1", None, None, None, "", None, MatchOutcome.MATCHED, told, "")
 
 
 def of_carry(plan: CampaignPlan, carry: Any) -> CampaignPlan:

@@ -13,7 +13,7 @@ import pytest
 
 from bench.config import BenchSettings
 from bench.errors import BenchError, ExitCode, Refused
-from bench.lifecycle import Request, State
+from bench.lifecycle import Refusal, Request, State
 from bench.network.bench_service import BenchStatus
 from bench.network.client import REST, BenchClient, CommandRefused
 from bench.network.command import Verb, encode_command
@@ -100,31 +100,57 @@ def test_a_swing_waits_for_its_air(running: RunningPlane, bench: BenchClient) ->
 def test_air_that_never_comes_is_refused_in_words(
     running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.network.client.LONGEST_AIR", 0.2)
     bench.take_lease("Ann")
     running.desk.state, running.desk.fills = State.ARMED, 1000
     with pytest.raises(CommandRefused) as caught:
-        bench.swing()
+        bench.swing(patience=0.2)
     assert caught.value.found == "refused in state ARMED: the chambers are not at their planned pressures yet"
     assert caught.value.cure == "Wait, then ask again."
 
 
-def test_homing_does_not_wait_for_chambers(running: RunningPlane, bench: BenchClient) -> None:
+def test_homing_waits_for_chambers_that_vent(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
-    running.desk.state, running.desk.vents = State.SAFE, 1
+    running.desk.state, running.desk.vents = State.SAFE, 2
+    assert bench.home().accepted
+    assert len(running.desk.requests) == 3
+
+
+def test_arming_waits_for_a_robot_that_returns(running: RunningPlane, bench: BenchClient) -> None:
+    bench.take_lease("Ann")
+    running.desk.state = State.RECOVERING
+    with pytest.raises(CommandRefused) as caught:
+        bench.arm(patience=0.2)
+    assert len(running.desk.requests) > 1
+    assert caught.value.refusal is Refusal.STATE
+    threading.Timer(0.3, setattr, (running.desk, "state", State.READY)).start()
+    assert bench.arm(patience=5.0).accepted
+
+
+def test_a_second_swing_is_not_made_after_the_first(running: RunningPlane, bench: BenchClient) -> None:
+    bench.take_lease("Ann")
+    running.desk.state = State.SWINGING
     with pytest.raises(CommandRefused):
-        bench.home()
-    assert len(running.desk.requests) == 1
+        bench.swing()
+    assert running.desk.requests == [Request.SWING]
+
+
+def test_what_was_asked_before_a_stop_is_not_done_after_it(running: RunningPlane, bench: BenchClient) -> None:
+    bench.take_lease("Ann")
+    running.desk.state = State.READY
+    running.desk.refuse = Refusal.STOPPED
+    with pytest.raises(CommandRefused) as caught:
+        bench.arm()
+    assert caught.value.refusal is Refusal.STOPPED
+    assert running.desk.requests == [Request.ARM]
 
 
 def test_chambers_that_never_empty_are_refused_in_words(
     running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.network.client.LONGEST_SWAY", 0.2)
     bench.take_lease("Ann")
     running.desk.state, running.desk.vents = State.READY, 1000
     with pytest.raises(CommandRefused) as caught:
-        bench.arm()
+        bench.arm(patience=0.2)
     assert caught.value.found == "refused in state READY: the chambers are not proven empty yet"
     assert caught.value.cure == "Wait, then ask again."
 
@@ -132,11 +158,10 @@ def test_chambers_that_never_empty_are_refused_in_words(
 def test_a_robot_that_never_rests_is_refused_in_words(
     running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.network.client.LONGEST_SWAY", 0.2)
     bench.take_lease("Ann")
     running.desk.sways = 1000
     with pytest.raises(CommandRefused) as caught:
-        bench.reset()
+        bench.reset(patience=0.2)
     assert caught.value.found == "refused in state ESTOP: a joint still moves"
     assert caught.value.cure == "Wait until the robot rests, then ask again."
 
@@ -312,7 +337,10 @@ def test_a_status_of_another_version_is_told(
     status: dict[str, Any] = {**running.desk.status(), **change}
     content = {name: value for name, value in status.items() if value is not None}
     answer = json.dumps(
-        {"version": 1, "accepted": True, "state": "", "reason": "", "note": "", "content": content}
+        {
+            **{"version": 1, "accepted": True, "state": "ESTOP", "refusal": "NONE", "cause": "NONE"},
+            **{"reason": "", "cure": "", "note": "", "content": content},
+        }
     )
     monkeypatch.setattr(bench, "send", lambda *_: answer.encode())
     with pytest.raises(BenchError, match="Use the same golfbench"):

@@ -163,7 +163,38 @@ def test_the_status_carries_lease_and_counts_but_no_key(
 
 def test_a_refusal_of_the_bench_comes_with_state_and_reason(asker: Asker) -> None:
     answer = asker.ask_keyed("swing", asker.take())
-    assert answer == CommandAnswer(False, "ESTOP", "not possible in this state")
+    assert answer == CommandAnswer(
+        False,
+        "ESTOP",
+        "STATE",
+        "POWER_UP",
+        "not possible in this state",
+        "Clear the cause, then reset.",
+    )
+
+
+@pytest.mark.parametrize(
+    ("state", "cure"),
+    [
+        (State.SAFE, "Home the robot."),
+        (State.READY, "Arm to swing, or open the access to change club or ball."),
+        (State.ACCESS, "Close the guard, then end the access."),
+    ],
+)
+def test_a_refusal_for_the_state_has_the_next_step_of_that_state(
+    bench: RunningPlane, asker: Asker, state: State, cure: str
+) -> None:
+    key = asker.take()
+    bench.desk.state = state
+    answer = asker.ask_keyed("swing", key)
+    assert (answer.refusal, answer.state, answer.cure) == ("STATE", state.name, cure)
+
+
+def test_a_lease_that_lapses_soon_is_told(bench: RunningPlane, clock: FakeClock, asker: Asker) -> None:
+    asker.take("Ann", 30.0)
+    for left, lapsing in ((30.0, False), (8.0, False), (7.0, True)):
+        clock.now += bench.plane.lease_status()["seconds_left"] - left  # type: ignore[index]
+        assert bench.plane.lease_status() == {"holder": "Ann", "seconds_left": left, "lapsing": lapsing}
 
 
 def test_an_emergency_stop_says_that_it_is_no_safety_function(asker: Asker) -> None:
@@ -177,6 +208,7 @@ def test_a_desk_that_fails_is_a_refusal_and_the_next_command_is_answered(
     bench.desk.error = OSError("the ring is gone")
     for answer in (asker.ask_keyed("reset", key), asker.ask("stop"), asker.ask("estop")):
         assert not answer.accepted
+        assert answer.refusal == "FAILED"
         assert answer.reason == "the bench could not do it, OSError: the ring is gone"
     bench.desk.error = None
     assert asker.ask_keyed("reset", key).accepted
@@ -188,7 +220,9 @@ def test_a_desk_that_fails_is_a_refusal_and_the_next_command_is_answered(
 def test_only_one_of_two_clients_holds_the_bench(bench: RunningPlane, asker: Asker, another: Asker) -> None:
     key = asker.take("Ann")
     refusal = another.ask("lease", action="take", holder="Bob")
-    assert refusal.reason == "Ann holds the bench for 30 s more: wait, or ask Ann to release it"
+    assert refusal.refusal == "HELD"
+    assert refusal.reason == "Ann holds the bench for 30 s more"
+    assert refusal.cure == "wait, or ask Ann to release it"
     assert another.ask_keyed("reset", new_key()) == refusal
     assert not another.ask_keyed("lease", new_key(), action="release").accepted
     assert bench.desk.requests == []
@@ -199,7 +233,7 @@ def test_only_one_of_two_clients_holds_the_bench(bench: RunningPlane, asker: Ask
 def test_what_moves_is_refused_without_a_lease(bench: RunningPlane, asker: Asker) -> None:
     for verb in ("home", "arm", "access", "secure", "swing", "tee", "reset"):
         answer = asker.ask_keyed(verb, new_key())
-        assert (answer.accepted, answer.reason[:14]) == (False, "no valid lease")
+        assert (answer.accepted, answer.refusal) == (False, "NO_LEASE")
     assert bench.desk.requests == []
 
 
@@ -292,9 +326,7 @@ def test_stops_overtake_a_flood_of_requests(bench: RunningPlane, asker: Asker, a
     assert another.ask("status").accepted
     bench.desk.free.set()
     answers = [wait() for wait in flood]
-    busy = [
-        a for a in answers if isinstance(a, CommandAnswer) and a.reason.startswith("too many messages wait")
-    ]
+    busy = [a for a in answers if isinstance(a, CommandAnswer) and a.refusal == "BUSY"]
     assert len(busy) == len(flood) - QUEUE - 1
     assert len(bench.desk.requests) == QUEUE + 1
 
@@ -323,7 +355,7 @@ def test_a_request_that_waited_too_long_is_not_done(
     assert answer.accepted
     late = second()
     assert isinstance(late, CommandAnswer)
-    assert late.reason.startswith("it waited too long")
+    assert late.refusal == "TOO_LATE"
     assert bench.desk.requests == [Request.RESET]
 
 
@@ -381,7 +413,7 @@ def test_it_ends_in_time_although_the_desk_hangs() -> None:
             assert isinstance(first(), CommandAnswer)
             answer = second()
             assert isinstance(answer, CommandAnswer)
-            assert "shutting down" in answer.reason
+            assert answer.refusal == "SHUTTING_DOWN"
             assert running.desk.requests == [Request.RESET]
 
 

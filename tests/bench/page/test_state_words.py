@@ -7,24 +7,24 @@ import re
 
 import pytest
 
-from bench.lifecycle import CAUSE_TEXT, Phase, Reaction, State
+from bench.lifecycle import CAUSE_WORDS, Phase, Reaction, State
 from bench.network.bench_service import CauseStatus
-from bench.page.state_words import (
+from bench.network.status_words import (
+    COMMANDS,
     MOVING,
     NO_BALL,
     PHASE_WORDS,
     REACTION_WORDS,
     STATE_WORDS,
     VENTING_WORDS,
-    accepted_commands,
-    state_view,
 )
+from bench.page.state_words import accepted_commands, state_view
 from bench.processes.status import NO_LAUNCH_MONITOR
 from tests.bench.fake_bench_service import FakeDesk
 
 
 def test_everything_has_words() -> None:
-    assert set(STATE_WORDS) == set(State)
+    assert set(STATE_WORDS) == set(COMMANDS) == set(State)
     assert set(PHASE_WORDS) == set(Phase)
     assert set(REACTION_WORDS) == set(Reaction)
 
@@ -32,8 +32,8 @@ def test_everything_has_words() -> None:
 @pytest.mark.parametrize("state", State)
 def test_each_state_is_shown(state: State) -> None:
     status = FakeDesk(state).status() | {"lease": None}
-    for cause, text in CAUSE_TEXT.items():
-        status["cause"] = CauseStatus(name=cause.name, text=text)
+    for cause, (text, cure) in CAUSE_WORDS.items():
+        status["cause"] = CauseStatus(name=cause.name, text=text, cure=cure)
         view = state_view(status)
         assert view["cause"]["what"]
         json.dumps(view, allow_nan=False)

@@ -1,0 +1,51 @@
+"""What is told of a campaign whose runner has died."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bench.campaign.operate import standing_now
+from bench.processes.file_lock import try_lock
+from bench.store.campaigns import CampaignState, Standing
+
+NAME = "2026-11-26-two-balls-1"
+
+
+@pytest.fixture
+def lock(tmp_path: Path) -> Path:
+    """Return the lock file that a runner leaves."""
+    path = tmp_path / "campaigns" / NAME / "runner"
+    path.parent.mkdir(parents=True)
+    path.write_text(f"4711 {NAME}")
+    return path
+
+
+@pytest.mark.parametrize("state", [CampaignState.RUNNING, CampaignState.WAITING, CampaignState.PAUSED])
+def test_standing_now_of_a_killed_runner_is_interrupted_with_the_way_to_resume(
+    lock: Path, tmp_path: Path, state: CampaignState
+) -> None:
+    standing = standing_now(tmp_path, NAME, Standing(state, "", ""))
+    assert standing.state is CampaignState.INTERRUPTED
+    assert f"golfbench campaign resume {NAME}" in standing.reason
+
+
+def test_standing_now_of_a_living_runner_is_as_stored(lock: Path, tmp_path: Path) -> None:
+    stored = Standing(CampaignState.RUNNING, "", "")
+    with lock.open("rb") as file:
+        assert try_lock(file.fileno())
+        assert standing_now(tmp_path, NAME, stored) == stored
+
+
+def test_standing_now_of_a_runner_on_another_machine_is_as_stored(tmp_path: Path) -> None:
+    stored = Standing(CampaignState.RUNNING, "", "")
+    assert standing_now(tmp_path, NAME, stored) == stored
+
+
+@pytest.mark.parametrize("state", [CampaignState.FINISHED, CampaignState.ABORTED, CampaignState.SUSPENDED])
+def test_standing_now_of_a_closed_campaign_is_as_stored(
+    lock: Path, tmp_path: Path, state: CampaignState
+) -> None:
+    stored = Standing(state, "its reason", "")
+    assert standing_now(tmp_path, NAME, stored) == stored
