@@ -14,7 +14,7 @@ from bench.design.casadi_package import load_casadi
 from bench.design.check import SwingCheck
 from bench.design.designer import DesignFailed, SwingDemand, design_swing, fastest_plan
 from bench.design.optimal_control import BAR, DownswingPlan
-from bench.errors import Refused
+from bench.errors import BenchError, Refused
 from bench.simulation.series import Bench, Series
 from bench.sizing.catalogue import Catalogue
 from bench.sizing.hardware import Hardware, configuration_text, highest_pressure, overrides
@@ -69,7 +69,8 @@ def _unwatched(configuration: Configuration) -> EnvelopeSettings:
 
 
 def _reasons(group: ExceptionGroup[Exception]) -> str:
-    return "; ".join(str(fault).partition(": ")[2] for fault in group.exceptions)
+    found = (fault for fault in group.exceptions if isinstance(fault, BenchError))
+    return "; ".join(f"found {one.found}, expected {one.expected}. {one.cure}" for one in found)
 
 
 @dataclass(frozen=True)
