@@ -93,7 +93,7 @@ class CommandRefused(Refused):
             self.verb, self.answer = verb, answer
             return
         states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []
-        wrong_state = bool(states) and answer.state not in states
+        wrong_state = answer.refusal == Refusal.STATE.name
         command = f"Next: {status_words.COMMANDS[State[answer.state]]}."
         cure = status_words.sentence(answer.cure.removesuffix("."))
         super().__init__(
