@@ -345,7 +345,7 @@ def _add(
         typer.echo(json.dumps(entry.record(), indent=2))
     else:
         typer.echo(f"{entry.name} of bench {bench.id}: {in_words(values)}; expires {entry.expires:%Y-%m-%d}")
-        typer.echo("A running bench takes it up when it is started again.")
+        typer.echo("A running bench checks it at its next arming; values other than before need a restart.")
 
 
 def _require_pose(configuration: Configuration, angles: tuple[float, ...]) -> None:
