@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from io import StringIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import pytest
 from rich.console import Console
@@ -363,8 +363,9 @@ def shown(age: float = 0.0, state: State = State.ESTOP) -> str:
 def test_a_refused_message_of_a_launch_monitor_is_in_the_table() -> None:
     link = {**NO_LAUNCH_MONITOR, "listening": "127.0.0.1:2921", "refused": 2, "refusal": "invalid JSON"}
     console = Console(width=80, record=True, file=StringIO())
-    status = FakeDesk().status() | {"launch_monitor": LaunchMonitorStatus(**link)}
-    console.print(status_table(status, 0.0))  # type: ignore[arg-type]
+    status = FakeDesk().status()
+    status["launch_monitor"] = cast(LaunchMonitorStatus, link)
+    console.print(status_table(status, 0.0))
     text = console.export_text()
     assert "not connected, listening at 127.0.0.1:2921" in text
     assert "refused 2, last: invalid JSON" in text

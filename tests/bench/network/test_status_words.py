@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -10,7 +10,7 @@ from bench.processes.status import NO_LAUNCH_MONITOR
 
 
 def link(**changes: Any) -> LaunchMonitorStatus:
-    return LaunchMonitorStatus(**{**NO_LAUNCH_MONITOR, **changes})
+    return cast(LaunchMonitorStatus, {**NO_LAUNCH_MONITOR, **changes})
 
 
 def test_launch_monitor_text_of_connected_monitors_is_their_names() -> None:

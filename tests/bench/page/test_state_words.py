@@ -57,7 +57,7 @@ def test_what_needs_attention_is_named() -> None:
 
 def test_a_launch_monitor_that_is_not_present_is_a_warning() -> None:
     status = FakeDesk().status() | {"launch_monitor": {**NO_LAUNCH_MONITOR, "note": "not listening"}}
-    warnings = state_view(status)["warnings"]  # type: ignore[arg-type]
+    warnings = state_view(status)["warnings"]
     assert "no launch monitor is connected" in warnings
     assert "launch monitor: not listening" in warnings
 

@@ -171,7 +171,8 @@ def test_a_club_and_a_refused_message_are_taken_beside_the_launches(
     club, refused = server.take_asides()
     assert isinstance(club, ClubRecord)
     assert isinstance(refused, RefusedRecord)
-    assert (club.device, club.club.speed) == ("monitor", pytest.approx(96 * 0.44704))
+    assert club.device == "monitor"
+    assert club.club.speed == pytest.approx(96 * 0.44704)
     assert refused == RefusedRecord(100.0, "neither BallData nor ShotDataOptions")
     link = server.link()
     assert (link.counts.clubs, link.understood, link.refusal) == (1, 100.0, refused.reason)
