@@ -87,7 +87,7 @@ def test_durations_out_of_range_are_no_lease(seconds: float) -> None:
     key = book.take("Ann", 30.0, now=0.0).key
     with pytest.raises(ValueError, match="no lease"):
         book.renew(key, 1, seconds, now=0.0)
-    assert book.held(0.0) == Lease("Ann", key, 30.0, number=1)
+    assert book.held(0.0) == Lease("Ann", key, 30.0, number=1, seconds=30.0)
 
 
 @pytest.mark.parametrize(
