@@ -19,11 +19,12 @@ from bench.commands.status_table import status_table
 from bench.config import Configuration, database_url, load_configuration
 from bench.daemon import Daemon
 from bench.errors import ExitCode
-from bench.lifecycle import Block, Request, State
+from bench.lifecycle import Block, Refusal, Request, State
 from bench.network.bench_service import Reply
 from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
-from bench.page.state_words import ARMING_BLOCKED, state_view
+from bench.network.status_words import ARMING_BLOCKED
+from bench.page.state_words import state_view
 from bench.readiness import assess_bench
 from bench.store.database import open_database
 from tests.bench.fake_bench_service import FakeDesk
@@ -186,7 +187,7 @@ class AcceptingLink:
 
     def request(self, request: Request) -> Reply:
         self.asked.append(request)
-        return Reply(True, self.state, "")
+        return Reply(True, self.state)
 
     def beat(self, **_: Any) -> None:
         """Take a heartbeat."""
@@ -211,7 +212,7 @@ def test_daemon_ball_off_the_profile_is_not_armed(start: Start, calibrate: Calib
     reply = daemon.request(Request.ARM)
     assert (reply.accepted, link.asked) == (False, [])
     assert [block["code"] for block in reply.blocks] == [Block.SWING]
-    assert "107.7 mm off" in reply.reason
+    assert "107.7 mm off" in reply.blocks[0]["found"]
     assert daemon.request(Request.HOME).accepted
 
 
@@ -275,7 +276,8 @@ def test_status_and_page_report_what_blocks_arming() -> None:
 
 def test_refused_arming_raises_the_parts_of_its_block() -> None:
     content = {"arming_blocks": blocked_status()["arming_blocks"]}
-    error = CommandRefused("b", Verb.ARM, CommandAnswer(False, "READY", "arming blocked: …", "", content))
+    answer = CommandAnswer(False, "READY", Refusal.BLOCKED.name, content=content)
+    error = CommandRefused("b", Verb.ARM, answer)
     assert (error.place, error.found) == ("arm of bench b", "default.toml: ball_m 107.7 mm off")
     assert (error.expected, error.cure) == ("0.5 mm", "Move the tee.")
 

@@ -10,8 +10,9 @@ import pytest
 
 from bench.control.air import actuator_motion
 from bench.control.air_watch import SWITCHING, air_fault
+from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.exhaust_watch import LATE, SLOWEST, exhaust_cause, watch_exhausts
-from bench.control.records import CONTROL_PARAMETERS, CONTROL_STATE, ESTIMATOR_STATE
+from bench.control.records import CONTROL_PARAMETERS, CONTROL_STATE
 from bench.control.settings import holding_pressure
 from bench.lifecycle import Cause, Phase, Refusal, Request, State
 from drivers.base import CHAMBERS

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from bench.processes.status import disarmed_for
 from bench.telemetry.cycle_record import CYCLE
 
 
-def cycle(state: State, **values: object) -> np.void:
+def cycle(state: State, **values: object) -> Any:
     record = np.zeros(1, CYCLE)[0]
     record["state"], record["lease_held"], record["support_ready"] = state, True, True
     for name, value in values.items():

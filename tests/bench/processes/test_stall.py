@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Cause, Refusal
+from bench.lifecycle import CAUSE_TEXT, REFUSAL_WORDS, Cause, Refusal
 from bench.processes.stall import stall_note, supervisor_note
-from bench.processes.status import cause_text, refusal_text
+from bench.processes.status import cause_text, refusal_words
 from bench.telemetry.cycle_record import CYCLE
 
 LOST_TIME, PERIOD = 0.0045, 0.001
@@ -47,9 +47,9 @@ def test_stall_note_names_the_trouble_of_the_device_before_cables() -> None:
 
 def test_refusal_names_the_trouble_of_the_device_before_cables() -> None:
     trouble = "another master has commanded node 1"
-    assert refusal_text(Refusal.READINGS, trouble) == f"an encoder gives no valid readings: {trouble}"
-    assert refusal_text(Refusal.READINGS, "") == REFUSAL_TEXT[Refusal.READINGS]
-    assert refusal_text(Refusal.GUARD, trouble) == REFUSAL_TEXT[Refusal.GUARD]
+    assert refusal_words(Refusal.READINGS, trouble) == ("an encoder gives no valid readings", trouble)
+    assert refusal_words(Refusal.READINGS, "") == REFUSAL_WORDS[Refusal.READINGS]
+    assert refusal_words(Refusal.GUARD, trouble) == REFUSAL_WORDS[Refusal.GUARD]
 
 
 @pytest.mark.parametrize("lost", [0, 2])

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -31,6 +31,7 @@ SHOTS = 5
 
 @pytest.fixture
 def server(request: pytest.FixtureRequest) -> Iterator[LaunchMonitorServer]:
+    presence: Literal["connected", "per_shot"]
     presence = "per_shot" if DIALECTS[request.getfixturevalue("dialect")].per_shot else "connected"
     # The first shot may compile for longer than the usual silence.
     made = LaunchMonitorServer(LaunchMonitorSettings(presence=presence, silence=3600.0), port=0)

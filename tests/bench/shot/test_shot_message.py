@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.errors import BenchError
-from bench.shot.shot_message import launch_from_json, launch_to_json, read_shot_message
+from bench.shot.shot_message import ShotMessage, launch_from_json, launch_to_json, read_shot_message
 from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import ClubFigures, LaunchRecord
 
@@ -46,9 +46,11 @@ def message(**changes: Any) -> bytes:
 
 def test_what_is_sent_is_read_again() -> None:
     read = read_shot_message(message())
-    assert read == ("r-1", Path("/data/a.parquet"), MatchOutcome.MATCHED, FULL, "")
+    assert read == ShotMessage(
+        "r-1", Path("/data/a.parquet"), None, None, "", None, MatchOutcome.MATCHED, FULL, ""
+    )
     few = read_shot_message(b'{"version": 1, "record": "x"}')  # of a bench without a launch monitor
-    assert few == ("", Path("x"), None, None, "")
+    assert few == ShotMessage("", Path("x"), None, None, "", None, None, None, "")
 
 
 @pytest.mark.parametrize(
