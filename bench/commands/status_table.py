@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from bench.lifecycle import State, in_one
+from bench.lifecycle import in_one
 from bench.network.bench_service import (
     BenchStatus,
     CauseStatus,
@@ -22,11 +22,11 @@ from bench.network.bench_service import (
 )
 from bench.network.client import BenchClient
 from bench.network.status_words import (
-    COMMANDS,
     StatusCondition,
     block_text,
     interlock_conditions,
     launch_monitor_text,
+    next_command,
     next_step,
     robot_conditions,
     shut_off_words,
@@ -109,7 +109,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
     joints = zip(JOINTS, status["joints_deg"], strict=True)
     rows: list[tuple[str, Text | str]] = [
         ("phase", moves),
-        ("next", f"{next_step(status)} {COMMANDS[State[status['state']]]}"),
+        ("next", f"{next_step(status)} {next_command(status)}"),
         ("cause", _cause(cause) if cause else "none"),
         *([("then found", _cause(latest))] if latest else []),
         ("lease", _lease(lease) if lease else "not held"),
