@@ -1,7 +1,7 @@
 """The command line: names all commands, maps errors to messages and exit codes.
 
 The module of a command is imported when the command is called, and heavy packages inside the commands that
-need them: whoever stops a robot does not wait for the imports of a simulation.
+need them: a stop does not wait for the imports of a simulation.
 """
 
 from __future__ import annotations

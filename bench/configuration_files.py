@@ -82,7 +82,7 @@ def read_layers(
     `defaults` returns the tables of base "defaults"; `above` are the files that are based on this one.
 
     Raises:
-        BenchError: a file is missing, cannot be read, or is not TOML; a base is none or is based on itself.
+        BenchError: a file is missing, cannot be read, or is not TOML; a base is unusable or based on itself.
     """
     file = shown_path(file)
     tables = read_toml(file, "a configuration file", "Correct the path.")

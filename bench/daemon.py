@@ -152,7 +152,7 @@ class Daemon:
         self._disarmed = Cause.NONE
         """Why the robot was disarmed since it last moved."""
         self._lease: LeaseStatus | None = None
-        """As it was told last."""
+        """As last reported."""
         self._ending = False
         self._started = time.monotonic()
 

@@ -3,7 +3,7 @@
 Read are UTF-8 and UTF-16, the separators comma, semicolon and tab (also named by a first line `sep=;`), lines
 before the header, a row of units below it, and headers that are repeated. Rows of averages and deviations are
 left out. Column names are compared in lower case, words joined by underscores: "Ball Speed (mph)" is
-`ball_speed_mph`.
+"ball_speed_mph".
 """
 
 from __future__ import annotations

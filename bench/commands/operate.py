@@ -287,7 +287,7 @@ def _ask_as_holder(context: typer.Context, ask: Callable[[BenchClient], CommandA
 def _waiting(bench: BenchClient) -> Iterator[Callable[[BenchStatus], None]]:
     """Yield what shows a state while a command waits, and renews the lease on the way.
 
-    Ctrl-C ends the waiting, not what the robot does: the operator is told.
+    Ctrl-C ends the waiting, not the robot: the operator reads so.
     """
     from bench.network.client import CommandRefused
 
@@ -332,11 +332,17 @@ def _status_line() -> Iterator[Callable[[str], object]]:
 def _stop(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
     from bench.lifecycle import Reaction, State
     from bench.network.status_words import MOVING, REACTION_WORDS
+    from bench.network.zenoh_session import NoAnswer
 
     with _client(context) as bench, _waiting(bench) as watch:
-        if note := ask(bench).note:
-            typer.echo(note)
-        status = bench.status()
+        answer = ask(bench)
+        if answer.note:
+            typer.echo(answer.note)
+        try:
+            status = bench.status()
+        except NoAnswer:  # a role may stop that may not read the state
+            typer.echo(f"bench {bench.bench}: the stop is accepted; its state cannot be read from here")
+            return
         if State[status["state"]] in MOVING:
             how = REACTION_WORDS[Reaction[status["reaction"]]]
             typer.echo(f"bench {bench.bench}: stopping{': ' if how else ''}{how}")

@@ -199,7 +199,7 @@ class BenchClient:
 
     @contextmanager
     def shots(self) -> Iterator[Callable[[], ShotMessage | None]]:
-        """Yield a function that returns the next message about a shot, None if there is none yet.
+        """Yield a function that returns the next message about a shot, None before the first.
 
         Paths of records are those of the bench's machine. The function raises BenchError where it does not
         understand a message.

@@ -94,7 +94,6 @@ def test_what_one_signs_is_there(text: str, record: CampaignRecord) -> None:
         "25.0 °C, 1013 hPa, 50 %",
         "scipy",
         "drift removed by the control",
-        "Mixed model",
         "intermediate precision SD",
         "ball tour",
         "plan.design",

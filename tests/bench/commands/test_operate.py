@@ -284,7 +284,7 @@ def test_swing_alone_swings_only_an_armed_bench(running: RunningPlane, golfbench
     running.desk.state = State.READY
     code, _, err = golfbench("swing")
     assert code == ExitCode.REFUSED
-    assert "state READY" in err
+    assert "found:    READY" in err
     assert "golfbench arm" in err
     assert running.desk.requests == []
     running.desk.state = State.ARMED

@@ -12,7 +12,7 @@ import pytest
 from bench.errors import Refused
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger, require_bench, swung_cycles
-from bench.lifecycle import Answer, Request
+from bench.lifecycle import Answer, Refusal, Request
 from bench.network.bench_service import BenchStatus, LaunchMonitorStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.command import CommandAnswer, Verb
@@ -104,7 +104,7 @@ class SwayingBench:
             raise CommandRefused(self.bench, Verb.SWING, SWAYS)
 
 
-SWAYS = CommandAnswer(False, "ARMED", "the robot does not rest at its address yet: wait, then ask again")
+SWAYS = CommandAnswer(False, "ARMED", Refusal.NOT_AT_ADDRESS.name, reason="the robot does not rest")
 
 
 def swinger(bench: SwayingBench) -> LiveSwinger:

@@ -216,9 +216,7 @@ def test_what_is_taken_has_the_form(verb: str, message: dict[str, Any]) -> None:
     st.builds(
         CommandAnswer,
         st.booleans(),
-        st.text(),
-        st.text(),
-        st.text(),
+        *[st.text()] * 6,
         st.dictionaries(st.text(), st.integers() | st.text()),
     )
 )
