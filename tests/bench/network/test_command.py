@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.errors import BenchError
-from bench.lifecycle import NEEDS_LEASE, Request
+from bench.lifecycle import NEEDS_LEASE, Cause, Refusal, Request, State
 from bench.network.command import (
     FORMS,
     LONGEST_MESSAGE,
@@ -216,7 +216,10 @@ def test_what_is_taken_has_the_form(verb: str, message: dict[str, Any]) -> None:
     st.builds(
         CommandAnswer,
         st.booleans(),
-        *[st.text()] * 6,
+        st.sampled_from([state.name for state in State]),
+        st.sampled_from([refusal.name for refusal in Refusal]),
+        st.sampled_from([cause.name for cause in Cause]),
+        *[st.text()] * 3,
         st.dictionaries(st.text(), st.integers() | st.text()),
     )
 )
