@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bench.control.requests import near_address
+from bench.control.settings import holding_pressure
 from bench.lifecycle import (
     ACCEPTED_IN,
     NEEDS_LEASE,
@@ -20,6 +21,7 @@ from bench.lifecycle import (
     Request,
     State,
 )
+from sim.plant import PlantParameters
 from tests.bench.control.operating import (
     CONTROL,
     TIMES,
@@ -190,6 +192,9 @@ def test_a_swing_begins_in_the_hold_only() -> None:
 
 # Pressure and access ----------------------------------------------------------------------------------
 
+HOLDING = holding_pressure(PlantParameters())
+"""Up to it chambers hold nothing up (Pa absolute)."""
+
 
 def test_access_needs_the_proof_that_the_chambers_are_empty() -> None:
     puppet = reach(State.ARMED, vent_time=0.5)
@@ -202,10 +207,10 @@ def test_access_needs_the_proof_that_the_chambers_are_empty() -> None:
 
 def test_access_waits_for_the_last_chamber() -> None:
     puppet = reach(State.READY, vent_time=0.5)
-    empty, full = TIMES.vented_pressure - 1.0, TIMES.vented_pressure + 1.0
+    empty, full = HOLDING - 1.0, HOLDING + 1.0
     puppet.give(chamber_pressure=(empty,) * 5 + (full,)).tick()
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
-    puppet.give(chamber_pressure=(empty,) * 6).tick()
+    puppet.give(chamber_pressure=(empty,) * 6).run(2)  # for as long as it held an arm up
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
@@ -221,10 +226,10 @@ def test_arming_waits_for_the_last_chamber() -> None:
 
 
 def test_access_waits_until_the_robot_has_rested_with_empty_chambers() -> None:
-    puppet = reach(State.READY, vent_time=5.0, vented_still=0.05)
-    empty, full = TIMES.vented_pressure - 1.0, TIMES.vented_pressure + 1.0
-    puppet.give(chamber_pressure=(full,) * 6).tick()
-    puppet.give(chamber_pressure=(empty,) * 6).run(45)
+    puppet = reach(State.READY, vent_time=5.0, vented_still=0.05, local_reset=True)
+    puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6).tick()
+    puppet.give(chamber_pressure=(HOLDING - 1.0,) * 6).run(42)
+    press(puppet)  # air so late was trapped: a person reads the gauges
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
     puppet.run(10)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
@@ -232,7 +237,7 @@ def test_access_waits_until_the_robot_has_rested_with_empty_chambers() -> None:
 
 def test_a_raised_arm_that_sinks_is_not_vented_yet() -> None:
     puppet = reach(State.READY, vented_still=0.05)
-    puppet.give(chamber_pressure=(TIMES.vented_pressure - 1.0,) * 6).run(60)
+    puppet.give(chamber_pressure=(HOLDING - 1.0,) * 6).run(60)
     assert puppet.control["vented"]
     puppet.follows = False
     for _ in range(100):
@@ -245,12 +250,12 @@ def test_a_raised_arm_that_sinks_is_not_vented_yet() -> None:
 
 @pytest.mark.parametrize("doubt", [{"distrusted": True}, {}])
 def test_where_encoders_cannot_tell_it_waits_for_as_long_as_an_arm_may_sink(doubt: dict[str, bool]) -> None:
-    puppet = reach(State.FAULT, vented_still=0.05, vented_blind=0.3)
-    empty, filled = TIMES.vented_pressure - 1.0, TIMES.vented_pressure + 1.0
-    puppet.give(chamber_pressure=(filled,) * 6, **doubt).tick()
+    puppet = reach(State.FAULT, vented_still=0.05, vented_blind=0.3, local_reset=True)
+    puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6, **doubt).tick()
     if not doubt:
         lose(puppet)
-    puppet.give(chamber_pressure=(empty,) * 6).run(290)
+    puppet.give(chamber_pressure=(HOLDING - 1.0,) * 6).run(287)
+    press(puppet)  # air so late was trapped: a person reads the gauges
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
     puppet.run(20)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
@@ -300,10 +305,18 @@ def test_an_open_emergency_stop_circuit_gives_no_access() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.EMERGENCY_STOP
 
 
-def test_homing_by_the_vented_pose_needs_empty_chambers() -> None:
-    puppet = reach(State.SAFE, vent_time=0.5)
-    puppet.give(vent_start=puppet.time).tick()
+@pytest.mark.parametrize("fitted", [True, False])
+def test_homing_by_the_vented_pose_needs_empty_chambers(fitted: bool) -> None:
+    """A sensor in each chamber proves them empty, or the time for venting."""
+    puppet = reach(State.SAFE, fitted=fitted, vent_time=0.5)
+    shown = TIMES.vented_pressure + 1.0 if fitted else nan
+    puppet.give(vent_start=puppet.time, chamber_pressure=(shown,) * 6).tick()
     assert asked(puppet, Request.HOME) is Refusal.NOT_VENTED
+    if fitted:
+        puppet.give(chamber_pressure=(TIMES.vented_pressure - 1.0,) * 6).tick()
+    else:
+        puppet.run(510)
+    assert asked(puppet, Request.HOME) is Refusal.NONE
 
 
 def test_the_guard_is_locked_only_when_it_is_closed() -> None:
