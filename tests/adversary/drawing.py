@@ -46,6 +46,7 @@ _VALUES = {
     ("loop", "delayed"): (0.002, 0.5),
     ("relief", "offset"): (-5e5, 3e5),
     ("relief", "leaking"): (0.0, 0.3),
+    ("exhaust", "scale"): (0.0, 1.0),
 }
 _ENDS = frozenset({"supply", "vents", "vent", "shut-off", "switch", "relief", "safety relay"})
 """Sorts that stick at one end or the other."""
