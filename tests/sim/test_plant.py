@@ -214,14 +214,15 @@ def test_either_vent_empties_the_chambers_as_fast_as_both(
 def test_a_throttled_exhaust_keeps_its_air_and_no_other(share: float) -> None:
     pressures = []
     for shares in ((1.0,) * 7, (1.0, share, 1.0, 1.0, 1.0, 1.0, share)):
-        plant = build_plant(PlantParameters())
+        # Arms that move and spools that leak would let the neighbours feel it, too.
+        plant = locked_plant()
         plant.plant["exhaust"] = shares
         state = initial_state(plant, POSE, pressurised=True)
-        history(plant, state, 1000, command_of())
+        history(plant, state, 800, command_of())
         pressures.append((*state["pressure"][0], state["supply_pressure"][0]))
     kept = np.array(pressures[1]) / np.array(pressures[0])
     assert (kept[[1, 6]] > 1.1).all()
-    assert kept[[2, 3, 4, 5]] == pytest.approx(1.0, abs=0.05)
+    assert kept[[0, 2, 3, 4, 5]] == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(
