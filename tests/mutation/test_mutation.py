@@ -44,7 +44,7 @@ WATCHING = """
         assert bench.control.envelope.Phase.IMPACT == 7 and bench.control.states.Phase.HOLD == 2
 
     def test_a_function_in_an_importer():
-        assert bench.control.settings.len(bench.control.settings.reaction_table()) == 10
+        assert len(bench.control.settings.reaction_table()) == 10
 
     def test_that_ends():
         accepted_table()
