@@ -147,10 +147,16 @@ def air_fault(s: Any) -> int:
 
 
 @compiled
+def is_alive(s: Any, k: int) -> bool:
+    """Return whether sensor `k` was seen and has not failed since."""
+    return bool(s.sensor_seen[k] != 0 and s.sensor_dead[k] == 0)
+
+
+@compiled
 def chambers_show_pressure(s: Any, p: Any) -> bool:
     """Return whether a living sensor shows pressure in its chamber."""
     for k in range(1, SENSORS):
-        if s.sensor_seen[k] != 0 and s.sensor_dead[k] == 0 and s.sensor_shown[k] > p.vented_pressure:
+        if is_alive(s, k) and s.sensor_shown[k] > p.vented_pressure:
             return True
     return False
 
@@ -158,14 +164,14 @@ def chambers_show_pressure(s: Any, p: Any) -> bool:
 @compiled
 def manifold_shows_pressure(s: Any, p: Any) -> bool:
     """Return whether a living sensor shows pressure in the manifold."""
-    return bool(s.sensor_seen[0] != 0 and s.sensor_dead[0] == 0 and s.sensor_shown[0] > p.vented_pressure)
+    return bool(is_alive(s, 0) and s.sensor_shown[0] > p.vented_pressure)
 
 
 @compiled
 def nothing_is_held_up(s: Any, p: Any) -> bool:
     """Return whether no living sensor, the manifold's included, shows air that may hold an arm up."""
     for k in range(SENSORS):
-        if s.sensor_seen[k] != 0 and s.sensor_dead[k] == 0 and s.sensor_shown[k] > p.holding_pressure:
+        if is_alive(s, k) and s.sensor_shown[k] > p.holding_pressure:
             return False
     return True
 
@@ -174,7 +180,7 @@ def nothing_is_held_up(s: Any, p: Any) -> bool:
 def all_chambers_are_seen(s: Any) -> bool:
     """Return whether a living sensor shows each chamber's pressure."""
     for k in range(1, SENSORS):
-        if s.sensor_seen[k] == 0 or s.sensor_dead[k] != 0:
+        if not is_alive(s, k):
             return False
     return True
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bench.control.air import actuator_motion, conductance_of_vents
-from bench.control.air_watch import SWITCHING
+from bench.control.air_watch import SWITCHING, is_alive
 from bench.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 from sim.motion import chambers
@@ -45,7 +45,7 @@ def watch_exhausts(s: Any, p: Any, robot: Any, plant: Any, e: Any, readings: Any
         if judged:
             _let_fall(s, robot, plant, e, vent, min(step, _LONGEST), i)
         for k in range(2 * i, 2 * i + 2):
-            shown, alive = s.sensor_shown[1 + k], s.sensor_seen[1 + k] != 0 and s.sensor_dead[1 + k] == 0
+            shown, alive = s.sensor_shown[1 + k], is_alive(s, 1 + k)
             if not (judged and alive):
                 s.exhaust_bound[6 + k] = max(shown, plant.atmosphere) if alive else p.highest_pressure
             above = shown > max(s.exhaust_bound[6 + k] + MARGIN, p.holding_pressure)

@@ -39,7 +39,7 @@ def stop_tolerance(
     """Return the max deviation (3,) rad of joints from their pressed stops.
 
     No zero that passes shifts the head at the ball by more than `head_tolerance` (m), however deep the air
-    has pressed the joint.
+    has pressed the joint; where stops are so soft that _LEAST_SHARE holds, by that depth more.
     """
     whole = head_tolerance / head_travel(plant, profile)
     deeper = np.abs(_pressed(plant, direction, 1.0) - pressed_stops(plant, direction))
@@ -65,8 +65,7 @@ def _pressed(plant: PlantParameters, direction: Sequence[int], share: float) -> 
 
 def head_travel(plant: PlantParameters, profile: Profile) -> Array:
     """Return by how much a wrong encoder zero of each joint (3,) shifts the head at the ball (m/rad)."""
-    time = np.arange(len(profile.angle)) * profile.period
-    at = np.array([np.interp(profile.impact_time, time, column) for column in profile.angle.T])
+    at = profile.angle_at_impact
     moved = [
         forward_kinematics(plant.robot, at + step) - forward_kinematics(plant.robot, at - step)
         for step in _STEP * np.eye(3)

@@ -94,7 +94,8 @@ def _name_trapped(s: Any, trapped: int) -> None:
 
     A sensor or vent that fails then is the latest cause; what it may hide is no proof for access.
     """
-    named = s.cause in (Cause.NOT_VENTED, Cause.MANIFOLD) or s.cause >= Cause.SHOULDER_A_EXHAUST
+    slow = Cause.SHOULDER_A_EXHAUST <= s.cause <= Cause.WRIST_B_EXHAUST
+    named = slow or s.cause in (Cause.NOT_VENTED, Cause.MANIFOLD)
     if trapped != 0 and not named:
         s.cause = s.latest_cause = trapped
     elif trapped == 0 and air_cause(s) != 0:

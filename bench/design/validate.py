@@ -329,9 +329,7 @@ def _ball(plan: MachineSwing) -> Check:
         found = f"({x:.4f}, {y:.4f}) m, {1e3 * off:.1f} mm off"
         wanted = f"({site.ball_x:.4f}, {site.ball_y:.4f}) m, plant.site, within {1e3 * BALL_TOLERANCE:g} mm"
         faults.append(plan.key("ball_m", found, wanted, "Move the tee to where the swing is aimed."))
-    time = np.arange(len(profile.angle)) * profile.period
-    angle = [np.interp(profile.impact_time, time, profile.angle[:, i]) for i in range(3)]
-    head = forward_kinematics(plan.plant.robot, angle)
+    head = forward_kinematics(plan.plant.robot, profile.angle_at_impact)
     behind, above = x - float(head[0]), float(head[1]) - y
     if abs(behind) > CONTACT_TOLERANCE[0] or abs(above) > CONTACT_TOLERANCE[1]:
         found = f"the face {behind:.3f} m behind the ball and {above:.3f} m above it"

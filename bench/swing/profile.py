@@ -90,6 +90,12 @@ class Profile:
         """From the top to the ball, s."""
         return self.impact_time - self.begins[PHASES.index(Phase.DOWNSWING)] * self.period
 
+    @property
+    def angle_at_impact(self) -> Array:
+        """Joint angles (3,) at the planned contact (rad), linear between samples."""
+        time = np.arange(len(self.angle)) * self.period
+        return np.array([np.interp(self.impact_time, time, column) for column in self.angle.T])
+
     def phase_of(self, sample: int) -> Phase:
         """Return the phase at `sample`."""
         return PHASES[int(np.searchsorted(self.begins, sample, side="right")) - 1]
