@@ -96,7 +96,7 @@ def test_a_learned_correction_is_swung_and_recorded_but_never_taken_in_a_swing(t
         assert bench.client.status()["correction"] == 1
         bench.swing()
         bench.wait_phase(Phase.BACKSWING)
-        with pytest.raises(CommandRefused, match="the robot moves"):
+        with pytest.raises(CommandRefused, match="a joint still moves"):
             bench.client.correct(digest, [])
         bench.wait_phase(Phase.FOLLOW_THROUGH)
         bench.client.wait_for("READY")

@@ -382,7 +382,7 @@ def test_without_sim_the_robot_of_the_driver_moves(tmp_path: Path, monkeypatch: 
     assert swinging.knew
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.timeout(1800)
 def test_a_robot_of_the_range_learns_its_swing(tmp_path: Path, configuration: Configuration) -> None:
     truth = drawn_robot(31, configuration.plant)

@@ -226,7 +226,7 @@ def test_arming_waits_for_the_last_chamber() -> None:
 
 
 def test_access_waits_until_the_robot_has_rested_with_empty_chambers() -> None:
-    puppet = reach(State.READY, vent_time=5.0, vented_still=0.05, local_reset=True)
+    puppet = reach(State.READY, vent_time=1.0, vented_still=0.05, local_reset=True)
     puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6).tick()
     puppet.give(chamber_pressure=(HOLDING - 1.0,) * 6).run(42)
     press(puppet)  # air so late was trapped: a person reads the gauges
