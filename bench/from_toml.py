@@ -18,10 +18,8 @@ from math import pi
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
-from annotated_types import Ge, Gt, Le, Lt
-
 from bench.errors import BenchError, did_you_mean
-from drivers.base.ranges import Range, short
+from drivers.base.ranges import Above, AtLeast, AtMost, Range, short
 
 SUFFIXES: Mapping[str, Mapping[str, float]] = {"deg": {"rad": pi / 180}, "hz": {"Hz": 1.0, "rad/s": 2 * pi}}
 """Suffix of a key -> unit of its field -> factor on the value."""
@@ -304,14 +302,12 @@ def expected(hint: Any, suffix: str = "") -> str:
         match mark:
             case Range(low, high, unit):
                 text += f", {Range(low / factor, high / factor, suffix or unit)}"
-            case Gt(gt=bound):
-                text += f" above {short(bound)}"  # type: ignore[arg-type]
-            case Ge(ge=bound):
-                text += f" of at least {short(bound)}"  # type: ignore[arg-type]
-            case Lt(lt=bound):
-                text += f" below {short(bound)}"  # type: ignore[arg-type]
-            case Le(le=bound):
-                text += f" up to {short(bound)}"  # type: ignore[arg-type]
+            case Above(bound):
+                text += f" above {short(bound)}"
+            case AtLeast(bound):
+                text += f" of at least {short(bound)}"
+            case AtMost(bound):
+                text += f" up to {short(bound)}"
     return text
 
 
@@ -346,13 +342,11 @@ def _holds(mark: Any, value: Any) -> bool:
             # A value at the end of a range may be rounded when it is turned into the field's unit.
             slack = 1e-12 * max(abs(low), abs(high)) if isinstance(value, float) else 0
             return bool(low - slack <= value <= high + slack)
-        case Gt(gt=bound):
+        case Above(bound):
             return bool(value > bound)
-        case Ge(ge=bound):
+        case AtLeast(bound):
             return bool(value >= bound)
-        case Lt(lt=bound):
-            return bool(value < bound)
-        case Le(le=bound):
+        case AtMost(bound):
             return bool(value <= bound)
         case _:
             return True

@@ -7,7 +7,6 @@ from math import inf, pi
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
 
 from bench.control import escape
 from bench.control.braking import lifted_angle
@@ -37,14 +36,15 @@ from bench.lifecycle import (
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from drivers.base.compiled import new_record
+from drivers.base.ranges import Above, AtLeast, AtMost
 from sim.driver import hanging_pose, joint_travel
 from sim.plant import PlantParameters, Site, build_plant
 
-Positive = Annotated[float, Gt(0)]
-NotNegative = Annotated[float, Ge(0)]
-Share = Annotated[float, Ge(0), Le(1)]
+Positive = Annotated[float, Above(0)]
+NotNegative = Annotated[float, AtLeast(0)]
+Share = Annotated[float, AtLeast(0), AtMost(1)]
 JointName = Literal["shoulder", "arm", "wrist"]
-Direction = Annotated[int, Ge(-1), Le(1)]
+Direction = Annotated[int, AtLeast(-1), AtMost(1)]
 Triple = tuple[float, float, float]
 PositiveTriple = tuple[Positive, Positive, Positive]
 NotNegativeTriple = tuple[NotNegative, NotNegative, NotNegative]
@@ -128,7 +128,7 @@ class ControlSettings:
     """Spools centred after a blind brake before the air is let out, s."""
     precharge_time: Positive = 2.0
     """Supply soft start and charging of the chambers before the first move, s."""
-    precharge_opening: Annotated[float, Gt(0), Le(1)] = 0.12
+    precharge_opening: Annotated[float, Above(0), AtMost(1)] = 0.12
     """Opening to either side of the centre while charging."""
     precharge_period: Positive = 0.02
     """Time between two changes of side while charging, s."""
@@ -140,7 +140,7 @@ class ControlSettings:
     """Error at address that is left alone, rad: dry friction would make an integral hunt."""
     address_tolerance: PositiveTriple = (0.015, 0.010, 0.020)
     """Error at address below which a swing may begin, rad."""
-    strike_drop: Annotated[float, Gt(0), Le(0.5)] = 0.05
+    strike_drop: Annotated[float, Above(0), AtMost(0.5)] = 0.05
     """Share of head speed whose loss in the impact window says that a ball was struck."""
 
 
@@ -212,7 +212,7 @@ class HomingSettings:
     """rad, of the search at most, in either direction."""
     speed: PositiveTriple = (0.3, 0.2, 0.4)
     """rad/s, of the search."""
-    opening: Annotated[float, Gt(0), Le(0.5)] = 0.15
+    opening: Annotated[float, Above(0), AtMost(0.5)] = 0.15
     """Greatest valve opening of the search."""
     longest: Positive = 60.0
     """s, of search and stops together."""
@@ -340,7 +340,7 @@ class EnvelopeSettings:
     """What braking can count on: rad/s2, m/s2, rad/s2."""
     stop_speed: PositiveTriple = (9.0, 5.2, 34.0)
     """Speed at the end of the range that the cushion alone takes: rad/s, m/s, rad/s."""
-    max_opening: Annotated[float, Gt(0), Le(1)] = 1.0
+    max_opening: Annotated[float, Above(0), AtMost(1)] = 1.0
     """Max opening of a valve."""
     max_slew: Positive = 400.0
     """Change of opening per second."""
@@ -360,7 +360,7 @@ class EnvelopeSettings:
     """Head over ground inside that window, m; where the site allows a divot, its depth below the ground."""
     frame_radius: NotNegative = 0.10
     """Radius around R1 that the club keeps clear of, m."""
-    min_lever: Annotated[float, Ge(0), Le(1)] = 0.15
+    min_lever: Annotated[float, AtLeast(0), AtMost(1)] = 0.15
     """Min |sin beta| of the wrist's lever (thesis figure 11)."""
     minimum_stop_margin: NotNegative = 0.9
     """Share of the cushions' travel that counts as working range in the range check."""

@@ -24,13 +24,13 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from bench.learning.figures import Figures, Tolerance
 from bench.learning.response import Response
 from bench.swing.correction_bounds import GREATEST_WEIGHT
+from drivers.base.ranges import Above, AtLeast
 
 Array = NDArray[np.float64]
 
@@ -46,36 +46,36 @@ Four = tuple[float, float, float, float]
 class LearningSettings:
     """Settings of the learner."""
 
-    swings: Annotated[int, Ge(1)] = 12
+    swings: Annotated[int, AtLeast(1)] = 12
     """Max number of learning swings."""
-    path_weight: Annotated[float, Ge(0)] = 1.0
+    path_weight: Annotated[float, AtLeast(0)] = 1.0
     """Weight of a path that is `path_scale` off on average, against one tolerance of one figure."""
-    path_scale: Annotated[float, Gt(0)] = 0.01
+    path_scale: Annotated[float, Above(0)] = 0.01
     """rad"""
-    effort: Annotated[float, Ge(0)] = 0.2
+    effort: Annotated[float, AtLeast(0)] = 0.2
     """Cost of one weight."""
-    radius: Annotated[float, Gt(0)] = 1.5
+    radius: Annotated[float, Above(0)] = 1.5
     """Longest first step, norm of the weights."""
-    greatest_radius: Annotated[float, Gt(0)] = 3.0
-    least_radius: Annotated[float, Gt(0)] = 0.1
-    bound: Annotated[float, Gt(0)] = GREATEST_WEIGHT
+    greatest_radius: Annotated[float, Above(0)] = 3.0
+    least_radius: Annotated[float, Above(0)] = 0.1
+    bound: Annotated[float, Above(0)] = GREATEST_WEIGHT
     """Max size of each weight."""
     scatter: Four = (0.3, 0.4, 0.2, 0.2)
     """Standard deviation between swings alike: strike, speed, lean, attack, in tolerances."""
-    path_scatter: Annotated[float, Gt(0)] = 0.003
+    path_scatter: Annotated[float, Above(0)] = 0.003
     """rad"""
     unsettled: Four = (1.0, 7.0, 0.7, 1.5)
     """Standard deviation by which the first swing after arming differs from the next ones, in tolerances."""
-    path_unsettled: Annotated[float, Gt(0)] = 0.02
+    path_unsettled: Annotated[float, Above(0)] = 0.02
     """rad"""
-    doubt: Annotated[float, Ge(0)] = 0.5
+    doubt: Annotated[float, AtLeast(0)] = 0.5
     """Share by which the robot's response differs from the model's."""
-    bend: Annotated[float, Ge(0)] = 0.1
+    bend: Annotated[float, AtLeast(0)] = 0.1
     """Share of the response by which a step of one weight bends it."""
-    enough: Annotated[float, Gt(0)] = 0.5
+    enough: Annotated[float, Above(0)] = 0.5
     """Share of the tolerances within which every predicted figure must lie for the best swing to be repeated,
     and the mean of it and its repetition for confirmation."""
-    confirm: Annotated[float, Gt(0)] = 1.0
+    confirm: Annotated[float, Above(0)] = 1.0
     """Share within which the repetition must lie."""
 
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Literal, NamedTuple, NotRequired, Protocol, TypedDict
 
-from annotated_types import Len
-
 from bench.lifecycle import REFUSAL_WORDS, Block, Cause, Phase, Reaction, Refusal, Request, State, Words
+from drivers.base.ranges import Count
 
 STATUS_VERSION = 1
 """Version of `BenchStatus`."""
@@ -236,16 +235,16 @@ class BenchStatus(TypedDict):
     """Properties of configuration, calibrations and profile that do not block arming."""
     series: bool
     """Whether it holds the address after a swing for the next one; otherwise it vents."""
-    joints_deg: Annotated[list[float | None], Len(3, 3)]
+    joints_deg: Annotated[list[float | None], Count(3)]
     """Three, in the order of `drivers.base.JOINTS`."""
     supply_pressure_pa: float | None
-    chamber_pressure_pa: Annotated[list[float | None], Len(6, 6)]
+    chamber_pressure_pa: Annotated[list[float | None], Count(6)]
     """Six, in the order of `drivers.base.CHAMBERS`, Pa absolute."""
     air_faults: list[str]
     """Texts of the pressure sensors, vents, manifold and guard's lock that fail."""
     drift: list[str]
     """Warnings of the latest swing's record: speed or strike has drifted from that of the first swings."""
-    vents_open: Annotated[list[bool | None], Len(2, 2)]
+    vents_open: Annotated[list[bool | None], Count(2)]
     """Position of each of the two vents; None without feedback."""
     shut_off_open: bool | None
     """Position of the shut-off valve; None without feedback."""

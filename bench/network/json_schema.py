@@ -2,7 +2,7 @@
 
 A field's docstring becomes its description. `Annotated` refines where JSON has less than Python:
 `Annotated[str, State]` is a name of that enumeration, `Annotated[dict[str, Any], Shot]` an object with the
-fields of that class, and `annotated_types.Len` bounds lengths.
+fields of that class, and `Count` gives lengths.
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ from functools import reduce
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints
 
-from annotated_types import Len
-
 from bench.config.field_docs import field_docs
+from drivers.base.ranges import Count
 
 Schema = dict[str, Any]
 
@@ -90,9 +89,8 @@ def _object_of(kind: Any) -> Schema:
 
 def _refined(schema: Schema, annotation: Any) -> Schema:
     match annotation:
-        case Len():
-            most = {} if annotation.max_length is None else {"maxItems": annotation.max_length}
-            return schema | {"minItems": annotation.min_length} | most
+        case Count(entries):
+            return schema | {"minItems": entries, "maxItems": entries}
         case type() if issubclass(annotation, Enum):
             return schema | {"enum": names_of(annotation)}
         case type() if is_dataclass(annotation) or hasattr(annotation, "__required_keys__"):

@@ -5,7 +5,6 @@ A restart of the daemon begins a new book and so voids every lease.
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -52,7 +51,9 @@ class Lease:
 
 def new_key() -> str:
     """Return a key of 128 random bits, 22 characters."""
-    return secrets.token_urlsafe(16)
+    from secrets import token_urlsafe  # not for a stop
+
+    return token_urlsafe(16)
 
 
 def is_holder(name: str) -> bool:
@@ -100,10 +101,12 @@ class LeaseBook:
         Raises:
             LeaseRefused: the key is not the holder's, or the sequence does not rise.
         """
+        from secrets import compare_digest
+
         lease = self.held(now)
         if lease is None:
             raise LeaseRefused(Refusal.NO_LEASE)
-        if not secrets.compare_digest(key.encode(), lease.key.encode()):
+        if not compare_digest(key.encode(), lease.key.encode()):
             raise LeaseRefused(Refusal.HELD, _held_by(lease, now))
         if sequence <= lease.sequence:
             found = f"sequence {sequence} after {lease.sequence}, repeated or out of order: it was not done"

@@ -8,17 +8,16 @@ from math import log, pi, sqrt
 from pathlib import Path
 from typing import Annotated
 
-from annotated_types import Ge, Le
 from scipy.optimize import brentq
 
 from bench.errors import BenchError
 from bench.from_toml import Builder, as_tree, read_toml
-from drivers.base.ranges import Range
+from drivers.base.ranges import AtLeast, AtMost, Range
 from sim.pneumatics import GAS_CONSTANT, REFERENCE_DENSITY, REFERENCE_TEMPERATURE
 
 FILE = Path(__file__).with_name("catalogue.toml")
 
-PriceClass = Annotated[int, Ge(1), Le(4)]
+PriceClass = Annotated[int, AtLeast(1), AtMost(4)]
 PRICES = {1: 100, 2: 300, 3: 1000, 4: 3000}
 """Upper ends of the price classes, EUR a piece; the last is open and counted with this."""
 

@@ -19,6 +19,30 @@ class Range(NamedTuple):
         return f"{short(self.low)} to {short(self.high)} {self.unit}".rstrip()
 
 
+class AtLeast(NamedTuple):
+    """Smallest valid value."""
+
+    bound: float
+
+
+class Above(NamedTuple):
+    """Value that all valid ones exceed."""
+
+    bound: float
+
+
+class AtMost(NamedTuple):
+    """Greatest valid value."""
+
+    bound: float
+
+
+class Count(NamedTuple):
+    """Number of entries of a list."""
+
+    entries: int
+
+
 def short(value: float) -> str:
     """Return `value` with at most six digits and no padded exponent: 1.2e6, not 1.2e+06."""
     return f"{value:g}".replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")

@@ -6,15 +6,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from annotated_types import Ge, Gt, Le
+from drivers.base.ranges import Above, AtLeast, AtMost
 
-NodeNumber = Annotated[int, Ge(1), Le(127)]
-Number32 = Annotated[int, Ge(0), Le(0xFFFFFFFF)]
-Bit = Annotated[int, Ge(0), Le(7)]
-OptionalBit = Annotated[int, Ge(-1), Le(7)]
-SubIndex = Annotated[int, Ge(1), Le(254)]
-OptionalSubIndex = Annotated[int, Ge(0), Le(254)]
-Volts = Annotated[float, Ge(0.0), Le(10.0)]
+NodeNumber = Annotated[int, AtLeast(1), AtMost(127)]
+Number32 = Annotated[int, AtLeast(0), AtMost(0xFFFFFFFF)]
+Bit = Annotated[int, AtLeast(0), AtMost(7)]
+OptionalBit = Annotated[int, AtLeast(-1), AtMost(7)]
+SubIndex = Annotated[int, AtLeast(1), AtMost(254)]
+OptionalSubIndex = Annotated[int, AtLeast(0), AtMost(254)]
+Volts = Annotated[float, AtLeast(0.0), AtMost(10.0)]
 
 FULL_SCALE = 32767
 """Full-scale count of an analogue channel."""
@@ -30,9 +30,9 @@ class EncoderSettings:
     """Vendor id (1018h:1); 0 accepts any."""
     product: Number32 = 0
     """Product code (1018h:2); 0 accepts any."""
-    position: Annotated[int, Ge(0x2000), Le(0x9FFF)] = 0x6004
+    position: Annotated[int, AtLeast(0x2000), AtMost(0x9FFF)] = 0x6004
     """Position object, 32 bits."""
-    position_pdo: Annotated[int, Ge(0x1800), Le(0x19FF)] = 0x1801
+    position_pdo: Annotated[int, AtLeast(0x1800), AtMost(0x19FF)] = 0x1801
     """Communication object of the PDO that sends the position with SYNC, its mapping 200h above; 0x1802 for
     devices of version 2 of DS 406."""
 
@@ -89,11 +89,11 @@ class ValveNodeSettings:
     """Sub-indices of 6411h, in the order of the actuators."""
     centre: tuple[Volts, Volts, Volts] = (5.0, 5.0, 5.0)
     """Spool-centre voltage and fallback value of the node, V."""
-    span: Annotated[float, Gt(0.0), Le(10.0)] = 5.0
+    span: Annotated[float, Above(0.0), AtMost(10.0)] = 5.0
     """Voltage from centre to full stroke, V."""
-    full_scale: Annotated[float, Gt(0.0), Le(20.0)] = 10.0
+    full_scale: Annotated[float, Above(0.0), AtMost(20.0)] = 10.0
     """Analogue output voltage at count 32767, V."""
-    error_value_shift: Annotated[int, Ge(0), Le(16)] = 16
+    error_value_shift: Annotated[int, AtLeast(0), AtMost(16)] = 16
     """Left shift (bits) of the value in object 6444h if that has 32 bits, not 16."""
     supply_pressure: OptionalSubIndex = 1
     """Sub-index of 6401h; 0 if not fitted."""
@@ -106,13 +106,13 @@ class ValveNodeSettings:
         OptionalSubIndex,
     ] = (2, 3, 4, 5, 6, 7)
     """Sub-indices of 6401h, in the order of the chambers; 0 if not fitted."""
-    pressure_at_zero: Annotated[float, Ge(-1e6), Le(1e6)] = 0.0
+    pressure_at_zero: Annotated[float, AtLeast(-1e6), AtMost(1e6)] = 0.0
     """Pressure at count 0, Pa absolute; below zero for a sensor with a live zero (0.5 V, 4 mA)."""
-    pressure_at_full_scale: Annotated[float, Gt(0.0), Le(1e8)] = 1.6e6
+    pressure_at_full_scale: Annotated[float, Above(0.0), AtMost(1e8)] = 1.6e6
     """Pressure at count 32767, Pa absolute."""
-    lowest_pressure: Annotated[float, Ge(1e3), Le(9e4)] = 0.3e5
+    lowest_pressure: Annotated[float, AtLeast(1e3), AtMost(9e4)] = 0.3e5
     """Lowest believable pressure, Pa absolute: less is a cut cable."""
-    highest_pressure: Annotated[float, Gt(1e5), Le(1e8)] = 1.55e6
+    highest_pressure: Annotated[float, Above(1e5), AtMost(1e8)] = 1.55e6
     """Highest believable pressure, Pa absolute: more is a short circuit."""
     vent_proof: str = ""
     """Pressure switches on the manifold and on each actuator's exhaust that prove outside the bench, in the
@@ -137,21 +137,21 @@ class CanopenSettings:
     """python-can interface name; `local_socket` is a bus between processes of this machine."""
     channel: str = "can0"
     """Channel as the interface names it; of "local_socket" a name, or the path of a folder."""
-    bitrate: Annotated[int, Ge(10_000), Le(1_000_000)] = 1_000_000
+    bitrate: Annotated[int, AtLeast(10_000), AtMost(1_000_000)] = 1_000_000
     """Bit rate (bit/s); with SocketCAN it must equal the bit rate set for the link."""
     master: NodeNumber = 127
     """Node number of the bench, used in its heartbeat."""
-    answer_time: Annotated[float, Gt(0.0), Le(0.01)] = 0.0006
+    answer_time: Annotated[float, Above(0.0), AtMost(0.01)] = 0.0006
     """Time-out of a tick for the encoders' answers to SYNC, s."""
-    service_time: Annotated[float, Gt(0.0), Le(2.0)] = 0.1
+    service_time: Annotated[float, Above(0.0), AtMost(2.0)] = 0.1
     """SDO time-out, s."""
-    store_time: Annotated[float, Gt(0.0), Le(60.0)] = 10.0
+    store_time: Annotated[float, Above(0.0), AtMost(60.0)] = 10.0
     """Time-out of storing the settings in a node (1010h), s; common devices take 2 s to 5 s."""
-    heartbeat: Annotated[float, Ge(0.005), Le(1.0)] = 0.05
+    heartbeat: Annotated[float, AtLeast(0.005), AtMost(1.0)] = 0.05
     """Heartbeat period of a node, s; a node is lost after three missing heartbeats."""
-    interlock_period: Annotated[float, Ge(0.005), Le(1.0)] = 0.02
+    interlock_period: Annotated[float, AtLeast(0.005), AtMost(1.0)] = 0.02
     """Period of unchanged interlocks, s; they are lost after three missing frames."""
-    pressure_ticks: Annotated[int, Ge(1), Le(240)] = 10
+    pressure_ticks: Annotated[int, AtLeast(1), AtMost(240)] = 10
     """Ticks between two pressure readings."""
     encoders: EncoderSettings = field(default_factory=EncoderSettings)
     valve_node: ValveNodeSettings = field(default_factory=ValveNodeSettings)

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Le
+from drivers.base.ranges import Above, AtLeast, AtMost
 
-Volts = Annotated[float, Ge(0.0), Le(10.0)]
+Volts = Annotated[float, AtLeast(0.0), AtMost(10.0)]
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class DaqSettings:
 
     device: str = "Dev1"
     """Name of the card in NI MAX."""
-    serial: Annotated[int, Ge(0), Le(0xFFFFFFFF)] = 0
+    serial: Annotated[int, AtLeast(0), AtMost(0xFFFFFFFF)] = 0
     """Serial number; 0 accepts any."""
     counters: tuple[str, str, str] = ("ctr0", "ctr1", "ctr2")
     """Quadrature inputs A, B, Z at their usual terminals, joints in the order shoulder, arm, wrist."""
@@ -59,7 +59,7 @@ class DaqSettings:
     """Analogue outputs of the valves, in the order of the actuators."""
     centre: tuple[Volts, Volts, Volts] = (5.0, 5.0, 5.0)
     """Spool-centre voltage and fallback value of the card, V."""
-    span: Annotated[float, Gt(0.0), Le(10.0)] = 5.0
+    span: Annotated[float, Above(0.0), AtMost(10.0)] = 5.0
     """Voltage from centre to full stroke, V."""
     inputs: InputLines = field(default_factory=InputLines)
     outputs: OutputLines = field(default_factory=OutputLines)
@@ -74,17 +74,17 @@ class DaqSettings:
     vent_proof: str = ""
     """Pressure switches on the manifold and on each actuator's exhaust that prove outside the bench, in the
     guard's circuit, that the air has gone. Needed if the manifold or a chamber has no sensor."""
-    pressure_at_zero: Annotated[float, Ge(-1e6), Le(1e6)] = 0.0
+    pressure_at_zero: Annotated[float, AtLeast(-1e6), AtMost(1e6)] = 0.0
     """Pressure at 0 V, Pa absolute; below zero for a sensor with a live zero (0.5 V, 4 mA)."""
-    pressure_at_full_scale: Annotated[float, Gt(0.0), Le(1e8)] = 1.6e6
+    pressure_at_full_scale: Annotated[float, Above(0.0), AtMost(1e8)] = 1.6e6
     """Pressure at 10 V, Pa absolute."""
-    lowest_pressure: Annotated[float, Ge(1e3), Le(9e4)] = 0.3e5
+    lowest_pressure: Annotated[float, AtLeast(1e3), AtMost(9e4)] = 0.3e5
     """Lowest believable pressure, Pa absolute: less is a cut cable."""
-    highest_pressure: Annotated[float, Gt(1e5), Le(1e8)] = 1.55e6
+    highest_pressure: Annotated[float, Above(1e5), AtMost(1e8)] = 1.55e6
     """Highest believable pressure, Pa absolute: more is a short circuit."""
-    pressure_ticks: Annotated[int, Ge(1), Le(240)] = 10
+    pressure_ticks: Annotated[int, AtLeast(1), AtMost(240)] = 10
     """Ticks between two pressure readings."""
-    answer_time: Annotated[float, Gt(0.0), Le(0.01)] = 0.001
+    answer_time: Annotated[float, Above(0.0), AtMost(0.01)] = 0.001
     """Time-out of the card for reading or writing, s."""
     sync_line: str = ""
     """Digital output that rises in each tick and is wired to `sync_terminal`: one edge latches all three

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, NamedTuple
 
-from annotated_types import Ge, Gt, Le
-
+from drivers.base.ranges import Above, AtLeast, AtMost
 from drivers.launch_monitor.record import NO_CLUB, ClubRecord, LaunchRecord
 
 
@@ -20,13 +19,13 @@ from drivers.launch_monitor.record import NO_CLUB, ClubRecord, LaunchRecord
 class MatchWindow:
     """Time window around the impact for a launch; it ends at the latest where the next swing's begins."""
 
-    earliest: Annotated[float, Ge(0.0), Le(1.0)] = 0.1
+    earliest: Annotated[float, AtLeast(0.0), AtMost(1.0)] = 0.1
     """Begin of the window before the impact, s: the two times are taken in different processes."""
-    latest: Annotated[float, Gt(0.0), Le(60.0)] = 8.0
+    latest: Annotated[float, Above(0.0), AtMost(60.0)] = 8.0
     """End of the window after the impact, s; the slowest monitors process images for some seconds."""
-    patience: Annotated[float, Gt(0.0), Le(120.0)] = 15.0
+    patience: Annotated[float, Above(0.0), AtMost(120.0)] = 15.0
     """Time for which a launch waits for its swing, s; a swing is reported when the robot stands again."""
-    club_delay: Annotated[float, Gt(0.0), Le(30.0)] = 3.0
+    club_delay: Annotated[float, Above(0.0), AtMost(30.0)] = 3.0
     """Maximum time between the messages of ball and club of one shot, s: monitors that send two take about
     one second for the second, and the robot needs six from one swing to the next."""
 

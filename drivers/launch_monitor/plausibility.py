@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 from math import degrees, pi
 from typing import Annotated
 
-from annotated_types import Ge, Gt, Le
-
+from drivers.base.ranges import Above, AtLeast, AtMost
 from drivers.launch_monitor.record import LaunchRecord
 
 
@@ -15,19 +14,19 @@ from drivers.launch_monitor.record import LaunchRecord
 class PlausibleFigures:
     """Bounds of plausible launches of this bench."""
 
-    min_speed: Annotated[float, Ge(0.0), Le(120.0)] = 5.0
+    min_speed: Annotated[float, AtLeast(0.0), AtMost(120.0)] = 5.0
     """Minimum ball speed, m/s."""
-    max_speed: Annotated[float, Gt(0.0), Le(120.0)] = 100.0
+    max_speed: Annotated[float, Above(0.0), AtMost(120.0)] = 100.0
     """Maximum ball speed, m/s."""
-    max_launch_angle: Annotated[float, Gt(0.0), Le(pi / 2)] = 1.0472
+    max_launch_angle: Annotated[float, Above(0.0), AtMost(pi / 2)] = 1.0472
     """Maximum launch angle, rad (60 deg); the minimum is just above 0, the value of misreads."""
-    max_direction: Annotated[float, Gt(0.0), Le(pi / 2)] = 0.5236
+    max_direction: Annotated[float, Above(0.0), AtMost(pi / 2)] = 0.5236
     """Maximum direction to either side, rad (30 deg)."""
-    max_spin: Annotated[float, Gt(0.0), Le(2500.0)] = 1570.0
+    max_spin: Annotated[float, Above(0.0), AtMost(2500.0)] = 1570.0
     """Maximum spin, rad/s (15,000 rpm)."""
-    min_smash: Annotated[float, Ge(0.0), Le(1.6)] = 0.8
+    min_smash: Annotated[float, AtLeast(0.0), AtMost(1.6)] = 0.8
     """Minimum smash factor (ball speed over club speed)."""
-    max_smash: Annotated[float, Gt(0.0), Le(2.0)] = 1.6
+    max_smash: Annotated[float, Above(0.0), AtMost(2.0)] = 1.6
     """Maximum smash factor: an elastic 46 g ball off a 200 g head reaches 1.63, one at the Rules' limit
     1.5."""
 

@@ -6,13 +6,12 @@ from dataclasses import dataclass, field
 from ipaddress import ip_address
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Le
-
+from drivers.base.ranges import Above, AtLeast, AtMost
 from drivers.launch_monitor.matching import MatchWindow
 from drivers.launch_monitor.open_connect import CLUB_CODE
 from drivers.launch_monitor.plausibility import PlausibleFigures
 
-Port = Annotated[int, Ge(1), Le(65535)]
+Port = Annotated[int, AtLeast(1), AtMost(65535)]
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ class SimulatorSettings:
     """Address where the simulator listens."""
     port: Port = 921
     """Port; 921 is the Open Connect standard."""
-    longest_wait: Annotated[float, Gt(0.0), Le(600.0)] = 10.0
+    longest_wait: Annotated[float, Above(0.0), AtMost(600.0)] = 10.0
     """Time after which a shot that could not be forwarded is dropped, s."""
 
     def __post_init__(self) -> None:
@@ -41,7 +40,7 @@ class PlayerSettings:
     """Club code (DR, W3, H4, I7, PW, PT ...); empty to derive it from `swing.club`."""
     right_handed: bool = True
     """Whether the player is right-handed, as the robot is."""
-    distance: Annotated[float, Ge(0.0), Le(500.0)] = 230.0
+    distance: Annotated[float, AtLeast(0.0), AtMost(500.0)] = 230.0
     """Distance to the target, m."""
 
     def __post_init__(self) -> None:
@@ -66,9 +65,9 @@ class LaunchMonitorSettings:
     """Addresses that may connect; if empty, only this machine."""
     presence: Literal["connected", "per_shot"] = "connected"
     """When a monitor counts as present: while it is connected, or while it reports the struck balls."""
-    seen_within: Annotated[float, Ge(10.0), Le(3600.0)] = 120.0
+    seen_within: Annotated[float, AtLeast(10.0), AtMost(3600.0)] = 120.0
     """Time after a struck ball within which a monitor that connects per shot must have sent something, s."""
-    silence: Annotated[float, Ge(1.0), Le(3600.0)] = 30.0
+    silence: Annotated[float, AtLeast(1.0), AtMost(3600.0)] = 30.0
     """Time-out of a monitor that sends heartbeats, s."""
     device: str = "golfbench"
     """Device name sent to simulators."""

@@ -34,7 +34,6 @@ SUITE = "bookworm"
 _INSTALLED = "systemd,systemd-sysv,dbus,udev,kmod,iproute2,can-utils,python3,procps"
 _WHEELS = (
     "annotated-doc",
-    "annotated-types",
     "canopen",
     "click",
     "eclipse-zenoh",
