@@ -418,13 +418,14 @@ def report(
     With --issue the report of a finished campaign gets a number, also each amendment.
     """
     import json
+    from dataclasses import replace
     from datetime import UTC, datetime
 
     from bench.campaign.campaign_record import load_record
     from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.look_events import note_look
-    from bench.campaign.operate import find_campaign
+    from bench.campaign.operate import find_campaign, standing_now
     from bench.campaign.reader_units import UnitSystem
     from bench.campaign.signature import issue_report
     from bench.commands.campaign_terminal import user_name
@@ -444,7 +445,9 @@ def report(
     if json_:
         typer.echo(json.dumps({"campaign": entry.id, "findings": findings_record(found)}, indent=2))
         return
-    path = output or configuration.bench.data_dir / "campaigns" / entry.id / "report.html"
+    folder = configuration.bench.data_dir
+    record = replace(record, standing=standing_now(folder, entry.id, record.standing))
+    path = output or folder / "campaigns" / entry.id / "report.html"
     write_campaign_report(path, record, found, UnitSystem(units))
     typer.echo(str(path))
 

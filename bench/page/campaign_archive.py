@@ -115,7 +115,7 @@ class CampaignArchive:
         """
         with self._store() as store:
             entry = store.entry(campaign)
-            state = store.standing(entry.id).state
+            state = standing_now(self._settings.data_dir, entry.id, store.standing(entry.id)).state
         if state not in ENDED:
             cure = f"golfbench campaign report {entry.id}: each look before the end costs confidence."
             raise Refused(f"campaign {entry.id}", str(state), "an ended campaign", cure)

@@ -32,7 +32,7 @@ class Above(NamedTuple):
 
 
 class AtMost(NamedTuple):
-    """Greatest valid value."""
+    """Largest valid value."""
 
     bound: float
 

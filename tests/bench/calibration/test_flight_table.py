@@ -10,6 +10,7 @@ import pytest
 from bench.calibration.flight_table import FlightTable, read_flights
 from bench.errors import BenchError
 
+ROOT = Path(__file__).parents[3]
 HEADER = "ball_speed_mph,launch_angle_deg,spin_rpm,carry_yd"
 FLIGHT = "171,10.4,2545,282"
 # Columns as in exports of TPS; the figures are made up.
@@ -85,6 +86,13 @@ def test_a_foresight_session_gives_its_shots_and_names_the_other_rows(tmp_path: 
         "line 10: 9i",
         "columns Date, Time, Offline (yd)",
     )
+
+
+def test_the_templates_of_the_manual_give_one_flight_without_a_note(tmp_path: Path) -> None:
+    blocks = (ROOT / "bench/commands/README.md").read_text().split("```csv\n")[1:]
+    templates = [read(tmp_path, block.split("```")[0]) for block in blocks]
+    assert [(len(table.flights), table.notes) for table in templates] == [(1, ()), (1, ())]
+    assert [table.flights[0].carry for table in templates] == pytest.approx([257.95, 257.9], abs=0.1)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le"])

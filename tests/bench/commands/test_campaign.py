@@ -138,6 +138,11 @@ def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) ->
     assert (by[second], "@" in by[campaign]) == ("Ann", True)
     assert call("export", second).stdout_bytes == (tmp_path / "shots.csv").read_bytes()
 
+    with sqlite3.connect(tmp_path / "data" / "golfbench.sqlite") as database:  # as a killed runner leaves it
+        database.execute("UPDATE campaigns SET state = 'running' WHERE id = ?", (second,))
+    page = Path(call("report", second).stdout.strip()).read_text()
+    assert "This campaign is not finished: interrupted" in page
+
 
 def test_a_campaign_without_a_bench_or_with_a_wrong_baseline_begins_nothing(
     call: Call, tmp_path: Path
