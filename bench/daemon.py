@@ -276,7 +276,7 @@ class Daemon:
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Start all processes, run until SIGTERM or Ctrl-C, then bring the robot to rest and shut down.
 
-        `ready` is called once commands are answered.
+        `ready` is called once commands are answered, and recorder and publisher work or are in trouble.
 
         Raises:
             BenchError: a process did not start, or the loop died (LoopDied).
@@ -294,9 +294,7 @@ class Daemon:
             stack.callback(notifier.close)
             try:
                 self._start(stack, owner)
-                notifier.ready(f"bench {c.bench.id}: {self._link.state}")
-                ready()
-                self._live(notifier, stop)
+                self._live(notifier, stop, ready)
                 notifier.stopping()
                 self._bring_to_end()
                 clean = True
@@ -406,17 +404,22 @@ class Daemon:
         )
         return Child.start("launch monitor", "bench.processes.launch_monitor", plan)
 
-    def _live(self, notifier: ServiceNotifier, stop: StopFlag) -> None:
+    def _live(self, notifier: ServiceNotifier, stop: StopFlag, ready: Callable[[], None]) -> None:
         """Run until asked to stop; reset systemd's watchdog only while the loop advances.
 
         Raises:
             LoopDied: the loop ended or froze.
         """
         interval, notified = watchdog_interval(os.environ, os.getpid()), -np.inf
+        latest: float | None = time.monotonic() + _START
         while not stop.wait(_TURN):
             now = time.monotonic()
             self._turn_gap, self._turned = now - self._turned, now
             self._turn(now)
+            if latest is not None and (now > latest or not any(s.starting for s in self._support)):
+                latest = None
+                notifier.ready(f"bench {self.configuration.bench.id}: {self._link.state}")
+                ready()
             if interval is not None and now - notified >= interval / 3 and self._advanced == now:
                 notifier.alive()
                 notified = now

@@ -67,6 +67,11 @@ class ManagedProcess:
         """Whether it is working."""
         return not self.note
 
+    @property
+    def starting(self) -> bool:
+        """Whether it has not worked yet; the first time it compiles."""
+        return self._heartbeat.condition is Condition.STARTING
+
     def turn(self, now: float) -> None:
         """Check it at `now` (s); start it if it does not run."""
         if self.child is not None and not self.child.alive:
@@ -98,7 +103,7 @@ class ManagedProcess:
 
     def _trouble(self, now: float) -> str:
         condition, silent = self._heartbeat.condition, now - self._heartbeat.time
-        if condition is Condition.STARTING:
+        if self.starting:
             return "starting"
         if silent > _SILENCE:
             return f"silent for {silent:.1f} s"
