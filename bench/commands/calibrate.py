@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
+from math import degrees, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
 
 from bench.commands.calibrate_aerodynamics import aerodynamics, user_name
-from bench.commands.session import Session
+from bench.commands.session import Json, Session, show_json
+from bench.errors import BenchError, ExitCode, Refused
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
     from bench.calibration.values import CalibrationKind
     from bench.config import Configuration
 
@@ -36,7 +38,6 @@ Days = Annotated[
 By = Annotated[str | None, typer.Option(metavar="NAME", help="Who measured.", show_default="the user's name")]
 Method = Annotated[str, typer.Option(metavar="TEXT", help="Method and tool of the measurement.")]
 Note = Annotated[str, typer.Option(metavar="TEXT", help="Remark.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 AngleUncertainty = Annotated[
@@ -85,11 +86,8 @@ def encoders(
     json_: Json = False,
 ) -> None:
     """Set the encoder zeros: counts at angle zero, or the pose in which the robot is locked now."""
-    from math import radians
-
     from bench.calibration.values import CalibrationKind
     from bench.calibration.values import zero_counts as zeros_at
-    from bench.errors import BenchError
 
     place = "calibrate encoders"
     configuration = _calibrated(context)
@@ -165,8 +163,6 @@ def club(
     json_: Json = False,
 ) -> None:
     """Set a club's length to the face, loft and lie as it sits in the mount."""
-    from math import radians
-
     from bench.calibration.values import CalibrationKind
 
     content = {
@@ -204,17 +200,12 @@ def valves(
 ) -> None:
     """Set the valves' centres and dead bands, entered or found by a slow ramp."""
     from bench.calibration.values import CalibrationKind
-    from bench.errors import BenchError
 
     place = "calibrate valves"
     given = (centre, dead_band, uncertainty)
     if measure == any(v is not None for v in given) or (not measure and None in given):
-        raise BenchError(
-            place,
-            "--measure and values" if measure else "values missing",
-            "--measure, or --centre, --dead-band and --uncertainty",
-            "Give one or the other.",
-        )
+        expected, cure = "--measure, or --centre, --dead-band and --uncertainty", "Give one or the other."
+        raise BenchError(place, "--measure and values" if measure else "values missing", expected, cure)
     content: dict[str, Any] = {"centre": centre, "dead_band": dead_band, "uncertainty": uncertainty}
     if measure:
         content = _measured_valves(context.ensure_object(Session).configuration())
@@ -228,10 +219,6 @@ app.command()(aerodynamics)
 @app.command("list")
 def list_all(context: typer.Context, json_: Json = False) -> None:
     """Show all calibrations of this bench, also superseded ones."""
-    import json
-
-    from rich.console import Console
-
     from bench.calibration.aerodynamics_archive import list_aerodynamics
     from bench.calibration.archive import calibration_of, list_calibrations
     from bench.calibration.ball_aerodynamics import AerodynamicsEntry
@@ -250,7 +237,7 @@ def list_all(context: typer.Context, json_: Json = False) -> None:
     if json_:
         records = [entry.record() for entry in entries]
         records += [{"kind": "aerodynamics", "subject": e.values.ball, **e.record()} for e in balls]
-        typer.echo(json.dumps(records, indent=2))
+        show_json(records)
         return
     if entries:
         Console().print(listing(entries, calibration_of(configuration, now), now))
@@ -268,19 +255,14 @@ def show(context: typer.Context, json_: Json = False) -> None:
 
     Exits with 1 if the bench cannot be armed for lack of calibration.
     """
-    import json
-
-    from rich.console import Console
-
     from bench.calibration.archive import calibration_of
     from bench.commands.calibration_tables import overview
-    from bench.errors import ExitCode
 
     configuration, now = context.ensure_object(Session).configuration(), _now()
     calibration = calibration_of(configuration, now)
     problems = calibration.problems(now)
     if json_:
-        typer.echo(json.dumps(calibration.record() | {"problems": [p.text for p in problems]}, indent=2))
+        show_json(calibration.record() | {"problems": [p.text for p in problems]})
     else:
         console = Console()
         console.print(f"bench {calibration.bench}, club {calibration.club}", highlight=False)
@@ -292,7 +274,6 @@ def show(context: typer.Context, json_: Json = False) -> None:
 
 
 def _now() -> datetime:
-    from datetime import UTC, datetime
 
     return datetime.now(UTC)
 
@@ -316,9 +297,6 @@ def _add(
     json_: bool,
 ) -> None:
     """Check `content` against its ranges and this bench, store it, and say so."""
-    import json
-    from datetime import timedelta
-
     from bench.calibration.archive import add_calibration
     from bench.calibration.plausible import require_plausible
     from bench.calibration.value_words import in_words
@@ -342,7 +320,7 @@ def _add(
             note=note,
         )
     if json_:
-        typer.echo(json.dumps(entry.record(), indent=2))
+        show_json(entry.record())
     else:
         typer.echo(f"{entry.name} of bench {bench.id}: {in_words(values)}; expires {entry.expires:%Y-%m-%d}")
         typer.echo("A running bench checks it at its next arming; values other than before need a restart.")
@@ -350,39 +328,27 @@ def _add(
 
 def _require_pose(configuration: Configuration, angles: tuple[float, ...]) -> None:
     """Raise BenchError when a joint cannot be at its angle."""
-    from math import degrees
-
     from bench.control.settings import angle_travel
-    from bench.errors import BenchError
     from drivers.base import JOINTS
 
     for name, angle, (low, high) in zip(JOINTS, angles, angle_travel(configuration.plant), strict=True):
         if not low <= angle <= high:
-            raise BenchError(
-                f"calibrate encoders: --from-pose, {name}",
-                f"{degrees(angle):g} deg",
-                f"{degrees(low):.1f} to {degrees(high):.1f} deg, between its stops",
-                "Give the angle of the mechanical reference.",
-            )
+            place, found = f"calibrate encoders: --from-pose, {name}", f"{degrees(angle):g} deg"
+            expected = f"{degrees(low):.1f} to {degrees(high):.1f} deg, between its stops"
+            raise BenchError(place, found, expected, "Give the angle of the mechanical reference.")
 
 
 def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) -> None:
-    from bench.errors import BenchError
 
     for i, count in enumerate(counts):
         if not 0 <= count < counts_per_revolution:
-            raise BenchError(
-                f"calibrate encoders: --counts[{i}]",
-                str(count),
-                f"0 to {counts_per_revolution - 1}",
-                "Give what the encoder shows.",
-            )
+            place, expected = f"calibrate encoders: --counts[{i}]", f"0 to {counts_per_revolution - 1}"
+            raise BenchError(place, str(count), expected, "Give what the encoder shows.")
 
 
 def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
     """Return the counts of the running bench; Refused when none runs here or the robot moves."""
     from bench.calibration.standing_counts import standing_counts
-    from bench.errors import Refused
     from bench.processes.bench_folder import bench_folder
     from bench.telemetry.ring import NoRing
 
@@ -390,12 +356,10 @@ def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
     try:
         return standing_counts(ring, configuration.plant.encoders.counts_per_revolution)
     except NoRing as error:
-        raise Refused(
-            "calibrate encoders --from-pose",
-            f"no bench {configuration.bench.id} running on this machine ({error.found})",
-            "one that reads the encoders, or --counts",
-            "Start `golfbench run --read-only`, or give what the encoders show with --counts.",
-        ) from error
+        place = "calibrate encoders --from-pose"
+        found = f"no bench {configuration.bench.id} running on this machine ({error.found})"
+        cure = "Start `golfbench run --read-only`, or give what the encoders show with --counts."
+        raise Refused(place, found, "one that reads the encoders, or --counts", cure) from error
 
 
 def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
@@ -415,16 +379,12 @@ def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
 
 def _measured_valves(configuration: Configuration) -> dict[str, Any]:
     from bench.calibration.valve_centre import SWEEP, find_centre, ramp_valve
-    from bench.errors import BenchError, Refused
     from drivers.base import ACTUATORS
 
     if configuration.driver.name != "sim":
-        raise Refused(
-            "calibrate valves --measure",
-            f"driver {configuration.driver.name}",
-            'driver "sim": the ramp runs on the software plant only',
-            "Measure by hand, and give --centre, --dead-band and --uncertainty.",
-        )
+        expected = 'driver "sim": the ramp runs on the software plant only'
+        cure = "Measure by hand, and give --centre, --dead-band and --uncertainty."
+        raise Refused("calibrate valves --measure", f"driver {configuration.driver.name}", expected, cure)
     found = []
     for i, name in enumerate(ACTUATORS):
         try:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import UTC, datetime
+from math import pi, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.commands.session import Session
+from bench.commands.session import Json, Session, show_json
+from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.calibration.aerodynamics_fit import FlightUncertainty
@@ -61,14 +63,12 @@ ApexError = Annotated[float, _shared("M", "Apex")]
 TimeError = Annotated[float, _shared("S", "Flight time")]
 PointError = Annotated[float, _shared("M", "Coordinates of points")]
 Day = Annotated[
-    str | None,
-    typer.Option(metavar="DATE", help="Day of the measurement, YYYY-MM-DD.", show_default="today"),
+    str | None, typer.Option(metavar="DATE", help="Day of the measurement, YYYY-MM-DD.", show_default="today")
 ]
 Measurer = Annotated[
     str | None, typer.Option(metavar="NAME", help="Who measured.", show_default="the user's name")
 ]
 Store = Annotated[bool, typer.Option("--store/--no-store", help="Store the result, or only print it.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 def aerodynamics(
@@ -108,8 +108,7 @@ def aerodynamics(
         *(carry_scatter, apex_scatter, time_scatter, point_scatter),
     )
     calibration = _uncertainty(
-        *(speed_error, angle_error_deg, spin_error_rpm),
-        *(carry_error, apex_error, time_error, point_error),
+        *(speed_error, angle_error_deg, spin_error_rpm), *(carry_error, apex_error, time_error, point_error)
     )
     day = _day(measured)
     values = _fitted(ball, flights, points, scatter, calibration, mass_g / 1e3, diameter_mm / 2e3)
@@ -128,7 +127,6 @@ def _fitted(
     """Return the fit to the flights in the files; BenchError when they do not determine it."""
     from bench.calibration.aerodynamics_fit import fit_aerodynamics
     from bench.calibration.flight_table import read_flights
-    from bench.errors import BenchError
 
     table = read_flights(flights, points)
     for note in table.notes:
@@ -152,9 +150,6 @@ def _keep(
     json_: bool,
 ) -> None:
     """Store the fit unless `store` is false, and print it."""
-    import json
-    from datetime import UTC, datetime
-
     from bench.calibration.aerodynamics_archive import add_aerodynamics
     from bench.calibration.ball_aerodynamics import AerodynamicsEntry
     from bench.config import database_url
@@ -167,7 +162,7 @@ def _keep(
         with open_database(url, datetime.now(UTC)) as database:
             entry = add_aerodynamics(database, bench.id, values, date=date, source=source, by=by)
     if json_:
-        typer.echo(json.dumps(entry.record(), indent=2))
+        show_json(entry.record())
         return
     typer.echo(f"{values.ball}: {entry.text}{'' if store else '; not stored'}")
     if values.chi_square > 2.0:
@@ -180,7 +175,6 @@ def _keep(
 def _uncertainty(
     speed: float, angle_deg: float, spin_rpm: float, carry: float, apex: float, time: float, point: float
 ) -> FlightUncertainty:
-    from math import pi, radians
 
     from bench.calibration.aerodynamics_fit import FlightUncertainty
 
@@ -189,10 +183,6 @@ def _uncertainty(
 
 def _day(text: str | None) -> datetime:
     """Return noon (UTC) of the day in `text`; now without one."""
-    from datetime import UTC, datetime
-
-    from bench.errors import BenchError
-
     if text is None:
         return datetime.now(UTC)
     try:

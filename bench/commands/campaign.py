@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
+from rich.console import Console
 
-from bench.commands.session import Session
+from bench.commands.session import Json, Session, show_json, user_name
+from bench.errors import BenchError, ExitCode, Refused
+from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
     from bench.campaign.carry import Measured
     from bench.campaign.findings import Findings
     from bench.campaign.plan import CampaignPlan
@@ -30,10 +34,7 @@ app = typer.Typer(help="Campaigns (test series): plan, run, evaluate and store t
 File = Annotated[
     Path, typer.Argument(metavar="FILE", help="Plan, a TOML file, or the name of a shipped plan.")
 ]
-Id = Annotated[
-    str,
-    typer.Argument(metavar="ID", help="Campaign id, or its unambiguous beginning."),
-]
+Id = Annotated[str, typer.Argument(metavar="ID", help="Campaign id, or its unambiguous beginning.")]
 Ask = Annotated[
     bool,
     typer.Option("--ask", help="Also ask for club changes and feeder refills if the bench is simulated."),
@@ -54,7 +55,6 @@ StartedBy = Annotated[
 Units = Annotated[
     Literal["us", "si"], typer.Option("--units", help="Units of the report: yd and mph, or m and m/s.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 class Outputs(NamedTuple):
@@ -78,11 +78,6 @@ def check(
 
     Exits with 2 and lists all mistakes; with 1 if a calibration blocks arming.
     """
-    import json
-    from datetime import UTC, datetime
-
-    from rich.console import Console
-
     from bench.campaign.preview import preview_record, show_preview
     from bench.campaign.suitability import START_SERIES, free_space, needs, needs_series, needs_words
     from bench.campaign.swings import arming_problems
@@ -102,7 +97,7 @@ def check(
             "warnings": warnings,
             "series_warning": series,
         }
-        typer.echo(json.dumps(preview_record(plan, hits) | beside, indent=2))
+        show_json(preview_record(plan, hits) | beside)
     else:
         console = Console()
         show_preview(plan, hits, console, everything=everything)
@@ -132,6 +127,15 @@ def _store(configuration: Configuration) -> Iterator[CampaignStore]:
     settings = configuration.bench
     with open_database(database_url(settings.database, settings.data_dir)) as engine:
         yield CampaignStore(engine)
+
+
+@contextmanager
+def _found(context: typer.Context, campaign: str) -> Iterator[tuple[CampaignStore, CampaignEntry]]:
+    """Open the campaigns of the configured bench; yield them with the entry of `campaign`."""
+    from bench.campaign.operate import find_campaign
+
+    with _store(context.ensure_object(Session).configuration()) as store:
+        yield store, find_campaign(store, campaign)
 
 
 def _hits_before(configuration: Configuration) -> Counter[Hit]:
@@ -169,12 +173,9 @@ def run(
     Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C,
     143 after SIGTERM.
     """
-    from datetime import UTC, datetime
-
     from bench.campaign.operate import measured_balls, new_entry
     from bench.campaign.reader_units import UnitSystem
     from bench.commands.campaign_baseline import read_baseline
-    from bench.errors import Refused
 
     plan, configuration, _ = _checked(context, file)
     if expect not in ("", plan.digest):
@@ -236,7 +237,7 @@ def resume(
     143 after SIGTERM.
     """
     from bench.campaign.carry import measured_of
-    from bench.campaign.operate import ask, find_campaign, is_running, require_resumable
+    from bench.campaign.operate import ask, is_running, require_resumable
     from bench.campaign.plan_file import plan_from_record
     from bench.campaign.reader_units import UnitSystem
     from bench.commands.campaign_baseline import read_baseline
@@ -244,8 +245,7 @@ def resume(
     configuration = context.ensure_object(Session).configuration()
     plan = _checked(context, file)[0] if file else None
     bands = read_baseline(check_) if check_ else []
-    with _store(configuration) as store:
-        entry = find_campaign(store, campaign)
+    with _found(context, campaign) as (store, entry):
         require_resumable(entry, store.standing(entry.id).state, configuration, plan)
         if is_running(configuration.bench.data_dir, entry.id):
             typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '', by)}")
@@ -271,8 +271,6 @@ def _bench_facts(
     plan: CampaignPlan, configuration: Configuration, measured: Measured, store: CampaignStore
 ) -> dict[str, Any]:
     """Return the facts to record about the running bench; it can swing `plan`."""
-    from datetime import UTC, datetime
-
     from bench.campaign.bench_calibrations import calibration_versions
     from bench.campaign.notifications import read_services
     from bench.campaign.operate import bench_facts
@@ -298,8 +296,6 @@ def _run(
     by: str,
 ) -> None:
     """Run `entry` and print the outcome."""
-    import json
-
     from bench.campaign.campaign_record import load_record
     from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.findings import findings, findings_record
@@ -307,8 +303,6 @@ def _run(
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
     from bench.commands.campaign_junit import junit_xml
-    from bench.commands.campaign_terminal import user_name
-    from bench.errors import ExitCode
     from bench.store.campaigns import CampaignState
     from bench.telemetry.whole_file import whole_file
 
@@ -325,11 +319,7 @@ def _run(
             stream.write(junit_xml(entry, outcome, record.shots, checks))
     if outputs.json:
         held = [{"path": c.band.path, "value": c.value, "holds": c.holds} for c in checks]
-        typer.echo(
-            json.dumps(
-                {"campaign": entry.id, **outcome._asdict(), "baseline": held, "findings": figures}, indent=2
-            )
-        )
+        show_json({"campaign": entry.id, **outcome._asdict(), "baseline": held, "findings": figures})
     else:
         _tell(outcome, found, checks, outputs.units)
     if outcome.state is not CampaignState.FINISHED or not all(check.holds for check in checks):
@@ -353,8 +343,7 @@ def _take(
     from bench.campaign.operate import run_live, run_simulated, run_start
     from bench.commands.campaign_keys import mark_keys
     from bench.commands.campaign_screen import CampaignScreen, campaign_bar
-    from bench.commands.campaign_terminal import TerminalOperator, user_name
-    from bench.interrupt import deferred_interrupt
+    from bench.commands.campaign_terminal import TerminalOperator
 
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
@@ -417,24 +406,16 @@ def report(
 
     With --issue the report of a finished campaign gets a number, also each amendment.
     """
-    import json
-    from dataclasses import replace
-    from datetime import UTC, datetime
-
     from bench.campaign.campaign_record import load_record
     from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.look_events import note_look
-    from bench.campaign.operate import find_campaign, standing_now
+    from bench.campaign.operate import standing_now
     from bench.campaign.reader_units import UnitSystem
     from bench.campaign.signature import issue_report
-    from bench.commands.campaign_terminal import user_name
-    from bench.errors import Refused
 
-    configuration = context.ensure_object(Session).configuration()
-    with _store(configuration) as store:
-        record = load_record(store, find_campaign(store, campaign))
-        entry = record.entry
+    with _found(context, campaign) as (store, entry):
+        record = load_record(store, entry)
         if not record.shots:
             raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
         if issue:
@@ -443,11 +424,11 @@ def report(
         looks = note_look(store, record, "report")
     found = findings(record.plan, record.shots, looks, UnitSystem(units))
     if json_:
-        typer.echo(json.dumps({"campaign": entry.id, "findings": findings_record(found)}, indent=2))
+        show_json({"campaign": entry.id, "findings": findings_record(found)})
         return
-    folder = configuration.bench.data_dir
-    record = replace(record, standing=standing_now(folder, entry.id, record.standing))
-    path = output or folder / "campaigns" / entry.id / "report.html"
+    data_dir = context.ensure_object(Session).configuration().bench.data_dir
+    record = replace(record, standing=standing_now(data_dir, entry.id, record.standing))
+    path = output or data_dir / "campaigns" / entry.id / "report.html"
     write_campaign_report(path, record, found, UnitSystem(units))
     typer.echo(str(path))
 
@@ -468,14 +449,11 @@ def verify(
     Exits with 1 and names what differs.
     """
     from bench.campaign.campaign_record import load_record
-    from bench.campaign.operate import find_campaign
     from bench.campaign.verification import missing_records, verify_page
-    from bench.errors import BenchError, ExitCode
 
-    configuration = context.ensure_object(Session).configuration()
-    data_dir = configuration.bench.data_dir
-    with _store(configuration) as store:
-        record = load_record(store, find_campaign(store, campaign))
+    data_dir = context.ensure_object(Session).configuration().bench.data_dir
+    with _found(context, campaign) as (store, entry):
+        record = load_record(store, entry)
         missing = missing_records(store.shots(record.entry.id), data_dir)
     path = page or data_dir / "campaigns" / record.entry.id / "report.html"
     try:
@@ -503,21 +481,18 @@ def verify(
 
 
 def _request(context: typer.Context, campaign: str, request: str) -> None:
-    from bench.campaign.operate import ask, find_campaign
-    from bench.commands.campaign_terminal import user_name
+    from bench.campaign.operate import ask
 
-    configuration = context.ensure_object(Session).configuration()
-    with _store(configuration) as store:
-        entry = find_campaign(store, campaign)
-        typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, request, user_name())}")
+    data_dir = context.ensure_object(Session).configuration().bench.data_dir
+    with _found(context, campaign) as (store, entry):
+        typer.echo(f"{entry.id} {ask(store, data_dir, entry.id, request, user_name())}")
 
 
 @app.command()
 def watch(
     context: typer.Context,
     campaign: Annotated[
-        str,
-        typer.Argument(metavar="ID", help="Campaign id or its beginning; without it the running one."),
+        str, typer.Argument(metavar="ID", help="Campaign id or its beginning; without it the running one.")
     ] = "",
     json_: Json = False,
 ) -> None:
@@ -525,13 +500,8 @@ def watch(
 
     Ctrl-C ends the watching only. On the bench's own computer the key m marks the last shot.
     """
-    import json
-    import time
-
     from bench.commands.campaign_keys import mark_keys
     from bench.commands.campaign_screen import ProgressScreen, campaign_bar
-    from bench.commands.campaign_terminal import user_name
-    from bench.errors import Refused
     from bench.network.client import BenchClient
 
     configuration = context.ensure_object(Session).configuration()
@@ -546,7 +516,7 @@ def watch(
             place = f"campaign {campaign}" if campaign else f"bench {configuration.bench.id}"
             raise Refused(place, "no runner publishes it", "a running campaign", "golfbench campaign list")
         if json_:
-            typer.echo(json.dumps(message, indent=2))
+            show_json(message)
             return
         screen, event, stood, last = ProgressScreen(bar), None, None, message
         bar.console.print(f"campaign {message['campaign']}", highlight=False, markup=False, soft_wrap=True)
@@ -573,7 +543,6 @@ def watch(
 def _local_store(stack: ExitStack, configuration: Configuration, campaign: str) -> CampaignStore | None:
     """Open the database of `campaign` in `stack` if this machine reaches it; None otherwise."""
     from bench.config import database_url
-    from bench.errors import BenchError
     from bench.store.database import is_there
 
     if not is_there(database_url(configuration.bench.database, configuration.bench.data_dir)):
@@ -597,14 +566,9 @@ def mark(
     by: Annotated[str, typer.Option(metavar="NAME", help="Who saw it.", show_default="user@host")] = "",
 ) -> None:
     """Mark a shot, with a comment; it counts as before. The report shows marks and comments."""
-    from datetime import UTC, datetime
-
-    from bench.campaign.operate import find_campaign
-    from bench.commands.campaign_terminal import user_name
     from bench.store.campaigns import ShotNote
 
-    with _store(context.ensure_object(Session).configuration()) as store:
-        entry = find_campaign(store, campaign)
+    with _found(context, campaign) as (store, entry):
         number = store.last_shot(entry.id) if shot is None else shot
         store.add_note(entry.id, ShotNote(number, datetime.now(UTC), by or user_name(), comment))
     typer.echo(f"shot {number} marked{f': {comment}' if comment else ''}")
@@ -623,14 +587,9 @@ def exclude(
 
     A running campaign does not repeat it.
     """
-    from datetime import UTC, datetime
-
     from bench.campaign.exclusions import exclude_shot
-    from bench.campaign.operate import find_campaign
-    from bench.commands.campaign_terminal import user_name
 
-    with _store(context.ensure_object(Session).configuration()) as store:
-        entry = find_campaign(store, campaign)
+    with _found(context, campaign) as (store, entry):
         exclude_shot(store, entry.id, shot, reason, by or user_name(), datetime.now(UTC), undo=undo)
     typer.echo(f"shot {shot} {'counts again' if undo else 'excluded'}: {reason.strip()}")
 
@@ -648,16 +607,11 @@ def answer(
     ] = None,
 ) -> None:
     """Confirm a campaign's prompt: the club is mounted, the feeder is filled."""
-    from datetime import UTC, datetime
+    from bench.campaign.operate import answer
 
-    from bench.campaign.operate import answer, find_campaign
-    from bench.commands.campaign_terminal import user_name
-
-    configuration = context.ensure_object(Session).configuration()
-    with _store(configuration) as store:
-        entry = find_campaign(store, campaign)
-        now = datetime.now(UTC)
-        text, goes_on = answer(store, configuration.bench.data_dir, entry.id, by or user_name(), now, balls)
+    data_dir, now = context.ensure_object(Session).configuration().bench.data_dir, datetime.now(UTC)
+    with _found(context, campaign) as (store, entry):
+        text, goes_on = answer(store, data_dir, entry.id, by or user_name(), now, balls)
     after = "goes on" if goes_on else f"has no runner: golfbench campaign resume {entry.id}"
     typer.echo(f"done: {text}\n{entry.id} {after}")
 
@@ -681,11 +635,7 @@ def abort(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
 ) -> None:
     """Abort a campaign at once, after a confirmation. It cannot be resumed."""
-    from bench.campaign.operate import find_campaign
-    from bench.errors import Refused
-
-    with _store(context.ensure_object(Session).configuration()) as store:
-        entry = find_campaign(store, campaign)
+    with _found(context, campaign) as (store, entry):
         state, shots = store.standing(entry.id).state, len(store.shots(entry.id))
     if not yes:
         question = f"Abort campaign {entry.id} ({state}, {shots} shots)? It cannot be resumed."
@@ -715,10 +665,6 @@ def air(
 
     Shots on hardware use it from then on, for as long as the plan allows ([air] valid_for).
     """
-    from datetime import UTC, datetime
-
-    from bench.commands.campaign_terminal import user_name
-    from bench.errors import BenchError
     from bench.store.air_readings import AirReading, add_reading, newest_reading
     from sim.air import Air
 
@@ -763,10 +709,6 @@ def list_campaigns(
 
     Excluded: hit outside the delivery's bounds, or excluded by hand.
     """
-    import json
-
-    from rich.console import Console
-
     from bench.campaign.operate import standing_now
     from bench.commands.campaign_screen import listing, listing_record
 
@@ -778,7 +720,7 @@ def list_campaigns(
             if bench in (None, entry.bench)
         ]
     if json_:
-        typer.echo(json.dumps(listing_record(found), indent=2))
+        show_json(listing_record(found))
     elif found:
         console = Console()
         console.print(listing(found, console), crop=False)
@@ -797,13 +739,11 @@ def export(
 ) -> None:
     """Export a campaign's shots, one row each."""
     from bench.campaign.exclusions import with_exclusions
-    from bench.campaign.operate import find_campaign
     from bench.shot.shot_table import shot_table_text, write_shot_table
 
-    with _store(context.ensure_object(Session).configuration()) as store:
-        found = find_campaign(store, campaign).id
-        taken = [stored.shot for stored in store.shots(found)]
-        shots = with_exclusions(taken, store.exclusions(found))
+    with _found(context, campaign) as (store, entry):
+        taken = [stored.shot for stored in store.shots(entry.id)]
+        shots = with_exclusions(taken, store.exclusions(entry.id))
     if output is None:
         typer.echo(shot_table_text(shots), nl=False)
     else:

@@ -203,10 +203,7 @@ class MarkKeys:
 
 @contextmanager
 def mark_keys(
-    bar: CampaignBar,
-    by: str,
-    progress: Callable[[], Mapping[str, Any]],
-    store: Callable[[ShotNote], None],
+    bar: CampaignBar, by: str, progress: Callable[[], Mapping[str, Any]], store: Callable[[ShotNote], None]
 ) -> Iterator[MarkKeys | None]:
     """Read the key that marks while `bar` shows progress; None without a terminal."""
     if bar.disable or sys.stdin is None or not sys.stdin.isatty():

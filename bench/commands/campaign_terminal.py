@@ -5,9 +5,7 @@ A load list may be confirmed with the number of loaded balls, which is compared 
 
 from __future__ import annotations
 
-import getpass
 import select
-import socket
 import sys
 import termios
 from collections.abc import Iterator, Sequence
@@ -22,6 +20,7 @@ from rich.text import Text
 from bench.campaign.fitting import Numbered, PromptKind, balls_of, places, require_count
 from bench.commands.campaign_keys import MarkKeys, in_foreground
 from bench.commands.campaign_screen import CampaignBar
+from bench.commands.session import user_name
 from bench.errors import Refused
 from bench.store.campaigns import Prompt
 
@@ -36,11 +35,6 @@ _YES = frozenset({"", "y", "yes", "ok", "done"})
 """Lines that confirm."""
 _COLUMNS = 4
 """Number of places of a load list in a line."""
-
-
-def user_name() -> str:
-    """Return the default name of who answers, user@host."""
-    return f"{getpass.getuser()}@{socket.gethostname()}"
 
 
 class TerminalOperator:

@@ -43,12 +43,8 @@ def certificates(
 
     for name in names:
         if not NAME.fullmatch(name) or name == AUTHORITY:
-            raise BenchError(
-                "NAME",
-                repr(name),
-                f"letters, digits, ., - and _, at most 63, and not {AUTHORITY}",
-                "Choose another.",
-            )
+            expected = f"letters, digits, ., - and _, at most 63, and not {AUTHORITY}"
+            raise BenchError("NAME", repr(name), expected, "Choose another.")
     now = datetime.now(UTC)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     if not (folder / f"{AUTHORITY}.pem").exists():

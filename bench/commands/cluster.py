@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bench.commands.session import Session
+from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.address import IdentityFiles
@@ -53,7 +54,6 @@ def cluster(
     import asyncio
 
     from bench.address import identity_files
-    from bench.errors import BenchError
     from bench.simulation.cluster_engine import load_distributed
 
     load_distributed()
@@ -61,12 +61,9 @@ def cluster(
     files = identity_files(identity) if identity else None
     beyond = [place for place in (host, _host_of(join)) if place and not _is_loopback(place)]
     if files is None and beyond:
-        raise BenchError(
-            "golfbench cluster",
-            f"{beyond[0]} without a certificate",
-            "127.0.0.1, or a certificate of this machine",
-            "Make one with `golfbench certificates` and name it in network.identity.",
-        )
+        found = f"{beyond[0]} without a certificate"
+        cure = "Make one with `golfbench certificates` and name it in network.identity."
+        raise BenchError("golfbench cluster", found, "127.0.0.1, or a certificate of this machine", cure)
     count = len(os.sched_getaffinity(0)) if workers is None else workers
     asyncio.run(_serve(host, port, count, join, files))
 

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
 
-from bench.commands.session import Session
+from bench.commands.progress import progress_bar
+from bench.commands.session import Session, show_json
+from bench.errors import BenchError
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
-    from rich.progress import Progress
-
     from bench.commissioning.commissioning import Commissioning
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.commissioning.known_robot import KnownRobot
@@ -99,8 +103,6 @@ def _require_possible(
     Raises:
         BenchError: the text says which.
     """
-    from bench.errors import BenchError
-
     driver = configuration.driver
     simulated = sim or driver.name == "sim"
     if robot is not None and not simulated:
@@ -120,8 +122,6 @@ def _require_somebody_at_the_regulator(*, simulated: bool, regulator: str | None
     Raises:
         BenchError: nothing has moved.
     """
-    from bench.errors import BenchError
-
     if simulated or regulator is not None or _at_terminal():
         return
     cure = "Name a program that turns the pressure regulator, or run the command in a terminal."
@@ -130,8 +130,6 @@ def _require_somebody_at_the_regulator(*, simulated: bool, regulator: str | None
 
 def _at_terminal() -> bool:
     """Return whether a person can answer questions."""
-    import sys
-
     return sys.stdin is not None and sys.stdin.isatty()
 
 
@@ -147,15 +145,7 @@ def _commission(
 
     On the robot of the configured driver if `live`, else on the simulated `truth` in lock-step.
     """
-    from datetime import UTC, datetime
-
-    from bench.commands.progress import progress_bar
-    from bench.commissioning.commissioning import (
-        ALL_STEPS,
-        commission,
-        commission_swings,
-        known_with_swing,
-    )
+    from bench.commissioning.commissioning import ALL_STEPS, commission, commission_swings, known_with_swing
     from bench.commissioning.folder_lock import folder_lock
     from bench.config import load_configuration
 
@@ -201,8 +191,6 @@ def _write_robot(
     following: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> None:
     """Write robot.toml, with the limits of `following` errors of its swing once that is designed."""
-    from datetime import UTC, datetime
-
     from bench.commissioning.robot_file import robot_file
     from bench.telemetry.whole_file import whole_file
 
@@ -290,10 +278,6 @@ def _mark_in(contacts: ContactWatch, truth: PlantParameters) -> tuple[float, flo
 
 def _show_steps(state: Commissioning, *, json_: bool) -> None:
     """Print the steps, their bounds, and which are done."""
-    import json
-
-    from rich.console import Console
-
     from bench.commissioning.commissioning import ALL_STEPS
 
     done = {step.name for step in state.done}
@@ -303,7 +287,7 @@ def _show_steps(state: Commissioning, *, json_: bool) -> None:
             for step in ALL_STEPS
         ]
         found = {"folder": str(state.folder), "robot": state.robot, "simulated": state.simulated}
-        typer.echo(json.dumps(found | {"steps": steps}, indent=2))
+        show_json(found | {"steps": steps})
         return
     console = Console()
     console.print(
@@ -340,10 +324,6 @@ def _write_report(state: Commissioning, nominal: PlantParameters, made: datetime
 
 def _show(state: Commissioning) -> None:
     """Print what was found."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title="Commissioned robot")
     for column in ("step", "value", "found", "standard error", "unit"):
         right = column in ("found", "standard error")

@@ -7,12 +7,15 @@ from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
 
-from bench.commands.session import ClubName, ProfileName, Session
+from bench.commands.progress import progress_bar
+from bench.commands.session import ClubName, Json, ProfileName, Session, show_json
+from bench.lifecycle import CAUSE_TEXT
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from bench.learning.compare import Compared
     from bench.learning.figures import Figures
     from bench.simulation.series import Bench
@@ -29,14 +32,11 @@ RobotName = Annotated[
 Draw = Annotated[
     int | None,
     typer.Option(
-        metavar="SEED",
-        min=0,
-        help="Seed of a random robot within 10 % of the configured one, used instead.",
+        metavar="SEED", min=0, help="Seed of a random robot within 10 % of the configured one, used instead."
     ),
 ]
 Swings = Annotated[int, typer.Option(min=1, max=100, help="Swings with each controller.")]
 Learning = Annotated[bool, typer.Option(help="Also compare with learned openings.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 def compare(
@@ -53,10 +53,6 @@ def compare(
 
     Same swing, same simulated robot, same seeds; pressure sensors only where it is said.
     """
-    import json
-
-    from rich.console import Console
-
     from bench.design.validate import require_possible
     from bench.learning.figures import planned_figures
     from bench.simulation.series import Bench
@@ -78,7 +74,7 @@ def compare(
     if json_:
         records = {name: [compared_record(row) for row in found] for name, found in rows.items()}
         record = {"profile": swing.name, "swings": swings, "planned": planned.shown, "robots": records}
-        typer.echo(json.dumps(record, indent=2))
+        show_json(record)
         return
     console = Console()
     for name, found in rows.items():
@@ -99,7 +95,6 @@ def _compared_on(
     robots: Mapping[str, PlantParameters], bench: Bench, swings: int, learning: bool
 ) -> dict[str, list[Compared]]:
     """Swing each of `robots` with each controller; return the controllers' results by robot."""
-    from bench.commands.progress import progress_bar
     from bench.learning.compare import compare as compared
     from bench.learning.compare import controllers, problem_of
 
@@ -149,9 +144,6 @@ def compared_record(row: Compared) -> dict[str, Any]:
 
 def compared_table(title: str, rows: list[Compared]) -> Table:
     """Return the table of `rows`."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     from bench.learning.compare import LITRES
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), title=title, title_justify="left")
@@ -183,7 +175,6 @@ def notes(rows: list[Compared]) -> list[str]:
 
 
 def _note(row: Compared) -> str:
-    from bench.lifecycle import CAUSE_TEXT
     from drivers.base import JOINTS
 
     notes = [] if not row.cause else [f"stopped: {CAUSE_TEXT[row.cause]}"]

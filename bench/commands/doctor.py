@@ -46,11 +46,7 @@ CHILD_TIME_LIMIT = 60.0
 _ARPHRD_CAN = "280"
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 
-_MODULES = {
-    "eclipse-zenoh": "zenoh",
-    "python-can": "can",
-    "rerun-sdk": "rerun",
-}
+_MODULES = {"eclipse-zenoh": "zenoh", "python-can": "can", "rerun-sdk": "rerun"}
 """Import name of a distribution where it is not the same word with underscores."""
 
 _TOOLS = {

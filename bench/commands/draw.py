@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.table import Table
 
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from bench.drawing.mass_table import MassRow
     from sim.plant import PlantParameters
 
@@ -44,8 +44,6 @@ def draw(
     robot.step is for a workshop (mm), robot.glb for people, golfbench.urdf with meshes for simulators (m).
     masses.csv has mass, centre of mass and inertia as drawn and as in the dynamics. Files are replaced.
     """
-    from rich.console import Console
-
     from bench.drawing.mass_table import mass_rows, write_mass_table
 
     configuration = context.ensure_object(Session).configuration()
@@ -92,8 +90,6 @@ def _write(
 
 def mass_table(rows: list[MassRow]) -> Table:
     """Return the masses as a table: assumed in the dynamics, then drawn; pins and bores within the latter."""
-    from rich.table import Table
-
     table = Table(title="Masses: assumed in the dynamics / drawn", title_justify="left")
     for name in ("body", "mass kg", "centre m", "inertia kg m²", "pins, bores kg"):
         table.add_column(name, justify="left" if name == "body" else "right")

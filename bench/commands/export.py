@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.commands.progress import progress_bar
+from bench.errors import BenchError, Refused
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -43,7 +46,6 @@ def export(
     csv has its units beside it, NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (its layout is
     written beside it), mat for MATLAB, mf4 (MDF 4) for CANape and NI.
     """
-    from bench.commands.progress import progress_bar
     from bench.export.record import read_record
     from bench.viewer.recorded_series import record_files
 
@@ -66,8 +68,6 @@ def planned(
         Refused: a file exists, and `force` is not given.
         BenchError: two records would be written to one file.
     """
-    from bench.errors import BenchError, Refused
-
     suffix = f".{format_.value}"
     if output is not None and len(sources) == 1 and not output.is_dir():
         targets = [(sources[0], output)]
@@ -78,12 +78,8 @@ def planned(
     names = [target for _, target in targets]
     for target in names:
         if names.count(target) > 1:
-            raise BenchError(
-                str(target),
-                "several records of that name",
-                "a file for each record",
-                "Export them one by one.",
-            )
+            found = "several records of that name"
+            raise BenchError(str(target), found, "a file for each record", "Export them one by one.")
         if target.exists() and not force:
             raise Refused(
                 str(target), "a file", "a name that is free", "Name another --output, or add --force."

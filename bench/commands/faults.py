@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
 
-from bench.commands.session import ProfileName, Session
+from bench.commands.progress import progress_bar
+from bench.commands.session import Json, ProfileName, Session
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
+from bench.errors import BenchError, ExitCode
+from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
     from bench.faults.catalogue import Breakage
@@ -33,8 +39,7 @@ Output = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Folder of results.", show_default="DATA_DIR/faults")
 ]
 Signals = Annotated[
-    list[str] | None,
-    typer.Option(metavar="TEXT", help="Only faults whose name contains this; repeatable."),
+    list[str] | None, typer.Option(metavar="TEXT", help="Only faults whose name contains this; repeatable.")
 ]
 Phases = Annotated[
     list[str] | None, typer.Option(metavar="PHASE", help="Only faults in this phase; repeatable.")
@@ -43,8 +48,7 @@ ModelCheck = Annotated[
     bool, typer.Option("--model-check/--no-model-check", help="Run with the model-based check.")
 ]
 Compare = Annotated[
-    bool,
-    typer.Option("--compare", help="Repeat faults of encoders, valves and supply without that check."),
+    bool, typer.Option("--compare", help="Repeat faults of encoders, valves and supply without that check.")
 ]
 Families = Annotated[
     list[str] | None,
@@ -55,7 +59,6 @@ Families = Annotated[
 ]
 Every = Annotated[int, typer.Option(metavar="N", min=1, help="A sample: one case of N.")]
 Quick = Annotated[bool, typer.Option("--quick", help="One instant per phase only.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 @app.command()
@@ -78,10 +81,7 @@ def run(
 
     Writes matrix.html, matrix.json and cases.jsonl. Exits with 1 if a case ends unsafe.
     """
-    from rich.console import Console
-
     from bench.commands.faults_page import matrix_table, reasons_table
-    from bench.errors import ExitCode
     from bench.faults.catalogue import FAMILIES
     from bench.faults.matrix import fault_study, plan_matrix
     from bench.faults.summary import PHASES, summary_text
@@ -131,7 +131,6 @@ def _write(folder: Path, summary: dict[str, Any]) -> None:
 
 
 def _must_be_known(option: str, given: Sequence[str], known: Sequence[str]) -> None:
-    from bench.errors import BenchError
 
     if unknown := sorted(set(given) - set(known)):
         raise BenchError(option, ", ".join(unknown), f"of {', '.join(known)}", "Correct it.")
@@ -140,7 +139,6 @@ def _must_be_known(option: str, given: Sequence[str], known: Sequence[str]) -> N
 def _matrix(
     study: FaultStudy, folder: Path, plan: MatrixPlan, compare: bool, engine: Engine
 ) -> dict[str, Any]:
-    from datetime import UTC, datetime
 
     from bench.faults.origin import origin_of
     from bench.faults.summary import compare as compared
@@ -179,9 +177,7 @@ def _outcomes(
     study: FaultStudy, plan: MatrixPlan, path: Path, engine: Engine
 ) -> tuple[list[CaseOutcome], float]:
     """Return the outcomes, and the seconds that they took over all runs."""
-    from bench.commands.progress import progress_bar
     from bench.faults.matrix import matrix_store, run_matrix
-    from bench.interrupt import deferred_interrupt
 
     store = matrix_store(path, study)
     with deferred_interrupt() as asked, progress_bar() as bar:
@@ -219,8 +215,7 @@ def hazard_file_of(
         Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="standard output")
     ] = None,
     judgement: Annotated[
-        Path | None,
-        typer.Option(metavar="TOML", help="The judgement.", show_default="golfbench's own"),
+        Path | None, typer.Option(metavar="TOML", help="The judgement.", show_default="golfbench's own")
     ] = None,
 ) -> None:
     """Write the hazard file: failure modes, safety functions and hazards to people, as in sim/HAZARDS.md."""
@@ -239,16 +234,8 @@ def _from_matrix(matrix: Path, document: Callable[[dict[str, Any]], str]) -> str
     Raises:
         BenchError: the file is no matrix.
     """
-    import json
-
-    from bench.errors import BenchError
-
     try:
         return document(json.loads(matrix.read_text(encoding="utf-8")))
     except (ValueError, KeyError, TypeError):
-        raise BenchError(
-            str(matrix),
-            "not a matrix",
-            "a matrix.json of `golfbench faults run`",
-            "Run `golfbench faults run` and name its matrix.json.",
-        ) from None
+        found, cure = "not a matrix", "Run `golfbench faults run` and name its matrix.json."
+        raise BenchError(str(matrix), found, "a matrix.json of `golfbench faults run`", cure) from None

@@ -6,12 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
 
-from bench.commands.session import Session
+from bench.commands.progress import progress_bar
+from bench.commands.session import Json, Session, show_json
+from bench.errors import BenchError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from bench.learning.identify import Identified
 
 
@@ -19,28 +22,15 @@ Records = Annotated[
     list[Path], typer.Argument(metavar="RECORD...", help="Parquet files of swings of one profile.")
 ]
 Output = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Write the identified robot as a configuration, .toml."),
+    Path | None, typer.Option(metavar="FILE", help="Write the identified robot as a configuration, .toml.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
-def identify(
-    context: typer.Context,
-    records: Records,
-    output: Output = None,
-    json_: Json = False,
-) -> None:
+def identify(context: typer.Context, records: Records, output: Output = None, json_: Json = False) -> None:
     """Identify friction, valve flow, dead volumes, supply, vane, club and latency from recorded swings.
 
     Use swings made with the control of --config, none of them the first after arming.
     """
-    import json
-
-    from rich.console import Console
-
-    from bench.commands.progress import progress_bar
-    from bench.errors import BenchError
     from bench.learning.identify import identify as identified
     from bench.learning.plant_file import plant_file, write_plant_file
     from bench.learning.recorded import read_recorded
@@ -69,7 +59,7 @@ def identify(
         robot = found.variation(bench).applied_to(bench.model)
         write_plant_file(output, plant_file(robot, found, configuration))
     if json_:
-        typer.echo(json.dumps(_record(found), indent=2))
+        show_json(_record(found))
         return
     console = Console()
     console.print(_table(found, f"identified from {len(recorded)} swings"))
@@ -90,8 +80,6 @@ def _record(found: Identified) -> dict[str, Any]:
 
 
 def _table(found: Identified, title: str) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
 
     from bench.learning.identify import NAMES
 

@@ -11,6 +11,7 @@ import typer
 
 from bench.commands.session import Session
 from bench.errors import BenchError, ExitCode
+from bench.interrupt import stop_on_signals
 
 if TYPE_CHECKING:
     from bench.shot.recorded_shot import FlightConditions
@@ -36,8 +37,7 @@ class NoPlant(BenchError):
 
 Seed = Annotated[int, typer.Option(min=0, help="Seed of noise and faults.")]
 Drop = Annotated[
-    list[int] | None,
-    typer.Option(min=1, metavar="N", help="Drop the message of the N-th ball; repeatable."),
+    list[int] | None, typer.Option(min=1, metavar="N", help="Drop the message of the N-th ball; repeatable.")
 ]
 Missing = Annotated[float, _share("balls without a message")]
 Misread = Annotated[float, _share("balls with one wrong value")]
@@ -47,8 +47,7 @@ NoSpin = Annotated[float, _share("balls without spin")]
 Ghost = Annotated[float, _share("balls followed by a ghost ball")]
 Club = Annotated[bool, typer.Option("--club", help="Also send club speed and attack angle.")]
 Noise = Annotated[
-    float,
-    typer.Option(min=0.0, max=10.0, metavar="FACTOR", help="Noise relative to the default; 0: none."),
+    float, typer.Option(min=0.0, max=10.0, metavar="FACTOR", help="Noise relative to the default; 0: none.")
 ]
 Delay = Annotated[float, typer.Option(min=0.0, max=30.0, metavar="S", help="Delay from impact to message.")]
 Pieces = Annotated[bool, typer.Option("--pieces", help="Send messages in pieces.")]
@@ -137,7 +136,6 @@ def play(
     Raises:
         NoPlant: the plant there is of other code.
     """
-    from bench.interrupt import stop_on_signals
     from drivers.base import Launch
     from drivers.base.shared_record import SharedMemoryError
     from sim.launch_monitor import ClubMotion, SimulatedMonitor

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import Progress, TaskID
+from rich.table import Table
 
-from bench.commands.session import ClubName, Session
+from bench.commands.progress import progress_bar
+from bench.commands.session import ClubName, Json, Session, show_json
+from bench.errors import BenchError, ExitCode
 from bench.learning.source import Source
+from bench.lifecycle import CAUSE_TEXT
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
-    from rich.table import Table
-
     from bench.config import Configuration
     from bench.learning.learn import LearningProblem, LearningResult, Swinger
     from bench.learning.recorded import Recorded
@@ -65,7 +70,6 @@ Output = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Also write the corrected profile, .toml, with its table beside it."),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 def learn(
@@ -86,11 +90,8 @@ def learn(
 
     The target is the delivery that the profile plans. Exits with 1 if it is not reached.
     """
-    from datetime import UTC, datetime
-
     from bench.config import database_url
     from bench.design.planned_openings import require_planned_openings
-    from bench.errors import ExitCode
     from bench.learning.recorded import read_recorded
     from bench.learning.store import Conditions, keep, stored
     from bench.readiness import assess_bench
@@ -129,12 +130,8 @@ def learn(
 
 def _show(result: LearningResult, entry: Learned, version: int, json_: bool) -> None:
     """Print the learning swings, stored as `version`."""
-    import json
-
-    from rich.console import Console
-
     if json_:
-        typer.echo(json.dumps(entry.record | {"version": version}, indent=2))
+        show_json(entry.record | {"version": version})
         return
     console = Console()
     console.print(_table(result, entry.profile))
@@ -143,8 +140,6 @@ def _show(result: LearningResult, entry: Learned, version: int, json_: bool) -> 
 
 def _require_usable(options: Mapping[str, object], sim: bool) -> None:
     """Refuse any of `options` that is given: they belong to the other kind of bench than `sim`."""
-    from bench.errors import BenchError
-
     for option in (name for name, value in options.items() if value is not None):
         raise BenchError(
             "learn",
@@ -156,8 +151,6 @@ def _require_usable(options: Mapping[str, object], sim: bool) -> None:
 
 def _require_identified(records: list[Path] | None, identified: Path | None) -> None:
     """Refuse `records` without the robot identified from them."""
-    from bench.errors import BenchError
-
     if records and identified is None:
         raise BenchError(
             "learn", "--records", "with --identified only", "Name the robot that they identified."
@@ -187,7 +180,6 @@ class _Origin(NamedTuple):
 
 def _learn_in_lock_step(bench: Bench, robot: PlantParameters, origin: _Origin, swings: int) -> LearningResult:
     """Learn on the simulated `robot` in at most `swings` swings."""
-    from bench.commands.progress import progress_bar
     from bench.learning.learn import on_series
     from bench.simulation.series import Series
 
@@ -201,7 +193,6 @@ def _learn_live(
     configuration: Configuration, bench: Bench, origin: _Origin, source: Source, swings: int
 ) -> tuple[LearningResult, bool]:
     """Learn on the running bench, set the correction there, and return whether its robot is simulated."""
-    from bench.commands.progress import progress_bar
     from bench.learning.live import LiveSwinger, require_bench
     from bench.network.client import BenchClient
 
@@ -274,10 +265,6 @@ def mark_from_person() -> tuple[float, float] | None:
 
 
 def _table(result: LearningResult, name: str) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    from bench.lifecycle import CAUSE_TEXT
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{name}: what each swing delivered")
     units = ("strike mm", "head m/s", "lean °", "attack °", "path mrad", "at limit %")

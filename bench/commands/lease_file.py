@@ -70,11 +70,8 @@ def open_lease_file(folder: Path, bench: str) -> Iterator[LeaseFile]:
     with os.fdopen(descriptor, "r+", encoding="utf-8") as file:
         status = os.fstat(descriptor)
         if status.st_uid != os.geteuid() or stat.S_IMODE(status.st_mode) & 0o077:
-            raise BenchError(
-                str(path),
-                f"mode {stat.S_IMODE(status.st_mode):o} of user {status.st_uid}",
-                "mode 600 of this user: it holds the key to the bench",
-                "Remove the file and take the lease again.",
-            )
+            found = f"mode {stat.S_IMODE(status.st_mode):o} of user {status.st_uid}"
+            expected = "mode 600 of this user: it holds the key to the bench"
+            raise BenchError(str(path), found, expected, "Remove the file and take the lease again.")
         fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield LeaseFile(file)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import signal
+import tempfile
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -87,8 +91,7 @@ def nodes(
         typer.Option(metavar="DIR", help="Folder of the plant's shared records.", show_default="temporary"),
     ] = None,
     dbc: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write a DBC file of all bus frames and exit."),
+        Path | None, typer.Option(metavar="FILE", help="Write a DBC file of all bus frames and exit.")
     ] = None,
     encoder: Annotated[
         str,
@@ -130,7 +133,6 @@ def nodes(
         dbc.write_text(describe(c.canopen, 1.0 / c.loop.rate, c.driver.watchdog), encoding="ascii")
         typer.echo(f"{dbc}: the frames of channel {c.canopen.channel}")
         return
-    import tempfile
 
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -146,8 +148,6 @@ def turn_regulator(folder: Path | None, bar: str) -> None:
     Raises:
         NotTurned: no nodes are there, or `bar` is neither a pressure nor `service`.
     """
-    import math
-
     from bench.commissioning.regulator import SERVICE, of_simulation
     from drivers.base.shared_record import SharedMemoryError
 
@@ -173,8 +173,6 @@ def show_scan(configuration: Configuration) -> None:
         NoBus: the bus cannot be opened.
         UnfitNodes: a configured node is missing or would be refused.
     """
-    from datetime import UTC, datetime
-
     from bench.calibration.archive import calibration_of
     from drivers.base import DriverError
     from drivers.canopen.scan import scan
@@ -226,8 +224,6 @@ def play(plan: NodesPlan) -> None:
     Raises:
         NoBus: the bus or the plant's files cannot be had.
     """
-    import signal
-
     import can
 
     from drivers.base.shared_record import SharedMemoryError

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import getpass
 import os
-import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.commands.session import Session
+from bench.commands.session import Json, Session, show_json, user_name
 
 if TYPE_CHECKING:
     from bench.network.bench_service import BenchStatus
@@ -34,7 +32,6 @@ Wait = Annotated[bool, typer.Option("--wait", help="Wait until it is done; the l
 Timeout = Annotated[
     float, typer.Option(metavar="S", min=1.0, max=600.0, help="Longest time to wait with --wait.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 LONGEST_SWAY = 10.0
 """s for which a command without --wait asks again while the robot sways or chambers vent."""
@@ -187,7 +184,7 @@ def take_lease(
     from bench.network.client import CommandRefused
     from bench.network.lease import DEFAULT
 
-    name = holder or f"{getpass.getuser()}@{socket.gethostname()}"
+    name = holder or user_name()
     with _client(context) as bench, open_lease_file(_folder(), bench.bench) as file:
         kept = file.read()
         if kept is not None and kept.holder == name:
@@ -228,12 +225,10 @@ def release_lease(context: typer.Context) -> None:
 @lease_app.command("show")
 def show_lease(context: typer.Context, json_: Json = False) -> None:
     """Show who holds the bench."""
-    import json
-
     with _client(context) as bench:
         held = bench.status()["lease"]
         if json_:
-            typer.echo(json.dumps(held))
+            show_json(held)
         elif held is None:
             typer.echo(f"bench {bench.bench}: lease not held")
         else:

@@ -22,8 +22,7 @@ def page(
         str, typer.Option(metavar="PATH", help="Certificate and key for TLS, without ending.")
     ] = "",
     tokens: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Tokens to sign in with, one a line: operator TOKEN."),
+        Path | None, typer.Option(metavar="FILE", help="Tokens to sign in with, one a line: operator TOKEN.")
     ] = None,
 ) -> None:
     """Serve the bench's page: its state, and its commands, in a browser.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -40,8 +41,6 @@ def run(
 
     It starts in ESTOP. Continue in another terminal: golfbench lease take, reset, home, arm, swing.
     """
-    import logging
-
     from bench.config import contradictions, unheard_phases
     from bench.daemon import Daemon
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from bench.commands.session import Session
+from bench.commands.session import Session, show_json
 
 
 def schema(context: typer.Context) -> None:
@@ -12,9 +12,7 @@ def schema(context: typer.Context) -> None:
 
     A running bench answers the same on golfbench/BENCH/schema.
     """
-    import json
-
     from bench.network.wire_contract import wire_contract
 
     bench = context.ensure_object(Session).configuration().bench.id
-    typer.echo(json.dumps(wire_contract(bench), indent=2))
+    show_json(wire_contract(bench))

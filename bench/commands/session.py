@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import getpass
+import json
+import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
     from bench.address import BenchAddress
     from bench.config import Configuration
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 ClubName = Annotated[
     str | None,
@@ -24,6 +29,16 @@ ProfileName = Annotated[
     typer.Argument(metavar="PROFILE", help="Name or path of a profile.", show_default="the configuration's"),
 ]
 """Argument of a command that tries a swing: this profile instead of the configuration's."""
+
+
+def user_name() -> str:
+    """Return the default name of who commands, user@host."""
+    return f"{getpass.getuser()}@{socket.gethostname()}"
+
+
+def show_json(content: Any) -> None:
+    """Print `content` as JSON for a program."""
+    typer.echo(json.dumps(content, indent=2))
 
 
 @dataclass

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from math import degrees, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.progress import TaskID
+from rich.table import Table
 
+from bench.commands.progress import progress_bar
 from bench.commands.session import Session
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
+from bench.errors import BenchError
+from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
-    from rich.progress import TaskID
-    from rich.table import Table
-
     from bench.sizing.catalogue import Catalogue
     from bench.sizing.hardware import Hardware
     from bench.sizing.point import SizedPoint
@@ -32,8 +37,7 @@ Output = Annotated[
 Speed = Annotated[float, typer.Option(metavar="M_PER_S", min=5.0, max=80.0, help="Head speed at the ball.")]
 Attack = Annotated[float, typer.Option(metavar="DEG", min=-8.0, max=8.0, help="Attack angle, + up.")]
 ClubName = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Club to swing.", show_default="the configuration's"),
+    str | None, typer.Option(metavar="NAME", help="Club to swing.", show_default="the configuration's")
 ]
 PartsFile = Annotated[
     Path | None,
@@ -47,12 +51,10 @@ NamesOrNone = Annotated[
     ),
 ]
 Absorbers = Annotated[
-    list[str] | None,
-    typer.Option(metavar="ARM,WRIST", help="Pair of absorbers of the grid; repeatable."),
+    list[str] | None, typer.Option(metavar="ARM,WRIST", help="Pair of absorbers of the grid; repeatable.")
 ]
 Pressures = Annotated[
-    list[float] | None,
-    typer.Option(metavar="BAR", help="Regulated pressure, bar absolute; repeatable."),
+    list[float] | None, typer.Option(metavar="BAR", help="Regulated pressure, bar absolute; repeatable.")
 ]
 Levers = Annotated[list[float] | None, typer.Option(metavar="MM", help="Wrist's lever; repeatable.")]
 Angles = Annotated[
@@ -96,7 +98,6 @@ def size(
     around the cheapest that exceeds the speed by 5 % single parts are made cheaper; for the cheapest of the
     front the whole swing is designed on the plant. Results are reused when the command is run again.
     """
-    from bench.interrupt import deferred_interrupt
     from bench.sizing.catalogue import load_catalogue, shipped_catalogue
     from bench.sizing.search import SizingRun
 
@@ -165,7 +166,6 @@ def _or_none(names: list[str] | None, own: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _pair(text: str) -> tuple[str, str]:
-    from bench.errors import BenchError
 
     arm, separator, wrist = text.partition(",")
     if not separator or not arm or not wrist:
@@ -176,8 +176,6 @@ def _pair(text: str) -> tuple[str, str]:
 @contextmanager
 def _shown() -> Iterator[Callable[[str, int, int], None]]:
     """Yield a function that shows how many cases of a step are done."""
-    from bench.commands.progress import progress_bar
-
     with progress_bar() as bar:
         tasks: dict[str, TaskID] = {}
 
@@ -191,11 +189,6 @@ def _shown() -> Iterator[Callable[[str, int, int], None]]:
 
 def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
     """Print the table, and write the picture, the figures and a configuration for each point of the front."""
-    import json
-    from dataclasses import asdict
-
-    from rich.console import Console
-
     from bench.config import load_configuration
     from bench.sizing.picture import draw_front
     from bench.sizing.point import non_dominated
@@ -224,8 +217,6 @@ def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
 
 def front_table(points: Sequence[SizedPoint], front: Sequence[SizedPoint]) -> Table:
     """Return a table of the front and of the points with a swing: the plan, then the swing."""
-    from rich.table import Table
-
     table = Table(title="Front: no other candidate is both faster and cheaper", title_justify="left")
     for name in ("vane", "arm", "wrist", "valves, hose, vents", "absorbers", "bar", "EUR"):
         table.add_column(name)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.errors import BenchError
+
 if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.simulation.sweep import Engine
@@ -31,7 +33,6 @@ def sweep_engine(configuration: Configuration, processes: int, cluster: str, cas
         BenchError: the cluster is not there, or a certificate for it.
     """
     from bench.address import identity_files
-    from bench.errors import BenchError
     from bench.simulation.local_engine import local_engine
 
     if not cluster:
@@ -39,12 +40,8 @@ def sweep_engine(configuration: Configuration, processes: int, cluster: str, cas
         return
     scheme, separator, rest = cluster.partition("://")
     if scheme not in ("tcp", "tls") or not separator or not rest:
-        raise BenchError(
-            "--cluster",
-            repr(cluster),
-            "tcp://HOST:PORT or tls://HOST:PORT",
-            "Copy what golfbench cluster says.",
-        )
+        expected = "tcp://HOST:PORT or tls://HOST:PORT"
+        raise BenchError("--cluster", repr(cluster), expected, "Copy what golfbench cluster says.")
     from bench.simulation.cluster_engine import connected
 
     files = identity_files(configuration.network.identity) if scheme == "tls" else None

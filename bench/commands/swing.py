@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
+from rich.progress import TaskID
 
 from bench.commands.compare import compare
-from bench.commands.session import ClubName, ProfileName, Session
+from bench.commands.progress import progress_bar
+from bench.commands.session import ClubName, Json, ProfileName, Session, show_json
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
+from bench.errors import BenchError, ExitCode, Refused
+from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
-    from rich.progress import TaskID
-
     from bench.config import Configuration
     from bench.design.designer import SwingDemand
     from bench.swing.golfers import Golfer
@@ -27,7 +32,6 @@ app = typer.Typer(invoke_without_command=True)
 app.command()(compare)
 
 Name = Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 @app.callback()
@@ -50,10 +54,6 @@ def swing(
 @app.command("list")
 def list_profiles(json_: Json = False) -> None:
     """Show the profiles that come with golfbench."""
-    import json
-
-    from rich.console import Console
-
     from bench.commands.swing_tables import listing
     from bench.swing.library import THESIS, find_profile, profile_names
     from bench.swing.profile import load_profile
@@ -62,7 +62,7 @@ def list_profiles(json_: Json = False) -> None:
     if json_:
         keys = ("text", "golfer", "club", "period", "impact_time", "duration", "delivery", "limits")
         found = [{"name": name} | {key: getattr(profile, key) for key in keys} for name, profile in profiles]
-        typer.echo(json.dumps(found, indent=2))
+        show_json(found)
         return
     console = Console()
     console.print(listing(profiles) if profiles else "No profiles here yet.")
@@ -82,8 +82,6 @@ def show(
     ] = False,
 ) -> None:
     """Show a profile: phases and times, planned delivery, limits."""
-    from rich.console import Console
-
     from bench.commands.swing_tables import details, draw
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, profile_text
@@ -141,15 +139,8 @@ def simulate(
 def _simulate(
     configuration: Configuration, name: str, club: str | None, ball: str | None, output: Path, json_: bool
 ) -> None:
-    import json
-    from contextlib import nullcontext
-    from datetime import UTC, datetime
-
-    from rich.console import Console
 
     from bench.design.outcome import outcome_record, outcome_table, write_outcome
-    from bench.errors import ExitCode
-    from bench.interrupt import deferred_interrupt
     from bench.readiness import assess_bench
     from bench.shot.recorded_shot import FlightConditions
     from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
@@ -169,7 +160,7 @@ def _simulate(
         record = outcome_record(result, datetime.now(UTC))
         files = write_outcome(output, result, bench.metadata(record | result.replay_metadata()))
     if json_:
-        typer.echo(json.dumps(record | {"files": [str(file) for file in files]}, indent=2))
+        show_json(record | {"files": [str(file) for file in files]})
     else:
         console.print(outcome_table(result, plant, record))
         console.print("Files: " + ", ".join(map(str, files)), highlight=False)
@@ -190,15 +181,8 @@ def check(
     Each reaction, each valve stuck open or shut, a silent bench, a missing ball and a fat shot, against the
     ratings of stops and chambers. Exits with 1 if any of them ends unsafe.
     """
-    import json
-    from datetime import UTC, datetime
-
-    from rich.console import Console
-
     from bench.commands.check_table import check_record, check_table
-    from bench.commands.progress import progress_bar
     from bench.design.check import SwingCheck, summarise
-    from bench.errors import ExitCode
     from bench.readiness import assess_bench
 
     configuration = context.ensure_object(Session).configuration()
@@ -214,7 +198,7 @@ def check(
         bar.update(task, completed=1.0)
     summaries = summarise(outcomes)
     if json_:
-        typer.echo(json.dumps(check_record(swing.name, outcomes, summaries), indent=2))
+        show_json(check_record(swing.name, outcomes, summaries))
     else:
         Console().print(check_table(swing.name, outcomes, summaries))
     if any(summary.unsafe for summary in summaries):
@@ -267,11 +251,7 @@ Margin = Annotated[
 Backswing = Annotated[
     float | None,
     typer.Option(
-        metavar="S",
-        min=0.5,
-        max=3.0,
-        help="Duration of the backswing.",
-        show_default="0.85, or the golfer's",
+        metavar="S", min=0.5, max=3.0, help="Duration of the backswing.", show_default="0.85, or the golfer's"
     ),
 ]
 Downswing = Annotated[
@@ -305,8 +285,7 @@ Start = Annotated[
     ),
 ]
 Near = Annotated[
-    str | None,
-    typer.Option("--near", metavar="PROFILE", help="Keep near the downswing of this swing."),
+    str | None, typer.Option("--near", metavar="PROFILE", help="Keep near the downswing of this swing.")
 ]
 
 
@@ -345,11 +324,8 @@ def design(
     Deterministic. A demand out of reach is refused with its limit; --nearest designs the nearest swing and
     shows the deviations. A swing that `golfbench check` would refuse is not written.
     """
-    import math
-
     from bench.design.designer import DesignFailed, SwingDemand
     from bench.design.planned_openings import require_planned_openings
-    from bench.errors import BenchError
     from bench.swing.golfers import find_golfer
 
     configuration = context.ensure_object(Session).configuration()
@@ -383,8 +359,6 @@ def design(
 
 def _show_deviations(plant: PlantParameters, golfer: Golfer, swing: Profile) -> None:
     """Print how `swing` differs from `golfer`'s, and where the robot's ranges end."""
-    from rich.console import Console
-
     from bench.commands.golfers_table import deviations_table, golfer_row, reach_table
 
     rows = [golfer_row(plant, golfer, swing)]
@@ -404,7 +378,6 @@ def _with_motion(
     `speed` (m/s) and the `times` of backswing and downswing (s) override those of golfer and profile.
     """
     from bench.design.follow import demand_like, demand_near
-    from bench.errors import Refused
     from bench.swing.golfers import human_downswing
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
@@ -431,8 +404,6 @@ def _profile_named(name: str | None) -> Profile | None:
 @contextmanager
 def _design_progress() -> Iterator[Callable[[str, float], None]]:
     """Yield a function that shows the finished part (0 to 1) of a step of the design."""
-    from bench.commands.progress import progress_bar
-
     with progress_bar() as bar:
         tasks: dict[str, TaskID] = {}
 
@@ -452,7 +423,6 @@ def _show_highest_speed(
     workers: tuple[int, str],
 ) -> None:
     """Print the highest head speed, its limit, and what would raise it; `workers`: processes, cluster."""
-    from bench.commands.progress import progress_bar
     from bench.design.highest_speed import TOGETHER, DownswingStudy, highest_speed
 
     c, unwatched = configuration, configuration.envelope.with_model_check("off")
@@ -537,11 +507,6 @@ def limits(
     Draws robots within their tolerances, swings and stops each without a fault, and sets the limits above all
     their deviations. Minutes.
     """
-    from datetime import UTC, datetime
-
-    from rich.console import Console
-
-    from bench.commands.progress import progress_bar
     from bench.control.model_limits import save_limits
     from bench.design.model_limits import make_limits
     from bench.readiness import assess_bench
@@ -576,7 +541,6 @@ def address(
     the robot came to its address.
     """
     from bench.control.planned_air import with_planned_air
-    from bench.errors import BenchError
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, save_profile
 
@@ -610,10 +574,6 @@ def golfers(
 
     Their motion is Hunt's with a free wrist, scaled in time and amplitude to their tempo and head speed.
     """
-    import json
-
-    from rich.console import Console
-
     from bench.commands.golfers_table import (
         deviations_table,
         draw_golfers,
@@ -636,7 +596,7 @@ def golfers(
     if plot is not None and rows:
         draw_golfers(rows, plant, plot)
     if json_:
-        typer.echo(json.dumps([golfer_record(plant, row) for row in rows], indent=2))
+        show_json([golfer_record(plant, row) for row in rows])
         return
     console = Console()
     if not rows:
@@ -667,7 +627,6 @@ def _golfers_own(c: Configuration) -> dict[str, Profile]:
 
 
 def _require_picture(plot: Path | None) -> None:
-    from bench.errors import BenchError
 
     if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise BenchError("--plot", str(plot), "a name that ends in .png, .svg or .pdf", "Change its ending.")

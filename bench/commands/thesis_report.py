@@ -252,13 +252,7 @@ def _draw_table(axes: Axes, experiment: ThesisExperiment, row: int) -> None:
 
 def _name_instant(axes: Axes, time: float, name: str, colour: str, side: str) -> None:
     axes.annotate(
-        name,
-        (time, 0.98),
-        xycoords=("data", "axes fraction"),
-        ha=side,
-        va="top",
-        rotation=90,
-        color=colour,
+        name, (time, 0.98), xycoords=("data", "axes fraction"), ha=side, va="top", rotation=90, color=colour
     )
 
 

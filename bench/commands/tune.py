@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import degrees, isfinite, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
 
-from bench.commands.session import ProfileName, Session
+from bench.commands.progress import progress_bar
+from bench.commands.session import Json, ProfileName, Session, show_json
+from bench.errors import ExitCode
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-    from rich.table import Table
-
     from bench.control.linear_loop import Estimator
     from bench.control.linear_plant import Frozen
     from bench.control.machine_gains import MachineGains
@@ -35,7 +40,6 @@ MethodName = Annotated[
 Output = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Write a configuration with the gains, .toml.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
 
 
 def tune(
@@ -50,13 +54,7 @@ def tune(
     Deterministic. Whole swings prove the gains, also on a worn robot. Exits with 1 and writes nothing if
     the configured robot does not swing with what was found.
     """
-    import json
-
-    from rich.console import Console
-
-    from bench.commands.progress import progress_bar
     from bench.design.validate import require_possible
-    from bench.errors import ExitCode
     from bench.simulation.series import Bench
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
@@ -77,7 +75,7 @@ def tune(
     failed = bool(proofs) and bool(proofs["nominal"][1].failure)
     machine = _machine(tuned)
     if json_:
-        typer.echo(json.dumps(_record(method, tuned, judged, proofs, recipe, machine), indent=2))
+        show_json(_record(method, tuned, judged, proofs, recipe, machine))
     else:
         console = Console()
         console.print(margins_table(f"margins along {swing.name}", judged))
@@ -111,8 +109,6 @@ def _linearised(bench: Bench) -> tuple[list[Frozen], Estimator]:
 
 def _tuned(method: Method, bench: Bench, bar: Progress) -> tuple[Bench, Recipe | None]:
     """Return `bench` with the gains by `method`, and the thesis' recipe if they are by it."""
-    from dataclasses import replace
-
     from bench.tuning.gains import with_gains
     from bench.tuning.recipe import tune_by_recipe
 
@@ -168,11 +164,6 @@ def _write_gains(output: Path, tuned: Bench, base: Path, method: Method, swing: 
 
 def margins_table(title: str, judged: Judged) -> Table:
     """Return the table of the loops' margins, one row an instant and joint."""
-    from math import degrees, isfinite, pi
-
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     from drivers.base import JOINTS
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), title=title, title_justify="left")
@@ -214,7 +205,7 @@ def _story(
 
     lines = [
         "Joints slide, spools are beyond their dead band, the motion is frozen at each instant. The top, "
-        "where dry friction holds the joints, and the downswing are shown, but not judged.",
+        "where dry friction holds the joints, and the downswing are shown, but not judged."
     ]
     if machine is not None:
         lines += ["", *_by_pose(machine)]
@@ -236,8 +227,6 @@ def _story(
 
 def _by_pose(machine: MachineGains) -> list[str]:
     """Return what gains by pose reach over the whole working range, and what limits them."""
-    from math import degrees
-
     from bench.control.machine_gains import RequiredMargins
     from drivers.base import JOINTS
 
@@ -263,8 +252,6 @@ def _by_pose(machine: MachineGains) -> list[str]:
 
 def _worst(judged: Judged) -> str:
     """Return the worst margins of all loops in words."""
-    from math import degrees
-
     margins = [loop.margins for loop in judged.loops]
     gain, phase = min(m.gain for m in margins), degrees(min(m.phase for m in margins))
     delay, ratio = 1e3 * min(m.delay for m in margins), min(judged.damping_ratio.values())
@@ -284,7 +271,6 @@ def _record(
     recipe: Recipe | None,
     machine: MachineGains | None,
 ) -> dict[str, Any]:
-    from math import isfinite
 
     from bench.control.gain_table import gains_at
     from drivers.base import JOINTS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.commands.progress import progress_bar
 from bench.commands.session import Session
+from bench.errors import BenchError
 from bench.interrupt import stop_on_signals
 
 if TYPE_CHECKING:
@@ -27,24 +30,21 @@ _TURN = 0.2
 def view(
     context: typer.Context,
     shot: Annotated[
-        Path | None,
-        typer.Option(metavar="RECORD", help="Show a swing's record, .parquet."),
+        Path | None, typer.Option(metavar="RECORD", help="Show a swing's record, .parquet.")
     ] = None,
     campaign: Annotated[
         list[Path] | None,
         typer.Option(metavar="PATH", help="Show a series: a folder of records, or a record; repeatable."),
     ] = None,
     save: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write a Rerun file, .rrd; no window unless --web."),
+        Path | None, typer.Option(metavar="FILE", help="Write a Rerun file, .rrd; no window unless --web.")
     ] = None,
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")] = False,
     connect: Annotated[
         str | None, typer.Option(metavar="URL", help="Send to a running Rerun viewer.")
     ] = None,
     port: Annotated[
-        int | None,
-        typer.Option(min=1024, max=65535, help="Port of the web page.", show_default="a free one"),
+        int | None, typer.Option(min=1024, max=65535, help="Port of the web page.", show_default="a free one")
     ] = None,
     memory_limit: Annotated[
         str, typer.Option(metavar="SIZE", help="Memory of the viewer; beyond it the oldest data are dropped.")
@@ -74,8 +74,6 @@ def _check(
     port: int | None,
 ) -> None:
     """Refuse options that contradict each other."""
-    from bench.errors import BenchError
-
     if shot is not None and campaign:
         raise BenchError("--shot and --campaign", "both", "one of the two", "Leave one out.")
     if web and connect is not None:
@@ -99,7 +97,6 @@ def _view_records(
     port: int | None,
     memory_limit: str,
 ) -> None:
-    from bench.commands.progress import progress_bar
     from bench.viewer.recording import layout_for, log_shots, write_recording
 
     with progress_bar() as progress:
@@ -150,7 +147,6 @@ def _view_bench(
     port: int | None,
     memory_limit: str,
 ) -> None:
-    import time
 
     import rerun as rr
 
@@ -224,17 +220,11 @@ def _window(
 def _sink(window: RerunWindow | None, connect: str | None) -> Any:
     import rerun as rr
 
-    from bench.errors import BenchError
-
     try:
         return rr.GrpcSink(connect if window is None else window.url)
     except (ValueError, RuntimeError) as error:
-        raise BenchError(
-            "--connect",
-            str(connect),
-            "an address such as rerun+http://127.0.0.1:9876/proxy",
-            f"Correct it: {error}",
-        ) from None
+        expected = "an address such as rerun+http://127.0.0.1:9876/proxy"
+        raise BenchError("--connect", str(connect), expected, f"Correct it: {error}") from None
 
 
 def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout) -> rr.RecordingStream:

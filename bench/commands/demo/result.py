@@ -91,12 +91,8 @@ def new_folder(output: Path | None, configuration: Configuration, begin: datetim
         folder.mkdir(parents=True, exist_ok=True)
         used = any(folder.iterdir())
     except OSError as error:
-        raise BenchError(
-            str(folder),
-            error.strerror or str(error),
-            "a folder to write to",
-            "Name another one with --output.",
-        ) from error
+        cure = "Name another one with --output."
+        raise BenchError(str(folder), error.strerror or str(error), "a folder to write to", cure) from error
     if used:
         raise Refused(str(folder), "files in it", "a new or empty folder", "Name another one with --output.")
     return folder
@@ -140,10 +136,4 @@ def write_result(
         "(standard deviations)"
     )
     written = [path for path in files if path.exists()]
-    screen.finish(
-        scatter,
-        entry.seed,
-        written,
-        stopped if interrupted else outcome.reason,
-        found,
-    )
+    screen.finish(scatter, entry.seed, written, stopped if interrupted else outcome.reason, found)

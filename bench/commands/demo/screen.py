@@ -101,14 +101,7 @@ class Screen:
         if self._live is not None:
             self._live.refresh()
 
-    def finish(
-        self,
-        scatter: str,
-        seed: int,
-        files: Sequence[Path],
-        stopped: str,
-        found: Findings,
-    ) -> None:
+    def finish(self, scatter: str, seed: int, files: Sequence[Path], stopped: str, found: Findings) -> None:
         """Print the result: table, what was varied, verdict, and where the `files` are.
 
         `stopped`: why it ended early, else empty.
