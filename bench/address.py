@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Protocol
 
 from bench.configuration_files import PRINT, find_configuration, read_layers
 from bench.errors import BenchError
-from bench.from_toml import Builder, format_value, place_of
+from bench.from_toml import Builder, Mistake, errors_of, format_value
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 """Name of a person or machine in a certificate."""
@@ -89,7 +89,7 @@ def load_address(path: Path | None = None) -> BenchAddress:
         tree, file, cure, f"Add it; {PRINT} prints every key.", faults=faults
     ).build(BenchAddress)
     if address is not None:
-        faults += [BenchError(place_of(tree, file, key), *rest) for key, *rest in address_mistakes(address)]
+        faults += errors_of(address_mistakes(address), tree, file)
     if address is None or faults:
         raise ExceptionGroup(f"{file} has no valid address of a bench", faults)
     return address
@@ -108,7 +108,7 @@ def _defaults() -> dict[str, Any]:
     }
 
 
-def address_mistakes(of: Addressed) -> Iterator[tuple[str, str, str, str]]:
+def address_mistakes(of: Addressed) -> Iterator[Mistake]:
     """Yield the mistakes in name and addresses: key, found, expected, action."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}", of.bench.id):
         expected = "letters, digits, - and _, at most 63"

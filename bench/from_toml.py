@@ -12,7 +12,7 @@ import re
 import sys
 import tomllib
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from math import pi
 from pathlib import Path
@@ -48,6 +48,15 @@ class Leaf(NamedTuple):
 
 Tree = dict[str, "Tree | Leaf"]
 """Tables of a file; values under the name of their field, without suffix."""
+
+
+Mistake = tuple[str, str, str, str]
+"""What a rule across keys finds: key, found, expected, cure."""
+
+
+def errors_of(mistakes: Iterable[Mistake], tree: Tree, file: Path) -> list[BenchError]:
+    """Return the errors of `mistakes`, each at its key as its author wrote it."""
+    return [BenchError(place_of(tree, file, key), *rest) for key, *rest in mistakes]
 
 
 def read_toml(path: Path, expected: str, cure: str) -> dict[str, Any]:

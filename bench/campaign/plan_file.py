@@ -13,14 +13,24 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from datetime import date
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 from bench.campaign.plan import STATED, CampaignPlan, Quantity, levels
 from bench.campaign.rules import rule_names
 from bench.campaign.sequence import hits_needed
 from bench.config import Configuration, variants_with
 from bench.errors import BenchError, did_you_mean
-from bench.from_toml import Builder, Leaf, Tree, as_tree, format_value, laid_over, place_of, read_toml
+from bench.from_toml import (
+    Builder,
+    Leaf,
+    Mistake,
+    Tree,
+    as_tree,
+    errors_of,
+    format_value,
+    laid_over,
+    read_toml,
+)
 from sim.ball import Ball
 from sim.robot import Club
 
@@ -65,8 +75,7 @@ def load_plan(path: Path, configuration: Configuration) -> CampaignPlan:
     plan = _build({**laid_over(base, given), **entries}, file, faults)
     if plan is not None:
         balls, clubs = {**configuration.balls, **plan.balls}, {**configuration.clubs, **plan.clubs}
-        for key, found, wanted, cure in _mistakes(plan, balls, clubs):
-            faults.append(BenchError(place_of(given, file, key), found, wanted, cure))
+        faults += errors_of(_mistakes(plan, balls, clubs), given, file)
         plan = replace(
             plan,
             balls={name: balls[name] for name in plan.ball_names if name in balls},
@@ -131,15 +140,6 @@ def _completed(
     return done
 
 
-class Mistake(NamedTuple):
-    """Yield the errors that concern several keys."""
-
-    key: str
-    found: str
-    expected: str
-    cure: str
-
-
 _SECTIONS = {"design.balls": "balls", "control.ball": "balls", "design.clubs": "clubs"}
 """Section of the configuration that has the names of a key."""
 
@@ -155,12 +155,8 @@ def _unknown_cure(section: str, name: str, known: Mapping[str, Any]) -> str:
 def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) -> Iterator[Mistake]:
     d = plan.design
     if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", plan.campaign.name):
-        yield Mistake(
-            "campaign.name",
-            format_value(plan.campaign.name),
-            "small letters, digits and -",
-            "It names files.",
-        )
+        found = format_value(plan.campaign.name)
+        yield "campaign.name", found, "small letters, digits and -", "It names files."
     for key, names, known in (
         ("design.balls", d.balls, balls),
         ("control.ball", filter(None, (plan.control.ball,)), balls),
@@ -169,42 +165,34 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
         for name in names:
             if name not in known:
                 cure = _unknown_cure(_SECTIONS[key], name, known)
-                yield Mistake(key, f"{format_value(name)}, unknown", f"one of {', '.join(known)}", cure)
+                yield key, f"{format_value(name)}, unknown", f"one of {', '.join(known)}", cure
     for key, names in (("balls", d.balls), ("clubs", d.clubs), ("swings", d.swings)):
         for name in names:
             if not name or name != name.strip() or not name.isprintable():
                 wanted = "a name of printable characters, without spaces at its ends"
-                yield Mistake(f"design.{key}", format_value(name), wanted, "Reports and prompts show it.")
+                yield f"design.{key}", format_value(name), wanted, "Reports and prompts show it."
         if not names or len(set(names)) < len(names):
-            yield Mistake(
-                f"design.{key}", format_value(list(names)), "at least one, each once", "Correct it."
-            )
+            yield f"design.{key}", format_value(list(names)), "at least one, each once", "Correct it."
     for swing, profiles in plan.swings.items():
         if swing not in d.swings:
-            yield Mistake(
-                f"swings.{swing}", "a swing", f"one of {', '.join(d.swings)}", "Add it to design.swings."
-            )
+            yield f"swings.{swing}", "a swing", f"one of {', '.join(d.swings)}", "Add it to design.swings."
         for club in profiles.keys() - set(d.clubs):
-            yield Mistake(
-                f"swings.{swing}.{club}",
-                "a profile",
-                f"a club of {', '.join(d.clubs)}",
-                "Add it to design.clubs.",
-            )
+            wanted = f"a club of {', '.join(d.clubs)}"
+            yield f"swings.{swing}.{club}", "a profile", wanted, "Add it to design.clubs."
     for club in plan.preparation.keys() - set(d.clubs):
         wanted = f"one of {', '.join(d.clubs)}"
-        yield Mistake(f"preparation.{club}", "a club", wanted, "Add it to design.clubs.")
+        yield f"preparation.{club}", "a club", wanted, "Add it to design.clubs."
     yield from _stop(plan)
     yield from _split(plan)
     if 0 < plan.interruption.restart_after <= d.seconds_per_shot:
         found = f"{plan.interruption.restart_after:g}"
         expected = f"more than design.seconds_per_shot, {d.seconds_per_shot:g}; or 0"
-        yield Mistake("interruption.restart_after", found, expected, "Every shot would restart its block.")
+        yield "interruption.restart_after", found, expected, "Every shot would restart its block."
     if plan.gate.centre == "warm-up" and not plan.warm_up.at_most:
-        yield Mistake("gate.centre", '"warm-up"', '"planned", for there is no warm-up', "Correct it.")
+        yield "gate.centre", '"warm-up"', '"planned", for there is no warm-up', "Correct it."
     if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
         found = str(plan.warm_up.at_most)
-        yield Mistake("warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it.")
+        yield "warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it."
     yield from _carry(plan)
     yield from _hits(plan)
     yield from _covariates(plan)
@@ -216,19 +204,16 @@ def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
     """Yield an error if the stopping rule lacks what it needs."""
     stop, d = plan.stop, plan.design
     if stop.rule != "fixed" and stop.blocks_at_least > d.blocks:
-        yield Mistake(
-            "stop.blocks_at_least", str(stop.blocks_at_least), f"up to design.blocks, {d.blocks}", "Lower it."
-        )
+        wanted = f"up to design.blocks, {d.blocks}"
+        yield "stop.blocks_at_least", str(stop.blocks_at_least), wanted, "Lower it."
     if stop.rule != "fixed" and stop.looks < 2:
-        yield Mistake(
-            "stop.looks", str(stop.looks), "at least 2: the last one is after all blocks", "Raise it."
-        )
+        yield "stop.looks", str(stop.looks), "at least 2: the last one is after all blocks", "Raise it."
     if stop.rule == "width" and not stop.width:
-        yield Mistake("stop.width", "0", "a half width above 0 for the rule width", "Set it.")
+        yield "stop.width", "0", "a half width above 0 for the rule width", "Set it."
     if stop.rule == "equivalence" and not plan.analysis.margin:
-        yield Mistake("analysis.margin", "0", "a margin above 0 for the rule equivalence", "Set it.")
+        yield "analysis.margin", "0", "a margin above 0 for the rule equivalence", "Set it."
     if stop.rule != "fixed" and len(levels(plan)) < 2:
-        yield Mistake("stop.rule", format_value(stop.rule), '"fixed": there is one level only', "Correct it.")
+        yield "stop.rule", format_value(stop.rule), '"fixed": there is one level only', "Correct it."
 
 
 def _split(plan: CampaignPlan) -> Iterator[Mistake]:
@@ -239,28 +224,28 @@ def _split(plan: CampaignPlan) -> Iterator[Mistake]:
     if d.compare != "club":
         found = f"{d.hits_per_mounting}, comparing {d.compare}s"
         cure = "Leave it out: each club is a section, and is mounted once."
-        yield Mistake("design.hits_per_mounting", found, "0 unless clubs are compared", cure)
+        yield "design.hits_per_mounting", found, "0 unless clubs are compared", cure
         return
     if len(d.clubs) > 1 and d.blocks < 2:
         cure = "Each club is mounted once in each block; one mounting does not show how mountings differ."
-        yield Mistake("design.blocks", str(d.blocks), "at least 2 in a split-plot", cure)
+        yield "design.blocks", str(d.blocks), "at least 2 in a split-plot", cure
     if plan.control.ball:
         found, cure = format_value(plan.control.ball), "Leave it out: blocks take the drift out of clubs."
-        yield Mistake("control.ball", found, "none in a split-plot", cure)
+        yield "control.ball", found, "none in a split-plot", cure
 
 
 def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
     """Yield an error for each unknown rule, and for each stated uncertainty of an unknown quantity."""
     for name in plan.rules.apply:
         if name not in rule_names():
-            yield Mistake("rules.apply", format_value(name), f"of {', '.join(rule_names())}", "Correct it.")
+            yield "rules.apply", format_value(name), f"of {', '.join(rule_names())}", "Correct it."
     s = plan.set_up
     if bool(s.control_restitution) != bool(s.control_contact_time):
         missing = "control_contact_time" if s.control_restitution else "control_restitution"
-        yield Mistake(f"set_up.{missing}", "0", "both figures of the control ball, or neither", "Add it.")
+        yield f"set_up.{missing}", "0", "both figures of the control ball, or neither", "Add it."
     for name in plan.rules.uncertainty.keys() - set(get_args(Quantity)):
         wanted = ", ".join(get_args(Quantity))
-        yield Mistake(f"rules.uncertainty.{name}", "no quantity", f"one of {wanted}", "Correct it.")
+        yield f"rules.uncertainty.{name}", "no quantity", f"one of {wanted}", "Correct it."
 
 
 def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:
@@ -270,17 +255,17 @@ def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:
     for name, item in plan.items.items():
         if name not in known:
             cure = did_you_mean(name, known, "Correct it.")
-            yield Mistake(f"items.{name}", "an item", f"a ball or club of {', '.join(known)}", cure)
+            yield f"items.{name}", "an item", f"a ball or club of {', '.join(known)}", cure
         dates[f"items.{name}.received"] = item.received
     for name, stated in plan.calibrations.items():
         dates[f"calibrations.{name}.date"] = stated.date
         dates[f"calibrations.{name}.due"] = stated.due
         for quantity in stated.uncertainty.keys() - set(STATED):
             key, wanted = f"calibrations.{name}.uncertainty.{quantity}", f"one of {', '.join(STATED)}"
-            yield Mistake(key, "no quantity", wanted, "Correct it.")
+            yield key, "no quantity", wanted, "Correct it."
     for key, text in dates.items():
         if text and not _is_date(text):
-            yield Mistake(key, format_value(text), "a date as 2026-11-21", "Correct it.")
+            yield key, format_value(text), "a date as 2026-11-21", "Correct it."
 
 
 def _is_date(text: str) -> bool:
@@ -294,19 +279,14 @@ def _carry(plan: CampaignPlan) -> Iterator[Mistake]:
     """Yield an error if the named carry cannot answer the question."""
     a = plan.analysis
     if a.carry == "reference" and "symmetry" in plan.rules.apply:
-        yield Mistake(
-            "analysis.carry",
-            '"reference", while symmetry is judged: one ball\'s coefficients for pole and seam are the same',
-            '"monitor" or "measured"',
-            "Take a monitor that sees the whole flight, or measure the aerodynamics of each orientation.",
+        found = (
+            '"reference", while symmetry is judged: one ball\'s coefficients for pole and seam are the same'
         )
+        cure = "Take a monitor that sees the whole flight, or measure the aerodynamics of each orientation."
+        yield "analysis.carry", found, '"monitor" or "measured"', cure
     if a.carry == "monitor" and a.quantity in {"total_m", "landing_angle"}:
-        yield Mistake(
-            "analysis.carry",
-            f'"monitor", while {a.quantity} is compared, which a launch monitor does not report here',
-            '"reference" or "measured"',
-            "Name one of them, or compare carry_m.",
-        )
+        found = f'"monitor", while {a.quantity} is compared, which a launch monitor does not report here'
+        yield "analysis.carry", found, '"reference" or "measured"', "Name one of them, or compare carry_m."
 
 
 def _covariates(plan: CampaignPlan) -> Iterator[Mistake]:
@@ -315,16 +295,12 @@ def _covariates(plan: CampaignPlan) -> Iterator[Mistake]:
     if a.covariates and plan.design.compare != "ball":
         found = f"{format_value(list(a.covariates))}, comparing {plan.design.compare}s"
         cure = "Leave it out: clubs and swings differ by what they deliver."
-        yield Mistake("analysis.covariates", found, "none unless balls are compared", cure)
+        yield "analysis.covariates", found, "none unless balls are compared", cure
     if a.quantity in a.covariates:
-        yield Mistake("analysis.covariates", format_value(a.quantity), "not the quantity", "Leave it out.")
+        yield "analysis.covariates", format_value(a.quantity), "not the quantity", "Leave it out."
     if a.explained and not a.covariates:
-        yield Mistake(
-            "analysis.explained",
-            f"{a.explained:g}",
-            "0 without analysis.covariates",
-            "Name what explains it.",
-        )
+        wanted = "0 without analysis.covariates"
+        yield "analysis.explained", f"{a.explained:g}", wanted, "Name what explains it."
 
 
 def _hits(plan: CampaignPlan) -> Iterator[Mistake]:
@@ -334,9 +310,7 @@ def _hits(plan: CampaignPlan) -> Iterator[Mistake]:
     for name, needed in hits_needed(plan).items():
         if needed > allowed:
             samples = -(-needed // handling.hits)
-            yield Mistake(
-                "ball_handling.samples",
-                f"{handling.samples}; {needed} hits of {format_value(name)} are planned",
-                f"at most {handling.samples} x {handling.hits} = {allowed} hits",
-                f"Take {samples} samples of each ball, or fewer blocks.",
-            )
+            found = f"{handling.samples}; {needed} hits of {format_value(name)} are planned"
+            wanted = f"at most {handling.samples} x {handling.hits} = {allowed} hits"
+            cure = f"Take {samples} samples of each ball, or fewer blocks."
+            yield "ball_handling.samples", found, wanted, cure

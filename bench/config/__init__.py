@@ -2,18 +2,8 @@
 
 from bench.address import NAME, BenchSettings, NetworkSettings
 from bench.config.files import load_configuration
-from bench.config.rules import (
-    DATABASE_FILE,
-    contradictions,
-    database_url,
-    unheard_phases,
-)
-from bench.config.settings import (
-    Configuration,
-    DriverSettings,
-    LoopSettings,
-    SwingSettings,
-)
+from bench.config.rules import DATABASE_FILE, contradictions, database_url, unheard_phases
+from bench.config.settings import Configuration, DriverSettings, LoopSettings, SwingSettings
 from bench.configuration_files import (
     SHIPPED,
     VARIANTS,

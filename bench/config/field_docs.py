@@ -16,9 +16,6 @@ def field_docs(kind: Any) -> dict[str, str]:
     body = getattr(definition, "body", [])
     for node, below in pairwise(body):
         match node, below:
-            case (
-                ast.AnnAssign(target=ast.Name(id=name)),
-                ast.Expr(value=ast.Constant(value=str() as text)),
-            ):
+            case (ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str() as text))):
                 found[name] = text
     return found

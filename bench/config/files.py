@@ -16,7 +16,7 @@ from bench.config.rules import RULES
 from bench.config.settings import Configuration
 from bench.configuration_files import PRINT, SHIPPED, find_configuration, read_layers, shown_path
 from bench.errors import BenchError
-from bench.from_toml import Builder, Leaf, Tree, format_value, laid_over, place_of
+from bench.from_toml import Builder, Leaf, Tree, errors_of, format_value, laid_over, place_of
 
 
 def load_configuration(path: Path | None = None) -> Configuration:
@@ -38,8 +38,7 @@ def load_configuration(path: Path | None = None) -> Configuration:
     if configuration is not None:
         configuration = _with_derived(configuration, files)
         for rule in RULES:
-            for key, found, wanted, cure in rule(configuration, tree):
-                faults.append(BenchError(place_of(tree, file, key), found, wanted, cure))
+            faults += errors_of(rule(configuration, tree), tree, file)
     if faults:
         # Entries that are like another one repeat its mistakes.
         once = {str(fault): fault for fault in faults}

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.address import address_mistakes
-from bench.config.safety import Mistake, check_safety
+from bench.config.safety import check_safety
 from bench.config.settings import Configuration
 from bench.control.settings import (
     MODEL_PHASES,
@@ -21,7 +21,7 @@ from bench.control.settings import (
     ModelSettings,
 )
 from bench.errors import BenchError
-from bench.from_toml import Leaf, Tree, format_value
+from bench.from_toml import Leaf, Mistake, Tree, format_value
 from drivers.base.ranges import short
 from sim.faults import MAX_DELAY
 from sim.plant import HISTORY

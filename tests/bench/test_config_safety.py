@@ -49,10 +49,11 @@ def mistakes(c: Configuration) -> dict[str, str]:
 
 def with_value(c: Configuration, bound: Bound, number: float) -> Configuration:
     """Return `c` with one number of the bound's value changed."""
-    section = getattr(c, bound.section)
-    value = getattr(section, bound.name)
+    name, key = bound.key.split(".")
+    section = getattr(c, name)
+    value = getattr(section, key)
     changed = (*value[:-1], number) if isinstance(value, tuple) else number
-    return replace(c, **{bound.section: replace(section, **{bound.name: changed})})
+    return replace(c, **{name: replace(section, **{key: changed})})
 
 
 def test_what_is_shipped_holds(simulated: Configuration, real: Configuration) -> None:
