@@ -62,12 +62,9 @@ def add_calibration(
             )
         )
         if before is not None and before > date:
-            raise BenchError(
-                f"calibrate {kind}: date",
-                f"{date:%Y-%m-%d %H:%M:%S} UTC",
-                f"after the one before, of {before:%Y-%m-%d %H:%M:%S} UTC",
-                "Set this machine's clock: a calibration is only superseded by a later one.",
-            )
+            expected = f"after the one before, of {before:%Y-%m-%d %H:%M:%S} UTC"
+            cure = "Set this machine's clock: a calibration is only superseded by a later one."
+            raise BenchError(f"calibrate {kind}: date", f"{date:%Y-%m-%d %H:%M:%S} UTC", expected, cure)
         try:
             identity = connection.execute(statement.returning(CalibrationRow.id)).scalar_one()
         except IntegrityError as error:  # SQLite writes in turn, a server may not

@@ -211,12 +211,9 @@ def _with_ball(c: Configuration, ball: BallPosition) -> Configuration:
 def _with_zeros(c: Configuration, zeros: EncoderZeros, name: str) -> Configuration:
     counts = c.plant.encoders.counts_per_revolution
     if zeros.counts_per_revolution != counts:
-        raise BenchError(
-            name,
-            f"encoders of {zeros.counts_per_revolution} counts per revolution",
-            f"{counts}, as plant.encoders.counts_per_revolution says",
-            "Calibrate the encoders again, or correct the configuration.",
-        )
+        found = f"encoders of {zeros.counts_per_revolution} counts per revolution"
+        expected = f"{counts}, as plant.encoders.counts_per_revolution says"
+        raise BenchError(name, found, expected, "Calibrate the encoders again, or correct the configuration.")
     encoders = replace(c.plant.encoders, zero_count=zeros.zero_count, sign=zeros.sign)
     return replace(c, plant=replace(c.plant, encoders=encoders))
 

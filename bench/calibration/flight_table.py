@@ -107,12 +107,9 @@ def read_flights(path: Path, points: Path | None = None) -> FlightTable:
     trajectories = {} if points is None else _read_points(points)
     table = read_table(path, lambda key: _column(key) is not None)
     if "carry_source" in table.keys:
-        raise BenchError(
-            str(path),
-            "a campaign's shot table, whose apex and carry are computed",
-            "flights as a device measured them",
-            "Give the export of the full-flight monitor or indoor range.",
-        )
+        found = "a campaign's shot table, whose apex and carry are computed"
+        cure = "Give the export of the full-flight monitor or indoor range."
+        raise BenchError(str(path), found, "flights as a device measured them", cure)
     columns = _columns(table)
     flights, notes = list[MeasuredFlight](), [*table.notes]
     for line, row in table.rows:
@@ -241,11 +238,7 @@ def _flight(figures: dict[str, float], points: np.ndarray[Any, Any] | None) -> M
         axis = atan2(side, back) if side and back else 0.0
     return MeasuredFlight(
         Launch(
-            figures["speed"],
-            figures["launch_angle"],
-            figures.get("direction", 0.0),
-            figures["spin"],
-            axis,
+            figures["speed"], figures["launch_angle"], figures.get("direction", 0.0), figures["spin"], axis
         ),
         carry=figures.get("carry"),
         apex=figures.get("apex"),

@@ -107,12 +107,8 @@ def read_table(path: Path, known: Callable[[str], bool]) -> MeasurementTable:
     units, rows = tuple("" for _ in names), []
     for line, row in lines[first + 1 :]:
         if len(row) > len(names) and any(row[len(names) :]):
-            raise BenchError(
-                f"{path}, line {line}",
-                f"{len(row)} cells",
-                f"{len(names)}, as in the header",
-                "Correct the row: is a decimal comma the separator?",
-            )
+            place, cure = f"{path}, line {line}", "Correct the row: is a decimal comma the separator?"
+            raise BenchError(place, f"{len(row)} cells", f"{len(names)}, as in the header", cure)
         cells = (*row[: len(names)], *[""] * (len(names) - len(row)))
         if cells == names:
             continue

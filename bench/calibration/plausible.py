@@ -23,12 +23,8 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
         ExceptionGroup: of BenchErrors: with them the configuration would be inconsistent.
     """
     if isinstance(values, ClubInMount) and values.club not in configuration.clubs:
-        raise BenchError(
-            "calibrate club",
-            f'"{values.club}"',
-            f"one of {', '.join(configuration.clubs)}",
-            "Choose one, or add it under [clubs] first.",
-        )
+        place, expected = "calibrate club", f"one of {', '.join(configuration.clubs)}"
+        raise BenchError(place, f'"{values.club}"', expected, "Choose one, or add it under [clubs] first.")
     kind = next(kind for kind, of_kind in KINDS.items() if isinstance(values, of_kind))
     begin = datetime(2000, 1, 1, tzinfo=UTC)
     entry = Entry(0, configuration.bench.id, kind, 1, begin, begin + timedelta(days=1), "", "", "", values)
@@ -49,9 +45,5 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
 
 def _require_near(place: str, key: str, distance: float, most: float) -> None:
     if distance > most:
-        raise BenchError(
-            place,
-            f"{distance:.3f} m from what {key} says",
-            f"{most:g} m at most",
-            "Measure again; if the machine was rebuilt, correct the configuration first.",
-        )
+        cure = "Measure again; if the machine was rebuilt, correct the configuration first."
+        raise BenchError(place, f"{distance:.3f} m from what {key} says", f"{most:g} m at most", cure)

@@ -280,11 +280,7 @@ def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -
 
 
 def _described(
-    plan: CampaignPlan,
-    names: Sequence[str],
-    pair: tuple[int, int, Contrast],
-    hits: Codes,
-    balls: Codes,
+    plan: CampaignPlan, names: Sequence[str], pair: tuple[int, int, Contrast], hits: Codes, balls: Codes
 ) -> _Described:
     """Return a `pair` of levels with the fewest hits and balls of the two."""
     one, two, contrast = pair

@@ -31,25 +31,11 @@ from bench.campaign.plan import levels
 from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
 from bench.campaign.reader_units import DisplayUnit, UnitSystem, display_unit, number_text, two_digits
 from bench.campaign.ruling import DECISION_RULE
-from bench.campaign.signature import (
-    STATEMENT,
-    calibration_table,
-    item_table,
-    overdue,
-    particulars,
-)
+from bench.campaign.signature import STATEMENT, calibration_table, item_table, overdue, particulars
 from bench.campaign.verdicts import confidence_words, quantity_name
 from bench.shot.plot_style import marker_svg
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import (
-    CampaignEntry,
-    CampaignState,
-    Hit,
-    Prompt,
-    ShotExclusion,
-    ShotNote,
-    Standing,
-)
+from bench.store.campaigns import CampaignEntry, CampaignState, Hit, Prompt, ShotExclusion, ShotNote, Standing
 from bench.telemetry.whole_file import whole_file
 
 _ALL_ROWS = 1000

@@ -143,12 +143,7 @@ def findings_record(found: Findings) -> dict[str, Any]:
             }
             | _views_record(views)
             for analysis, verdicts, needed, notes, views in zip(
-                found.sections,
-                found.verdicts,
-                found.needed,
-                found.notes,
-                found.views,
-                strict=True,
+                found.sections, found.verdicts, found.needed, found.notes, found.views, strict=True
             )
         ],
         "repeatability": [

@@ -124,12 +124,8 @@ def require_count(prompt: Prompt, count: int) -> None:
     balls = balls_of(prompt)
     place, found = f"before shot {prompt.before_shot}", f"{count} balls loaded"
     if not balls:
-        raise Refused(
-            place,
-            found,
-            f"no number, as the prompt reads: {prompt.text}",
-            "Answer without a number of balls.",
-        )
+        expected = f"no number, as the prompt reads: {prompt.text}"
+        raise Refused(place, found, expected, "Answer without a number of balls.")
     if count < len(balls):
         cure = (
             f"Load the rest from {places(balls)[count]} on, if the others are by the list; then answer again."

@@ -97,12 +97,9 @@ def require_live(
     """
     place, lease = f"plan {plan.campaign.name}", status["lease"]
     if lease is not None and not lease["holder"].startswith(HOLDER):
-        raise Refused(
-            f"bench {status['bench']}",
-            f"held by {lease['holder']}, for another {lease['seconds_left']:.0f} s",
-            "a free bench",
-            "Ask for it, or wait: golfbench status.",
-        )
+        place = f"bench {status['bench']}"
+        found = f"held by {lease['holder']}, for another {lease['seconds_left']:.0f} s"
+        raise Refused(place, found, "a free bench", "Ask for it, or wait: golfbench status.")
     if not any(_fits(plan, club, profile, clubs, status) for (_, club), profile in profiles.items()):
         wanted = dict.fromkeys(f"{profiles[arm].name} with club {arm[1]}" for arm in profiles)
         raise Refused(

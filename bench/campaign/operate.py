@@ -13,11 +13,7 @@ from typing import Any
 
 from bench.calibration.aerodynamics_archive import newest_aerodynamics
 from bench.campaign.analysis import decide
-from bench.campaign.bench_calibrations import (
-    calibration_warnings,
-    calibrations_in_force,
-    speed_sensitivities,
-)
+from bench.campaign.bench_calibrations import calibration_warnings, calibrations_in_force, speed_sensitivities
 from bench.campaign.broadcast import Broadcast, Together
 from bench.campaign.carry import Measured, measured_of
 from bench.campaign.corrections import CampaignCorrections
@@ -267,20 +263,14 @@ def require_resumable(
     if state in ENDED:
         raise Refused(place, str(state), "an unfinished campaign", "Begin a new one.")
     if plan is not None and plan != plan_from_record(entry.plan, place):
-        raise Refused(
-            place,
-            "another plan than it was begun with",
-            f"the plan {entry.digest}, which is stored with it",
-            "Leave the file out to go on as planned, or begin a new campaign.",
-        )
+        found = "another plan than it was begun with"
+        cure = "Leave the file out to go on as planned, or begin a new campaign."
+        raise Refused(place, found, f"the plan {entry.digest}, which is stored with it", cure)
     changed = _changed(entry.configuration, configuration.effective())
     if changed := [key for key in changed if _can_change_a_shot(key)]:
-        raise Refused(
-            place,
-            f"a configuration that differs in {', '.join(changed[:5])}",
-            "the one it was begun with",
-            "Go on with --config and that configuration, or begin a new campaign.",
-        )
+        found = f"a configuration that differs in {', '.join(changed[:5])}"
+        cure = "Go on with --config and that configuration, or begin a new campaign."
+        raise Refused(place, found, "the one it was begun with", cure)
 
 
 def _changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") -> list[str]:
@@ -329,12 +319,8 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: s
     store.entry(campaign)
     standing = store.standing(campaign)
     if standing.state in ENDED:
-        raise Refused(
-            f"campaign {campaign}",
-            str(standing.state),
-            "an unfinished campaign",
-            "No action needed.",
-        )
+        place = f"campaign {campaign}"
+        raise Refused(place, str(standing.state), "an unfinished campaign", "No action needed.")
     if not is_running(data_dir, campaign):
         if request == "abort":
             reason = f"aborted by request{f' of {by}' if by else ''}"
@@ -382,12 +368,8 @@ def _locked(path: Path, place: str, name: str) -> Iterator[None]:
         if not try_lock(file.fileno()):
             file.seek(0)
             process, _, campaign = file.read().strip().partition(" ")
-            raise Refused(
-                place,
-                f"process {process}, which runs campaign {campaign}",
-                "no other runner",
-                f"Wait for it, or end it: golfbench campaign stop {campaign}",
-            )
+            expected, cure = "no other runner", f"Wait for it, or end it: golfbench campaign stop {campaign}"
+            raise Refused(place, f"process {process}, which runs campaign {campaign}", expected, cure)
         file.truncate(0)
         file.write(f"{os.getpid()} {name}")
         file.flush()

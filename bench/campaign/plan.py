@@ -281,12 +281,7 @@ class StatedCalibration:
     """Its degrees of freedom; 0: infinite."""
 
 
-STATED = (
-    *get_args(Quantity),
-    "air_temperature_k",
-    "air_pressure_pa",
-    "relative_humidity",
-)
+STATED = (*get_args(Quantity), "air_temperature_k", "air_pressure_pa", "relative_humidity")
 """Quantities whose uncertainty a calibration may state."""
 
 

@@ -51,12 +51,7 @@ def ranking(comparison: Comparison | None) -> tuple[RankedLevel, ...]:
         scatter = compact_letters([name for name in order if name in compared], unequal)
     return tuple(
         RankedLevel(
-            place,
-            name,
-            effects[name],
-            letters[name],
-            *_behind(pairs, name, order[0]),
-            scatter.get(name, ""),
+            place, name, effects[name], letters[name], *_behind(pairs, name, order[0]), scatter.get(name, "")
         )
         for place, name in enumerate(order, 1)
     )

@@ -134,12 +134,7 @@ def judge_rules(
 
 
 def _judged(
-    plan: CampaignPlan,
-    section: Section,
-    rule: RuleSet,
-    shots: Sequence[Shot],
-    day: date,
-    units: UnitSystem,
+    plan: CampaignPlan, section: Section, rule: RuleSet, shots: Sequence[Shot], day: date, units: UnitSystem
 ) -> list[RuleFinding]:
     tests = [s for s in shots if s.role == Role.TEST and s.status is ShotStatus.VALID]
     groups = {name: [s for s in tests if getattr(s, plan.design.compare) == name] for name in levels(plan)}

@@ -25,15 +25,7 @@ from bench.campaign.sequence import Role
 from bench.campaign.simulated import Taken
 from bench.errors import BenchError
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import (
-    CampaignEntry,
-    CampaignState,
-    CampaignStore,
-    Event,
-    Hit,
-    Prompt,
-    StoredShot,
-)
+from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, StoredShot
 from bench.store.database import DatabaseLocked
 from bench.telemetry.recorder import write_swing
 from bench.telemetry.whole_file import NotStored
@@ -343,12 +335,9 @@ class Runner:
         planned = (trial.role, trial.block, trial.position, trial.arm.swing, trial.arm.club, trial.arm.ball)
         stored = (shot.role, shot.block, shot.position, shot.swing, shot.club, shot.ball)
         if planned != stored or step.attempt != shot.attempt:
-            raise BenchError(
-                f"campaign {self._entry.id}, shot {shot.shot}",
-                f"stored as {stored}",
-                f"{planned} by its plan",
-                "Its records do not belong to its plan; start a new campaign.",
-            )
+            place = f"campaign {self._entry.id}, shot {shot.shot}"
+            cure = "Its records do not belong to its plan; start a new campaign."
+            raise BenchError(place, f"stored as {stored}", f"{planned} by its plan", cure)
 
     def _go_on(
         self, course: Course, step: Step | Ending, interrupted: Callable[[], bool], writer: ThreadPoolExecutor

@@ -276,14 +276,7 @@ class SimulatedShots:
                 self._swings.designed((swing, club)), file
             )
             around = FlightConditions(c.air, c.wind, c.turf)
-            bench = SimulatedBench(
-                profile,
-                self._nominal(club),
-                c.control,
-                c.envelope,
-                c.estimator,
-                around,
-            )
+            bench = SimulatedBench(profile, self._nominal(club), c.control, c.envelope, c.estimator, around)
             series = {
                 "campaign": self._plan.campaign.name,
                 "digest": self._plan.digest,

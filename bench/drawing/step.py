@@ -30,12 +30,9 @@ def load_build123d() -> Any:
     try:
         import build123d
     except ImportError as error:
-        raise BenchError(
-            "draw --format step",
-            f"no package build123d ({error})",
-            "the extra that makes exact solids",
-            'pip install "golfbench[cad]"; glTF and URDF need nothing more',
-        ) from error
+        found = f"no package build123d ({error})"
+        cure = 'pip install "golfbench[cad]"; glTF and URDF need nothing more'
+        raise BenchError("draw --format step", found, "the extra that makes exact solids", cure) from error
     return build123d
 
 

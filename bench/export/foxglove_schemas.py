@@ -19,12 +19,7 @@ _SWITCH: Schema = {"type": "boolean"}
 
 def record(title: str, properties: Mapping[str, Schema]) -> Schema:
     """Return the schema of an object with exactly the required `properties`."""
-    return {
-        "title": title,
-        "type": "object",
-        "properties": dict(properties),
-        "required": list(properties),
-    }
+    return {"title": title, "type": "object", "properties": dict(properties), "required": list(properties)}
 
 
 def enumeration(names: Mapping[int, str], **about: str) -> Schema:

@@ -261,12 +261,7 @@ class BenchClient:
         return found
 
     def wait_for(
-        self,
-        state: str,
-        *,
-        phase: str | None = None,
-        timeout: float = 30.0,
-        watch: Watch | None = None,
+        self, state: str, *, phase: str | None = None, timeout: float = 30.0, watch: Watch | None = None
     ) -> BenchStatus:
         """Wait up to `timeout` s for `state`, and for `phase` in it where given; return the status.
 
@@ -480,12 +475,8 @@ class BenchClient:
 
     def _require_lease(self, verb: Verb) -> HeldLease:
         if self.held is None:
-            raise Refused(
-                f"{verb} of bench {self.bench}",
-                "no lease",
-                "the lease of the bench",
-                "Take it: golfbench lease take.",
-            )
+            place = f"{verb} of bench {self.bench}"
+            raise Refused(place, "no lease", "the lease of the bench", "Take it: golfbench lease take.")
         return self.held
 
     def _ask_keyed(self, verb: Verb, **values: Any) -> CommandAnswer:
@@ -571,9 +562,5 @@ def checked_status(read: Any) -> BenchStatus:
 
 
 def _not_understood(found: object) -> BenchError:
-    return BenchError(
-        "answer of the bench",
-        repr(found)[:60],
-        f"a status of version {STATUS_VERSION}",
-        "Use the same golfbench for bench and command line.",
-    )
+    cure = "Use the same golfbench for bench and command line."
+    return BenchError("answer of the bench", repr(found)[:60], f"a status of version {STATUS_VERSION}", cure)

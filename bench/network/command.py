@@ -433,9 +433,5 @@ def parse_error(payload: bytes) -> BenchError:
 
 
 def _other_version(payload: bytes) -> BenchError:
-    return BenchError(
-        "answer of the bench",
-        _shown(payload[:40].decode("utf-8", "replace")),
-        f"JSON of version {VERSION}",
-        "Use the same golfbench for bench and command line.",
-    )
+    expected, cure = f"JSON of version {VERSION}", "Use the same golfbench for bench and command line."
+    return BenchError("answer of the bench", _shown(payload[:40].decode("utf-8", "replace")), expected, cure)

@@ -73,12 +73,9 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
             of another machine; the certificate or its key is invalid.
     """
     if network.endpoint.startswith(TLS):
-        raise BenchError(
-            f"network.endpoint {network.endpoint}",
-            "an endpoint for other machines",
-            "tcp/127.0.0.1:PORT, where the bench's own processes connect",
-            "Write it as network.beyond. As network.endpoint it is what a client on another machine has.",
-        )
+        place, found = f"network.endpoint {network.endpoint}", "an endpoint for other machines"
+        cure = "Write it as network.beyond. As network.endpoint it is what a client on another machine has."
+        raise BenchError(place, found, "tcp/127.0.0.1:PORT, where the bench's own processes connect", cure)
     listen = [endpoint for endpoint in (network.endpoint, network.beyond) if endpoint]
     configuration = _configuration("peer", network, listen=listen, connect=[network.router])
     if network.beyond or network.router:
@@ -87,12 +84,10 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(configuration)))
     except zenoh.ZError as error:
         in_use = "in use" in str(error)
-        raise BenchError(
-            f"network.endpoint {' and network.beyond '.join(listen)}",
-            "already in use" if in_use else _first_line(error),
-            "a free endpoint of this machine",
-            "Another bench may be running: golfbench status. Or choose another port.",
-        ) from None
+        place = f"network.endpoint {' and network.beyond '.join(listen)}"
+        expected = "a free endpoint of this machine"
+        cure = "Another bench may be running: golfbench status. Or choose another port."
+        raise BenchError(place, "already in use" if in_use else _first_line(error), expected, cure) from None
 
 
 def close_session(session: zenoh.Session) -> None:

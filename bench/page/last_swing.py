@@ -46,14 +46,7 @@ FIGURES = (
     "spin_rpm",
     "carry_m",
 )
-_MOVING = (
-    Phase.BACKSWING,
-    Phase.TOP,
-    Phase.DOWNSWING,
-    Phase.COMMITTED,
-    Phase.IMPACT,
-    Phase.FOLLOW_THROUGH,
-)
+_MOVING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 _TO_BALL = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT)
 
 _log = logging.getLogger("golfbench")

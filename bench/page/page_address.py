@@ -47,12 +47,9 @@ def checked_address(address: PageAddress) -> tuple[str, ...]:
         expected = "an IP address of this machine, or 0.0.0.0 for all"
         raise BenchError("--host", repr(address.host), expected, "Correct it.") from None
     if not ip.is_loopback and not address.identity:
-        raise Refused(
-            f"--host {address.host}",
-            "an address for other machines without TLS",
-            "a certificate for this machine: commands and tokens must not be readable on the network",
-            "Make one: golfbench certificates DIR NAME --address HOST, then add --identity DIR/NAME.",
-        )
+        expected = "a certificate for this machine: commands and tokens must not be readable on the network"
+        cure = "Make one: golfbench certificates DIR NAME --address HOST, then add --identity DIR/NAME."
+        raise Refused(f"--host {address.host}", "an address for other machines without TLS", expected, cure)
     names = {"127.0.0.1", "localhost", "[::1]"} if ip.is_loopback else set[str]()
     if not ip.is_unspecified:
         names.add(f"[{ip}]" if ip.version == 6 else str(ip))

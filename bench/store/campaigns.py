@@ -228,11 +228,7 @@ class CampaignStore:
         Raises:
             Refused: the id exists already.
         """
-        values = asdict(entry) | {
-            "state": CampaignState.RUNNING,
-            "reason": "",
-            "requested": "",
-        }
+        values = asdict(entry) | {"state": CampaignState.RUNNING, "reason": "", "requested": ""}
 
         def work(connection: Connection) -> None:
             last = connection.scalar(select(func.max(_CAMPAIGNS.c.number))) or 0
@@ -504,12 +500,8 @@ class CampaignStore:
             self._write(work)
         except IntegrityError:
             there = f"shot {shots[0].shot.shot}" if shots else "what was to be added"
-            raise Refused(
-                f"campaign {entry.id}",
-                f"{there} there already",
-                "one runner a campaign",
-                "Stop the other runner.",
-            ) from None
+            place, expected = f"campaign {entry.id}", "one runner a campaign"
+            raise Refused(place, f"{there} there already", expected, "Stop the other runner.") from None
 
     def _write(self, work: Callable[[Connection], _Answer]) -> _Answer:
         """Do `work` in one transaction that takes the write lock at once, and return its answer.

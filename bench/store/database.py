@@ -176,18 +176,13 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         if is_away(error):
             raise DatabaseAway(place, 0.0) from error
         if read_only and _log_of(Path(place)).exists():
-            raise BenchError(
-                place,
-                f"{str(error.orig).strip()}: read-only, with changes in {_log_of(Path(place)).name}",
-                "a database that was closed, or one that can be written",
-                "Copy its folder to a disk that can be written, and read it there.",
-            ) from error
-        raise BenchError(
-            place,
-            str(error.orig).strip(),
-            "a database of golfbench that can be read and written",
-            "Check that this user may write to it and its folder, and that the disk has room.",
-        ) from error
+            found = f"{str(error.orig).strip()}: read-only, with changes in {_log_of(Path(place)).name}"
+            expected = "a database that was closed, or one that can be written"
+            cure = "Copy its folder to a disk that can be written, and read it there."
+            raise BenchError(place, found, expected, cure) from error
+        expected = "a database of golfbench that can be read and written"
+        cure = "Check that this user may write to it and its folder, and that the disk has room."
+        raise BenchError(place, str(error.orig).strip(), expected, cure) from error
     finally:
         engine.dispose()
 
@@ -259,10 +254,6 @@ def _has_tables(connection: Connection, place: str) -> bool:
         raise BenchError(place, found, "a database of golfbench, or an empty one", "Name another one.")
     version = connection.scalar(select(func.max(SchemaVersionRow.version)))
     if version != SCHEMA_VERSION:
-        raise BenchError(
-            place,
-            f"schema version {version}",
-            f"version {SCHEMA_VERSION}",
-            "Use the version of golfbench that wrote it, or name another database: bench.database.",
-        )
+        cure = "Use the version of golfbench that wrote it, or name another database: bench.database."
+        raise BenchError(place, f"schema version {version}", f"version {SCHEMA_VERSION}", cure)
     return True

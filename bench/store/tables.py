@@ -8,18 +8,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import (
-    DDL,
-    JSON,
-    DateTime,
-    Dialect,
-    Double,
-    ForeignKey,
-    Table,
-    UniqueConstraint,
-    event,
-    false,
-)
+from sqlalchemy import DDL, JSON, DateTime, Dialect, Double, ForeignKey, Table, UniqueConstraint, event, false
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
 

@@ -57,9 +57,7 @@ def shot_blueprint(swing: Span, end: float) -> rrb.Blueprint:
     return _of_records(
         window,
         rrb.Vertical(
-            _robot(),
-            rrb.Horizontal(_flight(), _figures(), column_shares=[1.75, 1]),
-            row_shares=[1.8, 1],
+            _robot(), rrb.Horizontal(_flight(), _figures(), column_shares=[1.75, 1]), row_shares=[1.8, 1]
         ),
         rrb.Vertical(
             *_joint_signals(window),

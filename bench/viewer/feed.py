@@ -67,11 +67,7 @@ class Feed:
     """A subscription to all messages of a bench."""
 
     def __init__(
-        self,
-        session: zenoh.Session,
-        bench: str,
-        clock: Callable[[], float],
-        topics: Sequence[str] = TOPICS,
+        self, session: zenoh.Session, bench: str, clock: Callable[[], float], topics: Sequence[str] = TOPICS
     ) -> None:
         """Subscribe to `topics` on `session`, closed with the feed; `clock` returns UTC (s since 1970)."""
         self._session, self._clock = session, clock

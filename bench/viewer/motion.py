@@ -57,9 +57,7 @@ def log_motion(
         share = np.clip((ways[:-1, 2] + ways[1:, 2]) / 2 / MAX_SPEED, 0, 1)
         colours = (colormaps["turbo"](share * 0.9 + 0.05)[:, :3] * 255).astype(np.uint8)
         trace = rr.LineStrips3D.columns(
-            strips=list(segments),
-            colors=colours,
-            radii=np.full(len(segments), _TRACE_WIDTH, np.float32),
+            strips=list(segments), colors=colours, radii=np.full(len(segments), _TRACE_WIDTH, np.float32)
         )
         recording.send_columns("scene/trace", times(time[1:]), trace)
     last: Array = ways[-1]

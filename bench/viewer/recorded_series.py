@@ -25,10 +25,6 @@ def record_files(places: Sequence[Path]) -> list[Path]:
                 str(place), "no such file or folder", "a record or a folder of records", "Correct the path."
             )
     if not files:
-        raise BenchError(
-            ", ".join(map(str, places)) or "records",
-            "no record (.parquet)",
-            "at least one",
-            "Name another folder.",
-        )
+        found, expected = "no record (.parquet)", "at least one"
+        raise BenchError(", ".join(map(str, places)) or "records", found, expected, "Name another folder.")
     return files

@@ -319,9 +319,7 @@ def _log_grid(recording: rr.RecordingStream, now: list[rr.TimeColumn], points: A
     marks = np.array([(left, -y) for y in across[1:-1]] + [(x, -near) for x in along[1::2]])
     words = [f"{y:.0f} m" for y in across[1:-1]] + [f"{abs(x):.0f} m {_side(x)}" for x in along[1::2]]
     recording.send_columns(
-        "dispersion/marks",
-        now,
-        rr.Points2D.columns(positions=marks, labels=words).partition([len(marks)]),
+        "dispersion/marks", now, rr.Points2D.columns(positions=marks, labels=words).partition([len(marks)])
     )
     recording.log(
         "dispersion/marks",

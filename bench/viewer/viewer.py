@@ -31,14 +31,7 @@ from bench.viewer.clock import ViewClock
 from bench.viewer.feed import Arrived, Feed
 from bench.viewer.motion import log_ball, log_motion, poses_to_draw
 from bench.viewer.scene import log_static_scene
-from bench.viewer.shots import (
-    MovingBall,
-    ShotSeries,
-    document,
-    log_gap,
-    log_moving_ball,
-    moving_ball,
-)
+from bench.viewer.shots import MovingBall, ShotSeries, document, log_gap, log_moving_ball, moving_ball
 from bench.viewer.signals import (
     SWINGING,
     TIMELINE,

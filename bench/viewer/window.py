@@ -115,12 +115,8 @@ class RerunWindow:
         """
         memory_limit = checked_memory(memory_limit)
         if kind == "window" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            raise BenchError(
-                "screen",
-                "none (neither DISPLAY nor WAYLAND_DISPLAY is set)",
-                "one for the viewer's window",
-                "Use --web and a browser, or --save FILE.",
-            )
+            expected, cure = "one for the viewer's window", "Use --web and a browser, or --save FILE."
+            raise BenchError("screen", "none (neither DISPLAY nor WAYLAND_DISPLAY is set)", expected, cure)
         self._page: ViewerPage | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="golfbench-view-")
         try:
@@ -219,12 +215,8 @@ def _page(port: int, source_port: int, data_port: int) -> ViewerPage:
     try:
         return ViewerPage(port, source_port, data_port)
     except OSError as error:
-        raise BenchError(
-            f"--port {port}",
-            error.strerror or str(error),
-            "a free port",
-            "Choose another port, or omit the option.",
-        ) from None
+        cure = "Choose another port, or omit the option."
+        raise BenchError(f"--port {port}", error.strerror or str(error), "a free port", cure) from None
 
 
 def _listens(port: int) -> bool:
