@@ -1,9 +1,10 @@
-"""Answers of the page to a browser, as JSON."""
+"""Requests of a browser and the page's answers to them, both JSON."""
 
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bench.errors import BenchError
 from bench.network.client import CommandRefused
@@ -14,9 +15,51 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
+LONGEST_NAME = 64
+"""Max length of a person's name, characters."""
+
 
 class InvalidBody(Exception):
     """A request whose body is not what the page sends."""
+
+
+class UnknownName(Exception):
+    """A request whose path names nothing that there is."""
+
+
+class Asked(NamedTuple):
+    """A request of a reader whose role allows it."""
+
+    path: Mapping[str, str]
+    """Names in its path."""
+    body: dict[str, Any]
+    ticket: str
+    """Of the tab's lease; empty: none."""
+    check: Callable[[str, float | None], None]
+    """Takes each number once, as `CommandNumbers.check`."""
+
+    def text(self, name: str, longest: int = LONGEST_NAME, shortest: int = 1) -> str:
+        """Return the text `name` of the body; raises as `text_in`."""
+        return text_in(self.body, name, longest, shortest)
+
+    def number(self, name: str) -> float:
+        """Return the number `name` of the body; raises as `number_in`."""
+        return number_in(self.body, name)
+
+    def units(self) -> str:
+        """Return the reader's units, "si" or "us"; raises InvalidBody if they are neither."""
+        if (units := self.body.get("units")) not in ("si", "us"):
+            raise InvalidBody("units: si or us")
+        return str(units)
+
+    def once(self, *, fresh: bool = False) -> None:
+        """Refuse a request that came before; `fresh`: or that was made from an old screen.
+
+        Raises:
+            InvalidBody: it has no number; `fresh`: or no time.
+            Refused: as `CommandNumbers.check`.
+        """
+        self.check(self.text("number", 64, 8), self.number("seen") if fresh else None)
 
 
 def json_answer(content: Any, status: int = 200) -> Response:

@@ -4,18 +4,35 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 MAX_RECORDS = 30
 """Max number of listed records."""
-REPORT_POLICY = (
-    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:; base-uri 'none'; "
-    "form-action 'none'; frame-ancestors 'none'; sandbox"
+REPORT: tuple[str, dict[str, str]] = (
+    "text/html; charset=utf-8",
+    {
+        "content-security-policy": "default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
+        "font-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; sandbox"
+    },
 )
-"""Content policy of a report, a page with its own style and without scripts."""
+"""Media type and content policy of a report, a page with its own style and without scripts."""
 
 _RECORD = re.compile(r"[0-9TZ]{8,40}-[0-9]{1,12}\.parquet")
 _CAMPAIGN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
+
+
+class Download(NamedTuple):
+    """A file for a browser."""
+
+    path: Path
+    kind: str
+    """Media type."""
+    headers: dict[str, str]
+
+    @classmethod
+    def named(cls, path: Path, kind: str, name: str) -> Self:
+        """Return one that is stored under `name`, not shown."""
+        return cls(path, kind, {"content-disposition": f'attachment; filename="{name}"'})
 
 
 class Downloads:

@@ -83,7 +83,7 @@ def serve_page(
         runner = LastingCommand(program, log, broadcaster.publish, "runner", outcome=RUN_OUTCOME)
         viewer = ViewerProcess(program, broadcaster.publish)
         stack.callback(viewer.close)
-        campaigns = CampaignService(service, archive, downloads, program, runner)
+        campaigns = CampaignService(archive, downloads, program, runner)
         plans = PlanShelf(settings.data_dir, {"balls": configuration.balls, "clubs": configuration.clubs})
         starts = StartService(service, program, plans, runner, viewer, lambda: bench_values(configuration))
         shelf = CommissioningShelf(settings.data_dir, settings.id)
@@ -92,7 +92,7 @@ def serve_page(
         command = LastingCommand(
             program, log, broadcaster.publish, "commissioner", expected=(ExitCode.REFUSED, -signal.SIGTERM)
         )
-        commissionings = CommissioningService(service, program, shelf, command)
+        commissionings = CommissioningService(program, shelf, command)
         watch.start()
         stack.callback(watch.close)
         c = apply(calibration_of(configuration, datetime.now(UTC)), configuration)

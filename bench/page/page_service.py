@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from concurrent.futures import Executor, ThreadPoolExecutor, wait
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
+from concurrent.futures import ThreadPoolExecutor, wait
+from enum import Enum
+from pathlib import Path
 from threading import Barrier
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from bench.errors import BenchError
-from bench.network.client import BenchClient
 from bench.network.command import CommandAnswer
 from bench.network.lease import LONGEST_HOLDER
-from bench.page.answers import InvalidBody, body_of, json_answer, number_in, refusal_answer, text_in
+from bench.page.answers import Asked, InvalidBody, UnknownName, body_of, json_answer, refusal_answer, text_in
 from bench.page.bench_link import BenchLink
 from bench.page.broadcaster import PageBroadcaster
+from bench.page.downloads import Download
 from bench.page.event_stream import EventStream
 from bench.page.page_access import SESSION, PageAccess, PageRole
 from bench.page.page_commands import COMMANDS, STOPS, CommandNumbers
@@ -26,10 +28,37 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
 T = TypeVar("T")
+MAX_DOWNLOADS = 8
+"""Max number of downloads at a time."""
+PART = 1 << 16
+"""Size of a part of a file, bytes."""
 TICKET = "golfbench-ticket"
 """Header with the ticket of a lease."""
 _GUESS_TIME = 1.0
 """Time that a wrong token costs, one after the other, s."""
+
+
+class Pool(Enum):
+    """Threads for requests of one kind: their name and number."""
+
+    COMMANDS = "command", 8
+    LOOKUPS = "lookup", 2
+    PROGRAMS = "program", 4
+    """Wait for programs that run beside the page."""
+    STOPS = "stop", 4
+    """Of their own: a stop waits behind nothing."""
+
+
+class Call(NamedTuple):
+    """A request that is answered by JSON."""
+
+    role: PageRole
+    """Lowest role of its readers."""
+    pool: Pool
+    work: Callable[[Asked], Any]
+    """Returns the answer; raises UnknownName, InvalidBody, BenchError or a group of them."""
+    reads_body: bool = True
+    """Whether a POST must have a JSON object as its body."""
 
 
 class PageService:
@@ -40,19 +69,16 @@ class PageService:
     ) -> None:
         """`secure`: reached by TLS."""
         self._link, self._broadcaster, self._access, self._secure = link, broadcaster, access, secure
-        self._leases, self.numbers = PageLeases(link.client), CommandNumbers()
+        self._leases, self._numbers = PageLeases(link.client), CommandNumbers()
         self._files = static_files()
-        self._work = _started_pool(8, "page-command")
-        self._lookups = _started_pool(2, "page-lookup")
-        self._programs = _started_pool(4, "page-program")
-        """Wait for programs that run beside the page."""
-        self._stops = _started_pool(4, "page-stop")
-        """Of their own: a stop waits behind nothing."""
+        self._pools = {pool: _started_pool(pool) for pool in Pool}
         self._signing_in = asyncio.Lock()
+        self._open = 0
+        """Number of downloads under way."""
 
     def close(self) -> None:
         """End the threads of commands."""
-        for pool in (self._work, self._lookups, self._programs, self._stops):
+        for pool in self._pools.values():
             pool.shutdown(wait=True, cancel_futures=True)
 
     @property
@@ -105,71 +131,81 @@ class PageService:
 
     # Commands ------------------------------------------------------------------------------------
 
-    async def stop(self, request: Request) -> Response:
+    def stop(self, asked: Asked) -> dict[str, Any]:
         """Stop the robot, whatever the body says; no lease, no number, no age."""
-        if (refusal := self.needing(PageRole.STOPPER, request)) is not None:
-            return refusal
-        if (send := STOPS.get(request.path_params["name"])) is None:
-            return json_answer({"what": "There is no such stop."}, 404)
-        return await self._send(self._stops, lambda: send(self._link.client()))
+        return _answered(STOPS[_known(STOPS, asked.path["name"])](self._link.client()))
 
-    async def command(self, request: Request) -> Response:
+    def command(self, asked: Asked) -> dict[str, Any]:
         """Send a command with the lease of the tab that asks."""
-        command = COMMANDS.get(request.path_params["name"])
-        if command is None:
-            return json_answer({"what": "There is no such command."}, 404)
-        if (refusal := self.needing(PageRole.OPERATOR, request)) is not None:
-            return refusal
-        body, ticket = await body_of(request), request.headers.get(TICKET, "")
-        number, seen = text_in(body, "number", 64, 8), number_in(body, "seen")
+        command = COMMANDS[_known(COMMANDS, asked.path["name"])]
+        asked.once(fresh=True)
+        client = self._leases.client(asked.ticket) if command.leased else self._link.client()
+        return _answered(command.send(client))
 
-        def send() -> CommandAnswer:
-            self.numbers.check(number, seen)
-            client: BenchClient = self._leases.client(ticket) if command.leased else self._link.client()
-            return command.send(client)
-
-        return await self._send(self._work, send)
-
-    async def lease(self, request: Request) -> Response:
+    def lease(self, asked: Asked) -> dict[str, Any]:
         """Take, renew or release the lease."""
-        if (refusal := self.needing(PageRole.OPERATOR, request)) is not None:
-            return refusal
-        body, ticket = await body_of(request), request.headers.get(TICKET, "")
-        match body.get("action"):
+        match asked.body.get("action"):
             case "take":
-                holder = text_in(body, "holder", LONGEST_HOLDER)
-                return await self.answered(self._work, lambda: self._leases.take(holder)._asdict())
+                return self._leases.take(asked.text("holder", LONGEST_HOLDER))._asdict()
             case "renew":
-                return await self.answered(self._work, lambda: {"seconds": self._leases.renew(ticket)})
+                return {"seconds": self._leases.renew(asked.ticket)}
             case "release":
-                return await self.answered(self._work, lambda: self._leases.release(ticket))
+                return self._leases.release(asked.ticket)
         raise InvalidBody("action: take, renew or release")
-
-    async def _send(self, pool: Executor, send: Callable[[], CommandAnswer]) -> Response:
-        def work() -> dict[str, Any]:
-            answer = send()
-            return {"state": answer.state, "note": answer.note}
-
-        return await self.answered(pool, work)
 
     # Helpers -------------------------------------------------------------------------------------
 
-    async def worked(self, work: Callable[[], Any]) -> Response:
-        """Return the outcome of `work`, done beside the commands, or why it was refused."""
-        return await self.answered(self._lookups, work)
+    def calling(self, call: Call) -> Callable[[Request], Awaitable[Response]]:
+        """Return the endpoint of `call`."""
 
-    async def ran(self, work: Callable[[], Any]) -> Response:
-        """Return the outcome of `work`, which waits for a program, or why it was refused."""
-        return await self.answered(self._programs, work)
+        async def answer(request: Request) -> Response:
+            if (refusal := self.needing(call.role, request)) is not None:
+                return refusal
+            body = await body_of(request) if call.reads_body and request.method == "POST" else {}
+            ticket = request.headers.get(TICKET, "")
+            asked = Asked(request.path_params, body, ticket, self._numbers.check)
+            return await self.answered(call.pool, lambda: call.work(asked))
 
-    async def looked_up(self, work: Callable[[], T]) -> T:
+        return answer
+
+    def sending(
+        self, find: Callable[[dict[str, str]], Download | None]
+    ) -> Callable[[Request], Awaitable[Response]]:
+        """Return the endpoint of the file that `find` returns for the names in a path; None: no such file."""
+
+        async def answer(request: Request) -> Response:
+            from starlette.responses import StreamingResponse
+
+            if (refusal := self.needing(PageRole.VIEWER, request)) is not None:
+                return refusal
+            found = await self._looked_up(lambda: find(request.path_params))
+            if found is None:
+                return json_answer({"what": "There is no such file."}, 404)
+            if self._open >= MAX_DOWNLOADS:
+                cure = "Try again when one has ended."
+                return json_answer({"what": "Too many downloads.", "cure": cure}, 503)
+            return StreamingResponse(self._parts(found.path), media_type=found.kind, headers=found.headers)
+
+        return answer
+
+    async def _parts(self, path: Path) -> AsyncIterator[bytes]:
+        """Yield the file at `path` in parts, so that a slow reader costs no more than one of them."""
+        self._open += 1
+        try:
+            with path.open("rb") as stream:
+                while part := await self._looked_up(lambda: stream.read(PART)):
+                    yield part
+        finally:
+            self._open -= 1
+
+    async def _looked_up(self, work: Callable[[], T]) -> T:
         """Return the outcome of `work`, done beside the commands."""
-        return await asyncio.get_running_loop().run_in_executor(self._lookups, work)
+        return await asyncio.get_running_loop().run_in_executor(self._pools[Pool.LOOKUPS], work)
 
-    async def answered(self, pool: Executor, work: Callable[[], Any]) -> Response:
+    async def answered(self, pool: Pool, work: Callable[[], Any]) -> Response:
         """Return the outcome of `work`, done in `pool`, or why it was refused."""
         try:
-            return json_answer(await asyncio.get_running_loop().run_in_executor(pool, work))
+            return json_answer(await asyncio.get_running_loop().run_in_executor(self._pools[pool], work))
         except BenchError as error:
             return refusal_answer(error)
         except ExceptionGroup as errors:
@@ -200,8 +236,19 @@ def _first_of(errors: ExceptionGroup[Exception]) -> BenchError:
     return first
 
 
-def _started_pool(threads: int, name: str) -> ThreadPoolExecutor:
+def _answered(answer: CommandAnswer) -> dict[str, Any]:
+    return {"state": answer.state, "note": answer.note}
+
+
+def _known(commands: Collection[str], name: str) -> str:
+    if name not in commands:
+        raise UnknownName("command")
+    return name
+
+
+def _started_pool(kind: Pool) -> ThreadPoolExecutor:
     """Return a pool whose threads run already: a stop does not wait for one to start."""
-    pool, together = ThreadPoolExecutor(threads, name), Barrier(threads)
+    name, threads = kind.value
+    pool, together = ThreadPoolExecutor(threads, f"page-{name}"), Barrier(threads)
     wait([pool.submit(together.wait) for _ in range(threads)])
     return pool

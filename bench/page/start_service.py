@@ -8,13 +8,13 @@ from collections.abc import Callable
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 
-from bench.page.answers import InvalidBody, body_of, json_answer, number_in, text_in
-from bench.page.campaign_service import LONGEST_NAME, STARTED
+from bench.page.answers import Asked, InvalidBody, UnknownName, json_answer
+from bench.page.campaign_service import STARTED
 from bench.page.command_line import CommandLine
 from bench.page.entry_forms import FORMS, form_arguments
 from bench.page.lasting_command import LastingCommand
 from bench.page.page_access import PageRole
-from bench.page.page_service import PageService
+from bench.page.page_service import PageService, Pool
 from bench.page.plan_shelf import PlanShelf
 from bench.page.viewer_process import ViewerProcess
 
@@ -42,73 +42,41 @@ class StartService:
         self._page, self._golfbench, self._plans = page, golfbench, plans
         self._runner, self._viewer, self._values = runner, viewer, values
 
-    # Campaigns -----------------------------------------------------------------------------------
-
-    async def plans(self, request: Request) -> Response:
+    def plans(self, _: Asked) -> list[dict[str, Any]]:
         """Return the plans that a campaign can be started from."""
-        return self._page.needing(PageRole.VIEWER, request) or await self._page.worked(self._plans.listed)
+        return self._plans.listed()
 
-    async def check(self, request: Request) -> Response:
+    def check(self, asked: Asked) -> dict[str, Any]:
         """Return the preview of a plan, or its mistakes."""
-        if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
-            return refusal
-        name = request.path_params["plan"]
-        await body_of(request)
+        name = asked.path["plan"]
+        file = self._plans.file(name)
+        found = json.loads(self._golfbench.output("campaign", "check", "--json", "--", str(file)))
+        kept = {key: value for key, value in found.items() if key not in _LEFT_OUT}
+        return kept | {"plan": name, "order": _order(found["sequence"])}
 
-        def work() -> dict[str, Any]:
-            file = self._plans.file(name)
-            found = json.loads(self._golfbench.output("campaign", "check", "--json", "--", str(file)))
-            kept = {key: value for key, value in found.items() if key not in _LEFT_OUT}
-            return kept | {"plan": name, "order": _order(found["sequence"])}
-
-        return await self._page.ran(work)
-
-    async def start(self, request: Request) -> Response:
+    def start(self, asked: Asked) -> dict[str, Any]:
         """Start a campaign from a plan, as it was checked."""
-        if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
-            return refusal
-        name, body = request.path_params["plan"], await body_of(request)
-        number, seen = text_in(body, "number", 64, 8), number_in(body, "seen")
-        by, digest = text_in(body, "by", LONGEST_NAME), text_in(body, "digest", 64)
-        units, ask = body.get("units"), body.get("ask") is True
-        if units not in ("si", "us"):
-            raise InvalidBody("units: si or us")
+        name, by, units, digest = asked.path["plan"], asked.text("by"), asked.units(), asked.text("digest")
         if not _DIGEST.fullmatch(digest):
             raise InvalidBody("digest: that of the checked plan")
+        asked.once(fresh=True)
+        # A plan that was changed since it was checked is refused by the runner.
+        given = [f"--by={by}", f"--units={units}", f"--expect={digest}"]
+        given += ["--ask"] if asked.body.get("ask") is True else []
+        self._runner.start(name, "campaign", "run", *given, "--", str(self._plans.file(name)))
+        return {"note": f"{STARTED.format(name)}."}
 
-        def work() -> dict[str, Any]:
-            self._page.numbers.check(number, seen)
-            # A plan that was changed since it was checked is refused by the runner.
-            given = [f"--by={by}", f"--units={units}", f"--expect={digest}", *(["--ask"] if ask else [])]
-            self._runner.start(name, "campaign", "run", *given, "--", str(self._plans.file(name)))
-            return {"note": f"{STARTED.format(name)}."}
-
-        return await self._page.worked(work)
-
-    # Measured values -----------------------------------------------------------------------------
-
-    async def values(self, request: Request) -> Response:
+    def values(self, _: Asked) -> dict[str, Any]:
         """Return calibrations, air and forms."""
-        return self._page.needing(PageRole.VIEWER, request) or await self._page.worked(self._values)
+        return self._values()
 
-    async def enter(self, request: Request) -> Response:
+    def enter(self, asked: Asked) -> dict[str, Any]:
         """Store what a person measured."""
-        if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
-            return refusal
-        form = FORMS.get(request.path_params["form"])
-        if form is None:
-            return json_answer({"what": "There is no such form."}, 404)
-        body = await body_of(request)
-        number, by = text_in(body, "number", 64, 8), text_in(body, "by", LONGEST_NAME)
-        arguments = form_arguments(form, body, by)
-
-        def work() -> dict[str, Any]:
-            self._page.numbers.check(number, None)
-            return {"note": self._golfbench.output(*arguments).strip()}
-
-        return await self._page.ran(work)
-
-    # The viewer ----------------------------------------------------------------------------------
+        if (form := FORMS.get(asked.path["form"])) is None:
+            raise UnknownName("form")
+        arguments = form_arguments(form, asked.body, asked.text("by"))
+        asked.once()
+        return {"note": self._golfbench.output(*arguments).strip()}
 
     async def viewer(self, request: Request) -> Response:
         """Open Rerun's viewer, which is started unless it runs."""
@@ -122,14 +90,12 @@ class StartService:
             what = "Rerun's viewer can be reached from the page's own computer only."
             return json_answer({"what": what, "cure": "There: golfbench view, or open this page."}, 403)
         found: list[str] = []
-        answer = await self._page.ran(lambda: found.append(self._viewer.url()))
+        answer = await self._page.answered(Pool.PROGRAMS, lambda: found.append(self._viewer.url()))
         return RedirectResponse(found[0], 303) if found else answer
 
-    async def close_viewer(self, request: Request) -> Response:
+    def close_viewer(self, _: Asked) -> None:
         """End Rerun's viewer."""
-        if (refusal := self._page.needing(PageRole.OPERATOR, request)) is not None:
-            return refusal
-        return await self._page.ran(self._viewer.close)
+        self._viewer.close()
 
 
 _DIGEST = re.compile(r"[0-9a-f]{8,64}")
