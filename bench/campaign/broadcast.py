@@ -12,7 +12,7 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.progress import CampaignProgress
 from bench.campaign.runner import Watcher
 from bench.shot.shot import Shot
-from bench.store.campaigns import CampaignEntry, CampaignState
+from bench.store.records import CampaignEntry, CampaignState
 
 
 class Broadcast(CampaignProgress):

@@ -10,10 +10,10 @@ from bench.campaign.exclusions import reasons_by_hand, with_exclusions
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import (
+from bench.store.campaigns import CampaignStore
+from bench.store.records import (
     CampaignEntry,
     CampaignRun,
-    CampaignStore,
     Event,
     Hit,
     Prompt,

@@ -35,7 +35,7 @@ from bench.campaign.signature import STATEMENT, calibration_table, item_table, o
 from bench.campaign.verdicts import confidence_words, quantity_name
 from bench.shot.plot_style import marker_svg
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import CampaignEntry, CampaignState, Hit, Prompt, ShotExclusion, ShotNote, Standing
+from bench.store.records import CampaignEntry, CampaignState, Hit, Prompt, ShotExclusion, ShotNote, Standing
 from bench.telemetry.whole_file import whole_file
 
 _ALL_ROWS = 1000

@@ -20,7 +20,7 @@ from bench.learning.learn import LearningProblem, Swinger, learn, prepare
 from bench.learning.learner import LearningSettings
 from bench.learning.store import Conditions, Learned, keep, learned_swings, newest_that_holds, stored
 from bench.simulation.series import Bench
-from bench.store.campaigns import CampaignEntry
+from bench.store.records import CampaignEntry
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters

@@ -10,7 +10,7 @@ from hashlib import sha256
 from typing import Any
 
 from bench.shot.shot import COLUMNS, Shot
-from bench.store.campaigns import CampaignEntry, Event, Prompt, ShotExclusion, ShotNote
+from bench.store.records import CampaignEntry, Event, Prompt, ShotExclusion, ShotNote
 
 SHOT_DIGITS = 8
 """Hex digits of a shot's digest on a page."""

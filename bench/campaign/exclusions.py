@@ -12,7 +12,8 @@ from datetime import datetime
 
 from bench.errors import Refused
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import CampaignStore, ShotExclusion
+from bench.store.campaigns import CampaignStore
+from bench.store.records import ShotExclusion
 
 LONGEST_REASON = 500
 """Max number of characters of a reason."""

@@ -17,7 +17,7 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.sequence import PlannedShot, Role, block_trials, sections, warm_up_arms
 from bench.errors import Refused
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import Hit, Prompt
+from bench.store.records import Hit, Prompt
 
 
 class PromptKind(StrEnum):

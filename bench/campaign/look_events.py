@@ -5,7 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from bench.campaign.campaign_record import CampaignRecord
-from bench.store.campaigns import CampaignState, CampaignStore, Event
+from bench.store.campaigns import CampaignStore
+from bench.store.records import CampaignState, Event
 
 KIND = "look"
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from bench.campaign.runner import Watcher
 from bench.errors import BenchError
 from bench.from_toml import read_text
-from bench.store.campaigns import CampaignEntry, CampaignState
+from bench.store.records import CampaignEntry, CampaignState
 
 if TYPE_CHECKING:
     from apprise import NotifyBase

@@ -35,7 +35,8 @@ from bench.network.client import BenchClient
 from bench.network.lease import LONGEST_HOLDER
 from bench.processes.file_lock import try_lock
 from bench.store.air_readings import newest_reading
-from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, CampaignStore, Standing
+from bench.store.campaigns import CampaignStore
+from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
 from sim.air import Air
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")

@@ -17,7 +17,7 @@ from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.sequence import PlannedShot, Role, all_trials, hits_needed, is_mounted, sections
 from bench.campaign.series import SeriesSize, alpha_at_end, foreseen, series_needed
 from bench.campaign.split_plot import within_club
-from bench.store.campaigns import Hit
+from bench.store.records import Hit
 
 UNITS: Mapping[str, str] = {
     "carry_m": "m",

@@ -15,7 +15,7 @@ from bench.campaign.runner import Watcher
 from bench.campaign.sequence import Arm, PlannedShot, Role, all_trials, is_mounted, sections
 from bench.network.messages import CAMPAIGN_VERSION, LastShot
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import CampaignEntry, CampaignState
+from bench.store.records import CampaignEntry, CampaignState
 
 _LAST = 11
 """Number of last shots whose times give the pace."""

@@ -25,8 +25,9 @@ from bench.campaign.sequence import Role
 from bench.campaign.simulated import Taken
 from bench.errors import BenchError
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Event, Hit, Prompt, StoredShot
+from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import DatabaseLocked
+from bench.store.records import CampaignEntry, CampaignState, Event, Hit, Prompt
 from bench.telemetry.recorder import write_swing
 from bench.telemetry.whole_file import NotStored
 from drivers.base import ACTUATORS

@@ -15,7 +15,8 @@ from bench.campaign.plan import ItemParticulars
 from bench.campaign.ruling import DECISION_RULE
 from bench.errors import Refused
 from bench.shot.shot import ShotStatus
-from bench.store.campaigns import ENDED, CampaignStore, Event
+from bench.store.campaigns import CampaignStore
+from bench.store.records import ENDED, Event
 
 NOT_STATED = "not stated"
 STATEMENT = (

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from bench.campaign.swings import Profiles
     from bench.commands.campaign_baseline import Band, Checked
     from bench.config import Configuration
-    from bench.store.campaigns import CampaignEntry, CampaignStore, Hit, ShotNote
+    from bench.store.campaigns import CampaignStore
+    from bench.store.records import CampaignEntry, Hit, ShotNote
 
 app = typer.Typer(help="Campaigns (test series): plan, run, evaluate and store them.", no_args_is_help=True)
 
@@ -303,7 +304,7 @@ def _run(
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
     from bench.commands.campaign_junit import junit_xml
-    from bench.store.campaigns import CampaignState
+    from bench.store.records import CampaignState
     from bench.telemetry.whole_file import whole_file
 
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
@@ -566,7 +567,7 @@ def mark(
     by: Annotated[str, typer.Option(metavar="NAME", help="Who saw it.", show_default="user@host")] = "",
 ) -> None:
     """Mark a shot, with a comment; it counts as before. The report shows marks and comments."""
-    from bench.store.campaigns import ShotNote
+    from bench.store.records import ShotNote
 
     with _found(context, campaign) as (store, entry):
         number = store.last_shot(entry.id) if shot is None else shot

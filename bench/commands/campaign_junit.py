@@ -10,7 +10,7 @@ from bench.campaign.runner import RunOutcome
 from bench.campaign.sequence import Role
 from bench.commands.campaign_baseline import Checked
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import CampaignEntry, CampaignState
+from bench.store.records import CampaignEntry, CampaignState
 
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 

@@ -23,7 +23,7 @@ from rich.text import Text
 
 from bench.commands.campaign_screen import CampaignBar
 from bench.errors import BenchError
-from bench.store.campaigns import ShotNote
+from bench.store.records import ShotNote
 
 LONGEST = 200
 """Max length of a comment, characters."""

@@ -20,7 +20,7 @@ from bench.campaign.interruptions import duration_text
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.progress import CampaignProgress
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import ENDED, CampaignEntry, CampaignState, Standing
+from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
 
 _SELDOM = 2.0
 """Min time between plain lines for valid shots, s."""

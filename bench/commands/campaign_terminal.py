@@ -22,7 +22,7 @@ from bench.commands.campaign_keys import MarkKeys, in_foreground
 from bench.commands.campaign_screen import CampaignBar
 from bench.commands.session import user_name
 from bench.errors import Refused
-from bench.store.campaigns import Prompt
+from bench.store.records import Prompt
 
 _GUARD = "The chambers are vented and the guard is unlocked. Close it when everybody is out"
 _BENCH = "Answer when it runs again"

@@ -23,8 +23,9 @@ from bench.campaign.sequence import Role, sections
 from bench.config import Configuration, database_url
 from bench.errors import BenchError, Refused
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import ENDED, CampaignStore, Prompt, ShotNote
+from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
+from bench.store.records import ENDED, Prompt, ShotNote
 
 MAX_LISTED = 50
 """Max number of listed campaigns."""

@@ -10,104 +10,33 @@ import secrets
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import datetime
-from enum import StrEnum
 from functools import wraps
-from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast, get_type_hints
 
-from sqlalchemy import Connection, Engine, Executable, Select, func, insert, select, update
+from sqlalchemy import Connection, Engine, Executable, Select, Table, func, insert, select, update
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from bench.errors import BenchError, Refused
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store.database import DatabaseLocked, is_away, transaction
-from bench.store.tables import (
-    CampaignEventRow,
-    CampaignPromptRow,
-    CampaignRow,
-    CampaignRunRow,
-    HitCountRow,
-    Row,
-    ShotExclusionRow,
-    ShotNoteRow,
-    ShotRow,
-    WriterRow,
+from bench.store.records import (
+    CampaignEntry,
+    CampaignRun,
+    CampaignState,
+    Event,
+    Hit,
+    Prompt,
+    ShotExclusion,
+    ShotNote,
+    Standing,
 )
-
-_CAMPAIGNS, _SHOTS, _EVENTS, _PROMPTS, _HITS, _RUNS, _NOTES, _EXCLUSIONS, _WRITERS = (
-    Row.metadata.tables[row.__tablename__]
-    for row in (
-        CampaignRow,
-        ShotRow,
-        CampaignEventRow,
-        CampaignPromptRow,
-        HitCountRow,
-        CampaignRunRow,
-        ShotNoteRow,
-        ShotExclusionRow,
-        WriterRow,
-    )
-)
-
+from bench.store.tables import CAMPAIGNS, EVENTS, EXCLUSIONS, HITS, NOTES, PROMPTS, RUNS, SHOTS, WRITERS
 
 _Call = ParamSpec("_Call")
 _Answer = TypeVar("_Answer")
-
-
-class CampaignState(StrEnum):
-    """State of a campaign."""
-
-    RUNNING = "running"
-    """Stored until its runner ends it; `bench.campaign.operate.standing_now` finds a dead one."""
-    WAITING = "waiting"
-    """Waiting for the answer to a prompt."""
-    PAUSED = "paused"
-    SUSPENDED = "suspended"
-    """Suspended by its runner, for a reason that a person must clear."""
-    STOPPED = "stopped"
-    """Stopped by a person after a complete shot; it can be resumed."""
-    ABORTED = "aborted"
-    """Aborted by a person at once; it cannot be resumed."""
-    FINISHED = "finished"
-    INTERRUPTED = "interrupted"
-    """Its runner died without closing it; never stored."""
-
-
-ENDED = frozenset({CampaignState.ABORTED, CampaignState.FINISHED})
-"""Final states."""
-
-
-@dataclass(frozen=True)
-class CampaignEntry:
-    """A campaign with all inputs it was started with."""
-
-    id: str
-    bench: str
-    name: str
-    title: str
-    date: datetime
-    simulated: bool
-    seed: int
-    plan: Mapping[str, Any]
-    digest: str
-    configuration: Mapping[str, Any]
-    versions: Mapping[str, Any]
-    real_time: Mapping[str, Any]
-    calibrations: Mapping[str, Any]
-
-    @property
-    def hit_scope(self) -> str:
-        """Scope of its hit counts: the campaign if simulated, else the bench."""
-        return self.id if self.simulated else self.bench
-
-
-class Standing(NamedTuple):
-    """State of a campaign, with its reason and pending request."""
-
-    state: CampaignState
-    reason: str
-    requested: str
+_Row = TypeVar("_Row")
 
 
 class StoredShot(NamedTuple):
@@ -118,74 +47,6 @@ class StoredShot(NamedTuple):
     bytes: int = 0
     set_aside: bool = False
     """Whether its block was restarted after it."""
-
-
-class Event(NamedTuple):
-    """An event before a shot."""
-
-    date: datetime
-    before_shot: int
-    kind: str
-    text: str
-
-
-class CampaignRun(NamedTuple):
-    """One run of a campaign: from its begin or a resume until the runner ends."""
-
-    number: int
-    """From 1, within its campaign."""
-    began: datetime
-    by: str
-    versions: Mapping[str, Any]
-    facts: Mapping[str, Any]
-    """Facts of the running bench, and the digest of the configuration."""
-
-
-class ShotNote(NamedTuple):
-    """A person's mark or comment on a shot."""
-
-    shot: int
-    date: datetime
-    by: str
-    text: str
-    """Empty: a mark without a comment."""
-
-
-class ShotExclusion(NamedTuple):
-    """A person's exclusion of a shot, or its taking back."""
-
-    shot: int
-    date: datetime
-    by: str
-    reason: str
-    excluded: bool
-    """Whether it is excluded from then on; else it counts again."""
-    after_shot: int
-    """Number of the campaign's last shot then."""
-
-
-class Prompt(NamedTuple):
-    """A prompt to the operator before a shot."""
-
-    number: int
-    """From 1, within its campaign."""
-    before_shot: int
-    kind: str
-    text: str
-    content: Mapping[str, Any]
-    """State of the bench once it is done."""
-    asked: datetime
-    answered: datetime | None = None
-    by: str = ""
-    """Who answered."""
-
-
-class Hit(NamedTuple):
-    """A part that wears: a ball's sample, a club, a valve."""
-
-    kind: str
-    name: str
-    sample: int = 0
 
 
 def _again_if_lost(method: Callable[_Call, _Answer]) -> Callable[_Call, _Answer]:
@@ -231,8 +92,8 @@ class CampaignStore:
         values = asdict(entry) | {"state": CampaignState.RUNNING, "reason": "", "requested": ""}
 
         def work(connection: Connection) -> None:
-            last = connection.scalar(select(func.max(_CAMPAIGNS.c.number))) or 0
-            connection.execute(insert(_CAMPAIGNS).values(values | {"number": last + 1}))
+            last = connection.scalar(select(func.max(CAMPAIGNS.c.number))) or 0
+            connection.execute(insert(CAMPAIGNS).values(values | {"number": last + 1}))
 
         try:
             self._write(work)
@@ -250,7 +111,7 @@ class CampaignStore:
         """
         names = CampaignEntry.__dataclass_fields__
         with self._reading() as connection:
-            query = select(*(_CAMPAIGNS.c[name] for name in names)).where(_CAMPAIGNS.c.id == campaign)
+            query = select(*(CAMPAIGNS.c[name] for name in names)).where(CAMPAIGNS.c.id == campaign)
             found = connection.execute(query).mappings().first()
         if found is None:
             raise BenchError(
@@ -265,12 +126,12 @@ class CampaignStore:
         A shot that is excluded by hand counts as excluded.
         """
         names = CampaignEntry.__dataclass_fields__
-        last_first = _CAMPAIGNS.c.number.desc(), _CAMPAIGNS.c.date.desc()
+        last_first = CAMPAIGNS.c.number.desc(), CAMPAIGNS.c.date.desc()
         with self._reading() as connection:
-            rows = connection.execute(select(_CAMPAIGNS).order_by(*last_first)).mappings().all()
+            rows = connection.execute(select(CAMPAIGNS).order_by(*last_first)).mappings().all()
             counts: dict[str, Counter[str]] = {}
-            grouped = select(_SHOTS.c.campaign, _SHOTS.c.status, func.count()).group_by(
-                _SHOTS.c.campaign, _SHOTS.c.status
+            grouped = select(SHOTS.c.campaign, SHOTS.c.status, func.count()).group_by(
+                SHOTS.c.campaign, SHOTS.c.status
             )
             for campaign, status, number in connection.execute(grouped):
                 counts.setdefault(campaign, Counter())[status] = number
@@ -289,19 +150,19 @@ class CampaignStore:
     @_again_if_lost
     def standing(self, campaign: str) -> Standing:
         """Return the state of a campaign."""
-        c = _CAMPAIGNS.c
+        c = CAMPAIGNS.c
         with self._reading() as connection:
             row = connection.execute(select(c.state, c.reason, c.requested).where(c.id == campaign)).one()
         return Standing(CampaignState(row[0]), *row[1:])
 
     def change(self, campaign: str, **values: Any) -> None:
         """Set columns `state`, `reason` or `requested`."""
-        self._execute(update(_CAMPAIGNS).where(_CAMPAIGNS.c.id == campaign).values(**values))
+        self._execute(update(CAMPAIGNS).where(CAMPAIGNS.c.id == campaign).values(**values))
 
     @_again_if_lost
     def shots(self, campaign: str) -> list[StoredShot]:
         """Return its shots in order."""
-        query = select(_SHOTS).where(_SHOTS.c.campaign == campaign).order_by(_SHOTS.c.shot)
+        query = select(SHOTS).where(SHOTS.c.campaign == campaign).order_by(SHOTS.c.shot)
         names = [column.name for column in COLUMNS]
         with self._reading() as connection:
             return [
@@ -314,58 +175,46 @@ class CampaignStore:
                 for row in connection.execute(query).mappings()
             ]
 
-    @_again_if_lost
     def events(self, campaign: str) -> list[Event]:
         """Return its events in order."""
-        c = _EVENTS.c
-        query = (
-            select(c.date, c.before_shot, c.kind, c.text)
-            .where(c.campaign == campaign)
-            .order_by(c.before_shot, c.id)
-        )
-        with self._reading() as connection:
-            return [Event(*row) for row in connection.execute(query)]
+        return self._rows(EVENTS, Event, campaign, "before_shot", "id")
 
     def note_event(self, campaign: str, event: Event) -> None:
         """Add an event at once."""
-        self._execute(insert(_EVENTS).values(campaign=campaign, **event._asdict()))
+        self._execute(insert(EVENTS).values(campaign=campaign, **event._asdict()))
 
     def begin_run(
         self, campaign: str, by: str, began: datetime, versions: Mapping[str, Any], facts: Mapping[str, Any]
     ) -> None:
         """Add a run."""
-        c = _RUNS.c
+        c = RUNS.c
 
         def work(connection: Connection) -> None:
             last = connection.scalar(select(func.max(c.number)).where(c.campaign == campaign)) or 0
             row = CampaignRun(last + 1, began, by, versions, facts)
-            connection.execute(insert(_RUNS).values(campaign=campaign, **row._asdict()))
+            connection.execute(insert(RUNS).values(campaign=campaign, **row._asdict()))
 
         self._write(work)
 
-    @_again_if_lost
     def runs(self, campaign: str) -> list[CampaignRun]:
-        """Return its runs in order; none of a campaign begun by golfbench 0.2.0 or older."""
-        c = _RUNS.c
-        query = select(*(c[name] for name in CampaignRun._fields)).where(c.campaign == campaign)
-        with self._reading() as connection:
-            return [CampaignRun(*row) for row in connection.execute(query.order_by(c.number))]
+        """Return its runs in order."""
+        return self._rows(RUNS, CampaignRun, campaign, "number")
 
     def set_aside(self, campaign: str, shots: Sequence[int], event: Event) -> None:
         """Exclude `shots`, whose block restarts, with the text of `event`; they are kept. All or nothing."""
-        c = _SHOTS.c
+        c = SHOTS.c
         mine = (c.campaign == campaign) & c.shot.in_(shots)
         valid = mine & (c.status == ShotStatus.VALID)
         self._execute(
-            update(_SHOTS).where(mine).values(set_aside=True),
-            update(_SHOTS).where(valid).values(status=ShotStatus.EXCLUDED, reason=event.text),
-            insert(_EVENTS).values(campaign=campaign, **event._asdict()),
+            update(SHOTS).where(mine).values(set_aside=True),
+            update(SHOTS).where(valid).values(status=ShotStatus.EXCLUDED, reason=event.text),
+            insert(EVENTS).values(campaign=campaign, **event._asdict()),
         )
 
     @_again_if_lost
     def last_shot(self, campaign: str) -> int:
         """Return the number of its last shot; 0 before the first."""
-        c = _SHOTS.c
+        c = SHOTS.c
         with self._reading() as connection:
             return connection.scalar(select(func.max(c.shot)).where(c.campaign == campaign)) or 0
 
@@ -379,58 +228,40 @@ class CampaignStore:
         if not 1 <= note.shot <= last:
             expected = f"a shot from 1 to {last}" if last else "a shot, once there is one"
             raise Refused(f"campaign {campaign}", f"no shot {note.shot}", expected, "Name another one.")
-        self._execute(insert(_NOTES).values(campaign=campaign, **note._asdict()))
+        self._execute(insert(NOTES).values(campaign=campaign, **note._asdict()))
 
-    @_again_if_lost
     def notes(self, campaign: str) -> list[ShotNote]:
         """Return the notes on its shots, by shot and in the order in which they were made."""
-        c = _NOTES.c
-        query = select(c.shot, c.date, c.by, c.text).where(c.campaign == campaign).order_by(c.shot, c.id)
-        with self._reading() as connection:
-            return [ShotNote(*row) for row in connection.execute(query)]
+        return self._rows(NOTES, ShotNote, campaign, "shot", "id")
 
     def add_exclusion(self, campaign: str, exclusion: ShotExclusion) -> None:
         """Add a person's exclusion of a shot, whose own row stays as it is."""
-        self._execute(insert(_EXCLUSIONS).values(campaign=campaign, **exclusion._asdict()))
+        self._execute(insert(EXCLUSIONS).values(campaign=campaign, **exclusion._asdict()))
 
-    @_again_if_lost
     def exclusions(self, campaign: str) -> list[ShotExclusion]:
         """Return the exclusions by hand in the order in which they were made."""
-        c = _EXCLUSIONS.c
-        query = select(*(c[name] for name in ShotExclusion._fields)).where(c.campaign == campaign)
-        with self._reading() as connection:
-            return [ShotExclusion(*row) for row in connection.execute(query.order_by(c.id))]
+        return self._rows(EXCLUSIONS, ShotExclusion, campaign, "id")
 
-    @_again_if_lost
     def prompts(self, campaign: str) -> list[Prompt]:
         """Return its prompts in order; at most the last one is not answered."""
-        c = _PROMPTS.c
-        query = select(*(c[name] for name in Prompt._fields)).where(c.campaign == campaign).order_by(c.number)
-        with self._reading() as connection:
-            return [Prompt(*row) for row in connection.execute(query)]
+        return self._rows(PROMPTS, Prompt, campaign, "number")
 
-    @_again_if_lost
     def prompt(self, campaign: str, number: int) -> Prompt:
         """Return one of its prompts."""
-        c = _PROMPTS.c
-        query = select(*(c[name] for name in Prompt._fields))
-        with self._reading() as connection:
-            return Prompt(
-                *connection.execute(query.where((c.campaign == campaign) & (c.number == number))).one()
-            )
+        return next(prompt for prompt in self.prompts(campaign) if prompt.number == number)
 
     def ask(self, campaign: str, prompt: Prompt) -> None:
         """Add a prompt."""
-        self._execute(insert(_PROMPTS).values(campaign=campaign, **prompt._asdict()))
+        self._execute(insert(PROMPTS).values(campaign=campaign, **prompt._asdict()))
 
     def answer(self, campaign: str, number: int, by: str, date: datetime) -> bool:
         """Mark prompt `number` as done; return whether it was open."""
-        c = _PROMPTS.c
+        c = PROMPTS.c
         mine = (c.campaign == campaign) & (c.number == number) & c.answered.is_(None)
 
         def work(connection: Connection) -> bool:
             values = {"answered": date, "by": by, "answer": _next_answer(connection)}
-            return bool(connection.execute(update(_PROMPTS).where(mine).values(values)).rowcount)
+            return bool(connection.execute(update(PROMPTS).where(mine).values(values)).rowcount)
 
         return self._write(work)
 
@@ -441,11 +272,11 @@ class CampaignStore:
         The last answer is the newest whatever the clock said, which may have jumped back. A simulated
         campaign has a bench of its own, a real bench has one for all its campaigns.
         """
-        c, of = _PROMPTS.c, _CAMPAIGNS.c
+        c, of = PROMPTS.c, CAMPAIGNS.c
         scope = c.campaign == entry.id if entry.simulated else (of.bench == entry.bench) & ~of.simulated
         query = (
             select(c.campaign, *(c[name] for name in Prompt._fields))
-            .join(_CAMPAIGNS, of.id == c.campaign)
+            .join(CAMPAIGNS, of.id == c.campaign)
             .where(scope & (c.kind == kind) & c.answered.is_not(None))
             .order_by(c.answer.desc(), c.number.desc())
             .limit(1)
@@ -457,7 +288,7 @@ class CampaignStore:
     @_again_if_lost
     def hits(self, scope: str) -> Counter[Hit]:
         """Return the number of uses of each part."""
-        c = _HITS.c
+        c = HITS.c
         with self._reading() as connection:
             rows = connection.execute(select(c.kind, c.name, c.sample, c.hits).where(c.scope == scope))
             return Counter({Hit(kind, name, sample): hits for kind, name, sample, hits in rows})
@@ -486,13 +317,13 @@ class CampaignStore:
 
         def work(connection: Connection) -> None:
             if rows:
-                connection.execute(insert(_SHOTS), rows)
+                connection.execute(insert(SHOTS), rows)
             if found:
-                connection.execute(insert(_EVENTS), found)
+                connection.execute(insert(EVENTS), found)
             if asked:
                 first = _next_answer(connection)
                 numbered = [row | {"answer": order} for order, row in enumerate(asked, first)]
-                connection.execute(insert(_PROMPTS), numbered)
+                connection.execute(insert(PROMPTS), numbered)
             for hit, number in (hits or {}).items():
                 _count(connection, entry.hit_scope, hit, number)
 
@@ -502,6 +333,15 @@ class CampaignStore:
             there = f"shot {shots[0].shot.shot}" if shots else "what was to be added"
             place, expected = f"campaign {entry.id}", "one runner a campaign"
             raise Refused(place, f"{there} there already", expected, "Stop the other runner.") from None
+
+    @_again_if_lost
+    def _rows(self, table: Table, record: type[_Row], campaign: str, *order: str) -> list[_Row]:
+        """Return the `record`s of a campaign in `table`, in order of these columns."""
+        c = table.c
+        query = select(*(c[name] for name in get_type_hints(record))).where(c.campaign == campaign)
+        with self._reading() as connection:
+            rows = connection.execute(query.order_by(*(c[name] for name in order)))
+            return [record(*row) for row in rows]
 
     def _write(self, work: Callable[[Connection], _Answer]) -> _Answer:
         """Do `work` in one transaction that takes the write lock at once, and return its answer.
@@ -535,14 +375,14 @@ class CampaignStore:
 
     def _is_stored(self, connection: Connection) -> bool:
         """Return whether the present write is in the database."""
-        query = select(_WRITERS.c.writes).where(_WRITERS.c.id == self._writer)
+        query = select(WRITERS.c.writes).where(WRITERS.c.id == self._writer)
         return connection.scalar(query) == self._writes
 
     def _note_stored(self, connection: Connection) -> None:
         """Let the database know that the present write is in it."""
-        mine = update(_WRITERS).where(_WRITERS.c.id == self._writer)
+        mine = update(WRITERS).where(WRITERS.c.id == self._writer)
         if not connection.execute(mine.values(writes=self._writes)).rowcount:
-            connection.execute(insert(_WRITERS).values(id=self._writer, writes=self._writes))
+            connection.execute(insert(WRITERS).values(id=self._writer, writes=self._writes))
 
     def _reading(self) -> AbstractContextManager[Connection]:
         return transaction(self._engine, writes=False, waiting=self.waiting)
@@ -550,19 +390,19 @@ class CampaignStore:
 
 def _excluded_by_hand() -> Select[str, int]:
     """Return the query for the number of valid shots of each campaign whose last exclusion holds."""
-    c, s = _EXCLUSIONS.c, _SHOTS.c
+    c, s = EXCLUSIONS.c, SHOTS.c
     last = select(func.max(c.id)).group_by(c.campaign, c.shot).scalar_subquery()
     held = (s.campaign == c.campaign) & (s.shot == c.shot) & (s.status == ShotStatus.VALID)
-    query = select(c.campaign, func.count()).join(_SHOTS, held).where(c.excluded, c.id.in_(last))
+    query = select(c.campaign, func.count()).join(SHOTS, held).where(c.excluded, c.id.in_(last))
     return query.group_by(c.campaign)
 
 
 def _next_answer(connection: Connection) -> int:
-    return (connection.scalar(select(func.max(_PROMPTS.c.answer))) or 0) + 1
+    return (connection.scalar(select(func.max(PROMPTS.c.answer))) or 0) + 1
 
 
 def _count(connection: Connection, scope: str, hit: Hit, number: int) -> None:
-    c = _HITS.c
+    c = HITS.c
     mine = (c.scope == scope) & (c.kind == hit.kind) & (c.name == hit.name) & (c.sample == hit.sample)
-    if not connection.execute(update(_HITS).where(mine).values(hits=c.hits + number)).rowcount:
-        connection.execute(insert(_HITS).values(scope=scope, **hit._asdict(), hits=number))
+    if not connection.execute(update(HITS).where(mine).values(hits=c.hits + number)).rowcount:
+        connection.execute(insert(HITS).values(scope=scope, **hit._asdict(), hits=number))

@@ -5,12 +5,41 @@ A change of these is a change of `bench.store.database.SCHEMA_VERSION`.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_type_hints
 
-from sqlalchemy import DDL, JSON, DateTime, Dialect, Double, ForeignKey, Table, UniqueConstraint, event, false
+from sqlalchemy import (
+    DDL,
+    JSON,
+    Boolean,
+    Column,
+    DateTime,
+    Dialect,
+    Double,
+    ForeignKey,
+    Integer,
+    String,
+    Table,
+    UniqueConstraint,
+    event,
+    false,
+)
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
+
+from bench.shot.shot import Shot
+from bench.store.records import (
+    CampaignEntry,
+    CampaignRun,
+    Event,
+    Hit,
+    Prompt,
+    ShotExclusion,
+    ShotNote,
+    Standing,
+)
 
 
 class UtcTime(TypeDecorator[datetime]):
@@ -80,193 +109,72 @@ def _only_add(table: Table, what: str) -> None:
 _only_add(Row.metadata.tables[CalibrationRow.__tablename__], "calibrations")
 
 
-class CampaignRow(Row):
-    """One campaign, with all that it was begun with."""
-
-    __tablename__ = "campaigns"
-
-    id: Mapped[str] = mapped_column(primary_key=True)
-    bench: Mapped[str]
-    name: Mapped[str]
-    title: Mapped[str]
-    date: Mapped[datetime]
-    simulated: Mapped[bool]
-    state: Mapped[str]
-    """A `bench.store.campaigns.CampaignState`."""
-    reason: Mapped[str]
-    """Reason of that state, or empty."""
-    requested: Mapped[str]
-    """Pending request to its runner: "pause", "stop", "abort" or empty."""
-    seed: Mapped[int]
-    plan: Mapped[dict[str, Any]]
-    digest: Mapped[str]
-    """Digest of the plan."""
-    configuration: Mapped[dict[str, Any]]
-    versions: Mapped[dict[str, Any]]
-    real_time: Mapped[dict[str, Any]]
-    """Settings as granted; empty in simulation."""
-    calibrations: Mapped[dict[str, Any]]
-    number: Mapped[int] = mapped_column(server_default="0")
-    """Rises by one per campaign: the order in which they were begun, whatever the clock said."""
+_TYPES = {int: Integer, float: Double, bool: Boolean, datetime: UtcTime, Mapping[str, Any]: JSON}
+"""Type of a column by that of its field; of others, texts and codes, String."""
 
 
-class ShotRow(Row):
-    """One shot; but for the first and the last two its columns are those of the shot table."""
-
-    __tablename__ = "shots"
-
-    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), primary_key=True)
-    shot: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
-    block: Mapped[int]
-    position: Mapped[int]
-    club: Mapped[str]
-    ball: Mapped[str]
-    status: Mapped[str]
-    reason: Mapped[str]
-    club_speed_mps: Mapped[float | None]
-    attack_angle_deg: Mapped[float | None]
-    club_path_deg: Mapped[float | None]
-    face_angle_deg: Mapped[float | None]
-    dynamic_loft_deg: Mapped[float | None]
-    strike_x_mm: Mapped[float | None]
-    strike_y_mm: Mapped[float | None]
-    ball_speed_mps: Mapped[float | None]
-    launch_angle_deg: Mapped[float | None]
-    direction_deg: Mapped[float | None]
-    spin_rpm: Mapped[float | None]
-    spin_axis_deg: Mapped[float | None]
-    carry_m: Mapped[float | None]
-    total_m: Mapped[float | None]
-    apex_m: Mapped[float | None]
-    landing_angle_deg: Mapped[float | None]
-    delivery_source: Mapped[str]
-    launch_source: Mapped[str]
-    carry_source: Mapped[str]
-    time_utc: Mapped[datetime]
-    carry_side_m: Mapped[float | None]
-    swing: Mapped[str]
-    role: Mapped[str]
-    section: Mapped[int]
-    attempt: Mapped[int]
-    sample: Mapped[int]
-    air_temperature_k: Mapped[float | None]
-    air_pressure_pa: Mapped[float | None]
-    relative_humidity: Mapped[float | None]
-    carry_reference_m: Mapped[float | None]
-    carry_monitor_m: Mapped[float | None]
-    carry_measured_m: Mapped[float | None]
-    carry_measured_error_m: Mapped[float | None]
-    flight_source: Mapped[str] = mapped_column(server_default="")
-    file: Mapped[str]
-    """Record of its cycles below `data_dir`, whole before this row exists; empty: the robot did not swing."""
-    bytes: Mapped[int]
-    """Size of that file."""
-    set_aside: Mapped[bool] = mapped_column(server_default=false())
-    """Whether its block was restarted after it: kept, excluded, and not counted as tried."""
+def _columns(record: type, *key: str) -> Iterator[Column[Any]]:
+    """Yield a column for each field of `record`; those in `key` identify a row."""
+    for name, hint in get_type_hints(record).items():
+        optional = isinstance(hint, UnionType)
+        kind = _TYPES.get(get_args(hint)[0] if optional else hint, String)
+        yield Column(name, kind, primary_key=name in key, autoincrement=False, nullable=optional)
 
 
-class CampaignEventRow(Row):
-    """An event of a campaign other than a shot."""
-
-    __tablename__ = "campaign_events"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), index=True)
-    date: Mapped[datetime]
-    before_shot: Mapped[int]
-    kind: Mapped[str]
-    text: Mapped[str]
+def _of_campaign(name: str, record: type, *key: str, more: Iterable[Column[Any]] = ()) -> Table:
+    """Return a table of `record`s of campaigns, by the fields in `key`; without any by a number."""
+    campaign = Column("campaign", ForeignKey("campaigns.id"), primary_key=bool(key), index=not key)
+    number = [] if key else [Column("id", Integer, primary_key=True)]
+    return Table(name, Row.metadata, *number, campaign, *_columns(record, *key), *more)
 
 
-class CampaignRunRow(Row):
-    """One run of a campaign: from its begin or a resume until the runner ends."""
+CAMPAIGNS = Table(
+    "campaigns",
+    Row.metadata,
+    *_columns(CampaignEntry, "id"),
+    *_columns(Standing),
+    Column("number", Integer, nullable=False),
+)
+"""The number rises by one per campaign: the order in which they were begun, whatever the clock said."""
 
-    __tablename__ = "campaign_runs"
+SHOTS = _of_campaign(
+    "shots",
+    Shot,
+    "shot",
+    more=(
+        Column("file", String, nullable=False),
+        Column("bytes", Integer, nullable=False),
+        Column("set_aside", Boolean, nullable=False, server_default=false()),
+    ),
+)
+"""With the record of a shot's cycles below `data_dir`, whole before its row exists, and its size; empty: the
+robot did not swing. Set aside: its block was restarted after it; it is kept and excluded."""
 
-    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), primary_key=True)
-    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
-    """From 1."""
-    began: Mapped[datetime]
-    by: Mapped[str]
-    versions: Mapped[dict[str, Any]]
-    facts: Mapped[dict[str, Any]]
-    """Facts of the running bench, and the digest of the configuration."""
+EVENTS = _of_campaign("campaign_events", Event)
+RUNS = _of_campaign("campaign_runs", CampaignRun, "number")
+NOTES = _of_campaign("shot_notes", ShotNote)
+"""Rows are only added."""
+EXCLUSIONS = _of_campaign("shot_exclusions", ShotExclusion)
+"""Rows are only added; the shot's row stays."""
+PROMPTS = _of_campaign(
+    "campaign_prompts", Prompt, "number", more=[Column("answer", Integer, nullable=False, server_default="0")]
+)
+"""The answer's number rises by one per answer: their order, whatever the clock said; 0 until then."""
 
+HITS = Table(
+    "hit_counts",
+    Row.metadata,
+    Column("scope", String, primary_key=True),
+    *_columns(Hit, *Hit._fields),
+    Column("hits", Integer, nullable=False),
+)
+"""Number of uses of a ball, a club, a valve, in the `CampaignEntry.hit_scope`."""
 
-class ShotNoteRow(Row):
-    """A person's mark or comment on a shot. Rows are only added."""
-
-    __tablename__ = "shot_notes"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), index=True)
-    shot: Mapped[int]
-    date: Mapped[datetime]
-    by: Mapped[str]
-    text: Mapped[str]
-    """Empty: a mark without a comment."""
-
-
-class ShotExclusionRow(Row):
-    """A person's exclusion of a shot, or its taking back. Rows are only added; the shot's row stays."""
-
-    __tablename__ = "shot_exclusions"
-
-    id: Mapped[int] = mapped_column(primary_key=True)
-    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), index=True)
-    shot: Mapped[int]
-    date: Mapped[datetime]
-    by: Mapped[str]
-    reason: Mapped[str]
-    excluded: Mapped[bool]
-    """Whether it is excluded from then on; else it counts again."""
-    after_shot: Mapped[int]
-    """Number of the campaign's last shot then."""
-
-
-class CampaignPromptRow(Row):
-    """A prompt to the operator: mount a club, fill the feeder."""
-
-    __tablename__ = "campaign_prompts"
-
-    campaign: Mapped[str] = mapped_column(ForeignKey("campaigns.id"), primary_key=True)
-    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
-    """From 1."""
-    before_shot: Mapped[int]
-    kind: Mapped[str]
-    text: Mapped[str]
-    content: Mapped[dict[str, Any]]
-    """State of the bench once it is done."""
-    asked: Mapped[datetime]
-    answered: Mapped[datetime | None]
-    by: Mapped[str]
-    """Who answered; empty until then."""
-    answer: Mapped[int] = mapped_column(server_default="0")
-    """Rises by one per answer: the order of answers, whatever the clock said; 0 until then."""
-
-
-class HitCountRow(Row):
-    """Number of uses of a ball, a club, a valve."""
-
-    __tablename__ = "hit_counts"
-
-    scope: Mapped[str] = mapped_column(primary_key=True)
-    """Id of the bench; of the campaign when it is simulated, whose balls do not exist elsewhere."""
-    kind: Mapped[str] = mapped_column(primary_key=True)
-    name: Mapped[str] = mapped_column(primary_key=True)
-    sample: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
-    hits: Mapped[int]
-
-
-class WriterRow(Row):
-    """Last write of a program that repeats what it cannot know to be stored."""
-
-    __tablename__ = "writers"
-
-    id: Mapped[str] = mapped_column(primary_key=True)
-    """Random."""
-    writes: Mapped[int]
-    """Number of its last write that is in the database, from 1."""
+WRITERS = Table(
+    "writers", Row.metadata, Column("id", String, primary_key=True), Column("writes", Integer, nullable=False)
+)
+"""Number of the last write, from 1, that is in the database, of each program that repeats what it cannot know
+to be stored."""
 
 
 class LearnedSwingRow(Row):

@@ -28,8 +28,9 @@ from bench.campaign.swings import require_swings
 from bench.config import Configuration, database_url, load_configuration
 from bench.shot.shot_table import shot_table_text
 from bench.simulation.swing_operator import never
-from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore
+from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
+from bench.store.records import CampaignEntry, CampaignState
 from tests.bench.campaign.as_designed import AsDesigned, arm_all
 from tests.benchmarks.row import Row
 

@@ -30,8 +30,9 @@ from bench.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.network.free_port import free_port
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_matcher import NOT_TOLD
-from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore
+from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
+from bench.store.records import CampaignEntry, CampaignState
 from bench.telemetry.recorder import read_swing
 from sim.live.surroundings import SurroundingsWriter
 from tests.benchmarks.row import Row

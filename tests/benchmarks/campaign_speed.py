@@ -29,8 +29,9 @@ from bench.campaign.swings import require_swings
 from bench.config import database_url, load_configuration
 from bench.shot.shot import Shot
 from bench.simulation.swing_operator import never
-from bench.store.campaigns import CampaignState, CampaignStore, StoredShot
+from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
+from bench.store.records import CampaignState
 from tests.bench.campaign.as_designed import AsDesigned, arm_all
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 from tests.benchmarks.row import Row

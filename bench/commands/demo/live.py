@@ -22,8 +22,9 @@ from bench.interrupt import deferred_interrupt
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.processes.child import Child
-from bench.store.campaigns import CampaignState, CampaignStore
+from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
+from bench.store.records import CampaignState
 
 _START = 400.0
 """s that the bench may take to start: the first time everything is compiled."""

@@ -14,8 +14,9 @@ from bench.commands.demo.result import Files, ScreenWatcher, demo_plan, new_fold
 from bench.commands.demo.screen import Screen
 from bench.config import Configuration, database_url
 from bench.interrupt import deferred_interrupt
-from bench.store.campaigns import CampaignState, CampaignStore
+from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
+from bench.store.records import CampaignState
 
 
 def run_lock_step_demo(configuration: Configuration, output: Path | None, swings: int, seed: int) -> bool:

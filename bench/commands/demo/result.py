@@ -21,7 +21,8 @@ from bench.errors import BenchError, Refused
 from bench.shot.recorded_shot import read_shot
 from bench.shot.shot import Shot
 from bench.shot.shot_table import write_shot_table
-from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore
+from bench.store.campaigns import CampaignStore
+from bench.store.records import CampaignEntry, CampaignState
 from bench.viewer.recording import write_recording
 
 

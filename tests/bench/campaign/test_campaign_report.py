@@ -26,7 +26,7 @@ from bench.commands.campaign_junit import junit_xml
 from bench.config import load_configuration
 from bench.errors import BenchError
 from bench.shot.shot import ShotStatus
-from bench.store.campaigns import CampaignState, Event, Hit, Prompt, Standing
+from bench.store.records import CampaignState, Event, Hit, Prompt, Standing
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)

@@ -29,7 +29,7 @@ from bench.campaign.verdicts import quantity_name
 from bench.config import Configuration, load_configuration
 from bench.errors import BenchError, Refused
 from bench.shot.recorded_shot import FlightConditions
-from bench.store.campaigns import CampaignState, Hit, Standing
+from bench.store.records import CampaignState, Hit, Standing
 from drivers.base import Launch
 from sim.ball import REFERENCE_BALL, Ball
 from sim.flight import fly

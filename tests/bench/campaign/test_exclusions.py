@@ -18,8 +18,9 @@ from bench.campaign.verification import verify_page
 from bench.config import database_url
 from bench.errors import Refused
 from bench.shot.shot import ShotStatus
-from bench.store.campaigns import CampaignState, CampaignStore, Event, ShotExclusion, StoredShot
+from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
+from bench.store.records import CampaignState, Event, ShotExclusion
 from tests.bench.campaign.test_campaign_report import NOW, _record
 from tests.benchmarks.campaign_statistics import Truth
 

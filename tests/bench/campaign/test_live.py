@@ -47,8 +47,9 @@ from bench.shot.shot import ShotStatus
 from bench.shot.shot_message import ShotMessage
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
 from bench.simulation.swing_operator import never
-from bench.store.campaigns import CampaignState, CampaignStore
+from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
+from bench.store.records import CampaignState
 from bench.telemetry.recorder import read_swing
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchOutcome

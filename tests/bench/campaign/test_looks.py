@@ -19,8 +19,9 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.verdicts import confidence_words
 from bench.config import database_url, load_configuration
-from bench.store.campaigns import CampaignState, CampaignStore, StoredShot
+from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
+from bench.store.records import CampaignState
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 NOW = datetime(2026, 11, 22, tzinfo=UTC)

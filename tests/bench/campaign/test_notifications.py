@@ -14,7 +14,7 @@ import pytest
 
 from bench.campaign.notifications import Notifier, Service, notifying, read_services
 from bench.errors import BenchError
-from bench.store.campaigns import CampaignEntry, CampaignState
+from bench.store.records import CampaignEntry, CampaignState
 from tests.bench.store.test_campaigns import ENTRY
 
 HIDDEN = "k9-of-the-chat"

@@ -45,8 +45,9 @@ from bench.config import database_url, load_configuration
 from bench.errors import Refused
 from bench.shot.shot import Shot, ShotStatus
 from bench.simulation.swing_operator import never
-from bench.store.campaigns import CampaignState, CampaignStore, Hit, Prompt
+from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
+from bench.store.records import CampaignState, Hit, Prompt
 from tests.bench.campaign.test_runner import NOW, Scripted
 
 CONFIGURATION = load_configuration(Path("shipped"))

@@ -45,8 +45,9 @@ from bench.config import Configuration, database_url, load_configuration
 from bench.errors import BenchError, Refused
 from bench.shot.shot import Shot, ShotStatus
 from bench.simulation.swing_operator import never
-from bench.store.campaigns import CampaignEntry, CampaignState, CampaignStore, Hit
+from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
+from bench.store.records import CampaignEntry, CampaignState, Hit
 from bench.telemetry.recorder import read_swing, write_swing
 from bench.telemetry.whole_file import NotStored
 from drivers.base import ACTUATORS

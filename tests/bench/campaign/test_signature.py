@@ -17,8 +17,9 @@ from bench.campaign.plan_file import load_plan, plan_from_record
 from bench.campaign.signature import calibration_table, issue_report, item_table, overdue, particulars
 from bench.config import database_url, load_configuration
 from bench.errors import BenchError, Refused
-from bench.store.campaigns import CampaignRun, CampaignState, CampaignStore, Event, StoredShot
+from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
+from bench.store.records import CampaignRun, CampaignState, Event
 from tests.bench.campaign.test_campaign_report import NOW, _record, _words
 from tests.benchmarks.campaign_statistics import Truth
 

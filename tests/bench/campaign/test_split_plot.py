@@ -32,7 +32,7 @@ from bench.campaign.split_plot import as_split_plot, fully_randomised
 from bench.campaign.suitability import needs, needs_words
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import CampaignState, Standing
+from bench.store.records import CampaignState, Standing
 from tests.bench.campaign.known_truth import Known, cases, drawn
 
 SHIPPED = load_configuration(Path("shipped"))

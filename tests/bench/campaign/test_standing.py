@@ -8,7 +8,7 @@ import pytest
 
 from bench.campaign.operate import standing_now
 from bench.processes.file_lock import try_lock
-from bench.store.campaigns import CampaignState, Standing
+from bench.store.records import CampaignState, Standing
 
 NAME = "2026-11-26-two-balls-1"
 

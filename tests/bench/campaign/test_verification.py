@@ -16,7 +16,8 @@ from bench.campaign.findings import findings
 from bench.campaign.reader_units import UnitSystem
 from bench.campaign.verification import missing_records, verify_page
 from bench.errors import BenchError
-from bench.store.campaigns import Event, Hit, ShotNote, StoredShot
+from bench.store.campaigns import StoredShot
+from bench.store.records import Event, Hit, ShotNote
 from tests.bench.campaign.test_campaign_report import NOW, _record
 from tests.benchmarks.campaign_statistics import Truth
 

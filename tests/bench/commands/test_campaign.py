@@ -28,8 +28,9 @@ from bench.cli import app, main
 from bench.config import database_url, load_configuration
 from bench.errors import BenchError, ExitCode, Refused
 from bench.simulation.swing_operator import never
-from bench.store.campaigns import CampaignState, CampaignStore
+from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
+from bench.store.records import CampaignState
 from bench.telemetry.whole_file import NotStored
 from tests.bench.shot.read_shots import read_shot_table
 from tests.sampling import release_except

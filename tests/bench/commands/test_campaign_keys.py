@@ -27,8 +27,9 @@ from bench.commands.campaign_keys import HINT, LONGEST, MarkLine, mark_keys
 from bench.commands.campaign_screen import CampaignBar
 from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
-from bench.store.campaigns import CampaignState, CampaignStore, ShotNote
+from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
+from bench.store.records import CampaignState, ShotNote
 
 NOW = datetime(2026, 11, 23, 12, 0, tzinfo=UTC)
 

@@ -33,7 +33,7 @@ from bench.processes.tick_timing import new_timing, summary
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_matcher import Told
 from bench.shot.shot_message import ShotPublication, read_shot_message, shot_publication
-from bench.store.campaigns import CampaignState
+from bench.store.records import CampaignState
 from bench.telemetry.batches import encode_batch, wire_schema
 from bench.telemetry.cycle_record import CYCLE, arrow_schema
 from drivers.launch_monitor.matching import MatchOutcome

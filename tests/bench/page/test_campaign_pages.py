@@ -19,8 +19,9 @@ from bench.lifecycle import State
 from bench.page.campaign_archive import CampaignArchive, RunningCampaigns
 from bench.page.last_swing import SwingReader, ended_swing_view, swing_view
 from bench.shot.recorded_shot import plant_of
-from bench.store.campaigns import CampaignState, CampaignStore, Prompt, StoredShot
+from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
+from bench.store.records import CampaignState, Prompt
 from bench.telemetry.recorder import read_swing
 from bench.telemetry.ring import RingWriter
 from tests.bench.campaign.test_campaign_report import NOW, _record

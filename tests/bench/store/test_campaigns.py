@@ -27,19 +27,10 @@ from bench.config import database_url
 from bench.errors import BenchError, Refused
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store import database
-from bench.store.campaigns import (
-    CampaignEntry,
-    CampaignState,
-    CampaignStore,
-    Event,
-    Hit,
-    Prompt,
-    ShotExclusion,
-    ShotNote,
-    StoredShot,
-)
+from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import DatabaseLocked, open_database
-from bench.store.tables import ShotRow
+from bench.store.records import CampaignEntry, CampaignState, Event, Hit, Prompt, ShotExclusion, ShotNote
+from bench.store.tables import SHOTS
 from tests.bench.lossy_proxy import LossyProxy
 from tests.bench.running_postgres import PostgresServer, running_postgres
 
@@ -143,7 +134,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from sqlalchemy import make_url
-from bench.store.campaigns import CampaignStore, Hit, StoredShot
+from bench.store.campaigns import CampaignStore, StoredShot
+from bench.store.records import Hit
 from bench.store.database import open_database
 from tests.bench.store.test_campaigns import ENTRY, SHOT
 
@@ -444,5 +436,5 @@ def open_later(url: Any) -> Iterator[CampaignStore]:
 
 
 def test_the_table_of_shots_has_every_column_of_the_export() -> None:
-    columns = set(ShotRow.__table__.columns.keys())
+    columns = set(SHOTS.columns.keys())
     assert columns == {column.name for column in COLUMNS} | {"campaign", "file", "bytes", "set_aside"}

@@ -1,0 +1,132 @@
+"""What the campaigns' tables hold, row by row; each class names the columns of its table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+
+class CampaignState(StrEnum):
+    """State of a campaign."""
+
+    RUNNING = "running"
+    """Stored until its runner ends it; `bench.campaign.operate.standing_now` finds a dead one."""
+    WAITING = "waiting"
+    """Waiting for the answer to a prompt."""
+    PAUSED = "paused"
+    SUSPENDED = "suspended"
+    """Suspended by its runner, for a reason that a person must clear."""
+    STOPPED = "stopped"
+    """Stopped by a person after a complete shot; it can be resumed."""
+    ABORTED = "aborted"
+    """Aborted by a person at once; it cannot be resumed."""
+    FINISHED = "finished"
+    INTERRUPTED = "interrupted"
+    """Its runner died without closing it; never stored."""
+
+
+ENDED = frozenset({CampaignState.ABORTED, CampaignState.FINISHED})
+"""Final states."""
+
+
+@dataclass(frozen=True)
+class CampaignEntry:
+    """A campaign with all inputs it was started with."""
+
+    id: str
+    bench: str
+    name: str
+    title: str
+    date: datetime
+    simulated: bool
+    seed: int
+    plan: Mapping[str, Any]
+    digest: str
+    configuration: Mapping[str, Any]
+    versions: Mapping[str, Any]
+    real_time: Mapping[str, Any]
+    calibrations: Mapping[str, Any]
+
+    @property
+    def hit_scope(self) -> str:
+        """Scope of its hit counts: the campaign if simulated, else the bench."""
+        return self.id if self.simulated else self.bench
+
+
+class Standing(NamedTuple):
+    """State of a campaign, with its reason and pending request."""
+
+    state: CampaignState
+    reason: str
+    requested: str
+
+
+class Event(NamedTuple):
+    """An event before a shot."""
+
+    date: datetime
+    before_shot: int
+    kind: str
+    text: str
+
+
+class CampaignRun(NamedTuple):
+    """One run of a campaign: from its begin or a resume until the runner ends."""
+
+    number: int
+    """From 1, within its campaign."""
+    began: datetime
+    by: str
+    versions: Mapping[str, Any]
+    facts: Mapping[str, Any]
+    """Facts of the running bench, and the digest of the configuration."""
+
+
+class ShotNote(NamedTuple):
+    """A person's mark or comment on a shot."""
+
+    shot: int
+    date: datetime
+    by: str
+    text: str
+    """Empty: a mark without a comment."""
+
+
+class ShotExclusion(NamedTuple):
+    """A person's exclusion of a shot, or its taking back."""
+
+    shot: int
+    date: datetime
+    by: str
+    reason: str
+    excluded: bool
+    """Whether it is excluded from then on; else it counts again."""
+    after_shot: int
+    """Number of the campaign's last shot then."""
+
+
+class Prompt(NamedTuple):
+    """A prompt to the operator before a shot."""
+
+    number: int
+    """From 1, within its campaign."""
+    before_shot: int
+    kind: str
+    text: str
+    content: Mapping[str, Any]
+    """State of the bench once it is done."""
+    asked: datetime
+    answered: datetime | None = None
+    by: str = ""
+    """Who answered."""
+
+
+class Hit(NamedTuple):
+    """A part that wears: a ball's sample, a club, a valve."""
+
+    kind: str
+    name: str
+    sample: int = 0
