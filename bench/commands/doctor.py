@@ -86,6 +86,11 @@ class ItemResult(NamedTuple):
     figures: dict[str, float] = {}  # noqa: RUF012 - never changed
 
 
+ok = functools.partial(ItemResult, CheckStatus.OK)
+limited = functools.partial(ItemResult, CheckStatus.LIMITED)
+missing = functools.partial(ItemResult, CheckStatus.MISSING)
+
+
 class Probe(NamedTuple):
     """A check to make."""
 
@@ -114,7 +119,7 @@ def examine(probes: Sequence[Probe]) -> Iterator[Finding]:
         try:
             outcome = probe.look()
         except Exception as error:
-            outcome = ItemResult(CheckStatus.LIMITED, f"not examined: {type(error).__name__}: {error}")
+            outcome = limited(f"not examined: {type(error).__name__}: {error}")
         yield Finding(probe.group, probe.item, probe.required, *outcome)
 
 
@@ -175,16 +180,15 @@ def probes(data_dir: Path) -> tuple[Probe, ...]:
 
 def python() -> ItemResult:
     """Look at the running interpreter; an installation has already refused one that is too old."""
-    return ItemResult(CheckStatus.OK, f"{sys.implementation.name} {sys.version.split()[0]} in {sys.prefix}")
+    return ok(f"{sys.implementation.name} {sys.version.split()[0]} in {sys.prefix}")
 
 
 def kernel() -> ItemResult:
     """Look for a kernel with full preemption."""
     release = f"{os.uname().sysname} {os.uname().release}"
-    if _read("/sys/kernel/realtime") == "1" or "PREEMPT_RT" in os.uname().version:
-        return ItemResult(CheckStatus.OK, f"{release}, PREEMPT_RT")
-    return ItemResult(
-        CheckStatus.LIMITED,
+    if small_text("/sys/kernel/realtime") == "1" or "PREEMPT_RT" in os.uname().version:
+        return ok(f"{release}, PREEMPT_RT")
+    return limited(
         f"{release}, no PREEMPT_RT",
         "enough for simulation; boot a PREEMPT_RT kernel to run hardware (Debian: linux-image-rt-amd64)",
     )
@@ -193,40 +197,34 @@ def kernel() -> ItemResult:
 def processors() -> ItemResult:
     """Count the processors this process may use."""
     count = len(os.sched_getaffinity(0))
-    isolated = _read("/sys/devices/system/cpu/isolated")
-    governor = _read("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
+    isolated = small_text("/sys/devices/system/cpu/isolated")
+    governor = small_text("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
     value = f"{count}" + (f", isolated: {isolated}" if isolated else "")
     figures = {"count": float(count)}
     if count < 2:
-        return ItemResult(
-            CheckStatus.LIMITED, value, "the loop and the rest share one: give it two or more", figures
-        )
+        return limited(value, "the loop and the rest share one: give it two or more", figures)
     if governor == "powersave":
         advice = "clock rises late under load: cpupower frequency-set -g performance"
-        return ItemResult(CheckStatus.LIMITED, f"{value}, governor {governor}", advice, figures)
-    return ItemResult(CheckStatus.OK, value + (f", governor {governor}" if governor else ""), figures=figures)
+        return limited(f"{value}, governor {governor}", advice, figures)
+    return ok(value + (f", governor {governor}" if governor else ""), figures=figures)
 
 
 def virtual_machine() -> ItemResult:
     """Look whether a hypervisor may take the processor away."""
-    if "hypervisor" in _read("/proc/cpuinfo").split():
-        return ItemResult(
-            CheckStatus.LIMITED,
-            "yes",
-            "the host adds stalls: run hardware and timing proofs on a machine of its own",
-        )
-    return ItemResult(CheckStatus.OK, "no")
+    if "hypervisor" in small_text("/proc/cpuinfo").split():
+        return limited("yes", "the host adds stalls: run hardware and timing proofs on a machine of its own")
+    return ok("no")
 
 
 def memory() -> ItemResult:
     """Look at the memory that is free or can be freed."""
-    lines = dict(line.split(":", 1) for line in _read("/proc/meminfo").splitlines())
+    lines = dict(line.split(":", 1) for line in small_text("/proc/meminfo").splitlines())
     available = int(lines["MemAvailable"].split()[0]) * 1024
     value = f"{available / GIBIBYTE:.1f} GiB available"
     figures = {"available_bytes": float(available)}
     if available < 2 * GIBIBYTE:
-        return ItemResult(CheckStatus.LIMITED, value, "2 GiB are wanted: close other programs", figures)
-    return ItemResult(CheckStatus.OK, value, figures=figures)
+        return limited(value, "2 GiB are wanted: close other programs", figures)
+    return ok(value, figures=figures)
 
 
 def data_folder(data_dir: Path) -> ItemResult:
@@ -237,12 +235,10 @@ def data_folder(data_dir: Path) -> ItemResult:
     figures = {"free_bytes": float(free)}
     if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         advice = f"make {existing.absolute()} a folder you may write to, or set data_dir elsewhere"
-        return ItemResult(CheckStatus.MISSING, f"{value}, not writable", advice, figures)
+        return missing(f"{value}, not writable", advice, figures)
     if free < GIBIBYTE:
-        return ItemResult(
-            CheckStatus.LIMITED, value, "a campaign of 100 swings may fill it: free 1 GiB", figures
-        )
-    return ItemResult(CheckStatus.OK, value, figures=figures)
+        return limited(value, "a campaign of 100 swings may fill it: free 1 GiB", figures)
+    return ok(value, figures=figures)
 
 
 # Packages --------------------------------------------------------------------------------------------
@@ -254,9 +250,7 @@ def package_probes() -> Iterator[Probe]:
         lines = importlib.metadata.requires("golfbench") or ()
     except importlib.metadata.PackageNotFoundError as error:
         found = f"{type(error).__name__}: {error}"
-        outcome = ItemResult(
-            CheckStatus.MISSING, found, "install golfbench: `make demo`, or `pip install -e .`"
-        )
+        outcome = missing(found, "install golfbench: `make demo`, or `pip install -e .`")
         yield Probe("packages", "golfbench", lambda: outcome, required=True)
         return
     wanted = [requirement for line in lines if (requirement := Requirement.of(line)) is not None]
@@ -310,13 +304,13 @@ def package(
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
-        return ItemResult(CheckStatus.MISSING, "not installed", cure)
+        return missing("not installed", cure)
     answer = answers()[module]
     if answer != "ok":
-        return ItemResult(CheckStatus.MISSING, f"{version}, import fails: {answer}", cure)
+        return missing(f"{version}, import fails: {answer}", cure)
     if not allowed(version):
-        return ItemResult(CheckStatus.LIMITED, f"{version}, outside the tested versions", cure)
-    return ItemResult(CheckStatus.OK, version)
+        return limited(f"{version}, outside the tested versions", cure)
+    return ok(version)
 
 
 def import_answers(modules: Sequence[str]) -> dict[str, str]:
@@ -345,20 +339,12 @@ def compiled_code() -> ItemResult:
     folder = Path(json.loads(_child("cache")))
     functions = sum(1 for _ in folder.rglob("*.nbc")) if folder.is_dir() else 0
     if not os.access(_existing(folder), os.W_OK | os.X_OK):
-        return ItemResult(
-            CheckStatus.LIMITED,
-            f"{folder} is not writable",
-            "every start recompiles: set NUMBA_CACHE_DIR to a writable folder",
+        return limited(
+            f"{folder} is not writable", "every start recompiles: set NUMBA_CACHE_DIR to a writable folder"
         )
     if not functions:
-        return ItemResult(
-            CheckStatus.LIMITED,
-            f"cold, will be kept in {folder}",
-            "the first run compiles, later ones do not",
-        )
-    return ItemResult(
-        CheckStatus.OK, f"warm, {functions} functions in {folder}", figures={"functions": float(functions)}
-    )
+        return limited(f"cold, will be kept in {folder}", "the first run compiles, later ones do not")
+    return ok(f"warm, {functions} functions in {folder}", figures={"functions": float(functions)})
 
 
 # Real time -------------------------------------------------------------------------------------------
@@ -375,18 +361,16 @@ def realtime_probes() -> Iterator[Probe]:
     def setting(name: str) -> ItemResult:
         found = granted()["settings"][name]
         if found["held"]:
-            return ItemResult(CheckStatus.OK, f"{found['granted']}: granted and read back")
-        return ItemResult(CheckStatus.LIMITED, f"{found['granted']}: {found['reason']}", found["cure"])
+            return ok(f"{found['granted']}: granted and read back")
+        return limited(f"{found['granted']}: {found['reason']}", found["cure"])
 
     def wake_up() -> ItemResult:
         figures: dict[str, float] = granted()["latency"]
         value = "median {p50_us:.0f} µs, 99 % {p99_us:.0f} µs, longest {max_us:.0f} µs".format(**figures)
         value += f" of 500 at 1 kHz, scheduling {granted()['settings'][SCHEDULING]['granted']}"
         if figures["p99_us"] <= LATE * 1e6:
-            return ItemResult(CheckStatus.OK, value, figures=figures)
-        return ItemResult(
-            CheckStatus.LIMITED, value, "a quiet machine, SCHED_FIFO and PREEMPT_RT shorten it", figures
-        )
+            return ok(value, figures=figures)
+        return limited(value, "a quiet machine, SCHED_FIFO and PREEMPT_RT shorten it", figures)
 
     for item, name in (("SCHED_FIFO", SCHEDULING), (MEMORY, MEMORY), (SLACK, SLACK), (IDLE, IDLE)):
         yield Probe("real time", item, functools.partial(setting, name))
@@ -402,46 +386,41 @@ def limits() -> ItemResult:
     priority = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     value = f"rtprio {_limit(priority)}, memlock {_limit(locked, MEBIBYTE, ' MiB')}"
-    status = dict(line.split(":", 1) for line in _read("/proc/self/status").splitlines())
+    status = dict(line.split(":", 1) for line in small_text("/proc/self/status").splitlines())
     held = int(status.get("CapEff", "0"), 16)
     nice, lock = held >> _CAP_SYS_NICE & 1, held >> _CAP_IPC_LOCK & 1
     if nice and lock:
-        return ItemResult(CheckStatus.OK, f"{value}, lifted by capabilities")
+        return ok(f"{value}, lifted by capabilities")
     priority_enough = nice or priority == resource.RLIM_INFINITY or priority >= PRIORITY
     locked_enough = lock or locked == resource.RLIM_INFINITY
     if priority_enough and locked_enough:
-        return ItemResult(CheckStatus.OK, value)
+        return ok(value)
     wanted = [] if priority_enough else [f"rtprio {PRIORITY}"]
     wanted += [] if locked_enough else ["memlock unlimited"]
-    return ItemResult(
-        CheckStatus.LIMITED, value, f"raise to {' and '.join(wanted)} in /etc/security/limits.conf"
-    )
+    return limited(value, f"raise to {' and '.join(wanted)} in /etc/security/limits.conf")
 
 
 def throttling() -> ItemResult:
     """Look how much of each period real-time tasks may run before the kernel stops them."""
-    runtime = int(_read("/proc/sys/kernel/sched_rt_runtime_us"))
-    period = int(_read("/proc/sys/kernel/sched_rt_period_us"))
+    runtime = int(small_text("/proc/sys/kernel/sched_rt_runtime_us"))
+    period = int(small_text("/proc/sys/kernel/sched_rt_period_us"))
     if runtime < 0:
-        return ItemResult(CheckStatus.OK, "off")
+        return ok("off")
     value = f"{runtime / period:.0%} of each {period / 1e6:g} s"
     if runtime < 0.9 * period:
-        return ItemResult(CheckStatus.LIMITED, value, "sysctl kernel.sched_rt_runtime_us=950000")
-    return ItemResult(CheckStatus.OK, f"{value}; the loop needs far less")
+        return limited(value, "sysctl kernel.sched_rt_runtime_us=950000")
+    return ok(f"{value}; the loop needs far less")
 
 
 def huge_pages() -> ItemResult:
     """Look whether the kernel gathers everybody's small pages into huge ones, which stalls every task."""
-    found = _read("/sys/kernel/mm/transparent_hugepage/enabled")
+    found = small_text("/sys/kernel/mm/transparent_hugepage/enabled")
     if "[always]" in found:
-        return ItemResult(
-            CheckStatus.LIMITED,
+        return limited(
             "always",
             "the kernel copies whole huge pages every ten seconds: boot with transparent_hugepage=madvise",
         )
-    return ItemResult(
-        CheckStatus.OK, next((w[1:-1] for w in found.split() if w[0] == "["), "this kernel has none")
-    )
+    return ok(next((w[1:-1] for w in found.split() if w[0] == "["), "this kernel has none"))
 
 
 def clock() -> ItemResult:
@@ -449,14 +428,12 @@ def clock() -> ItemResult:
     stated = time.clock_getres(time.CLOCK_MONOTONIC)
     stamps = [time.monotonic_ns() for _ in range(10_000)]
     step = min((b - a for a, b in itertools.pairwise(stamps) if b > a), default=0)
-    source = _read("/sys/devices/system/clocksource/clocksource0/current_clocksource") or "unknown"
+    source = small_text("/sys/devices/system/clocksource/clocksource0/current_clocksource") or "unknown"
     value = f"resolution {stated * 1e9:.0f} ns, observed step {step} ns, source {source}"
     figures = {"resolution_s": stated, "observed_step_s": step * 1e-9}
     if stated > 1e-6 or step > 5_000:
-        return ItemResult(
-            CheckStatus.LIMITED, value, "too coarse for 1 kHz: boot with clocksource=tsc", figures
-        )
-    return ItemResult(CheckStatus.OK, value, figures=figures)
+        return limited(value, "too coarse for 1 kHz: boot with clocksource=tsc", figures)
+    return ok(value, figures=figures)
 
 
 def _limit(value: int, unit: int = 1, name: str = "") -> str:
@@ -471,20 +448,17 @@ def socketcan() -> ItemResult:
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except (OSError, AttributeError) as error:
-        return ItemResult(
-            CheckStatus.MISSING,
-            f"no CAN sockets: {error}",
-            "simulation needs none; hardware: load can, can_raw, can_dev",
+        return missing(
+            f"no CAN sockets: {error}", "simulation needs none; hardware: load can, can_raw, can_dev"
         )
     names = [
-        f"{folder.name} {_read(folder / 'operstate')}"
+        f"{folder.name} {small_text(folder / 'operstate')}"
         for folder in sorted(Path("/sys/class/net").iterdir())
-        if _read(folder / "type") == _ARPHRD_CAN
+        if small_text(folder / "type") == _ARPHRD_CAN
     ]
     if names:
-        return ItemResult(CheckStatus.OK, ", ".join(names))
-    return ItemResult(
-        CheckStatus.LIMITED,
+        return ok(", ".join(names))
+    return limited(
         "CAN sockets, no interface",
         "attach one and `ip link set can0 up type can bitrate 1000000`, or add a vcan to try",
     )
@@ -494,8 +468,8 @@ def can_channels() -> ItemResult:
     """Look for adapters with drivers of their own, through python-can."""
     channels = json.loads(_child("can"))
     if channels:
-        return ItemResult(CheckStatus.OK, ", ".join(channels))
-    return ItemResult(CheckStatus.MISSING, "none", "simulation needs none; attach an adapter and its driver")
+        return ok(", ".join(channels))
+    return missing("none", "simulation needs none; attach an adapter and its driver")
 
 
 # DAQ -------------------------------------------------------------------------------------------------
@@ -505,23 +479,21 @@ def daq_cards() -> ItemResult:
     """Look for the package nidaqmx, for NI's own driver that it needs, and for cards."""
     found = json.loads(_child("daq"))
     if not found["package"]:
-        return ItemResult(
-            CheckStatus.MISSING,
+        return missing(
             "no package nidaqmx",
             'simulation needs none; for a card: pip install "golfbench[daq]", and NI\'s driver',
         )
     package = f"nidaqmx {found['package']}"
     if not found["runtime"]:
-        return ItemResult(
-            CheckStatus.MISSING,
+        return missing(
             f"{package}, but NI's driver does not answer: {found['trouble']}",
             "simulation needs none; for a card: install NI-DAQmx for Linux from ni.com, then restart",
         )
     driver = f"{package}, NI-DAQmx {found['runtime']}"
     if found["trouble"] or not found["cards"]:
         advice = "attach one, and see that NI's tool nilsdev lists it"
-        return ItemResult(CheckStatus.LIMITED, f"{driver}, {found['trouble'] or 'no card'}", advice)
-    return ItemResult(CheckStatus.OK, f"{driver}: {', '.join(found['cards'])}")
+        return limited(f"{driver}, {found['trouble'] or 'no card'}", advice)
+    return ok(f"{driver}: {', '.join(found['cards'])}")
 
 
 # Tools -----------------------------------------------------------------------------------------------
@@ -531,8 +503,8 @@ def tool(package_name: str, purpose: str, programs: Sequence[str]) -> ItemResult
     """Look for the first of `programs` on the PATH."""
     path = next(filter(None, map(shutil.which, programs)), None)
     if path:
-        return ItemResult(CheckStatus.OK, path)
-    return ItemResult(CheckStatus.MISSING, "not found", f"{purpose}; Debian: apt-get install {package_name}")
+        return ok(path)
+    return missing("not found", f"{purpose}; Debian: apt-get install {package_name}")
 
 
 def _child(question: str) -> str:
@@ -550,7 +522,7 @@ def _child(question: str) -> str:
     return answer.stdout
 
 
-def _read(path: str | Path) -> str:
+def small_text(path: str | Path) -> str:
     """Return a small text file without its last newline, '' when it cannot be read."""
     try:
         return Path(path).read_text(encoding="utf-8", errors="replace").strip()

@@ -14,7 +14,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from bench.commands.doctor import CheckStatus, ItemResult, Probe, probes
+from bench.commands.doctor import ItemResult, Probe, limited, missing, ok, probes, small_text
 from bench.config import Configuration
 from bench.errors import BenchError
 from drivers.canopen.settings import CanopenSettings
@@ -85,38 +85,36 @@ def bench_probes(
 def _no_link(settings: CanopenSettings) -> ItemResult:
     set_up = f"ip link set {settings.channel} up type can bitrate {settings.bitrate} restart-ms 100"
     advice = f"attach the card, load its driver, then {set_up}; or correct canopen.channel"
-    return ItemResult(CheckStatus.MISSING, "no such link", advice)
+    return missing("no such link", advice)
 
 
 def clock_source(root: Path) -> ItemResult:
     """Look at the clock that each tick reads."""
     folder = root / "sys/devices/system/clocksource/clocksource0"
-    source, others = _read(folder / "current_clocksource"), _read(folder / "available_clocksource")
+    source, others = small_text(folder / "current_clocksource"), small_text(folder / "available_clocksource")
     if source in _STEADY:
-        return ItemResult(CheckStatus.OK, source)
+        return ok(source)
     cure = (
         "boot with clocksource=tsc" if "tsc" in others.split() else "see dmesg for why the kernel gave up tsc"
     )
-    return ItemResult(
-        CheckStatus.LIMITED, f"{source or 'unknown'}: each read of the clock takes microseconds", cure
-    )
+    return limited(f"{source or 'unknown'}: each read of the clock takes microseconds", cure)
 
 
 def loop_core(root: Path, cpu: int) -> ItemResult:
     """Look whether the core of the loop (-1: any) is kept free of everything else."""
-    isolated = _cores(_read(root / "sys/devices/system/cpu/isolated"))
-    quiet = _cores(_read(root / "sys/devices/system/cpu/nohz_full"))
+    isolated = _cores(small_text(root / "sys/devices/system/cpu/isolated"))
+    quiet = _cores(small_text(root / "sys/devices/system/cpu/nohz_full"))
     if cpu < 0:
         free = min(isolated, default=1)
         boot = "" if isolated else f", and boot with isolcpus={free} nohz_full={free} rcu_nocbs={free}"
-        return ItemResult(CheckStatus.LIMITED, "any: other programs share it", f"set loop.cpu = {free}{boot}")
-    missing = [
+        return limited("any: other programs share it", f"set loop.cpu = {free}{boot}")
+    absent = [
         f"{word}={cpu}" for word, cores in (("isolcpus", isolated), ("nohz_full", quiet)) if cpu not in cores
     ]
-    if missing:
-        advice = f"boot with {' '.join(missing)}"
-        return ItemResult(CheckStatus.LIMITED, f"{cpu}, shared with others", advice)
-    return ItemResult(CheckStatus.OK, f"{cpu}, isolated, without the kernel's own tick")
+    if absent:
+        advice = f"boot with {' '.join(absent)}"
+        return limited(f"{cpu}, shared with others", advice)
+    return ok(f"{cpu}, isolated, without the kernel's own tick")
 
 
 def bit_timing(settings: CanopenSettings, link: Mapping[str, Any]) -> ItemResult:
@@ -126,21 +124,21 @@ def bit_timing(settings: CanopenSettings, link: Mapping[str, Any]) -> ItemResult
     rate, point = int(timing.get("bitrate", 0)), float(timing.get("sample_point", 0.0))
     set_up = f"ip link set {settings.channel} down; ip link set {settings.channel} up type can bitrate "
     if not rate:
-        return ItemResult(CheckStatus.MISSING, "no bit rate is set", f"{set_up}{settings.bitrate}")
+        return missing("no bit rate is set", f"{set_up}{settings.bitrate}")
     value, figures = (
         f"{rate} bit/s, sample point {point:.3f}",
         {"bitrate": float(rate), "sample_point": point},
     )
     if rate != settings.bitrate:
         advice = f"{set_up}{settings.bitrate}, or correct canopen.bitrate"
-        return ItemResult(CheckStatus.MISSING, f"{value}, not {settings.bitrate}", advice, figures)
+        return missing(f"{value}, not {settings.bitrate}", advice, figures)
     if not SAMPLE_POINT[0] <= point <= SAMPLE_POINT[1]:
         advice = f"{set_up}{rate} sample-point 0.875; long lines fail first otherwise"
-        return ItemResult(CheckStatus.LIMITED, value, advice, figures)
+        return limited(value, advice, figures)
     if not facts.get("restart_ms"):
         advice = f"{set_up}{rate} restart-ms 100"
-        return ItemResult(CheckStatus.LIMITED, f"{value}, stays off after bus-off", advice, figures)
-    return ItemResult(CheckStatus.OK, value, figures=figures)
+        return limited(f"{value}, stays off after bus-off", advice, figures)
+    return ok(value, figures=figures)
 
 
 def errors(channel: str, link: Mapping[str, Any], root: Path) -> ItemResult:
@@ -155,34 +153,34 @@ def errors(channel: str, link: Mapping[str, Any], root: Path) -> ItemResult:
     if figures.get("bus_off"):
         value += f", {figures['bus_off']:.0f} times bus-off"
     if state == "STOPPED":
-        return ItemResult(CheckStatus.MISSING, value, f"ip link set {channel} up", figures)
+        return missing(value, f"ip link set {channel} up", figures)
     if state == "BUS-OFF" or sent >= _WARNING:
         advice = (
             "no node acknowledges, or the line is shorted or open: measure 60 ohms between CAN_H and CAN_L "
             "with power off (120: one terminator is missing, 40: one too many), then the nodes' bit rate"
         )
-        return ItemResult(CheckStatus.LIMITED, value, advice, figures)
-    dropped = int(_read(root / f"sys/class/net/{channel}/statistics/rx_over_errors") or 0)
+        return limited(value, advice, figures)
+    dropped = int(small_text(root / f"sys/class/net/{channel}/statistics/rx_over_errors") or 0)
     if dropped:
         advice = "the card's buffer overflows: raise its interrupt thread's priority, or use another card"
-        return ItemResult(CheckStatus.LIMITED, f"{value}, {dropped} frames lost in the card", advice, figures)
+        return limited(f"{value}, {dropped} frames lost in the card", advice, figures)
     if received or figures.get("error_passive") or figures.get("bus_off"):
         advice = (
             "frames are disturbed: check both terminators (60 ohms with power off), stubs below 0.3 m, the "
             "shield's one ground, and a node with another bit rate"
         )
-        return ItemResult(CheckStatus.LIMITED, value, advice, figures)
-    return ItemResult(CheckStatus.OK, value, figures=figures)
+        return limited(value, advice, figures)
+    return ok(value, figures=figures)
 
 
 def send_queue(channel: str, root: Path) -> ItemResult:
     """Look at the length of the link's send queue: the kernel's 10 frames do not hold a busy tick."""
-    length = int(_read(root / f"sys/class/net/{channel}/tx_queue_len") or 0)
+    length = int(small_text(root / f"sys/class/net/{channel}/tx_queue_len") or 0)
     figures = {"frames": float(length)}
     if length < MIN_QUEUE:
         advice = f"ip link set {channel} txqueuelen {4 * MIN_QUEUE}"
-        return ItemResult(CheckStatus.LIMITED, f"{length} frames", advice, figures)
-    return ItemResult(CheckStatus.OK, f"{length} frames", figures=figures)
+        return limited(f"{length} frames", advice, figures)
+    return ok(f"{length} frames", figures=figures)
 
 
 def card(channel: str, root: Path) -> ItemResult:
@@ -192,39 +190,38 @@ def card(channel: str, root: Path) -> ItemResult:
     value = f"{driver or 'no driver'}, on {bus or 'no bus: a virtual link'}"
     if bus == "usb":
         advice = "its firmware and USB add up to 1 ms, a whole tick: use a card on PCIe, or loop.rate = 500"
-        return ItemResult(CheckStatus.LIMITED, value, advice)
+        return limited(value, advice)
     if not bus:
-        return ItemResult(CheckStatus.LIMITED, value, "attach a card to run hardware")
-    return ItemResult(CheckStatus.OK, value)
+        return limited(value, "attach a card to run hardware")
+    return ok(value)
 
 
 def interrupt_thread(channel: str, priority: int, cpu: int, root: Path) -> ItemResult:
     """Look whether the link's interrupt thread can run while the loop (`priority`, on `cpu`) does."""
     threads = [*_interrupt_threads(channel, root)]
     if not threads:
-        return ItemResult(
-            CheckStatus.LIMITED,
+        return limited(
             "none of that name",
             "boot a PREEMPT_RT kernel, or with threadirqs: interrupts then have priorities",
         )
     pid, number, found = min(threads, key=lambda thread: thread[2])
-    cores = _cores(_read(root / f"proc/irq/{number}/smp_affinity_list"))
+    cores = _cores(small_text(root / f"proc/irq/{number}/smp_affinity_list"))
     value = f"irq {number} with priority {found}, the loop has {priority}"
     figures = {"priority": float(found)}
     if found > priority or (cpu >= 0 and cores and cpu not in cores):
-        return ItemResult(CheckStatus.OK, value, figures=figures)
+        return ok(value, figures=figures)
     advice = f"frames wait behind the loop: chrt -f -p {min(99, priority + 5)} {pid}"
     if cpu >= 0:
         advice += f", or keep it off core {cpu}: /proc/irq/{number}/smp_affinity_list"
-    return ItemResult(CheckStatus.LIMITED, value, advice, figures)
+    return limited(value, advice, figures)
 
 
 def _interrupt_threads(channel: str, root: Path) -> Iterator[tuple[int, int, int]]:
     """Yield process id, interrupt number and priority of the threads named irq/NUMBER-CHANNEL."""
     for folder in sorted((root / "proc").glob("[0-9]*")):
-        number, _, name = _read(folder / "comm").removeprefix("irq/").partition("-")
+        number, _, name = small_text(folder / "comm").removeprefix("irq/").partition("-")
         if name == channel and number.isdigit():
-            fields = _read(folder / "stat").rpartition(")")[2].split()
+            fields = small_text(folder / "stat").rpartition(")")[2].split()
             yield int(folder.name), int(number), int(fields[_RT_PRIORITY])
 
 
@@ -256,11 +253,3 @@ def _cores(text: str) -> set[int]:
 
 def _target(path: Path) -> str:
     return path.resolve().name if path.exists() else ""
-
-
-def _read(path: Path) -> str:
-    """Return a small text file without its last newline, "" if it cannot be read."""
-    try:
-        return path.read_text(encoding="utf-8", errors="replace").strip()
-    except OSError:
-        return ""

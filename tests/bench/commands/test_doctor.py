@@ -166,7 +166,7 @@ def test_compiled_code_cold_then_warm_then_read_only(tmp_path: Path, monkeypatch
 def files(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """Contents of the kernel's files by path, in place of this machine's."""
     contents: dict[str, str] = {}
-    monkeypatch.setattr(doctor, "_read", lambda path: contents.get(str(path), ""))
+    monkeypatch.setattr(doctor, "small_text", lambda path: contents.get(str(path), ""))
     return contents
 
 
@@ -350,7 +350,7 @@ def test_can_interfaces(kind: str, status: CheckStatus, monkeypatch: pytest.Monk
         def close(self) -> None: ...
 
     monkeypatch.setattr("socket.socket", lambda *_: Socket())
-    monkeypatch.setattr(doctor, "_read", lambda path: kind if path.name == "type" else "up")
+    monkeypatch.setattr(doctor, "small_text", lambda path: kind if path.name == "type" else "up")
     outcome = doctor.socketcan()
     assert outcome.status is status
     assert ("lo up" in outcome.value) is (status is CheckStatus.OK)
