@@ -123,8 +123,10 @@ def _columns(record: type, *key: str) -> Iterator[Column[Any]]:
 
 def _of_campaign(name: str, record: type, *key: str, more: Iterable[Column[Any]] = ()) -> Table:
     """Return a table of `record`s of campaigns, by the fields in `key`; without any by a number."""
-    campaign: Column[str] = Column("campaign", ForeignKey("campaigns.id"), primary_key=bool(key), index=not key)
     number = [] if key else [Column("id", Integer, primary_key=True)]
+    campaign: Column[str] = Column(
+        "campaign", ForeignKey("campaigns.id"), primary_key=bool(key), index=not key
+    )
     return Table(name, Row.metadata, *number, campaign, *_columns(record, *key), *more)
 
 
