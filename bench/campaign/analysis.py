@@ -1,14 +1,13 @@
 """Analysis of a campaign, fixed by its plan beforehand: levels described and compared.
 
-Confirmatory: block effects fixed (`bench.campaign.block_model`), the drift taken out by the control ball when
-the plan says so, and the delivery by the plan's covariates; the other way stands beside it. Balls are random
-where a model had more than one, and each level has a scatter of its own (`bench.campaign.unit_errors`): a
-statement on a difference holds for balls that were not hit, or for "this
-ball" where there was one only. All pairs of a section err together with the plan's level (the distribution of
-the largest |t|, single step: a pair differs exactly if its joint interval leaves out 0); two one-sided tests
-(TOST), adjusted by Holm, say "the same". Before the plan's end a look has its share of the error
-(`bench.campaign.looks`). In a split-plot clubs are judged by their mountings and, within each club, balls by
-their shots (`bench.campaign.split_plot`).
+Confirmatory: block effects fixed (`bench.campaign.block_model`), the drift taken out by the control ball
+when the plan says so, and the delivery by the plan's covariates. Balls are random where a model had more
+than one, and each level has a scatter of its own (`bench.campaign.unit_errors`): a statement on a difference
+holds for balls that were not hit, or for "this ball" where there was one only. All pairs of a section err
+together with the plan's level (the distribution of the largest |t|, single step: a pair differs exactly if
+its joint interval leaves out 0); two one-sided tests (TOST), adjusted by Holm, say "the same". Before the
+plan's end a look has its share of the error (`bench.campaign.looks`). In a split-plot clubs are judged by
+their mountings and, within each club, balls by their shots (`bench.campaign.split_plot`).
 """
 
 from __future__ import annotations
@@ -145,7 +144,7 @@ class Comparison:
     drift_error: float | None
     covariates: Covariates | None
     scatter: tuple[ScatterRatio, ...]
-    """Ratios of the levels' standard deviations; of the confirmatory model only."""
+    """Ratios of the levels' standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -157,8 +156,6 @@ class SectionAnalysis:
     levels: tuple[Level, ...]
     control: Level | None
     confirmatory: Comparison | None
-    beside: Comparison | None
-    """The same analysis without, or with, the drift correction."""
     look: Look
     """How much of the plan is done, and the error level it leaves."""
     values: tuple[float, ...]
@@ -183,22 +180,20 @@ def _analysed(
     tests = [shot for shot in mine if shot.role == Role.TEST]
     controls = [shot for shot in mine if shot.role == Role.CONTROL]
     names, factor = levels(plan), plan.design.compare
-    linear = bool(controls_per_block(plan)) and plan.analysis.drift == "linear"
-    method = "mountings of a club random" if plan.split else "raw"
-    raw, fit = _compared(plan, tests, [], method, look.alpha, scatter=not linear)
-    corrected = None
-    if controls_per_block(plan):
+    confirmatory, fit = None, None
+    if controls_per_block(plan) and plan.analysis.drift == "linear":
         method = "drift removed by the control ball"
-        corrected, corrected_fit = _compared(plan, tests, controls, method, look.alpha, scatter=linear)
-        fit = corrected_fit or fit
-    first, second = (corrected, raw) if plan.analysis.drift == "linear" and corrected else (raw, corrected)
+        confirmatory, fit = _compared(plan, tests, controls, method, look.alpha)
+    if confirmatory is None:
+        method = "mountings of a club random" if plan.split else "raw"
+        confirmatory, without = _compared(plan, tests, [], method, look.alpha)
+        fit = fit or without
     return SectionAnalysis(
         number,
         name,
         tuple(_level(plan, level, [s for s in tests if getattr(s, factor) == level]) for level in names),
         _level(plan, f"{plan.control.ball} (control)", controls) if controls else None,
-        first,
-        second,
+        confirmatory,
         look,
         tuple(map(float, values_of(plan, tests)[1])) if len(names) < 2 else (),
         _outliers(fit),
@@ -292,13 +287,7 @@ def _described(
 
 
 def _compared(
-    plan: CampaignPlan,
-    tests: Sequence[Shot],
-    controls: Sequence[Shot],
-    method: str,
-    alpha: float,
-    *,
-    scatter: bool,
+    plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot], method: str, alpha: float
 ) -> tuple[Comparison | None, _Fit | None]:
     """Return all pairs by one model; with `controls` they are a level of their own, and time is in it."""
     names, data = levels(plan), _data(plan, tests, controls)
@@ -340,7 +329,7 @@ def _compared(
             slope,
             slope_error,
             _explained(plan, data, fit, count),
-            _scatter(plan, data, fit, names) if scatter else (),
+            _scatter(plan, data, fit, names),
         ),
         kept,
     )

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.campaign.analysis import Comparison, Pair
 from bench.campaign.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
 from bench.campaign.campaign_plots import campaign_figures
 from bench.campaign.campaign_record import ISSUE, CampaignRecord
@@ -105,7 +104,6 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         quantity=quantity_name(as_flown(plan, shots)),
         unit=display_unit(plan.analysis.quantity, units).unit,
         confidence=f"{100 * plan.analysis.confidence:g}",
-        beside=_same_pair,
         decision_rule=DECISION_RULE,
         reasons=_reasons(found),
         many_clubs=len(plan.design.clubs) > 1,
@@ -357,11 +355,6 @@ def _standing_words(standing: Standing) -> str:
         return f"Ended early by its own rule: {standing.reason}." if standing.reason else ""
     reason = f" ({standing.reason})" if standing.reason else ""
     return f"This campaign is not finished: {standing.state}{reason}. What follows is what was found so far."
-
-
-def _same_pair(comparison: Comparison | None, pair: Pair) -> Pair | None:
-    pairs = comparison.pairs if comparison else ()
-    return next((p for p in pairs if (p.first, p.second) == (pair.first, pair.second)), None)
 
 
 def _reasons(found: Findings) -> list[tuple[str, int]]:

@@ -23,7 +23,7 @@ from bench.campaign.split_plot import within_club
 from bench.campaign.verdicts import Verdict, section_notes, section_verdicts
 from bench.shot.shot import Shot
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of the JSON."""
 
 

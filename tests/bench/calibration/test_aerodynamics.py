@@ -39,10 +39,7 @@ def flights(
     """Return measured flights of a ball with DRAG and LIFT."""
     random = np.random.default_rng((20261122, seed))
     ball = Ball("x", MASS, RADIUS, drag_factor=DRAG, lift_factor=LIFT)
-    bias = random.standard_normal(6) * [
-        *common.of_launch(),
-        *(common.carry, common.apex, common.time),
-    ]
+    bias = random.standard_normal(6) * [*common.of_launch(), *(common.carry, common.apex, common.time)]
     found = []
     for _ in range(count):
         true = Launch(random.uniform(58, 72), random.uniform(0.15, 0.25), 0.0, random.uniform(230, 340), 0.0)

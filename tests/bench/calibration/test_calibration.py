@@ -92,8 +92,7 @@ def test_a_club_that_is_not_mounted_leaves_the_robot_alone(shipped: Configuratio
 
 
 @pytest.mark.parametrize(
-    "values",
-    [EncoderZeros((0, 0, 0), (1, 1, 1), 4096, 0.0), ClubInMount("hickory", 1.0, 0.2, 0.9, 0.0, 0.0)],
+    "values", [EncoderZeros((0, 0, 0), (1, 1, 1), 4096, 0.0), ClubInMount("hickory", 1.0, 0.2, 0.9, 0.0, 0.0)]
 )
 def test_a_calibration_of_something_else_is_refused(shipped: Configuration, values: Values) -> None:
     with pytest.raises(BenchError, match="version 1"):

@@ -139,12 +139,14 @@ def test_the_verdicts_tell_different_same_and_too_few(plan: CampaignPlan) -> Non
 
 def test_drift_within_blocks_is_taken_out_by_the_control_ball(plan: CampaignPlan) -> None:
     truth = Truth(deviation=0.01, difference=1.0, drift=0.5)
-    result = analyse(plan, campaign_shots(plan, truth, 4), 1, "")
-    assert result.confirmatory is not None
-    assert result.confirmatory.drift == pytest.approx(0.5, abs=0.01)
-    assert result.confirmatory.pairs[0].difference == pytest.approx(1.0, abs=0.02)
-    assert result.beside is not None
-    assert result.beside.deviation > 10 * result.confirmatory.deviation
+    shots, uncorrected = campaign_shots(plan, truth, 4), replace(plan.analysis, drift="none")
+    result = analyse(plan, shots, 1, "").confirmatory
+    raw = analyse(replace(plan, analysis=uncorrected), shots, 1, "").confirmatory
+    assert result is not None
+    assert result.drift == pytest.approx(0.5, abs=0.01)
+    assert result.pairs[0].difference == pytest.approx(1.0, abs=0.02)
+    assert raw is not None
+    assert raw.deviation > 10 * result.deviation
 
 
 def test_outliers_are_flagged_and_stay(plan: CampaignPlan) -> None:

@@ -150,10 +150,7 @@ def test_what_a_club_needs_is_asked_for_with_it(tmp_path: Path, configuration: C
         needed = missing(plan, Fitting(mounted), Step(shot, 1, Centre()), 1, {})
         assert needed is not None
         texts.append(needed.text)
-    assert texts == [
-        "Mount club toe in place of driver. Move the tee.",
-        "Mount club driver in place of toe.",
-    ]
+    assert texts == ["Mount club toe in place of driver. Move the tee.", "Mount club driver in place of toe."]
     (place,) = _faults(tmp_path, configuration, text.replace('toe = "Move', 'putter = "Move'))
     assert place.endswith("preparation.putter")
 

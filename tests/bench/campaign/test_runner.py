@@ -430,9 +430,7 @@ def test_the_next_ball_is_the_least_used(make: Callable[..., Bench]) -> None:
     assert sample_for(plan, trial, Counter({Hit("ball", "pole", n): 2 for n in (5, 6, 7)})) is None
 
 
-def test_a_figure_that_is_not_known_is_not_looked_at_unless_the_centre_is(
-    make: Callable[..., Bench],
-) -> None:
+def test_a_figure_that_is_not_known_is_not_looked_at_unless_the_centre_is(make: Callable[..., Bench]) -> None:
     from bench.campaign.gate import outside
 
     bench = make()

@@ -60,8 +60,7 @@ def shots(bench: BenchProcess) -> Iterator[Callable[[], dict[str, Any]]]:
         heard.append(sample.payload.to_bytes())
 
     subscriber = bench.client._session.declare_subscriber(
-        f"golfbench/{bench.configuration.bench.id}/shot",
-        zenoh.handlers.Callback(hear, indirect=False),
+        f"golfbench/{bench.configuration.bench.id}/shot", zenoh.handlers.Callback(hear, indirect=False)
     )
 
     def following() -> dict[str, Any]:

@@ -225,11 +225,7 @@ def test_mat_opens_in_octave(tmp_path: Path, record: ExportRecord, tool: Callabl
     (path,) = write_mat(tmp_path / "007.mat", record)
     script = f"load('{path}'); printf('%s %.17g', units.angle, cycles.angle(2, 1))"
     done = subprocess.run(
-        [tool("octave"), "--eval", script],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=100,
+        [tool("octave"), "--eval", script], capture_output=True, text=True, check=True, timeout=100
     )
     unit, value = done.stdout.split()
     assert (unit, float(value)) == ("rad", record.cycles["angle"][1, 0])

@@ -165,12 +165,7 @@ def test_the_status_carries_lease_and_counts_but_no_key(
 def test_a_refusal_of_the_bench_comes_with_state_and_reason(asker: Asker) -> None:
     answer = asker.ask_keyed("swing", asker.take())
     assert answer == CommandAnswer(
-        False,
-        "ESTOP",
-        "STATE",
-        "POWER_UP",
-        "not possible in this state",
-        "Clear the cause, then reset.",
+        False, "ESTOP", "STATE", "POWER_UP", "not possible in this state", "Clear the cause, then reset."
     )
 
 

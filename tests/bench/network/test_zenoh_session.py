@@ -195,10 +195,7 @@ def test_a_client_closes_in_time_and_exits_with_its_code_although_the_bench_stan
     kind: str, program: str
 ) -> None:
     endpoint = loopback_configuration().network.endpoint
-    with (
-        _started(_DAEMON, endpoint) as daemon,
-        _started(_CLIENT, endpoint, kind, program) as client,
-    ):
+    with _started(_DAEMON, endpoint) as daemon, _started(_CLIENT, endpoint, kind, program) as client:
         daemon.send_signal(signal.SIGSTOP)
         began = time.monotonic()
         said, _ = client.communicate("go\n", timeout=60.0)

@@ -14,8 +14,7 @@ R, A, S = State.READY, State.ARMED, State.SWINGING
 
 
 @pytest.mark.parametrize(
-    ("states", "times"),
-    [([R, R], 0), ([R, A, A], 1), ([A, A], 1), ([R, A, S, A, R, A], 3), ([S, S, R], 0)],
+    ("states", "times"), [([R, R], 0), ([R, A, A], 1), ([A, A], 1), ([R, A, S, A, R, A], 3), ([S, S, R], 0)]
 )
 def test_each_arming_counts_once(states: list[State], times: int) -> None:
     cycles = np.zeros(len(states), [("state", "u1")])

@@ -15,11 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-from sqlalchemy import (
-    Connection,
-    create_engine,
-    make_url,
-)
+from sqlalchemy import Connection, create_engine, make_url
 from sqlalchemy import event as events
 from sqlalchemy.exc import OperationalError
 

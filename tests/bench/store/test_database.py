@@ -96,10 +96,7 @@ def test_a_database_of_another_golfbench_is_refused_untouched(tmp_path: Path, ve
 
 @pytest.mark.parametrize(
     ("content", "found"),
-    [
-        (b"no database at all, but long enough to have a header" * 20, "not a database"),
-        (None, "tables cats"),
-    ],
+    [(b"no database at all, but long enough to have a header" * 20, "not a database"), (None, "tables cats")],
 )
 def test_what_is_no_database_of_golfbench_is_told(tmp_path: Path, content: bytes | None, found: str) -> None:
     file = tmp_path / "golfbench.sqlite"

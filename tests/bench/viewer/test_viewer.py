@@ -203,10 +203,7 @@ def test_the_panel_tells_state_losses_and_ages(watched: Watched, make_day: Calla
         seconds=1.0,
         skipped=2,
         late=3,
-        segments={
-            "wake_up": {"p50_us": 5.0, "p99_us": 40.0},
-            "tick": {"p50_us": None, "p99_us": None},
-        },
+        segments={"wake_up": {"p50_us": 5.0, "p99_us": 40.0}, "tick": {"p50_us": None, "p99_us": None}},
     )
     watched.send(day[20:])
     text = watched.view._text(time.monotonic())

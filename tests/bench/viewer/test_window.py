@@ -23,12 +23,7 @@ from bench.viewer.blueprint import live_blueprint
 from bench.viewer.page import LOOPBACK
 from bench.viewer.scene import log_static_scene
 from bench.viewer.signals import bench_time, log_styles, send_scalars
-from bench.viewer.window import (
-    RerunWindow,
-    checked_memory,
-    quiet_environment,
-    rerun_program,
-)
+from bench.viewer.window import RerunWindow, checked_memory, quiet_environment, rerun_program
 from sim.plant import PlantParameters
 from tests.bench.telemetry.read_recording import Recording
 
