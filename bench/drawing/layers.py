@@ -60,15 +60,6 @@ def layers(plant: PlantParameters, link: float, arm: float) -> Layers:
     return Layers(clear + arm / 2, front, lever, yoke, right, right - cylinder - 2 * GAP)
 
 
-def wrist_way(plant: PlantParameters, theta3: float) -> float:
-    """Return where the wrist's piston rod stands along the left arm, from R3 (m).
-
-    Its yoke slides along x2; the lever points along -y3, or so much further towards the shaft as it is
-    mounted, so that the place is d sin(theta3 + mounting angle) exactly as in the dynamics.
-    """
-    return float(plant.wrist_stroke(theta3))
-
-
 def wrist_ways(plant: PlantParameters) -> tuple[float, float]:
     """Return the ends of that way over the wrist's range with its clearance (m)."""
     low, high = plant.wrist.chamber_ends

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 Colour = tuple[int, int, int]
 
-_INCH = 0.0254
 _POUND_PER_CUBIC_INCH = 0.45359237 / 0.00001639  # as in the thesis, kg/m3
 
 

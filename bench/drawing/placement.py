@@ -39,7 +39,7 @@ def body_poses(plant: PlantParameters, q: Array) -> dict[str, tuple[Array, Array
     theta1, theta12, theta_t = np.cumsum(q, axis=1).T
     right_arm = np.arctan2(*(r6 - r3).T[::-1])
     along = np.column_stack([np.cos(theta12), np.sin(theta12)])
-    way = plant.wrist_stroke(q[:, 2])  # as `layers.wrist_way`
+    way = plant.wrist_stroke(q[:, 2])
     placed = {
         "shoulder_link": (r1, theta1),
         "left_arm": (r2, theta12),

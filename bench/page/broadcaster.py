@@ -60,11 +60,6 @@ class PageBroadcaster:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._lock = Lock()
 
-    @property
-    def readers(self) -> int:
-        """Number of readers."""
-        return len(self._readers)
-
     def attach(self, loop: asyncio.AbstractEventLoop | None) -> None:
         """Serve readers in `loop` from now on; None: no longer."""
         with self._lock:

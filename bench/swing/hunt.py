@@ -1,4 +1,4 @@
-"""Hunt's human swing: a 2-handicap golfer as three functions of time.
+"""Hunt's human swing: a 2-handicap golfer as two functions of time.
 
 Source: E. A. Hunt (2002, 2003), quoted in tables 1 and 2 of Meymi, "Modeling and control of parallel
 arm golfing robot", KTH 2009. The functions are as printed; `STEP` is ADAMS' cubic smooth step, not the
@@ -10,13 +10,9 @@ Signs and offsets:
   the turn at the top: 1.8104 rad at 0.686 s, -0.1571 rad at the end.
 - `right_arm_length` is a displacement from Hunt's zero (unpublished): -0.03032 m at address,
   -0.23382 m at the top, negative is shorter.
-- `wrist_cock` is 0 at address and 1.769 rad (101 deg) at the top; in the downswing the wrist is free
-  and its angle follows from the dynamics: NaN here.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,20 +22,6 @@ DOWNSWING_DURATION = 0.1667
 SWING_DURATION = BACKSWING_DURATION + DOWNSWING_DURATION
 DOWNSWING_TURN = 11.8028
 """Speed of the shoulder in the downswing, rad/s."""
-
-
-@dataclass(frozen=True)
-class HumanSwing:
-    """Hunt's swing, sampled; all arrays (N,), signs and offsets as at the top of this file."""
-
-    time: NDArray[np.float64]
-    """s from the start of the backswing"""
-    shoulder_turn: NDArray[np.float64]
-    """rad"""
-    right_arm_length: NDArray[np.float64]
-    """m"""
-    wrist_cock: NDArray[np.float64]
-    """rad, NaN where the wrist is free"""
 
 
 def step(t: ArrayLike, t0: float, h0: float, t1: float, h1: float) -> NDArray[np.float64]:
@@ -67,22 +49,6 @@ def right_arm_length(t: ArrayLike) -> NDArray[np.float64]:
     back = step(t, 0.2, 0.0, BACKSWING_DURATION, -0.2035) - 0.03032
     down = step(t - BACKSWING_DURATION, 0.0, 0.0, DOWNSWING_DURATION, 0.2035) - 0.23382
     return np.where(t < BACKSWING_DURATION, back, down)
-
-
-def wrist_cock(t: ArrayLike) -> NDArray[np.float64]:
-    """Return the wrist cock (rad) at time t (s) from the start of the backswing; NaN where it is free."""
-    t = _inside(t)
-    back = step(t, 0.05, 0.0, 0.4, 0.515) + step(t, 0.4, 0.0, BACKSWING_DURATION, 1.254)
-    return np.where(t < BACKSWING_DURATION, back, np.nan)
-
-
-def human_swing(sample_time: float = 0.001) -> HumanSwing:
-    """Return Hunt's swing sampled every `sample_time` s; ValueError unless 0 < sample_time <= 0.1."""
-    if not 0.0 < sample_time <= 0.1:
-        raise ValueError(f"human_swing: found sample_time = {sample_time} s; expected 0 < sample_time <= 0.1")
-    count = int(np.floor(SWING_DURATION / sample_time + 1e-9)) + 1
-    time = sample_time * np.arange(count, dtype=np.float64)
-    return HumanSwing(time, shoulder_turn(time), right_arm_length(time), wrist_cock(time))
 
 
 def _inside(t: ArrayLike) -> NDArray[np.float64]:

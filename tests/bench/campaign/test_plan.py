@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from math import sqrt
 from pathlib import Path
 
 import pytest
@@ -14,13 +15,7 @@ from bench.campaign.fitting import Fitting, missing
 from bench.campaign.gate import Centre
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import EXAMPLES, campaign_names, find_plan, load_plan, plan_from_record
-from bench.campaign.power import (
-    block_freedom,
-    blocks_needed,
-    power_of_difference,
-    power_of_equivalence,
-    resolution,
-)
+from bench.campaign.power import blocks_needed, power_of_shift, same_power_of_error
 from bench.campaign.preview import outlook, outlook_words, preview_record
 from bench.campaign.rules import control_ball_speed, rule_sets
 from bench.campaign.sequence import Arm, PlannedShot, Role, all_trials, block_trials, hits_needed, sections
@@ -225,9 +220,7 @@ def test_sections_hold_what_is_not_compared(tmp_path: Path, configuration: Confi
     [(1.5, 1, 36), (1.5, 2, 9), (2.5, 1, 99), (2.5, 2, 25), (4, 2, 63), (6, 3, 63), (6, 5, 23)],
 )
 def test_the_number_of_shots_is_the_known_one(deviation: float, difference: float, normal: int) -> None:
-    found = blocks_needed(
-        lambda n: power_of_difference(difference, deviation, n, block_freedom(2, n), 0.05), 0.8
-    )
+    found = blocks_needed(lambda n: power_of_shift(difference / (deviation * sqrt(2 / n)), n - 1, 0.05), 0.8)
     assert found is not None
     assert normal <= found <= normal + 3
 
@@ -235,22 +228,18 @@ def test_the_number_of_shots_is_the_known_one(deviation: float, difference: floa
 def test_tost_needs_the_known_number() -> None:
     for deviation, normal in ((1.5, 10), (2.5, 27), (4.0, 69)):
         found = blocks_needed(
-            lambda n, sd=deviation: power_of_equivalence(2.0, sd, n, block_freedom(2, n), 0.05),  # type: ignore[misc]
+            lambda n, sd=deviation: same_power_of_error(2.0, sd * sqrt(2 / n), n - 1, 0.05),  # type: ignore[misc]
             0.8,
         )
         assert found is not None
         assert normal <= found <= normal + 3
 
 
-def test_power_and_resolution_are_each_others_inverse() -> None:
-    for blocks in (3, 10, 200):
-        freedom = block_freedom(2, blocks)
-        difference = resolution(2.0, blocks, freedom, 0.05, 0.8)
-        assert power_of_difference(difference, 2.0, blocks, freedom, 0.05) == pytest.approx(0.8, abs=1e-6)
-    assert power_of_difference(0.0, 1.0, 10, 9, 0.05) == pytest.approx(0.05)
-    assert power_of_difference(100.0, 1.0, 10, 9, 0.05) == pytest.approx(1.0)
-    assert power_of_equivalence(0.1, 2.0, 10, 9, 0.05) == 0.0
-    assert power_of_equivalence(2.0, 1.0, 100, 99, 0.05, 2.0) == pytest.approx(0.05, abs=0.002)
+def test_power_of_no_difference_is_the_error_level_and_of_a_large_one_certain() -> None:
+    assert power_of_shift(0.0, 9, 0.05) == pytest.approx(0.05)
+    assert power_of_shift(100.0, 9, 0.05) == pytest.approx(1.0)
+    assert same_power_of_error(0.1, 2.0 * sqrt(2 / 10), 9, 0.05) == 0.0
+    assert same_power_of_error(2.0, sqrt(2 / 100), 99, 0.05, 2.0) == pytest.approx(0.05, abs=0.002)
 
 
 def test_a_plan_too_small_says_so(tmp_path: Path, configuration: Configuration) -> None:
