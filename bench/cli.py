@@ -7,6 +7,7 @@ need them: a stop does not wait for the imports of a simulation.
 from __future__ import annotations
 
 import errno
+import json
 import os
 import sys
 import traceback
@@ -23,7 +24,7 @@ from bench.commands.any_terminal import accept_any_text
 from bench.commands.plain_help import show_plainly
 from bench.commands.plain_values import pass_plain_values
 from bench.commands.session import Session
-from bench.errors import BenchError, ExitCode
+from bench.errors import FOR_PROGRAMS, BenchError, ExitCode
 from bench.interrupt import Terminated, leave
 
 if TYPE_CHECKING:
@@ -180,8 +181,6 @@ def doctor(
     With hardware in the configuration also its CAN link, clock, interrupt thread and core.
     Exits with 1 if something is missing that the simulation needs.
     """
-    import json
-
     from rich.console import Console
 
     from bench.commands.doctor import examine, report, table, usable
@@ -315,6 +314,8 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
         case ExceptionGroup():
             parts = [explain(part) for part in error.exceptions]
             return [text for texts, _ in parts for text in texts], max(code for _, code in parts)
+        case BenchError() if os.environ.get(FOR_PROGRAMS) == "json":
+            return [json.dumps(error.record())], error.exit_code
         case BenchError():
             lines = (f"error: {error.place}", f"  found:    {error.found}", f"  expected: {error.expected}")
             return ["\n".join((*lines, f"  to do:    {error.cure}"))], error.exit_code

@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from enum import IntEnum
 
+FOR_PROGRAMS = "GOLFBENCH_ERRORS"
+"""Variable of the environment: with "json" the command line prints each error as a JSON object in a line."""
+
 
 class ExitCode(IntEnum):
     """The exit codes of the command line, the same for every command."""
@@ -50,6 +53,10 @@ class BenchError(Exception):
 
     def __str__(self) -> str:
         return f"{self.place}: found {self.found}, expected {self.expected}. {self.cure}"
+
+    def record(self) -> dict[str, str]:
+        """Return the parts by their names."""
+        return {"place": self.place, "found": self.found, "expected": self.expected, "cure": self.cure}
 
 
 class Refused(BenchError):

@@ -76,7 +76,7 @@ class CampaignService:
         """Start a runner for a campaign that has none; return what happens."""
         known = self._archive.unfinished(campaign)
         more = ["--ask"] if ask else []
-        self._runner.start(known, "campaign", "resume", f"--by={by}", *more, "--", known)
+        self._runner.start(known, "campaign", "resume", "--json", f"--by={by}", *more, "--", known)
         return STARTED.format(known)
 
 

@@ -6,14 +6,14 @@ page: a stop never waits for one. Arguments are passed as a list, never through 
 
 from __future__ import annotations
 
+import json
 import os
-import re
 import subprocess
 from collections.abc import Sequence
 from contextlib import suppress
 from threading import BoundedSemaphore, Lock
 
-from bench.errors import BenchError, Refused
+from bench.errors import FOR_PROGRAMS, BenchError, Refused
 
 NICE = 10
 """Priority of a command, as of the page's service."""
@@ -22,13 +22,6 @@ MAX_COMMANDS = 2
 LONGEST_COMMAND = 180.0
 """Time after which a command is ended, s."""
 _LONGEST_WORDS = 2000
-
-_FAULT = re.compile(
-    r"^error: (?P<place>.*)\n  found:    (?P<found>.*)\n  expected: (?P<expected>.*)\n"
-    r"  to do:    (?P<cure>.*)$",
-    re.MULTILINE,
-)
-"""An error as `bench.cli` prints it."""
 
 
 class CommandLine:
@@ -98,8 +91,8 @@ class CommandLine:
 
 
 def plain_environment() -> dict[str, str]:
-    """Return the page's environment for a command whose words are read by a program."""
-    return {**os.environ, "NO_COLOR": "1", "TERM": "dumb", "COLUMNS": "400"}
+    """Return the page's environment for a command whose errors are read by a program."""
+    return {**os.environ, FOR_PROGRAMS: "json", "NO_COLOR": "1", "TERM": "dumb", "COLUMNS": "400"}
 
 
 def lower_priority(process: int) -> None:
@@ -108,14 +101,18 @@ def lower_priority(process: int) -> None:
         os.setpriority(os.PRIO_PROCESS, process, max(NICE, os.getpriority(os.PRIO_PROCESS, process)))
 
 
-def names_fault(text: str) -> bool:
-    """Return whether a command that said `text` named an error."""
-    return _FAULT.search(text) is not None
+def faults_in(text: str) -> list[BenchError]:
+    """Return the errors that a command printed into `text`, each a JSON object in a line."""
+    found = []
+    for line in text.splitlines():
+        with suppress(ValueError, TypeError):  # another line
+            found.append(BenchError(**json.loads(line)))
+    return found
 
 
 def fault_of(place: str, code: int, text: str) -> BenchError:
     """Return the error that a command ended with: exit `code` and what it said, `text`."""
-    faults = [BenchError(**one.groupdict()) for one in _FAULT.finditer(text)]
+    faults = faults_in(text)
     if len(faults) == 1:
         return faults[0]
     if faults:

@@ -8,15 +8,16 @@ same reason. It ends as at the command line: when it is done, by its own stop, o
 
 from __future__ import annotations
 
-import re
+import json
 import subprocess
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock, Thread
 from typing import Any
 
 from bench.errors import BenchError, Refused
-from bench.page.command_line import CommandLine, fault_of, lower_priority, names_fault, plain_environment
+from bench.page.command_line import CommandLine, fault_of, faults_in, lower_priority, plain_environment
 
 _TAIL = 20_000
 """Size of the end of the log that is read for the reason of an end, bytes."""
@@ -33,12 +34,12 @@ class LastingCommand:
         topic: str,
         *,
         expected: Collection[int] = (0,),
-        outcome: re.Pattern[str] | None = None,
+        outcome: Callable[[dict[str, Any]], str] | None = None,
     ) -> None:
-        """`log` is the file for what a command prints; `publish` gets `topic` and content.
+        """`log` is the file for what a command says, its errors too; `publish` gets `topic` and content.
 
         An end with one of the `expected` exit codes is said in words only if an error was printed. Another
-        end without one is said by the last line that `outcome` matches.
+        end without one is said by `outcome` of the JSON that the command prints, which goes beside the log.
         """
         self._golfbench, self._log, self._publish = golfbench, log, publish
         self._topic, self._expected, self._outcome = topic, frozenset(expected), outcome
@@ -65,12 +66,12 @@ class LastingCommand:
     def _started(self, arguments: Sequence[str]) -> subprocess.Popen[bytes]:
         try:
             self._log.parent.mkdir(parents=True, exist_ok=True)
-            with self._log.open("wb") as output:
+            with self._log.open("wb") as log, self._log.with_suffix(".json").open("wb") as output:
                 process = subprocess.Popen(
                     arguments,
                     stdin=subprocess.DEVNULL,
                     stdout=output,
-                    stderr=subprocess.STDOUT,
+                    stderr=log,
                     start_new_session=True,
                     env=plain_environment(),
                 )
@@ -96,11 +97,11 @@ class LastingCommand:
                 text = stream.read().decode("utf-8", "replace")
         except OSError as error:
             return f"{what} ended with {code}; its log cannot be read: {error.strerror}"
-        if code in self._expected and not names_fault(text):
-            return ""
-        if self._outcome is not None and not names_fault(text):
-            lines = [line for line in text.splitlines() if self._outcome.fullmatch(line)]
-            if lines:
-                return f"{lines[-1][:1].upper()}{lines[-1][1:]}."
+        if not faults_in(text):
+            if code in self._expected:
+                return ""
+            if self._outcome is not None:
+                with suppress(OSError, ValueError):  # ended before it printed
+                    return self._outcome(json.loads(self._log.with_suffix(".json").read_bytes()))
         fault = fault_of(what, code, text)
         return f"{fault.place}: {fault.found}; expected {fault.expected}. {fault.cure}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import re
 import signal
 import socket
 import ssl
@@ -80,7 +79,7 @@ def serve_page(
         program = CommandLine(golfbench)
         stack.callback(program.close)
         log = settings.data_dir / "campaigns" / f".runner-of-{settings.id}.log"
-        runner = LastingCommand(program, log, broadcaster.publish, "runner", outcome=RUN_OUTCOME)
+        runner = LastingCommand(program, log, broadcaster.publish, "runner", outcome=run_outcome)
         viewer = ViewerProcess(program, broadcaster.publish)
         stack.callback(viewer.close)
         campaigns = CampaignService(archive, downloads, program, runner)
@@ -141,8 +140,10 @@ def _require_packages() -> None:
         raise BenchError("golfbench page", f"no package ({error})", "starlette and uvicorn", cure) from error
 
 
-RUN_OUTCOME = re.compile(r"[a-z]+(: .*)?; \d+ shots, \d+ valid")
-"""The line with which `golfbench campaign run` says how it ended."""
+def run_outcome(record: dict[str, Any]) -> str:
+    """Return in words how a campaign's run ended, by the JSON that it printed."""
+    reason = f": {record['reason']}" if record["reason"] else ""
+    return f"{record['state'].capitalize()}{reason}; {record['shots']} shots, {record['valid']} valid."
 
 
 @contextmanager

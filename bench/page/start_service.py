@@ -63,7 +63,7 @@ class StartService:
         # A plan that was changed since it was checked is refused by the runner.
         given = [f"--by={by}", f"--units={units}", f"--expect={digest}"]
         given += ["--ask"] if asked.body.get("ask") is True else []
-        self._runner.start(name, "campaign", "run", *given, "--", str(self._plans.file(name)))
+        self._runner.start(name, "campaign", "run", "--json", *given, "--", str(self._plans.file(name)))
         return {"note": f"{STARTED.format(name)}."}
 
     def values(self, _: Asked) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import pickle
 import re
@@ -19,7 +20,7 @@ import psutil
 import pytest
 
 from bench.cli import command_line, main
-from bench.errors import BenchError, ExitCode, Refused
+from bench.errors import FOR_PROGRAMS, BenchError, ExitCode, Refused
 from bench.interrupt import Terminated
 from bench.lifecycle import State
 from bench.network.free_port import free_port
@@ -226,6 +227,15 @@ def test_errors_show_their_cure_and_no_traceback(
     shown = capsys.readouterr().err
     assert [text for text in texts if text not in shown] == []
     assert "Traceback" not in shown
+
+
+def test_errors_for_a_program_are_json_lines(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(FOR_PROGRAMS, "json")
+    assert run(ExceptionGroup("config.toml", [BAD_PRESSURE, BAD_KEY])) == ExitCode.BAD_INPUT
+    printed = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    assert printed == [BAD_PRESSURE.record(), BAD_KEY.record()]
 
 
 def test_debug_shows_the_traceback(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:

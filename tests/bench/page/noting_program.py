@@ -7,8 +7,11 @@ import sys
 from pathlib import Path
 
 PROGRAM = """
-import json, sys, time
+import json, os, sys, time
 from pathlib import Path
+def fail(place, found, expected, cure):
+    assert os.environ["GOLFBENCH_ERRORS"] == "json"
+    sys.exit(json.dumps({"place": place, "found": found, "expected": expected, "cure": cure}))
 folder, given = Path(sys.argv[1]), sys.argv[2:]
 with (folder / "asked").open("a") as file:
     file.write(json.dumps(given) + "\\n")
@@ -17,7 +20,7 @@ if given[:2] == ["campaign", "check"]:
     print(json.dumps({"digest": "0123456789abcdef", "title": "x", "sequence": [trial] * 3}))
 elif given[:1] == ["commission"] and "--check" in given:
     if (folder / "fail").exists():
-        sys.exit("error: robot\\n  found:    no sensors\\n  expected: some\\n  to do:    Fit them.")
+        fail("robot", "no sensors", "some", "Fit them.")
     step = {"name": "s", "title": "T", "bounds": "B", "done": False}
     print(json.dumps({"folder": "f", "robot": "", "steps": [step]}))
 elif given[:2] in (["campaign", "run"], ["campaign", "resume"]) or given[:1] == ["commission"]:
@@ -27,12 +30,12 @@ elif given[:2] in (["campaign", "run"], ["campaign", "resume"]) or given[:1] == 
     if (folder / "refuse").exists():
         sys.exit(1)
     if (folder / "fail").exists():
-        sys.exit("error: bench b\\n  found:    held by Ann\\n  expected: a free bench\\n  to do:    Wait.")
+        fail("bench b", "held by Ann", "a free bench", "Wait.")
 elif given[:1] == ["calibrate"] and "--x=9.0" in given:
-    sys.exit("error: calibrate ball\\n  found:    9\\n  expected: up to 3 m\\n  to do:    Measure again.")
+    fail("calibrate ball", "9", "up to 3 m", "Measure again.")
 elif given[:1] == ["view"]:
     if (folder / "fail").exists():
-        sys.exit("error: Rerun\\n  found:    nothing\\n  expected: it\\n  to do:    Install it.")
+        fail("Rerun", "nothing", "it", "Install it.")
     print("http://127.0.0.1:9999/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy", flush=True)
     time.sleep(600)
 else:

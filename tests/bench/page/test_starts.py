@@ -6,6 +6,7 @@ test_browser_day.py.
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -26,7 +27,7 @@ from bench.page.command_line import MAX_COMMANDS, CommandLine, fault_of
 from bench.page.entry_forms import FORMS, form_arguments
 from bench.page.lasting_command import LastingCommand
 from bench.page.page_address import PageAddress
-from bench.page.page_server import RUN_OUTCOME
+from bench.page.page_server import run_outcome
 from bench.page.plan_shelf import PlanShelf
 from bench.page.viewer_process import ViewerProcess
 from tests.bench.fake_bench_service import FakeDesk, running_plane
@@ -65,15 +66,20 @@ def entered(page: RunningPage, path: str, seen: float | None = None, **content: 
 # Programs --------------------------------------------------------------------------------------------
 
 
+def said_of(*errors: BenchError) -> str:
+    """Return what the command line prints of `errors` for a program, after other words."""
+    return "\n".join(["campaign x", *(json.dumps(error.record()) for error in errors), ""])
+
+
 def test_the_words_of_a_refused_command_are_kept() -> None:
-    one = "error: bench b\n  found:    held\n  expected: free\n  to do:    Wait."
-    fault = fault_of("golfbench campaign", 1, f"campaign x\n{one}\n")
-    assert (fault.place, fault.found, fault.expected, fault.cure) == ("bench b", "held", "free", "Wait.")
-    both = fault_of("golfbench campaign", 2, f"{one}\n{one.replace('bench b', 'bench c')}")
+    one = Refused("bench b", "held", "free", "Wait.")
+    fault = fault_of("golfbench campaign", 1, said_of(one))
+    assert fault.record() == one.record()
+    both = fault_of("golfbench campaign", 2, said_of(one, Refused("bench c", "held", "free", "Wait.")))
     assert "bench b" in both.found
     assert "bench c" in both.found
-    names = [one.replace("found:    ", f"found:    {name} ") for name in ("a", "b")]
-    merged = fault_of("golfbench campaign", 2, "\n".join(names))
+    names = [Refused("bench b", f"{name} held", "free", "Wait.") for name in ("a", "b")]
+    merged = fault_of("golfbench campaign", 2, said_of(*names))
     assert merged.found.startswith("a ")
     assert "; b " in merged.found
     assert (merged.place, merged.expected, merged.cure) == (fault.place, fault.expected, fault.cure)
@@ -167,7 +173,7 @@ def test_a_plan_is_checked_and_started_as_at_the_command_line(
         assert (status, "no other runner" in content["what"]) == (409, True)
         wait_until(lambda: len(program.asked) == 2, lambda: program.asked)
         run = program.asked[1]
-        options = ["--by=Ann", "--units=us", "--expect=0123456789abcdef", "--ask", "--"]
+        options = ["--json", "--by=Ann", "--units=us", "--expect=0123456789abcdef", "--ask", "--"]
         assert run[:-1] == ["campaign", "run", *options]
         assert run[-1].endswith("campaigns/two-balls.toml")
         program.note("fail")
@@ -197,13 +203,12 @@ def test_a_runner_outlives_its_page(tmp_path: Path, program: NotingProgram) -> N
 
 def test_a_suspended_campaign_ends_with_its_reason(tmp_path: Path) -> None:
     said = list[Any]()
-    words = (
-        "campaign x\nsuspended: bench b: no answer; 2 shots, 2 valid\nToo few valid shots to compare clubs."
-    )
+    record = {"campaign": "x", "state": "suspended", "reason": "bench b: no answer", "shots": 2, "valid": 2}
+    words = json.dumps(record, indent=2)
     program = CommandLine([sys.executable, "-c", f"print({words!r}); raise SystemExit(1)"])
     log = tmp_path / "log"
     runner = LastingCommand(
-        program, log, lambda topic, content: said.append(content), "runner", outcome=RUN_OUTCOME
+        program, log, lambda topic, content: said.append(content), "runner", outcome=run_outcome
     )
     runner.start("x", "campaign", "run")
     wait_until(lambda: not said[-1]["running"], lambda: said)
