@@ -16,7 +16,7 @@ from bench.campaign.control_chart import control_charts
 from bench.campaign.dispersion import dispersion_ellipses
 from bench.campaign.exclusions import with_exclusions
 from bench.campaign.fitting import balls_of, places
-from bench.campaign.operate import answer, ask, find_campaign, is_running, standing_now
+from bench.campaign.operate import answer, ask, is_running, standing_now
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
 from bench.campaign.sequence import Role, sections
@@ -25,7 +25,7 @@ from bench.errors import BenchError, Refused
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
-from bench.store.records import ENDED, Prompt, ShotNote
+from bench.store.records import ENDED, CampaignState, Prompt, ShotNote
 
 MAX_LISTED = 50
 """Max number of listed campaigns."""
@@ -75,14 +75,15 @@ class CampaignArchive:
             for entry, standing, counts in found
         ]
 
-    def known(self, campaign: str) -> str:
-        """Return the id `campaign` if there is such a campaign.
+    def state(self, campaign: str) -> CampaignState:
+        """Return the state of `campaign`.
 
         Raises:
             BenchError: no such campaign.
         """
         with self._store() as store:
-            return store.entry(campaign).id
+            standing = store.standing(store.entry(campaign).id)
+        return standing_now(self._settings.data_dir, campaign, standing).state
 
     def detail(self, campaign: str) -> dict[str, Any]:
         """Return prompt, control charts and, after its end, landing points of `campaign`.
@@ -91,7 +92,7 @@ class CampaignArchive:
             BenchError: there is no such campaign here.
         """
         with self._store() as store:
-            entry = find_campaign(store, campaign)
+            entry = store.entry(campaign)
             plan = plan_from_record(entry.plan, f"campaign {entry.id}")
             taken = [stored.shot for stored in store.shots(entry.id)]
             shots = with_exclusions(taken, store.exclusions(entry.id))
@@ -107,38 +108,10 @@ class CampaignArchive:
             "runner": is_running(self._settings.data_dir, entry.id),
         }
 
-    def ended(self, campaign: str) -> str:
-        """Return the id `campaign` if that campaign has ended.
-
-        Raises:
-            Refused: it has not: a report before the end is a look that costs confidence.
-            BenchError: no such campaign.
-        """
-        with self._store() as store:
-            entry = store.entry(campaign)
-            state = standing_now(self._settings.data_dir, entry.id, store.standing(entry.id)).state
-        if state not in ENDED:
-            cure = f"golfbench campaign report {entry.id}: each look before the end costs confidence."
-            raise Refused(f"campaign {entry.id}", str(state), "an ended campaign", cure)
-        return entry.id
-
-    def unfinished(self, campaign: str) -> str:
-        """Return the id `campaign` if that campaign can be resumed.
-
-        Raises:
-            Refused: it has ended.
-            BenchError: no such campaign.
-        """
-        with self._store() as store:
-            entry = store.entry(campaign)
-            state = store.standing(entry.id).state
-        if state in ENDED:
-            raise Refused(f"campaign {entry.id}", str(state), "an unfinished campaign", "Begin a new one.")
-        return entry.id
-
     def has_runner(self, campaign: str) -> bool:
-        """Return whether a process runs `campaign`; raises as `known`."""
-        return is_running(self._settings.data_dir, self.known(campaign))
+        """Return whether a process runs `campaign`; raises as `state`."""
+        self.state(campaign)
+        return is_running(self._settings.data_dir, campaign)
 
     def request(self, campaign: str, name: str, by: str) -> str:
         """Pass the request `name` of REQUESTS by `by` on to the runner; return what will happen.

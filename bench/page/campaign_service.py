@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.errors import Refused
 from bench.page.answers import Asked, InvalidBody, UnknownName
 from bench.page.campaign_archive import REQUESTS, CampaignArchive
 from bench.page.command_line import CommandLine
 from bench.page.downloads import REPORT, Download, Downloads
 from bench.page.lasting_command import LastingCommand
+from bench.store.records import ENDED
 
 MOVING = frozenset({"answer", "resume"})
 """Requests after which the robot moves: from a fresh screen only."""
@@ -31,7 +33,7 @@ class CampaignService:
 
     def detail(self, asked: Asked) -> dict[str, Any]:
         """Return charts and landing points of one campaign."""
-        return self._archive.detail(self._archive.known(asked.path["campaign"]))
+        return self._archive.detail(asked.path["campaign"])
 
     def record(self, path: dict[str, str]) -> Download | None:
         """Return a record as a file."""
@@ -45,11 +47,13 @@ class CampaignService:
 
     def write_report(self, asked: Asked) -> dict[str, Any]:
         """Write the report of a campaign that has ended, as `golfbench campaign report` does."""
-        units = asked.units()
+        units, campaign = asked.units(), asked.path["campaign"]
         asked.once()
-        known = self._archive.ended(asked.path["campaign"])
-        self._golfbench.output("campaign", "report", f"--units={units}", "--", known)
-        return {"note": f"Report of {known} written."}
+        if (state := self._archive.state(campaign)) not in ENDED:
+            cure = f"golfbench campaign report {campaign}: each look before the end costs confidence."
+            raise Refused(f"campaign {campaign}", str(state), "an ended campaign", cure)
+        self._golfbench.output("campaign", "report", f"--units={units}", "--", campaign)
+        return {"note": f"Report of {campaign} written."}
 
     def change(self, asked: Asked) -> dict[str, Any]:
         """Pause, stop, abort or resume a campaign, answer its prompt, or mark a shot."""
@@ -74,10 +78,11 @@ class CampaignService:
 
     def _resume(self, campaign: str, by: str, *, ask: bool) -> str:
         """Start a runner for a campaign that has none; return what happens."""
-        known = self._archive.unfinished(campaign)
+        if (state := self._archive.state(campaign)) in ENDED:
+            raise Refused(f"campaign {campaign}", str(state), "an unfinished campaign", "Begin a new one.")
         more = ["--ask"] if ask else []
-        self._runner.start(known, "campaign", "resume", "--json", f"--by={by}", *more, "--", known)
-        return STARTED.format(known)
+        self._runner.start(campaign, "campaign", "resume", "--json", f"--by={by}", *more, "--", campaign)
+        return STARTED.format(campaign)
 
 
 def _count(asked: Asked) -> int | None:
