@@ -15,12 +15,3 @@ class Gains(NamedTuple):
     derivative: Triple
     damping: Triple
     move: Triple
-
-    def with_joint(self, joint: int, **values: float) -> Gains:
-        """Return these gains with some gains of one `joint` replaced."""
-
-        def put(triple: Triple, value: float) -> Triple:
-            a, b, c = (value if i == joint else other for i, other in enumerate(triple))
-            return a, b, c
-
-        return self._replace(**{name: put(getattr(self, name), value) for name, value in values.items()})

@@ -1,10 +1,9 @@
-"""Tuning: the linear loop is the plant's, what it says grows does grow, and both methods do what they say."""
+"""Margins: the linear loop is the plant's, and what it says grows does grow."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -16,14 +15,11 @@ from bench.config import load_configuration, shipped_configuration
 from bench.control.gains import Gains
 from bench.control.linear_loop import Estimator, least_damping, steady_estimator
 from bench.control.linear_plant import Frozen, freeze
-from bench.control.settings import ControlSettings, estimator_record
+from bench.control.settings import estimator_record
 from bench.simulation.series import Bench, settled
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.tuning.along_swing import Judged, gains_along, judge, operating_points
-from bench.tuning.gains import gains_of, with_gains
-from bench.tuning.gains_file import gains_file, machine_gains_file
-from bench.tuning.recipe import STEP, Steps, StepTrial, step_profile, tune_by_recipe
 from sim.plant import advance, build_plant
 from tests.bench.hand_gains import HAND
 
@@ -37,6 +33,18 @@ def bench() -> Bench:
     """Return the shipped configuration and its swing, with gains by hand."""
     c = load_configuration(shipped_configuration())
     return Bench(c.plant, load_profile(find_profile(c.swing.profile)), HAND, c.envelope)
+
+
+def by_hand(bench: Bench) -> Gains:
+    pid, control = bench.control.pid, bench.control
+    return Gains(pid.proportional, pid.integral, pid.derivative, control.damping, control.move_gain)
+
+
+def with_joint(gains: Gains, joint: int, **values: float) -> Gains:
+    rows = {name: list(getattr(gains, name)) for name in values}
+    for name, value in values.items():
+        rows[name][joint] = value
+    return gains._replace(**{name: tuple(row) for name, row in rows.items()})
 
 
 @pytest.fixture(scope="module")
@@ -93,8 +101,8 @@ def test_the_linear_plant_moves_as_the_plant_does(bench: Bench, plants: list[Fro
 @compiled_only
 def test_hunting_is_foretold(bench: Bench, plants: list[Frozen], estimator: Estimator) -> None:
     """With this stiff wrist the loop was seen to swing at 4 Hz in a backswing; with the soft one not."""
-    soft = gains_of(bench.control)
-    stiff = soft.with_joint(2, proportional=0.75, integral=0.45, derivative=0.028, damping=0.0004)
+    soft = by_hand(bench)
+    stiff = with_joint(soft, 2, proportional=0.75, integral=0.45, derivative=0.028, damping=0.0004)
     judged = [frozen for frozen in plants if frozen.point.judged]
     ratios = [
         min(least_damping(frozen, estimator, gains, bench.model.tick) for frozen in judged)
@@ -109,14 +117,14 @@ def test_what_grows_by_its_gain_grows_at_the_gain_margin(
     bench: Bench, plants: list[Frozen], estimator: Estimator
 ) -> None:
     """The margins of a loop and the modes of the closed loop tell the same, by other ways."""
-    frozen, gains, period = plants[2], gains_of(bench.control), bench.model.tick
+    frozen, gains, period = plants[2], by_hand(bench), bench.model.tick
     for joint in range(3):
         loop = judge([frozen], estimator, lambda _: gains, period, [joint]).loops[0]
         assert loop.margins.gain > 1
 
         def raised(factor: float, joint: int = joint) -> Gains:
             own = {name: factor * getattr(gains, name)[joint] for name in gains._fields}
-            return gains.with_joint(joint, **own)
+            return with_joint(gains, joint, **own)
 
         below, above = (raised(part * loop.margins.gain) for part in (0.97, 1.03))
         assert least_damping(frozen, estimator, below, period) > 0
@@ -143,87 +151,16 @@ def test_gains_from_the_machine_keep_more_margin_than_those_by_hand(
     assert min(machine.damping_ratio.values()) >= 0.1
 
 
-class Ideal(Steps):
-    """Steps of a made-up joint: it overshoots by P - 3 D - 1, and its static error falls with I."""
-
-    def __init__(self) -> None:
-        self.wanted: list[tuple[int, int]] = []
-
-    def step(self, gains: Gains, joint: int, rule: int) -> StepTrial:
-        self.wanted.append((joint, rule))
-        p, i, d = (values[joint] for values in gains[:3])
-        return StepTrial(joint, rule, gains, p - 3 * d - 1.0, 0.02 - 0.1 * i)
-
-
-def test_the_recipe_raises_p_then_d_then_i(bench: Bench) -> None:
-    steps = Ideal()
-    recipe = tune_by_recipe(bench, steps=steps)
-    assert steps.wanted == sorted(steps.wanted)
-    assert recipe.missed == ()
-    for joint in range(3):
-        p, i, d = (values[joint] for values in recipe.gains[:3])
-        assert 1.02 <= p <= 1.02 * 1.25 + 1e-9
-        assert p - 3 * d - 1.0 <= 0.01
-        assert 0.02 - 0.1 * i <= bench.control.rest_band[joint]
-    assert recipe.gains.damping == bench.control.damping
-
-
-class Stuck(Ideal):
-    """A joint that never overshoots, and whose error stays."""
-
-    def step(self, gains: Gains, joint: int, rule: int) -> StepTrial:
-        return StepTrial(joint, rule, gains, -0.5, 0.05)
-
-
-def test_what_the_recipe_misses_is_told(bench: Bench) -> None:
-    assert tune_by_recipe(bench, steps=Stuck()).missed == tuple(
-        (joint, rule) for joint in range(3) for rule in (1, 3)
-    )
-
-
 @compiled_only
-def test_a_step_is_a_step_of_one_joint(bench: Bench) -> None:
-    profile = step_profile(bench.profile, 1)
-    assert np.ptp(profile.angle, axis=0) == pytest.approx([0.0, abs(STEP[1]), 0.0])
-    steps, gains = Steps(bench), gains_of(bench.control)
-    one, two = steps.step(gains, 1, 1), steps.step(gains, 1, 1)
-    assert one == two  # from one and the same instant
-    assert -0.5 < one.overshoot < 0.5
-    weak = steps.step(gains.with_joint(1, proportional=0.1, integral=0.0), 1, 1)
-    assert weak.static_error > one.static_error
-    assert steps.step(gains.with_joint(1, proportional=50.0), 1, 1).overshoot > one.overshoot
-
-
-def test_the_file_of_gains_is_a_configuration(tmp_path: Path) -> None:
-    rows = ((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (0.01, 0.02, 0.03), (0.001, 0.002, 0.003), (0.1, 0.2, 0.3))
-    gains = Gains(*rows)
-    shipped = load_configuration(shipped_configuration())
-    base = shipped.files[-1]
-    path = tmp_path / "gains.toml"
-    path.write_text(gains_file(gains, base, "by a test"))
-    control = load_configuration(path).control
-    assert gains_of(control) == gains
-    assert control == with_gains(shipped.control, gains)
-    assert control.gains == "hand"
-    assert with_gains(ControlSettings(), gains).dither == ControlSettings().dither
-    path.write_text(machine_gains_file(base))
-    assert load_configuration(path).control == replace(shipped.control, gains="machine")
-
-
-@compiled_only
-def test_the_command_writes_gains_that_swing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "gains.toml"
-    with pytest.raises(SystemExit) as ended:
-        main(["tune", "--method", "thesis", "--output", str(path), "--json"])
-    told = json.loads(capsys.readouterr().out)
+def test_the_command_shows_margins_and_swings(capsys: pytest.CaptureFixture[str]) -> None:
+    for options in (["--json"], []):
+        with pytest.raises(SystemExit) as ended:
+            main(["tune", *options])
+        assert ended.value.code == 0
+        if options:
+            told = json.loads(capsys.readouterr().out)
     assert len(told["margins"]) == 21
-    assert set(told["swings"]) == {"nominal", "worn"}
-    failed = told["swings"]["nominal"]["after"]["failure"] is not None
-    assert ended.value.code == (1 if failed else 0)
-    assert path.exists() != failed
-    with pytest.raises(SystemExit) as ended:
-        main(["tune", "--method", "none"])
+    assert [told["swings"][robot]["failure"] for robot in ("nominal", "worn")] == [None, None]
     shown = capsys.readouterr().out
-    assert ended.value.code == 0
     assert "backswing 2/3" in shown
-    assert "nominal" not in shown
+    assert "nominal robot: " in shown
