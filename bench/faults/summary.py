@@ -11,25 +11,13 @@ from typing import Any
 from bench.faults.catalogue import FAMILIES
 from bench.faults.matrix import Skipped
 from bench.faults.verdict import CaseOutcome
+from bench.lifecycle import Phase
 from sim.faults import MEANINGS, sort_of
 
 SCHEMA_VERSION = 3
 VERDICTS = ("irrelevant", "harmless", "safe", "undetected", "unsafe")
 """From best to worst."""
-PHASES = (
-    "start",
-    "access",
-    "standing",
-    "homing",
-    "hold",
-    "backswing",
-    "top",
-    "downswing",
-    "committed",
-    "impact",
-    "follow-through",
-    "return",
-)
+PHASES = ("start", "access", *(phase.name.lower().replace("_", "-") for phase in Phase))
 
 
 def summarise(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
 from bench.faults.watch import WatchedRun
-from bench.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Reaction, State
+from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Reaction, State
 from bench.loop import Cycles
 from bench.simulation.safety import SafetyLimits, dangers
 from sim.plant import Plant
@@ -123,7 +123,7 @@ def judge_case(
         head_share=round(head_share, 4),
         rest_ticks=run.rest_tick if run.rested else -1,
         operator="; then ".join(CAUSE_TEXT[c] for c in dict.fromkeys((cause, found)) if c)
-        or "; ".join(run.refusals)
+        or "; ".join(f"{put.name.lower()} refused: {REFUSAL_TEXT[why]}" for put, why in run.refusals)
         or "nothing",
         record=f"{final.name}, trip {_trips(cycles, cause)}" + (f", reaction {reaction}" if reaction else ""),
         change=change,
@@ -212,7 +212,7 @@ def _other_detection(run: WatchedRun, healthy: WatchedRun) -> tuple[str, int]:
     news = [refusal for refusal in run.refusals if refusal not in healthy.refusals]
     if news:
         at = _first((run.cycles["answer"] == Answer.REFUSED) & (run.cycles["request"] != 0))
-        return news[0].partition(":")[0], at
+        return f"{news[0][0].name.lower()} refused", at
     for name, text in (("lease_held", "disarmed: no lease"), ("support_ready", "disarmed: nothing records")):
         gone = _first((run.cycles["tick"] > 0) & ~run.cycles[name])
         if gone >= 0:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.lifecycle import REFUSAL_TEXT, Answer, Phase, Refusal, Request, State
+from bench.lifecycle import Answer, Phase, Refusal, Request, State
 from bench.loop import Cycles
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
@@ -63,7 +63,7 @@ class WatchedRun:
     """Max movement of a joint while people may be inside, rad."""
     armed_again: bool
     """Whether the robot armed after a fault without a reset."""
-    refusals: tuple[str, ...]
+    refusals: tuple[tuple[Request, Refusal], ...]
     """Requests that were refused, each with its reason."""
     device_passive: int
     """Tick at which the valve node went passive by itself; -1: never."""
@@ -102,7 +102,7 @@ class Watch:
         self.armed_again = False
         self._inside: NDArray[np.float64] | None = None
         self._released_at = self._left_at = 0
-        self.refusals: list[str] = []
+        self.refusals: list[tuple[Request, Refusal]] = []
         self.device_passive = -1
 
     @property
@@ -121,9 +121,7 @@ class Watch:
         if len(empty) and self.vented_tick < 0 and self.state in _LATCHED:
             self.vented_tick = self.ticks + int(empty[0])
         if request and cycles["answer"][0] == Answer.REFUSED and cycles["request"][0] == request:
-            self.refusals.append(
-                f"{Request(request).name.lower()} refused: {REFUSAL_TEXT[Refusal(int(cycles['refusal'][0]))]}"
-            )
+            self.refusals.append((Request(request), Refusal(int(cycles["refusal"][0]))))
         faults = self.bench.stepper.faults
         if faults is not None and self.device_passive < 0 and faults.device["passive"][0]:
             self.device_passive = self.ticks + max(0, ticks - 1)
