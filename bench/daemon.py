@@ -68,7 +68,6 @@ from bench.telemetry.shot_id import run_id
 from bench.telemetry.snapshot import SNAPSHOT
 from drivers.launch_monitor.open_connect import club_code
 from sim.live.exchange import PlantPlan
-from sim.live.process import start_plant
 
 _log = logging.getLogger("golfbench")
 
@@ -317,7 +316,8 @@ class Daemon:
             plan = PlantPlan(
                 folder, c.plant, c.driver.watchdog, priority=priority, faults=tuple(c.faults.values())
             )
-            self.children["plant"] = Child("plant", start_plant(plan, _START))
+            self.children["plant"] = plant = Child.start("plant", "sim.live.process", plan)
+            plant.wait_until_ready(_START)
         first = Cause.RESTART if self._marker.was_killed else Cause.POWER_UP
         loop = Child.start(
             "loop",

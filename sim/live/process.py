@@ -13,9 +13,7 @@ import gc
 import json
 import os
 import pickle
-import select
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -25,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.base import DriverError
-from drivers.base.compile_report import announce_compilation, report_compilation
+from drivers.base.compile_report import announce_compilation
 from drivers.base.compiled import new_record
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 from sim.live.exchange import (
@@ -45,80 +42,6 @@ _POLL_PERIOD = 0.02
 """Polling period of signals, parent and files, s."""
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK, _PR_SET_THP_DISABLE = 29, 41
-
-
-# Starting the process --------------------------------------------------------------------------------
-
-
-def start_plant(plan: PlantPlan, timeout: float = 180.0) -> subprocess.Popen[bytes]:
-    """Start the plant process and wait until it is ready; `timeout` (s) begins again while it compiles.
-
-    Its stdout stays open for later events. End it with `terminate()`; `with` closes its pipes.
-
-    Raises:
-        DriverError: it failed, ended or was not ready in time; it is stopped then.
-    """
-    # The child gets this process' import path; one BLAS thread, as further threads disturb the timing.
-    path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[2])]))
-    environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "sim.live.process"],
-        bufsize=0,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        env=environment,
-    )
-    try:
-        _await_ready(process, plan, timeout)
-    except BaseException:
-        process.kill()
-        with process:
-            raise
-    return process
-
-
-def _await_ready(process: subprocess.Popen[bytes], plan: PlantPlan, timeout: float) -> None:
-    deadline = time.monotonic() + timeout
-    if process.stdin is None or process.stdout is None:
-        raise DriverError("plant process: started without pipes")
-    with suppress(BrokenPipeError), process.stdin:  # if already dead, its stdout has the reason
-        process.stdin.write(pickle.dumps(plan))
-    received = b""
-    while True:
-        *lines, rest = received.split(b"\n")
-        for event in filter(None, map(_event, lines)):
-            if event["event"] == "ready":
-                return
-            if event["event"] == "compiling":
-                report_compilation(str(event.get("text", "")))
-                deadline = time.monotonic() + timeout
-                continue
-            raise DriverError(f"plant process: {event['event']}: {event.get('reason', '')}")
-        received = rest
-        left = deadline - time.monotonic()
-        if left <= 0.0 or not select.select([process.stdout], [], [], left)[0]:
-            raise DriverError(
-                f"plant process: not ready within {timeout:g} s; check the load of the machine with "
-                "`golfbench doctor`, then start again"
-            )
-        new = os.read(process.stdout.fileno(), 4096)
-        if not new:
-            raise DriverError(
-                f"plant process: ended with exit code {process.wait()} before it was ready; see its stderr"
-            )
-        received += new
-
-
-def _event(line: bytes) -> dict[str, Any] | None:
-    """Return the event in `line`, None if invalid."""
-    with suppress(ValueError):
-        event = json.loads(line)
-        if isinstance(event, dict) and isinstance(event.get("event"), str):
-            return event
-    return None
-
-
-# The process -----------------------------------------------------------------------------------------
 
 
 def main() -> int:

@@ -20,7 +20,7 @@ from bench.processes.tick_timing import TimingReader
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.live.exchange import PlantPlan
-from sim.live.process import start_plant
+from tests.ready_child import ready_child
 
 START = 180.0
 """s that compiling may take."""
@@ -115,8 +115,7 @@ def running_loop(configuration: Configuration) -> Iterator[RunningLoop]:
         link = LoopLink(owner.folder)
         stack.callback(link.close)
         plan = PlantPlan(owner.folder, c.plant, c.driver.watchdog, priority=c.loop.priority - 1)
-        plant = Child("plant", start_plant(plan, START))
-        stack.callback(plant.end, 2.0)
+        stack.callback(ready_child("sim.live.process", plan, START).end, 2.0)
         profile = load_profile(find_profile(c.swing.profile))
         loop = Child.start(
             "loop",

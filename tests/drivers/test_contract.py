@@ -15,7 +15,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.processes.child import Child
 from drivers.base import PASSIVE, Command, Driver, DriverError, Readings
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS, pack_readings, unpack_command
@@ -27,11 +26,11 @@ from drivers.mock import MockDriver
 from sim.driver import SimDriver
 from sim.live.driver import ProcessPlantDriver
 from sim.live.exchange import PLANT_REPORT, REPORT_FILE, PlantPlan
-from sim.live.process import start_plant
 from sim.nodes.plan import NodesPlan
 from sim.plant import PlantParameters
 from tests.drivers.canopen.in_step import Wire, make
 from tests.drivers.daq.system import System, command_of, driver_on
+from tests.ready_child import ready_child
 
 PERIOD = 1e-3
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
@@ -58,7 +57,7 @@ class PlantProcess:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         plan = PlantPlan(folder, PlantParameters(), watchdog=0.5, angle=(0.2, 4.3, 6.0))
-        self.process = start_plant(plan, timeout=100.0)
+        self.process = ready_child("sim.live.process", plan)
         self._shared = SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
 
     def in_force(self) -> Command:
@@ -67,8 +66,7 @@ class PlantProcess:
 
     def end(self) -> None:
         self._shared.close()
-        with self.process:
-            self.process.terminate()
+        self.process.end(5.0)
 
 
 class NodesProcess:
@@ -88,12 +86,7 @@ class NodesProcess:
             folder,
             angle=(0.2, 4.3, 6.0),
         )
-        self.process = Child.start("nodes", "sim.nodes.process", plan)
-        try:
-            self.process.wait_until_ready(100.0)
-        except BaseException:
-            self.process.kill()
-            raise
+        self.process = ready_child("sim.nodes.process", plan)
         first = CanopenDriver(self.settings, watchdog=0.5)
         first.open()  # a node that was never set up falls back to 0 V, which is full stroke
         first.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pickle
 import select
@@ -12,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ import pytest
 import bench.swing
 from bench.control.settings import build_controller
 from bench.loop import Cycle, CycleArray
+from bench.processes.child import Child, NotStarted
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE, Command, DriverError
@@ -36,9 +36,9 @@ from sim.live.exchange import (
     SURROUNDINGS_FILE,
     PlantPlan,
 )
-from sim.live.process import start_plant
 from sim.live.surroundings import SurroundingsWriter
 from sim.plant import PlantParameters
+from tests.ready_child import ready_child
 
 pytestmark = pytest.mark.live
 
@@ -65,22 +65,22 @@ while True:
 
 STARTER = """
 import os, pickle, sys
-from sim.live.process import start_plant
-process = start_plant(pickle.load(sys.stdin.buffer))
-print(process.pid, flush=True)
+from tests.ready_child import ready_child
+child = ready_child("sim.live.process", pickle.load(sys.stdin.buffer))
+print(child.pid, flush=True)
 os._exit(0)
 """
 
 
 @contextmanager
-def running(folder: Path, **changes: Any) -> Iterator[subprocess.Popen[bytes]]:
-    process = start_plant(PlantPlan(folder, PLANT, WATCHDOG, START, **changes), timeout=100.0)
-    with process:
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGCONT)
-            process.terminate()
+def running(folder: Path, **changes: Any) -> Iterator[Child]:
+    child = ready_child("sim.live.process", PlantPlan(folder, PLANT, WATCHDOG, START, **changes))
+    try:
+        yield child
+    finally:
+        with suppress(ProcessLookupError):
+            child.process.send_signal(signal.SIGCONT)
+        child.end(LONGEST)
 
 
 @pytest.fixture(scope="module")
@@ -89,10 +89,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def plant(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+def plant(folder: Path) -> Iterator[Child]:
     """Keep a plant running in `folder`."""
-    with running(folder) as process:
-        yield process
+    with running(folder) as child:
+        yield child
 
 
 @pytest.fixture
@@ -217,12 +217,11 @@ def test_a_frozen_loop_too_and_its_late_commands_revive_nothing_but_a_new_one_do
 
 def test_a_killed_plant_is_old_readings_and_a_new_one_starts_passive(tmp_path: Path) -> None:
     driver = ProcessPlantDriver(tmp_path)
-    with running(tmp_path) as process:
+    with running(tmp_path) as child:
         driver.open()
         driver.write(MOVING)
         before = driver.read(time.monotonic())
-        process.kill()
-        process.wait()
+        child.kill()
         driver.write(MOVING)
         after = driver.read(time.monotonic() + 1.0)
         assert after.encoder_age[0] >= 1.0
@@ -261,12 +260,12 @@ def test_readings_carry_their_own_times(driver: ProcessPlantDriver, observer: Ob
 
 
 def test_a_plant_that_stalls_slips_and_does_not_hurry(
-    plant: subprocess.Popen[bytes], driver: ProcessPlantDriver, observer: Observer
+    plant: Child, driver: ProcessPlantDriver, observer: Observer
 ) -> None:
     driver.open()
     hold(driver, observer)
     before = observer.pass_ticks(1).copy()
-    plant.send_signal(signal.SIGSTOP)
+    plant.process.send_signal(signal.SIGSTOP)
     try:
         last = float(observer.report["readings"]["time"])
         driver.read(time.monotonic())
@@ -274,7 +273,7 @@ def test_a_plant_that_stalls_slips_and_does_not_hurry(
         assert driver.read(time.monotonic()).encoder_age[0] >= 0.2
         driver.write(MOVING)
     finally:
-        plant.send_signal(signal.SIGCONT)
+        plant.process.send_signal(signal.SIGCONT)
     report = observer.wait(lambda r: r["readings"]["time"] > last + 0.1)
     assert report["plant_slips"] > before["plant_slips"]
     slipped = report["slipped_ticks"] - before["slipped_ticks"]
@@ -411,16 +410,15 @@ def memory() -> Iterator[Path]:
 
 
 def test_it_ends_cleanly_and_leaves_nothing(memory: Path) -> None:
-    with running(memory) as process:
-        assert process.stdout is not None
+    with running(memory) as child:
         assert set(os.listdir(memory)) == {COMMAND_FILE, REPORT_FILE, SURROUNDINGS_FILE}
-        process.send_signal(signal.SIGINT)  # the terminal's Ctrl-C is not for it
+        child.process.send_signal(signal.SIGINT)  # the terminal's Ctrl-C is not for it
         observer = Observer(memory)
         observer.pass_ticks(50)
         observer.close()
-        process.terminate()
-        assert json.loads(process.stdout.readline()) == {"event": "stopped", "reason": "SIGTERM"}
-        assert process.wait(LONGEST) == 0
+        child.process.terminate()
+        assert child.process.wait(LONGEST) == 0
+        assert child.take_events() == [{"event": "stopped", "reason": "SIGTERM"}]
 
 
 def test_it_ends_when_nobody_wants_it_any_more(tmp_path: Path) -> None:
@@ -445,19 +443,17 @@ def test_it_ends_when_nobody_wants_it_any_more(tmp_path: Path) -> None:
 
 def test_another_plant_in_its_folder_ends_it(tmp_path: Path) -> None:
     with running(tmp_path) as first, running(tmp_path):
-        assert first.stdout is not None
-        assert json.loads(first.stdout.readline())["event"] == "stopped"
-        assert first.wait(LONGEST) == 0
+        assert first.process.wait(LONGEST) == 0
+        assert first.take_events()[-1]["event"] == "stopped"
         assert len(os.listdir(tmp_path)) == 3  # the second one's
 
 
 def test_why_it_does_not_start_is_told(tmp_path: Path) -> None:
-    with pytest.raises(DriverError, match=r"failed.*Make the folder"):
-        start_plant(PlantPlan(tmp_path / "none", PLANT, WATCHDOG), timeout=100.0)
-    with pytest.raises(DriverError, match=r"failed.*watchdog"):
-        start_plant(PlantPlan(tmp_path, PLANT, 0.0), timeout=100.0)
-    with pytest.raises(DriverError, match=r"not ready in time"):
-        start_plant(PlantPlan(tmp_path, PLANT, WATCHDOG), timeout=0.01)
+    cases = (tmp_path / "none", WATCHDOG, "Make the folder"), (tmp_path, 0.0, "watchdog")
+    for folder, watchdog, told in cases:
+        with pytest.raises(NotStarted) as failed:
+            ready_child("sim.live.process", PlantPlan(folder, PLANT, watchdog))
+        assert told in failed.value.found
 
 
 # A loop around it ------------------------------------------------------------------------------------
