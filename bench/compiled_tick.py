@@ -55,6 +55,8 @@ _TYPES: tuple[np.dtype[Any], ...] = (
 """Types of the arrays behind the addresses: state, parameters, readings, command, record, marks, applied
 command, truth."""
 _COUNT = len(_TYPES)
+_READINGS, _COMMAND, _RECORD, _MARKS, _APPLIED, _TRUTH = range(_COUNT - 6, _COUNT)
+"""Positions of those that are neither state nor parameters."""
 _LENGTHS, _CALLS = _COUNT, 2 * _COUNT
 """Where in the block the arrays' lengths and the native calls begin."""
 _READ, _WRITE, _NOTE_TRUTH, _PUBLISH = range(_CALLS, _CALLS + 8, 2)
@@ -114,12 +116,12 @@ def _run(address: int, time: float, stage: int, end: int) -> int:
     `address` is that of the block.
     """
     a = carray(pointer(address), _BLOCK, np.int64)
-    marks, clock = carray(pointer(a[25]), 7, np.int64), address + 8 * _CLOCK
+    marks, clock = carray(pointer(a[_MARKS]), 7, np.int64), address + 8 * _CLOCK
     if stage == AT_READ:
         marks[0] = monotonic_now(clock)
         status = DECLINED
         if a[_READ] != 0:
-            status = call_native(a[_READ], a[_READ + 1], a[22], 0, time)
+            status = call_native(a[_READ], a[_READ + 1], a[_READINGS], 0, time)
         if status == DECLINED:
             return AT_READ
         carray(pointer(a[0]), 1, CONTROL_STATE)[0].device_operational = (status & OPERATIONAL) != 0
@@ -129,20 +131,20 @@ def _run(address: int, time: float, stage: int, end: int) -> int:
         _think(a, marks, clock, time)
         stage = AT_WRITE
     if stage == AT_WRITE and end > AT_WRITE and a[_WRITE] != 0:
-        if call_native(a[_WRITE], a[_WRITE + 1], a[23], a[26], time) != DECLINED:
-            command, applied = carray(pointer(a[23]), 1, COMMAND), carray(pointer(a[26]), 1, COMMAND)
-            _note_applied(command, applied, carray(pointer(a[24]), 1, CYCLE))
+        if call_native(a[_WRITE], a[_WRITE + 1], a[_COMMAND], a[_APPLIED], time) != DECLINED:
+            applied, cycle = carray(pointer(a[_APPLIED]), 1, COMMAND), carray(pointer(a[_RECORD]), 1, CYCLE)
+            _note_applied(carray(pointer(a[_COMMAND]), 1, COMMAND), applied, cycle)
             stage = AT_NOTE_TRUTH
     if stage == AT_NOTE_TRUTH and end > AT_NOTE_TRUTH and a[_NOTE_TRUTH] != 0:
         if a[_NOTE_TRUTH] == _NOTHING:
             stage = AT_PUBLISH
-        elif call_native(a[_NOTE_TRUTH], a[_NOTE_TRUTH + 1], a[27], 0, time) != DECLINED:
-            _take_truth(carray(pointer(a[27]), 1, TRUTH), carray(pointer(a[24]), 1, CYCLE))
+        elif call_native(a[_NOTE_TRUTH], a[_NOTE_TRUTH + 1], a[_TRUTH], 0, time) != DECLINED:
+            _take_truth(carray(pointer(a[_TRUTH]), 1, TRUTH), carray(pointer(a[_RECORD]), 1, CYCLE))
             stage = AT_PUBLISH
         if stage == AT_PUBLISH:
             marks[5] = monotonic_now(clock)
     if stage == AT_PUBLISH and end > AT_PUBLISH and a[_PUBLISH] != 0:
-        if call_native(a[_PUBLISH], a[_PUBLISH + 1], a[24], 0, time) != DECLINED:
+        if call_native(a[_PUBLISH], a[_PUBLISH + 1], a[_RECORD], 0, time) != DECLINED:
             marks[6] = monotonic_now(clock)
             stage = OVER
     return stage
@@ -178,12 +180,12 @@ def _think(a: Any, marks: Any, clock: int, time: float) -> None:
         carray(pointer(a[20]), (n[20], 3), np.float64),
         carray(pointer(a[21]), (n[21], 6), np.float64),
     )
-    readings, command = carray(pointer(a[22]), 1, READINGS), carray(pointer(a[23]), 1, COMMAND)
+    readings, command = carray(pointer(a[_READINGS]), 1, READINGS), carray(pointer(a[_COMMAND]), 1, COMMAND)
     estimate_tick(state, parameters, readings, time)
     marks[2] = monotonic_now(clock)
     decide_tick(state, parameters, readings, time)
     marks[3] = monotonic_now(clock)
-    limit_tick(state, parameters, readings, command, carray(pointer(a[24]), 1, CYCLE))
+    limit_tick(state, parameters, readings, command, carray(pointer(a[_RECORD]), 1, CYCLE))
     marks[4] = monotonic_now(clock)
 
 

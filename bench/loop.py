@@ -300,7 +300,16 @@ class Loop:
     """A cycle on a clock."""
 
     def __init__(self, cycle: Cycle, clock: Clock) -> None:
-        self.cycle, self.clock, self.state = cycle, clock, cycle.state
+        self.cycle, self.clock = cycle, clock
+
+    @property
+    def state(self) -> ControlState:
+        """Memory of the step; another one may be set between two ticks."""
+        return self.cycle.state
+
+    @state.setter
+    def state(self, state: ControlState) -> None:
+        self.cycle.state = state
 
     @property
     def period(self) -> float:
