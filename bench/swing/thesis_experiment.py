@@ -22,6 +22,7 @@ Left open there, and chosen here (each is a parameter; `variants` shows what eac
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import log, pi, sin
 from typing import Any, Literal, NamedTuple
 
@@ -159,7 +160,6 @@ class ThesisExperiment:
     """(N, 2)"""
     ball: tuple[float, float]
     """m; where the head stands at the first sample"""
-    summary: ExperimentSummary
     search: tuple[FrictionTrial, ...] = ()
     """How the friction was found; empty when it was given"""
 
@@ -167,6 +167,42 @@ class ThesisExperiment:
     def saturated(self) -> NDArray[np.bool_]:
         """True where the demand exceeds the limit, (N, 3)."""
         return np.abs(self.demand) > self.limit
+
+    @cached_property
+    def summary(self) -> ExperimentSummary:
+        """The experiment in figures."""
+        robot, angle, time = self.robot, self.angle, self.time
+        contact = _contact(time, self.head, self.ball)
+        contact_time = height_error = club_speed = None
+        if contact is not None:
+            i, share = contact
+
+            def between(values: Array) -> Array:
+                return np.asarray(values[i] + share * (values[i + 1] - values[i]))
+
+            contact_time = float(between(time))
+            height_error = float(between(self.head)[1]) - self.ball[1]
+            motion = head_motion(robot.record[0], *between(angle), *between(self.velocity))
+            club_speed = float(np.hypot(motion[3], motion[4]))
+        window = time <= (self.swing.end if contact_time is None else contact_time)
+        error = (self.reference - angle)[window]
+        with np.errstate(invalid="ignore"):
+            overload = np.abs(self.demand[window]) / self.limit[window]
+        rod = right_arm_length(robot, angle[window, 1]) - robot.l56
+        least, most = angle[:, 1].min(), angle[:, 1].max()
+        return ExperimentSummary(
+            stable=bool(np.all(np.isfinite(angle)) and least > pi and most < 2.0 * pi),
+            top_time=float(time[window][angle[window, 0].argmin()]),
+            contact_time=contact_time,
+            height_error=height_error,
+            club_speed=club_speed,
+            largest_error=_triple(np.abs(error).max(axis=0)),
+            rms_error=_triple(np.sqrt((error**2).mean(axis=0))),
+            saturated=_triple((overload > 1.0).mean(axis=0)),
+            peak_demand=_triple(overload.max(axis=0)),
+            rod_range=(float(rod.min()), float(rod.max())),
+            wrist_range=(float(angle[window, 2].min()), float(angle[window, 2].max())),
+        )
 
 
 def appendix_b_robot() -> RobotParameters:
@@ -271,69 +307,22 @@ def _run(parameters: ThesisParameters, robot: RobotParameters, swing: ThesisSwin
     state, demand, limit = np.zeros((steps + 1, 9)), np.empty((steps + 1, 3)), np.empty((steps + 1, 3))
     state[0, :3] = reference[0]
     _simulate(robot.record, reference, parameters.time_step, *_settings(parameters), state, demand, limit)
-    angle, reference, time = state[:, :3].copy(), reference[::2].copy(), half_steps[::2].copy()
+    angle, reference = state[:, :3].copy(), reference[::2].copy()
     head, reference_head = (forward_kinematics(robot, q)[:, :2] for q in (angle, reference))
-    ball = (float(reference_head[0, 0]), float(reference_head[0, 1]))
-    velocity = state[:, 3:6].copy()
     return ThesisExperiment(
         parameters=parameters,
         robot=robot,
         swing=swing,
-        time=time,
+        time=half_steps[::2].copy(),
         reference=reference,
         angle=angle,
-        velocity=velocity,
+        velocity=state[:, 3:6].copy(),
         demand=demand,
         effort=np.clip(demand, -limit, limit),
         limit=limit,
         head=head,
         reference_head=reference_head,
-        ball=ball,
-        summary=_summary(robot, swing, time, reference, angle, velocity, demand, limit, head, ball),
-    )
-
-
-def _summary(
-    robot: RobotParameters,
-    swing: ThesisSwing,
-    time: Array,
-    reference: Array,
-    angle: Array,
-    velocity: Array,
-    demand: Array,
-    limit: Array,
-    head: Array,
-    ball: tuple[float, float],
-) -> ExperimentSummary:
-    contact = _contact(time, head, ball)
-    contact_time = height_error = club_speed = None
-    if contact is not None:
-        i, share = contact
-
-        def between(values: Array) -> Array:
-            return np.asarray(values[i] + share * (values[i + 1] - values[i]))
-
-        contact_time = float(between(time))
-        height_error = float(between(head)[1]) - ball[1]
-        motion = head_motion(robot.record[0], *between(angle), *between(velocity))
-        club_speed = float(np.hypot(motion[3], motion[4]))
-    window = time <= (swing.end if contact_time is None else contact_time)
-    error = (reference - angle)[window]
-    with np.errstate(invalid="ignore"):
-        overload = np.abs(demand[window]) / limit[window]
-    rod = right_arm_length(robot, angle[window, 1]) - robot.l56
-    return ExperimentSummary(
-        stable=bool(np.all(np.isfinite(angle)) and angle[:, 1].min() > pi and angle[:, 1].max() < 2.0 * pi),
-        top_time=float(time[window][angle[window, 0].argmin()]),
-        contact_time=contact_time,
-        height_error=height_error,
-        club_speed=club_speed,
-        largest_error=_triple(np.abs(error).max(axis=0)),
-        rms_error=_triple(np.sqrt((error**2).mean(axis=0))),
-        saturated=_triple((overload > 1.0).mean(axis=0)),
-        peak_demand=_triple(overload.max(axis=0)),
-        rod_range=(float(rod.min()), float(rod.max())),
-        wrist_range=(float(angle[window, 2].min()), float(angle[window, 2].max())),
+        ball=(float(reference_head[0, 0]), float(reference_head[0, 1])),
     )
 
 
