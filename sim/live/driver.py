@@ -15,7 +15,7 @@ import numpy as np
 from numba import carray
 
 from drivers.base import PASSIVE, Command, DriverError, Readings, device_limited
-from drivers.base.compiled import compiled, new_record, numbers
+from drivers.base.compiled import new_record, numbers
 from drivers.base.compiled_slots import fetch_record, put_record, slots_at
 from drivers.base.native import compiled_call, limit_command, rest_command
 from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL, NativeCall, NativeCalls
@@ -30,6 +30,8 @@ _NEAR = 1e-9
 _SESSION = np.dtype([("counter", "i8"), ("number", "i8"), ("last_time", "f8")])
 """Number of the last command sent and of the session with the node; time of the last reading, s."""
 _COMMAND_SIZE, _COMMAND_AT = COMMAND.itemsize, PLANT_COMMAND.fields["command"][1]  # type: ignore[index]
+_READINGS_SIZE, _READINGS_AT = READINGS.itemsize, PLANT_REPORT.fields["readings"][1]  # type: ignore[index]
+_TRUTH_SIZE, _TRUTH_AT = TRUTH.itemsize, PLANT_REPORT.fields["truth"][1]  # type: ignore[index]
 _OPERATE = int(Mode.OPERATE)
 _INCOMING, _SENDER, _REPORT, _SPARE, _APPLIED, _OUTGOING, _LINK = range(7)
 """Addresses in the block: the blocks of the report's and the commands' file (0 while detached), report,
@@ -126,7 +128,9 @@ class ProcessPlantDriver:
             )
         self._last_time[0] = time
         self._incoming.read(self.report)
-        _take_readings(self.report, record, time)
+        record[...] = self.report["readings"]
+        record["time"] = time
+        record["encoder_age"] = time - record["encoder_time"]
 
     def write(self, command: Command) -> Command:
         """Send `command` within the device's limits; return it, or PASSIVE if the node went passive.
@@ -155,7 +159,8 @@ class ProcessPlantDriver:
 
     def note_truth(self, cycle: np.ndarray[Any, Any]) -> None:
         """Write the fields `plant_*` of a CYCLE record (a one-element array) at the readings' tick."""
-        _take_truth(self.report, cycle)
+        for name in TRUTH.names or ():
+            cycle[name] = self.report["truth"][name]
 
     @property
     def contact(self) -> Contact | None:
@@ -210,39 +215,6 @@ class ProcessPlantDriver:
         self._operational[0] = False
 
 
-@compiled
-def _take_readings(report: Any, record: Any, time: float) -> None:
-    """Write the readings of a PLANT_REPORT into a READINGS record, as of `time` (s)."""
-    given, out = report[0].readings, record[0]
-    out.time = time
-    for i in range(3):
-        out.encoder_count[i], out.encoder_time[i] = given.encoder_count[i], given.encoder_time[i]
-        out.encoder_valid[i], out.encoder_indexed[i] = given.encoder_valid[i], given.encoder_indexed[i]
-        out.encoder_age[i] = time - given.encoder_time[i]
-    out.emergency_stop_clear, out.guard_closed = given.emergency_stop_clear, given.guard_closed
-    out.guard_locked, out.local_reset = given.guard_locked, given.local_reset
-    out.ball_present, out.supply_pressure = given.ball_present, given.supply_pressure
-    for i in range(6):
-        out.chamber_pressure[i] = given.chamber_pressure[i]
-    for i in range(2):
-        out.vent_open[i] = given.vent_open[i]
-    out.shut_off_open = given.shut_off_open
-
-
-@compiled
-def _take_truth(report: Any, cycle: Any) -> None:
-    """Write the truth of a PLANT_REPORT into the fields `plant_*` of a CYCLE record."""
-    truth, out = report[0].truth, cycle[0]
-    for i in range(3):
-        out.plant_angle[i], out.plant_velocity[i] = truth.plant_angle[i], truth.plant_velocity[i]
-        out.plant_effort[i] = truth.plant_effort[i]
-    for i in range(6):
-        out.plant_pressure[i] = truth.plant_pressure[i]
-    for i in range(2):
-        out.plant_head_position[i] = truth.plant_head_position[i]
-    out.plant_head_speed = truth.plant_head_speed
-
-
 @compiled_call
 def _read_native(block: int, record: int, _: int, time: float) -> int:
     a = carray(pointer(block), 7, np.int64)
@@ -252,9 +224,12 @@ def _read_native(block: int, record: int, _: int, time: float) -> int:
     if not fetch_record(slots_at(a[_INCOMING]), a[_REPORT], a[_SPARE]):
         return DECLINED
     session.last_time = time
-    report = carray(pointer(a[_REPORT]), 1, PLANT_REPORT)
-    _take_readings(report, carray(pointer(record), 1, READINGS), time)
-    return DONE | OPERATIONAL if report[0].node.operational else DONE
+    copy_bytes(a[_REPORT] + _READINGS_AT, record, _READINGS_SIZE)
+    out = carray(pointer(record), 1, READINGS)[0]
+    out.time = time
+    for i in range(3):
+        out.encoder_age[i] = time - out.encoder_time[i]
+    return DONE | OPERATIONAL if carray(pointer(a[_REPORT]), 1, PLANT_REPORT)[0].node.operational else DONE
 
 
 @compiled_call
@@ -280,7 +255,7 @@ def _write_native(block: int, command: int, applied: int, time: float) -> int:
 @compiled_call
 def _note_truth_native(block: int, truth: int, _: int, time: float) -> int:
     a = carray(pointer(block), 7, np.int64)
-    _take_truth(carray(pointer(a[_REPORT]), 1, PLANT_REPORT), carray(pointer(truth), 1, TRUTH))
+    copy_bytes(a[_REPORT] + _TRUTH_AT, truth, _TRUTH_SIZE)
     return DONE
 
 
