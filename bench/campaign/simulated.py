@@ -183,7 +183,7 @@ class SimulatedShots:
         plant = replace(
             self._worn(arm.club, number), ball=ball, supply=supply, seed=int(random.integers(2**31))
         )
-        result = armed.swing(plant, None if number in s.missed_ball else ball)
+        result = armed.swing_on(plant, None if number in s.missed_ball else ball)
         shot = self._judged(step, number, sample, result, ball, draws[2:])
         varied = {
             "restitution_factor": ball.restitution_factor,

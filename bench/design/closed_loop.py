@@ -15,16 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.gain_table import DAMPING, DERIVATIVE, gains_along
-from bench.control.records import ControlParameters, ControlState
-from bench.control.step import step
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause
 from bench.simulation.simulated_bench import SimulatedBench, begin_swing
 from bench.swing.profile import Profile
-from bench.telemetry.cycle_record import CYCLE
-from drivers.base.compiled import compiled, new_record
-from sim.plant import advance, sense
-from sim.truth import note_truth
 
 Array = NDArray[np.float64]
 
@@ -34,37 +28,6 @@ _AWAY = 0.4
 
 class LoopFailed(RuntimeError):
     """The swing does not run in closed loop."""
-
-
-@compiled
-def run_with_openings(
-    robot: Any,
-    plant: Any,
-    impact: Any,
-    plant_state: Any,
-    state: ControlState,
-    parameters: ControlParameters,
-    readings: Any,
-    command: Any,
-    first_tick: int,
-    valve: Any,
-    acceleration: Any,
-    cycles: Any,
-) -> None:
-    """Apply `valve` (n, 3) while the control step listens; write CYCLE records (n,).
-
-    `acceleration` (n, 3) gets the estimated accelerations, rad/s2.
-    """
-    period = plant[0].tick
-    for k in range(len(valve)):
-        sense(plant, plant_state, readings)
-        cycle = cycles[k : k + 1]
-        step(state, parameters, readings, (first_tick + k) * period, command, cycle)
-        note_truth(plant_state, cycle)
-        for i in range(3):
-            acceleration[k, i] = state.estimator[0].acceleration[i]
-            command[0].valve[i] = valve[k, i]
-        advance(robot, plant, impact, plant_state, command)
 
 
 class Rehearsal:
@@ -96,21 +59,7 @@ class Rehearsal:
 
     def play(self, valve: Array) -> tuple[NDArray[Any], Array]:
         """Apply openings `valve` (n, 3) while the loop listens; return records and estimated acceleration."""
-        bench, cycles = self.bench, new_record(CYCLE, len(valve))
-        acceleration = np.zeros((len(valve), 3))
-        run_with_openings(
-            *bench.plant.records,
-            bench.plant_state,
-            bench.state,
-            bench.parameters,
-            bench.readings,
-            bench.command,
-            bench.tick,
-            np.ascontiguousarray(valve),
-            acceleration,
-            cycles,
-        )
-        bench.tick += len(valve)
+        cycles, acceleration = self.bench.play(valve)
         self._require_running()
         return cycles, acceleration
 

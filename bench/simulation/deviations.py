@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,11 @@ from bench.control.records import ControlParameters
 from bench.errors import Refused
 from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.simulation.engine import LockstepEngine
-from bench.simulation.lockstep import Lockstep, run_noting
+from bench.simulation.lockstep import Lockstep
 from bench.simulation.swing_operator import LONGEST_RETURN
 from bench.swing.profile import PHASES, Profile
-from bench.telemetry.cycle_record import CYCLE
-from drivers.base.compiled import new_record
 from sim.driver import hanging_pose
-from sim.plant import Plant, PlantParameters, build_plant
+from sim.plant import PlantParameters, build_plant
 
 Array = NDArray[np.float64]
 
@@ -44,42 +42,6 @@ class HealthyRun(NamedTuple):
     """Stops that became more severe than asked for, by phase and kind, or after which arming was stopped."""
 
 
-class NotingLockstep(Lockstep):
-    """A lock-step bench that notes deviations; its copies note into the same array."""
-
-    def __init__(self, plant: Plant, parameters: ControlParameters, angle: Array) -> None:
-        """Stand vented at joint angles `angle` (3,) rad."""
-        super().__init__(plant, parameters, angle)
-        self.largest = np.zeros((len(KINDS), LEARNING, 3))
-
-    def copy(self) -> Self:
-        """Return an independent bench in the same state that notes into the same array."""
-        other = super().copy()
-        other.largest = self.largest
-        return other
-
-    def advance(self, ticks: int, request: int = 0) -> np.ndarray:
-        """Run `ticks` ticks with `request` in the first; return the record of the last."""
-        requests = np.zeros(ticks, np.uint8)
-        if ticks:
-            requests[0] = request
-        cycle = new_record(CYCLE)
-        run_noting(
-            *self.plant.records,
-            self.plant_state,
-            self.state,
-            self.parameters,
-            self.readings,
-            self.command,
-            requests,
-            self.tick,
-            cycle,
-            self.largest,
-        )
-        self.tick += ticks
-        return cycle
-
-
 def healthy_run(
     plant: PlantParameters, parameters: ControlParameters, profile: Profile, seed: int
 ) -> HealthyRun | None:
@@ -88,7 +50,8 @@ def healthy_run(
     `parameters` decide whether a deviation stops it. None if the robot does not reach its address.
     """
     random = np.random.default_rng([seed, 2])
-    stepper = NotingLockstep(build_plant(plant), parameters, hanging_pose(plant))
+    stepper = Lockstep(build_plant(plant), parameters, hanging_pose(plant))
+    stepper.largest = largest = np.zeros((len(KINDS), LEARNING, 3))
     bench, trial = LockstepEngine(stepper), _StopTrial(random)
     stepper.advance(_BEGIN)
     try:
@@ -111,7 +74,7 @@ def healthy_run(
         bench.run_until(bench.holding, LONGEST_RETURN)
         if bench.cause:
             break
-    return HealthyRun(stepper.largest, bench.cause, trial.number, tuple(trial.escalated))
+    return HealthyRun(largest, bench.cause, trial.number, tuple(trial.escalated))
 
 
 def _instants(profile: Profile, random: np.random.Generator) -> list[int]:

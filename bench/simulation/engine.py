@@ -6,24 +6,13 @@ rehearsals run on it; `bench.simulation.safety` judges the end of a run.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
 from bench.simulation.loads import Loads, begin_tally, loads_of
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.swing_operator import OperatedStepper, SwingOperator
-from sim.plant import Plant
-
-
-class SimulatedStepper(OperatedStepper, Protocol):
-    """Controller and plant that run ticks: the compiled `Lockstep`, or the Python cycle around a driver."""
-
-    plant: Plant
-    plant_state: NDArray[Any]
-
-
-AnySimulated = TypeVar("AnySimulated", bound=SimulatedStepper)
+from bench.simulation.swing_operator import SwingOperator
 
 
 class Mark(NamedTuple):
@@ -33,8 +22,8 @@ class Mark(NamedTuple):
     tick: int
 
 
-class SwingEngine(SwingOperator[AnySimulated]):
-    """A simulated bench that is switched on."""
+class LockstepEngine(SwingOperator[Lockstep]):
+    """A simulated bench that is switched on: it can be copied, and taken back to an earlier instant."""
 
     @property
     def plant_state(self) -> NDArray[Any]:
@@ -55,10 +44,6 @@ class SwingEngine(SwingOperator[AnySimulated]):
         self.advance(1)
         self.plant_state["ball_present"] = self.plant_state["struck"] = False
         self.control["tee"] = ball
-
-
-class LockstepEngine(SwingEngine[Lockstep]):
-    """A simulated bench in lock-step: it can be copied, and taken back to an earlier instant."""
 
     def copy(self) -> LockstepEngine:
         """Return a bench that goes on from here by itself, without faults and records."""

@@ -51,54 +51,61 @@ def run(
     requests: Any,
     first_tick: int,
     cycles: Any,
+    faults: Any,
+    largest: Any,
+    openings: Any,
+    acceleration: Any,
 ) -> None:
-    """Run len(requests) ticks; `requests` (n,) u1 go to the step, `cycles` (n,) CYCLE are written."""
-    period = plant[0].tick
-    for k in range(len(requests)):
-        sense(plant, plant_state, readings)
-        if requests[k] != 0:
-            state.control[0].request = requests[k]
-        cycle = cycles[k : k + 1]
-        step(state, parameters, readings, (first_tick + k) * period, command, cycle)
-        note_truth(plant_state, cycle)
-        advance(robot, plant, impact, plant_state, command)
+    """Run len(requests) ticks; `requests` (n,) u1 go to the step, `cycles` (n,) CYCLE are written.
 
-
-@compiled
-def run_faulty(
-    robot: Any,
-    plant: Any,
-    impact: Any,
-    plant_state: Any,
-    state: ControlState,
-    parameters: ControlParameters,
-    readings: Any,
-    command: Any,
-    requests: Any,
-    first_tick: int,
-    cycles: Any,
-    faults: Faults,
-) -> None:
-    """Run ticks as `run` does, with `faults` between plant and step; `robot` and `plant` may break, too.
-
-    A tick without the loop leaves a record of zeros except for the plant's truth.
+    With `faults` (Faults) between plant and step `robot` and `plant` may break, too, and a tick without the
+    loop leaves a record of zeros except for the plant's truth. `largest` notes deviations wherever the
+    model-based check compares them. `openings` (n, 3) are applied in place of the step's, and `acceleration`
+    (n, 3) gets the estimated accelerations, rad/s2. Each is None where it is not wanted.
     """
     period = plant[0].tick
     for k in range(len(requests)):
-        s = state.control[0]
-        notice_onsets(faults, plant, plant_state, s.phase)
-        deliver_readings(faults, plant, plant_state, readings)
-        cycle = cycles[k : k + 1]
-        loop_up = faults.device[0].loop_up
+        time, loop_up = (first_tick + k) * period, True
+        s, cycle = state.control[0], cycles[k : k + 1]
+        if faults is None:
+            sense(plant, plant_state, readings)
+        else:
+            notice_onsets(faults, plant, plant_state, s.phase)
+            deliver_readings(faults, plant, plant_state, readings)
+            loop_up = faults.device[0].loop_up
+            if loop_up:
+                note_processes(state, faults)
+                time = faulty_time(faults, time)
         if loop_up:
-            note_processes(state, faults)
             if requests[k] != 0:
                 s.request = requests[k]
-            step(state, parameters, readings, faulty_time(faults, (first_tick + k) * period), command, cycle)
+            step(state, parameters, readings, time, command, cycle)
+        if largest is not None:
+            note_largest(largest, state, time)
         note_truth(plant_state, cycle)
-        deliver_command(faults, plant, command, loop_up)
-        break_parts(faults, robot, plant, plant_state)
-        advance(robot, plant, impact, plant_state, faults.sent)
+        if openings is not None:
+            for i in range(3):
+                acceleration[k, i] = state.estimator[0].acceleration[i]
+                command[0].valve[i] = openings[k, i]
+        if faults is None:
+            advance(robot, plant, impact, plant_state, command)
+        else:
+            deliver_command(faults, plant, command, loop_up)
+            break_parts(faults, robot, plant, plant_state)
+            advance(robot, plant, impact, plant_state, faults.sent)
+
+
+@compiled
+def note_largest(largest: Any, state: ControlState, time: float) -> None:
+    """Note the deviations of the tick at `time` (s), if the model-based check compares them."""
+    s = state.control[0]
+    if s.phase != Phase.STANDING and not charging(s, time):
+        if s.reaction <= Reaction.COMPLETE:
+            velocity = s.reference_velocity
+            note_deviations(largest, state.model[0], state.estimator, velocity, row_of(s))
+        elif s.reaction == Reaction.BRAKE:
+            velocity = state.estimator[0].velocity
+            note_deviations(largest, state.model[0], state.estimator, velocity, BRAKING + s.phase)
 
 
 @compiled
@@ -116,40 +123,6 @@ def note_processes(state: ControlState, faults: Faults) -> None:
     s.device_operational = not faults.device[0].passive
 
 
-@compiled
-def run_noting(
-    robot: Any,
-    plant: Any,
-    impact: Any,
-    plant_state: Any,
-    state: ControlState,
-    parameters: ControlParameters,
-    readings: Any,
-    command: Any,
-    requests: Any,
-    first_tick: int,
-    cycle: Any,
-    largest: Any,
-) -> None:
-    """Run len(requests) ticks as `lockstep.run` does; note deviations wherever the check compares them."""
-    period = plant[0].tick
-    for k in range(len(requests)):
-        time = (first_tick + k) * period
-        sense(plant, plant_state, readings)
-        s = state.control[0]
-        if requests[k] != 0:
-            s.request = requests[k]
-        step(state, parameters, readings, time, command, cycle)
-        if s.phase != Phase.STANDING and not charging(s, time):
-            if s.reaction <= Reaction.COMPLETE:
-                velocity = s.reference_velocity
-                note_deviations(largest, state.model[0], state.estimator, velocity, row_of(s))
-            elif s.reaction == Reaction.BRAKE:
-                velocity = state.estimator[0].velocity
-                note_deviations(largest, state.model[0], state.estimator, velocity, BRAKING + s.phase)
-        advance(robot, plant, impact, plant_state, command)
-
-
 class Lockstep:
     """A simulated bench on a virtual clock, driven by the compiled loop."""
 
@@ -159,6 +132,8 @@ class Lockstep:
         """Stand vented at joint angles `angle` (3,) rad, with `faults`."""
         self.plant, self.parameters = plant, parameters
         self.faults: Faults | None = None
+        self.largest: np.ndarray | None = None
+        """Largest deviations that the model-based check sees; noted where there is such an array."""
         self.plant_state = initial_state(plant, angle)
         self.state = new_control_state()
         self.readings, self.command = new_record(READINGS), new_record(COMMAND)
@@ -181,9 +156,10 @@ class Lockstep:
             self.faults.received[:] = self.command
 
     def copy(self) -> Self:
-        """Return an independent bench in the same state, without faults."""
+        """Return an independent bench in the same state, without faults; it notes into the same `largest`."""
         other = object.__new__(type(self))
         other.plant, other.parameters, other.tick, other.faults = self.plant, self.parameters, self.tick, None
+        other.largest = self.largest
         other.plant_state = self.plant_state.copy()
         other.state = ControlState(*(record.copy() for record in self.state))
         other.readings, other.command = self.readings.copy(), self.command.copy()
@@ -194,33 +170,37 @@ class Lockstep:
         requests = np.zeros(ticks, np.uint8)
         if ticks:
             requests[0] = request
-        cycles = new_record(CYCLE, ticks)
-        if self.faults is None:
-            run(
-                *self.plant.records,
-                self.plant_state,
-                self.state,
-                self.parameters,
-                self.readings,
-                self.command,
-                requests,
-                self.tick,
-                cycles,
-            )
-        else:
-            run_faulty(
-                *self.plant.records,
-                self.plant_state,
-                self.state,
-                self.parameters,
-                self.readings,
-                self.command,
-                requests,
-                self.tick,
-                cycles,
-                self.faults,
-            )
-        self.tick += ticks
+        return self._run(requests)
+
+    def play(self, openings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Apply `openings` (n, 3) while the step listens; return records and estimated accelerations."""
+        openings = np.ascontiguousarray(openings)
+        acceleration = np.zeros_like(openings)
+        return self._run(np.zeros(len(openings), np.uint8), openings, acceleration), acceleration
+
+    def _run(
+        self,
+        requests: np.ndarray,
+        openings: np.ndarray | None = None,
+        acceleration: np.ndarray | None = None,
+    ) -> np.ndarray:
+        cycles = new_record(CYCLE, len(requests))
+        run(
+            *self.plant.records,
+            self.plant_state,
+            self.state,
+            self.parameters,
+            self.readings,
+            self.command,
+            requests,
+            self.tick,
+            cycles,
+            self.faults,
+            self.largest,
+            openings,
+            acceleration,
+        )
+        self.tick += len(requests)
         return cycles
 
     def make_passive(self) -> None:

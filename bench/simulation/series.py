@@ -108,10 +108,6 @@ class Series:
         self._settled = bool(self.bench.profile.air)
         self._engine.arm()
 
-    def vary(self, plant: PlantParameters) -> None:
-        """Exchange the plant for `plant` from here on; its state stays."""
-        self._engine.stepper.plant = build_plant(plant)
-
     def rest(self) -> None:
         """Rest at the address for as long as before a swing."""
         self._engine.advance(round(HOLD / self.bench.profile.period))

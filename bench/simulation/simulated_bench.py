@@ -7,13 +7,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from importlib.metadata import version
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from bench.clock import FreeClock
-from bench.control.records import ControlParameters
 from bench.control.settings import (
     SIMULATED,
     ControlSettings,
@@ -23,11 +20,11 @@ from bench.control.settings import (
     build_controller,
 )
 from bench.lifecycle import CAUSE_TEXT, Cause, Request
-from bench.loop import Cycle, Cycles, Loop
+from bench.loop import Cycles
 from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_record import ShotRecord
-from bench.simulation.engine import LockstepEngine, SwingEngine
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
@@ -38,14 +35,11 @@ from bench.telemetry.swing_metadata import begin_of, profile_entry, since, snaps
 from drivers.base import Launch
 from drivers.base.compiled import new_record
 from sim.ball import Ball
-from sim.driver import SimDriver, hanging_pose
+from sim.driver import hanging_pose
 from sim.flight import Flight, fly
 from sim.impact import Delivery, impact_parameters
-from sim.plant import Plant, PlantParameters, build_plant, initial_state
+from sim.plant import PlantParameters, build_plant, initial_state
 from sim.truth import Contact, contact_in
-
-Engine = Literal["python", "compiled"]
-"""The Python cycle around the `sim` driver, or the compiled loop, three times as fast: bit-equal records."""
 
 _LOOK = 0.02
 """Time between two looks at the phase and at Ctrl-C, s."""
@@ -122,9 +116,6 @@ class SimulatedBench:
     envelope: EnvelopeSettings = field(default_factory=EnvelopeSettings)
     estimator: EstimatorSettings = field(default_factory=EstimatorSettings)
     surroundings: FlightConditions = field(default_factory=FlightConditions)
-    engine: Engine = "compiled"
-    start: tuple[float, float, float] | None = None
-    """Joint angles before arming, rad; None: hanging, as the vented robot does."""
     hold: float = 0.3
     """Time at address before each swing, s."""
 
@@ -135,7 +126,7 @@ class SimulatedBench:
         return {
             "configuration": {name: asdict(getattr(self, name)) for name in settings}
             | {"lifecycle": asdict(SIMULATED), "homing": asdict(HomingSettings())}
-            | {"engine": self.engine, "hold": self.hold},
+            | {"hold": self.hold},
             "versions": {name: version(name) for name in names} | {"python": platform.python_version()},
             "seed": self.plant.seed,
             "profile": profile_entry(self.profile),
@@ -171,25 +162,26 @@ def simulate_swings(
         Refused: the robot does not reach its address.
     """
     powered = _PoweredBench(bench, stop)
+    engine = powered.engine
     try:
         if not powered.arm():
             return
         for ball in balls:
-            powered.engine.await_air()
+            engine.await_air()
             if stop():
-                powered.engine.rest()
+                engine.rest()
                 return
             result = powered.swing(ball)
             yield result
             if result.cause is not Cause.NONE or result.interrupted:
                 return
-        powered.engine.advance(1, Request.DISARM)
+        engine.advance(1, Request.DISARM)
     finally:
-        powered.close()
+        engine.stepper.make_passive()
 
 
 def begin_swing(bench: SimulatedBench, ball: Ball | None) -> tuple[Lockstep, Cycles]:
-    """Return `bench` (lock-step engine) as `simulate_swing` has it once the swing has begun.
+    """Return `bench` as `simulate_swing` has it once the swing has begun.
 
     Beside it the record of the swing's first tick, which is done.
 
@@ -197,66 +189,11 @@ def begin_swing(bench: SimulatedBench, ball: Ball | None) -> tuple[Lockstep, Cyc
         Refused: the robot does not come to rest at its address.
     """
     powered = _PoweredBench(bench, never)
-    engine = powered.lockstep()
+    engine = powered.engine
     powered.arm()
     if not powered.begin(ball):
         raise engine.refusal(CAUSE_TEXT[engine.cause] if engine.cause else "the robot does not come to rest")
     return engine.stepper, engine.latest
-
-
-class ArmedBench:
-    """A simulated bench that is armed once; each swing begins at that same instant.
-
-    A swing then depends on its own `plant` and `ball` only, not on those before it: a series that was cut off
-    goes on as if it had not been.
-    """
-
-    def __init__(self, bench: SimulatedBench, stop: Callable[[], bool] = never) -> None:
-        """Arm `bench`, whose engine is the lock-step one.
-
-        Raises:
-            Refused: the robot does not reach its address.
-            KeyboardInterrupt: `stop` became true before it did.
-        """
-        self._powered = powered = _PoweredBench(bench, stop)
-        self._engine = engine = powered.lockstep()
-        if not powered.arm():
-            raise KeyboardInterrupt
-        self._mark = engine.mark()
-        if bench.profile.air:
-            engine.await_air()
-            self._mark = engine.mark()
-            return
-        # Arming leaves other air in the closed chambers than a swing does: begin where a swing ends.
-        if powered.swing(None).cause is Cause.NONE and engine.holding():
-            engine.advance(round(_SETTLING / engine.period))
-            self._mark = engine.mark()
-
-    def swing(self, plant: PlantParameters, ball: Ball | None) -> SwingResult:
-        """Swing at `ball` from the instant of arming, with the plant as it is at this shot."""
-        powered, engine = self._powered, self._engine
-        engine.go_back(self._mark)
-        powered.bench = replace(powered.bench, plant=plant)
-        engine.stepper.plant = built = build_plant(plant)
-        state = engine.plant_state
-        state["random"] = initial_state(built, state["angle"][0])["random"]
-        return powered.swing(ball)
-
-
-class _DriverLoop(Loop):
-    """The Python cycle around the `sim` driver, on a virtual clock."""
-
-    def __init__(self, plant: Plant, parameters: ControlParameters, angle: NDArray[np.float64]) -> None:
-        self.driver = driver = SimDriver(plant, angle)
-        driver.open()
-        cycle = Cycle(driver, parameters, lambda _: None, name="sim", note_truth=driver.note_truth)
-        super().__init__(cycle, FreeClock(plant.parameters.tick))
-        self.plant, self.plant_state = plant, driver.plant_state
-
-    @property
-    def error(self) -> str:
-        """Error of the driver or of the publisher; empty without one."""
-        return str(self.cycle.read_error or self.cycle.publish_error or "")
 
 
 class _PoweredBench:
@@ -268,24 +205,13 @@ class _PoweredBench:
         parameters = build_controller(
             bench.plant, bench.profile, bench.control, bench.envelope, bench.estimator
         )
-        start = np.asarray(hanging_pose(bench.plant) if bench.start is None else bench.start, dtype=float)
-        look, name = round(_LOOK / bench.plant.tick), bench.profile.name
-        self.engine: SwingEngine[Lockstep] | SwingEngine[_DriverLoop]
-        if bench.engine == "python":
-            self.engine = SwingEngine(_DriverLoop(plant, parameters, start), look=look, stop=stop, name=name)
-        else:
-            self.engine = LockstepEngine(Lockstep(plant, parameters, start), look=look, stop=stop, name=name)
+        self.engine = LockstepEngine(
+            Lockstep(plant, parameters, hanging_pose(bench.plant)),
+            look=round(_LOOK / bench.plant.tick),
+            stop=stop,
+            name=bench.profile.name,
+        )
         self._snapshot = new_record(SNAPSHOT)
-
-    def lockstep(self) -> LockstepEngine:
-        """Return the engine, which must be the lock-step one.
-
-        Raises:
-            ValueError: it is another one.
-        """
-        if not isinstance(self.engine, LockstepEngine):
-            raise ValueError(f"engine {self.bench.engine!r} cannot be set back")
-        return self.engine
 
     def arm(self) -> bool:
         """Charge the chambers and take the robot to its address; False if Ctrl-C came."""
@@ -327,8 +253,6 @@ class _PoweredBench:
         contact = contact_in(engine.plant_state)
         delivery = launch = flight = None
         reason = _trouble(engine.cause, interrupted, begun, ball, contact)
-        if isinstance(engine.stepper, _DriverLoop) and engine.stepper.error:
-            reason += f" ({engine.stepper.error})"
         if contact is not None and ball is not None:
             delivery = contact.delivery(robot, (site.ball_x, site.ball_y))
             launch = contact.launch
@@ -354,12 +278,44 @@ class _PoweredBench:
             snapshot=self._snapshot.copy(),
         )
 
-    def close(self) -> None:
-        """Switch the bench off."""
-        stepper = self.engine.stepper
-        stepper.make_passive()
-        if isinstance(stepper, _DriverLoop):
-            stepper.driver.close()
+
+class ArmedBench(_PoweredBench):
+    """A simulated bench that is armed once; each swing begins at that same instant.
+
+    A swing then depends on its own `plant` and `ball` only, not on those before it: a series that was cut off
+    goes on as if it had not been.
+    """
+
+    def __init__(self, bench: SimulatedBench, stop: Callable[[], bool] = never) -> None:
+        """Arm `bench`.
+
+        Raises:
+            Refused: the robot does not reach its address.
+            KeyboardInterrupt: `stop` became true before it did.
+        """
+        super().__init__(bench, stop)
+        engine = self.engine
+        if not self.arm():
+            raise KeyboardInterrupt
+        self._mark = engine.mark()
+        if bench.profile.air:
+            engine.await_air()
+        # Arming leaves other air in the closed chambers than a swing does: begin where a swing ends.
+        elif self.swing(None).cause is Cause.NONE and engine.holding():
+            engine.advance(round(_SETTLING / engine.period))
+        else:
+            return
+        self._mark = engine.mark()
+
+    def swing_on(self, plant: PlantParameters, ball: Ball | None) -> SwingResult:
+        """Swing at `ball` from the instant of arming, with the plant as it is at this shot."""
+        engine = self.engine
+        engine.go_back(self._mark)
+        self.bench = replace(self.bench, plant=plant)
+        engine.stepper.plant = built = build_plant(plant)
+        state = engine.plant_state
+        state["random"] = initial_state(built, state["angle"][0])["random"]
+        return self.swing(ball)
 
 
 def _trouble(cause: Cause, interrupted: bool, begun: bool, ball: Ball | None, contact: Contact | None) -> str:

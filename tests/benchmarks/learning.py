@@ -27,7 +27,7 @@ from bench.simulation.series import Bench, Series
 from bench.simulation.variation import WORN, Variation, drawn
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from sim.plant import PlantParameters
+from sim.plant import PlantParameters, build_plant
 from tests.benchmarks.row import Row
 from tests.benchmarks.swept import add_engine_options, swept
 
@@ -167,6 +167,7 @@ def _repeated(problem: LearningProblem, result: LearningResult, plant: PlantPara
     figures = []
     for _ in range(REPEATED):
         pressure = plant.supply.pressure * (1 + SUPPLY_SCATTER * float(random.standard_normal()))
-        series.vary(replace(noisy, supply=replace(plant.supply, pressure=pressure)))
+        supply = replace(plant.supply, pressure=pressure)
+        series._engine.stepper.plant = build_plant(replace(noisy, supply=supply))
         figures.append(figures_of(series.swing(swing).delivery).array)
     return np.asarray((figures - problem.target.array) / Tolerance().scale(problem.target))

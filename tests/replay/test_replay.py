@@ -22,6 +22,7 @@ from bench.control.settings import SIMULATED, HomingSettings, build_controller
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.loop import Cycle, CycleArray
+from bench.simulation.lockstep import Lockstep
 from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles, replay_record
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swings
 from bench.telemetry.cycle_record import FIELDS
@@ -31,6 +32,7 @@ from bench.telemetry.swing_metadata import begin_of, since, snapshot_entry
 from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from sim.driver import SimDriver
+from tests.bench.simulation.driver_loop import DriverLoop
 from tests.replay.renew import STOP, SWING, reference_bench
 
 Change = Callable[[ControlParameters], None]
@@ -237,9 +239,12 @@ def test_a_replay_leaves_the_record_alone(swing: Record) -> None:
         assert np.array_equal(replay.recorded[name], replay.replayed[name], equal_nan=True)
 
 
-def test_both_engines_and_every_swing_of_a_series_replay() -> None:
-    for engine in ("compiled", "python"):
-        bench = replace(reference_bench(), engine=engine)
+def test_every_swing_of_a_series_replays_from_lock_step_and_from_the_cycle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = reference_bench()
+    for stepper in (Lockstep, DriverLoop):
+        monkeypatch.setattr("bench.simulation.simulated_bench.Lockstep", stepper)
         for result in simulate_swings(bench, [bench.plant.ball, None]):
             metadata = json.loads(json.dumps(bench.metadata(result.replay_metadata())))
             replay = replay_cycles(result.cycles, metadata, "swing")

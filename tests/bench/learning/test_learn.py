@@ -17,6 +17,7 @@ from bench.simulation.series import Bench, Series
 from bench.simulation.variation import Variation, drawn
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from sim.plant import build_plant
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
@@ -107,10 +108,10 @@ def test_a_series_repeats_bit_for_bit_and_goes_on_after_a_stop() -> None:
     first, second = Series(BENCH, PLANT), Series(BENCH, PLANT)
     assert first.swing(BENCH.profile).cycles.tobytes() == second.swing(BENCH.profile).cycles.tobytes()
     weak = Variation(flow=(0.3, 1.0, 1.0)).applied_to(PLANT)
-    first.vary(weak)
+    first._engine.stepper.plant = build_plant(weak)
     stopped = first.swing(BENCH.profile)
     assert stopped.cause is Cause.SHOULDER_FOLLOWING
-    first.vary(PLANT)
+    first._engine.stepper.plant = build_plant(PLANT)
     assert first.swing(BENCH.profile).cause is Cause.NONE
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -20,8 +21,8 @@ from bench.errors import ExitCode, Refused
 from bench.interrupt import deferred_interrupt
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction
 from bench.shot.shot import ShotStatus
+from bench.simulation.lockstep import Lockstep
 from bench.simulation.simulated_bench import (
-    Engine,
     SimulatedBench,
     SwingResult,
     simulate_swing,
@@ -30,8 +31,9 @@ from bench.simulation.simulated_bench import (
 from bench.swing.profile import Profile, load_profile
 from bench.telemetry.recorder import read_swing, write_swing
 from drivers.base import PASSIVE
+from drivers.base.records import unpack_command
 from sim.ball import Ball
-from sim.driver import SimDriver
+from tests.bench.simulation.driver_loop import DriverLoop
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
@@ -56,16 +58,16 @@ def series(robot: SimulatedBench) -> list[SwingResult]:
     return list(simulate_swings(robot, [Ball(), SOFT, None, Ball()]))
 
 
-@pytest.fixture
-def drivers(monkeypatch: pytest.MonkeyPatch) -> list[SimDriver]:
-    """Return the drivers that the simulation makes."""
-    made: list[SimDriver] = []
+@pytest.fixture(params=[DriverLoop, Lockstep])
+def steppers(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return the steppers that the simulation makes: of the Python cycle, and compiled."""
+    made: list[Any] = []
 
-    def make(*arguments: object) -> SimDriver:
-        made.append(SimDriver(*arguments))  # type: ignore[arg-type]
+    def make(*arguments: object) -> Any:
+        made.append(request.param(*arguments))
         return made[-1]
 
-    monkeypatch.setattr(bench.simulation.simulated_bench, "SimDriver", make)
+    monkeypatch.setattr(bench.simulation.simulated_bench, "Lockstep", make)
     return made
 
 
@@ -134,8 +136,11 @@ def test_balls_differ_and_a_missing_ball_is_said_to_be_missing(series: list[Swin
     assert again.launch.speed == pytest.approx(normal.launch.speed, rel=0.03)
 
 
-def test_both_engines_give_the_same(robot: SimulatedBench, series: list[SwingResult]) -> None:
-    slow = simulate_swings(replace(robot, engine="python"), [Ball(), SOFT, None, Ball()])
+def test_the_python_cycle_gives_the_same(
+    robot: SimulatedBench, series: list[SwingResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench.simulation.simulated_bench, "Lockstep", DriverLoop)
+    slow = simulate_swings(robot, [Ball(), SOFT, None, Ball()])
     for one, other in zip(series, slow, strict=True):
         assert one.cycles.tobytes() == other.cycles.tobytes()
         assert (one.delivery, one.launch, one.contact_time) == (
@@ -219,11 +224,11 @@ def test_a_ball_that_stays_in_the_air_is_no_valid_shot(
     assert result.launch is not None
 
 
-@pytest.mark.parametrize("engine", ["python", "compiled"])
-def test_an_address_out_of_reach_is_refused(robot: SimulatedBench, engine: Engine) -> None:
+@pytest.mark.usefixtures("steppers")
+def test_an_address_out_of_reach_is_refused(robot: SimulatedBench) -> None:
     beyond = replace(robot.profile, angle=robot.profile.angle + [0.0, 0.0, 0.6])
     with pytest.raises(Refused, match=r"arming with profile") as refused:
-        simulate_swing(replace(robot, profile=beyond, engine=engine))
+        simulate_swing(replace(robot, profile=beyond))
     assert any(text in refused.value.found for text in CAUSE_TEXT.values())
     assert "hold at address" in refused.value.expected
 
@@ -231,24 +236,22 @@ def test_an_address_out_of_reach_is_refused(robot: SimulatedBench, engine: Engin
 def test_an_open_emergency_stop_circuit_refuses_to_arm(
     robot: SimulatedBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Pressed(SimDriver):
-        def __init__(self, *arguments: object) -> None:
-            super().__init__(*arguments)  # type: ignore[arg-type]
+    class Pressed(Lockstep):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
             self.plant_state["emergency_stop_clear"] = False
 
-    monkeypatch.setattr(bench.simulation.simulated_bench, "SimDriver", Pressed)
+    monkeypatch.setattr(bench.simulation.simulated_bench, "Lockstep", Pressed)
     with pytest.raises(Refused, match=r"refused"):
-        simulate_swing(replace(robot, engine="python"))
+        simulate_swing(robot)
 
 
-@pytest.mark.parametrize("engine", ["python", "compiled"])
 @pytest.mark.parametrize("seconds", [-1.5, 0.2, 0.7, 1.2, 1.4, 1.7, 2.5])
 def test_control_c_in_a_swing_stops_it_and_leaves_a_whole_record(
     robot: SimulatedBench,
     series: list[SwingResult],
-    drivers: list[SimDriver],
+    steppers: list[Any],
     tmp_path: Path,
-    engine: Engine,
     seconds: float,
 ) -> None:
     """Times count from the swing's request; before it the robot is still being armed."""
@@ -261,14 +264,15 @@ def test_control_c_in_a_swing_stops_it_and_leaves_a_whole_record(
     def work() -> None:
         with deferred_interrupt() as wish:
             stop = ControlC(wish.is_made, begin + round(seconds / 0.02))
-            for result in simulate_swings(replace(robot, engine=engine), [Ball()] * 3, stop=stop):
+            for result in simulate_swings(robot, [Ball()] * 3, stop=stop):
                 write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
                 results.append(result)
 
     with pytest.raises(KeyboardInterrupt):
         work()
-    for driver in drivers:
-        assert driver.applied == PASSIVE
+    for stepper in steppers:
+        passive = isinstance(stepper, Lockstep) and unpack_command(stepper.command)
+        assert (passive or stepper.driver.applied) == PASSIVE
     if seconds < 0:
         assert not results
         return

@@ -1,0 +1,23 @@
+"""The Python cycle around the `sim` driver, on a virtual clock: tests put it in the place of lock-step."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.clock import FreeClock
+from bench.control.records import ControlParameters
+from bench.loop import Cycle, Loop
+from sim.driver import SimDriver
+from sim.plant import Plant
+
+
+class DriverLoop(Loop):
+    """Made and run as `bench.simulation.lockstep.Lockstep`."""
+
+    def __init__(self, plant: Plant, parameters: ControlParameters, angle: NDArray[np.float64]) -> None:
+        self.driver = driver = SimDriver(plant, angle)
+        driver.open()
+        cycle = Cycle(driver, parameters, lambda _: None, name="sim", note_truth=driver.note_truth)
+        super().__init__(cycle, FreeClock(plant.parameters.tick))
+        self.plant, self.plant_state = plant, driver.plant_state
