@@ -307,13 +307,16 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def explain(error: Exception) -> tuple[list[str], ExitCode]:
-    """Return the messages for `error`, one for each error of a group, and the exit code."""
+    """Return the messages for `error`, of a group those of its errors and its own, and the exit code."""
     from drivers.base import DriverError
 
     match error:
         case ExceptionGroup():
             parts = [explain(part) for part in error.exceptions]
-            return [text for texts, _ in parts for text in texts], max(code for _, code in parts)
+            all_texts = [text for texts, _ in parts for text in texts]
+            if os.environ.get(FOR_PROGRAMS) != "json":
+                all_texts.append(f"{len(parts)} error{'s' * (len(parts) > 1)}: {error.message}")
+            return all_texts, max(code for _, code in parts)
         case BenchError() if os.environ.get(FOR_PROGRAMS) == "json":
             return [json.dumps(error.record())], error.exit_code
         case BenchError():
