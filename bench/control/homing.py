@@ -71,10 +71,10 @@ def begin_search(state: Any, p: Any, now: float) -> None:
 
 
 @compiled
-def search(s: Any, p: Any, e: Any, indexed: Any, time: float, measured_step: float) -> bool:
+def search(s: Any, p: Any, e: Any, d: Any, indexed: Any, time: float, measured_step: float) -> bool:
     """Move the references (rad) on; return True once all joints are `indexed` and have been at their stops.
 
-    `e` is ESTIMATOR_STATE.
+    `e` is ESTIMATOR_STATE, `d` PID_STATE.
     """
     for i in range(3):
         # A zero that was set in this tick: the joint went on as before.
@@ -100,7 +100,7 @@ def search(s: Any, p: Any, e: Any, indexed: Any, time: float, measured_step: flo
         s.home_touching = True
         _begin_way(s, e, joint, time)
     if not s.home_touching:
-        _seek(s, p, e, joint, time, measured_step)
+        _seek(s, p, e, d, joint, time, measured_step)
     elif not p.home_stops or _press(s, p, e, joint, time, measured_step):
         s.home_turn, s.home_touching = s.home_turn + 1, not p.home_by_index
         s.reference[joint] = e.angle[joint]
@@ -145,13 +145,14 @@ def _push(
 
 
 @compiled
-def _seek(s: Any, p: Any, e: Any, joint: int, time: float, measured_step: float) -> None:
+def _seek(s: Any, p: Any, e: Any, d: Any, joint: int, time: float, measured_step: float) -> None:
     """Turn `joint` on to its index: as far as it may or can, then in the other direction."""
     way = s.home_way * p.home_direction[joint]
     _push(s, p, e, joint, way * p.home_speed[joint], _RESTS, time, measured_step)
     far = way * (e.angle[joint] - s.home_from[joint]) > p.home_travel[joint]
     if s.home_way > 0.0 and (far or time - s.home_pushed > _LONGEST_PUSH):
         s.home_way, s.reference[joint] = -1.0, e.angle[joint]
+        d.integral[joint] = 0.0  # what pressed it against its stop would press on
         s.home_since = s.home_pushed = time
 
 

@@ -33,7 +33,7 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
     elif s.phase == Phase.HOMING:
         if charging(s, time):
             reset_integral(state.pid)
-        if search(s, p, e, state.encoder[0].indexed, time, measured_step):
+        if search(s, p, e, state.pid[0], state.encoder[0].indexed, time, measured_step):
             s.homed = True
             begin_reaction(s, parameters, Reaction.BRAKE.value, time)  # no cause: to rest, then READY
     elif s.moving:

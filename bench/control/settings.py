@@ -209,7 +209,7 @@ class HomingSettings:
     direction: tuple[Direction, Direction, Direction] = (-1, -1, -1)
     """Of the search and to the stop; -1 lowers the angle, which lifts the club away from the ground."""
     travel: PositiveTriple = (1.5, 0.7, 1.5)
-    """rad, of the search at most, in either direction."""
+    """rad, of the search at most, in either direction; as far as from the stop to the index, if that is more."""
     speed: PositiveTriple = (0.3, 0.2, 0.4)
     """rad/s, of the search."""
     opening: Annotated[float, Above(0), AtMost(0.5)] = 0.15
@@ -571,6 +571,11 @@ def _control_record(
         record["move_band"] = [actuator.valve.dead_band for actuator in plant.actuators]
     record["home_by_index"] = homing.method == "index"
     lower, upper = joint_travel(plant)
+    encoders = plant.encoders
+    if encoders.incremental:
+        index = -2.0 * pi * np.multiply(encoders.sign, encoders.zero_count) / encoders.counts_per_revolution
+        stop = np.where(np.less(homing.direction, 0), lower, upper)
+        record["home_travel"] = np.maximum(homing.travel, np.abs(index - stop))
     if homing.reference == "pose":
         record["home_pose"] = hanging_pose(plant)
     else:
@@ -578,7 +583,6 @@ def _control_record(
         record["home_tolerance"] += (upper - lower) / 2
     record["holding_pressure"] = holding_pressure(plant)
     record["vent_delay"] = plant.supply.vent_delay
-    encoders = plant.encoders
     record["vented_creep"] = max(_CREEP, 4.0 * pi / encoders.counts_per_revolution + 6.0 * encoders.noise)
     record["shut_off_delay"] = plant.supply.shut_off_delay
     # No absolute pressure is lower, as a cut cable reads 0, and no chamber survives twice its rating.

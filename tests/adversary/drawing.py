@@ -15,7 +15,7 @@ from sim.faults import MEANINGS, SIGNALS, Fault, sort_of
 from tests.adversary.player import INPUTS, PERMITS, Player
 from tests.adversary.story import Setup, Step, Story, fault_entry
 
-PROFILES = ("default",)
+CONFIGURATIONS = ("shipped", "bag", "golfers", "high_speed", "small_plant")
 _RAISED = np.array([1.42, 0.66, 1.40])
 """rad from the hanging pose to the lower end stops."""
 _VALUES = {
@@ -59,7 +59,7 @@ def drawn_setup(random: Generator) -> Setup:
     share, raised = random.uniform(0, 1, 3), random.uniform() < 0.3
     turned = (-share * _RAISED).round(3).tolist() if raised else (0.0,) * 3
     return Setup(
-        profile=str(random.choice(PROFILES)),
+        configuration=str(random.choice(CONFIGURATIONS)),
         incremental=bool(random.uniform() < 0.3),
         sensors=bool(random.uniform() < 0.8),
         check=bool(random.uniform() < 0.7),

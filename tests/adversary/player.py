@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 from math import pi
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.config import load_configuration, shipped_configuration
+from bench.config import load_configuration
+from bench.configuration_files import find_configuration
 from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import build_controller
 from bench.lifecycle import Answer, Phase, Refusal, Request, State
@@ -39,7 +41,7 @@ _CHUNK = 500
 
 @lru_cache(maxsize=64)
 def _built(setup: Setup) -> tuple[Plant, ControlParameters]:
-    c = load_configuration(shipped_configuration())
+    c = load_configuration(find_configuration(Path(setup.configuration)))
     plant = replace(c.plant, pressure_sensors=setup.sensors)
     if setup.incremental:
         marks = hanging_pose(plant) - INDEX_FROM_HANGING
@@ -55,7 +57,7 @@ def _built(setup: Setup) -> tuple[Plant, ControlParameters]:
     )
     homing = replace(c.homing, method="index" if setup.incremental else "absolute")
     envelope = c.envelope.with_model_check("always" if setup.check else "off")
-    profile = load_profile(find_profile(setup.profile))
+    profile = load_profile(find_profile(c.swing.profile))
     parameters = build_controller(plant, profile, c.control, envelope, c.estimator, lifecycle, homing)
     return build_plant(plant), parameters
 

@@ -22,7 +22,8 @@ Step = tuple[str, Any, Any]
 class Setup:
     """The bench of a story."""
 
-    profile: str = "default"
+    configuration: str = "shipped"
+    """A name of those that come with golfbench; its profile is swung."""
     incremental: bool = False
     """Encoders count from power-up, homed by their index."""
     sensors: bool = True

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from math import pi
+from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 
+from bench.config import load_configuration
+from bench.configuration_files import find_configuration
 from bench.control.pressed_stops import pressed_stops, stop_tolerance
 from bench.control.records import new_control_state
 from bench.control.settings import SIMULATED, EnvelopeSettings, HomingSettings, build_controller
@@ -18,10 +21,12 @@ from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.swing_operator import LONGEST_SWAY
 from bench.simulation.variation import unknown_plant
-from bench.swing.profile import Profile
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose, joint_travel
 from sim.kinematics import forward_kinematics
 from sim.plant import Encoders, PlantParameters, build_plant
+from tests.benchmarks.healthy_swings import counting
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
@@ -351,6 +356,19 @@ def test_homing_begins_gently_wherever_the_vented_robot_rests(
     pushed = np.abs(records["plant_angle"][:charged] - records["plant_angle"][0]).max(axis=0)
     assert (pushed < (0.3, 0.25, 0.4)).all()
     assert LockstepEngine(bench).loads().stop_share < 0.2
+
+
+@pytest.mark.parametrize("name", ["golfers", "high_speed"])
+def test_search_from_the_stops_of_a_variant_finds_every_index(name: str) -> None:
+    """Where an interrupted homing leaves the robot: as far from the index as can be, pressed by full air."""
+    c = load_configuration(find_configuration(Path(name)))
+    plant, profile = counting(c.plant), load_profile(find_profile(c.swing.profile))
+    parameters = build_controller(plant, profile, c.control, lifecycle=SIMULATED, homing=HOMING)
+    bench = Lockstep(build_plant(plant), parameters, joint_travel(plant)[0])
+    bench.state = new_control_state(State.SAFE)
+    bench.advance(20)
+    home(bench)
+    assert (state(bench), cause(bench)) == (State.READY, Cause.NONE)
 
 
 def test_a_device_that_keeps_its_index_ends_homing_without_motion(make_bench: MakeBench) -> None:
