@@ -209,7 +209,7 @@ class HomingSettings:
     direction: tuple[Direction, Direction, Direction] = (-1, -1, -1)
     """Of the search and to the stop; -1 lowers the angle, which lifts the club away from the ground."""
     travel: PositiveTriple = (1.5, 0.7, 1.5)
-    """rad, of the search at most, in either direction; as far as from the stop to the index, if that is more."""
+    """rad, of the search at most, in either direction; the way from stop to index, if that is longer."""
     speed: PositiveTriple = (0.3, 0.2, 0.4)
     """rad/s, of the search."""
     opening: Annotated[float, Above(0), AtMost(0.5)] = 0.15
