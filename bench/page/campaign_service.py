@@ -12,8 +12,6 @@ from bench.page.downloads import REPORT, Download, Downloads
 from bench.page.lasting_command import LastingCommand
 from bench.store.records import ENDED
 
-MOVING = frozenset({"answer", "resume"})
-"""Requests after which the robot moves: from a fresh screen only."""
 LONGEST_COMMENT = 200
 STARTED = "{}: its runner starts, checks plan and bench, then takes the bench"
 
@@ -38,12 +36,12 @@ class CampaignService:
     def record(self, path: dict[str, str]) -> Download | None:
         """Return a record as a file."""
         found = self._downloads.record(path["name"])
-        return found and Download.named(found, "application/vnd.apache.parquet", found.name)
+        return None if found is None else Download.named(found, "application/vnd.apache.parquet", found.name)
 
     def report(self, path: dict[str, str]) -> Download | None:
         """Return a report as a page that can run nothing."""
         found = self._downloads.report(path["campaign"])
-        return found and Download(found, *REPORT)
+        return None if found is None else Download(found, *REPORT)
 
     def write_report(self, asked: Asked) -> dict[str, Any]:
         """Write the report of a campaign that has ended, as `golfbench campaign report` does."""
@@ -62,16 +60,16 @@ class CampaignService:
         match name:
             case "answer":
                 prompt, balls = int(asked.number("prompt")), _count(asked)
+                asked.once(fresh=True)  # the robot moves then
+                return {"note": f"Done: {self._archive.answer(campaign, prompt, by, balls)}"}
             case "mark":
                 shot, comment = int(asked.number("shot")), asked.text("comment", LONGEST_COMMENT, 0)
+                asked.once()
+                self._archive.mark(campaign, shot, by, comment)
+                return {"note": f"Shot {shot} marked."}
             case _ if name not in REQUESTS:
                 raise UnknownName("request")
-        asked.once(fresh=name in MOVING)
-        if name == "answer":
-            return {"note": f"Done: {self._archive.answer(campaign, prompt, by, balls)}"}
-        if name == "mark":
-            self._archive.mark(campaign, shot, by, comment)
-            return {"note": f"Shot {shot} marked."}
+        asked.once(fresh=name == "resume")  # the robot moves then
         if name == "resume" and not self._archive.has_runner(campaign):
             return {"note": f"{self._resume(campaign, by, ask=asked.body.get('ask') is True)}."}
         return {"note": f"{campaign} {self._archive.request(campaign, name, by)}."}
