@@ -10,11 +10,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 from bench.errors import BenchError
-from bench.faults.hazards import next_swing_text
+from bench.faults.hazards import markdown, next_swing_text
 from bench.from_toml import as_tree, format_value, read_toml
 
 FILE = Path(__file__).with_name("hazard_file.toml")
@@ -55,8 +54,6 @@ _KEYS: Mapping[str, tuple[str, ...]] = {
 }
 """Keys of each entry of a list; failures may also have `kinds`."""
 _TABLES = ("intervals", "owners", "open")
-_WIDTH = 119
-"""Columns of a paragraph."""
 
 
 @dataclass(frozen=True)
@@ -134,16 +131,20 @@ def hazard_file(summary: Mapping[str, Any], judgement: Judgement) -> str:
         ExceptionGroup: of BenchErrors, one for each row of the matrix that no failure or several claim.
     """
     claimed = _claims(summary["rows"], judgement.lists["failures"])
-    sections = (
-        _head(summary, judgement),
-        _sources(judgement),
-        _failures(claimed, judgement),
-        _untried(judgement),
-        _functions(judgement),
-        _hazards(judgement),
-        _open(judgement),
+    failures = [
+        {**failure, **_figures(rows)}
+        for failure, rows in zip(judgement.lists["failures"], claimed, strict=True)
+    ]
+    return markdown(
+        "hazard_file.md.j2",
+        **judgement.tables,
+        **{**judgement.lists, "failures": failures},
+        scope=judgement.scope,
+        summary=summary,
+        next_swing=next_swing_text(summary),
+        severities=SEVERITIES,
+        risk_graph=RISK_GRAPH,
     )
-    return "\n".join(line for section in sections for line in (*section, "")).rstrip("\n") + "\n"
 
 
 def _claims(
@@ -169,182 +170,22 @@ def _claims(
     return claimed
 
 
-def _paragraph(*parts: str) -> list[str]:
-    """Return the lines of a paragraph."""
-    return wrap(" ".join(parts), _WIDTH, break_long_words=False, break_on_hyphens=False)
-
-
-def _table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return a Markdown table."""
-    lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
-    return lines + [f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in rows]
-
-
-def _head(summary: Mapping[str, Any], judgement: Judgement) -> list[str]:
-    v, origin = summary["verdicts"], summary["origin"]
-    return [
-        "# Hazard file",
-        "",
-        *_paragraph(
-            "Made by `golfbench faults file sim/FAULTS.json --output sim/HAZARDS.md`; do not edit.",
-            "Judgement is written in [`hazard_file.toml`](../bench/faults/hazard_file.toml), figures come",
-            "from the fault matrix of the shipped configuration ([`FAULTS.md`](FAULTS.md)).",
-        ),
-        "",
-        *_paragraph(
-            "It is a draft for the safety engineer of an installation, not a certificate: no machine exists",
-            "yet, and no person with that competence has signed it. **No software of golfbench is credited",
-            "with a performance level**; its reactions are listed because they come first, and because their",
-            "limits show what the hardware must take.",
-        ),
-        "",
-        *_paragraph(*judgement.scope.splitlines()),
-        "",
-        *_paragraph(
-            f"Matrix: swing `{summary['profile']}`, {summary['cases']} cases, {v['unsafe']} unsafe,",
-            f"{v['undetected']} undetected with another shot or pose; configuration",
-            f"{origin['configuration']}, {origin['time_utc'][:10]}.",
-            next_swing_text(summary),
-        ),
-    ]
-
-
-def _sources(judgement: Judgement) -> list[str]:
-    rows = [(entry["standard"], entry["read"], entry["used"]) for entry in judgement.lists["sources"]]
-    return [
-        "## Standards, and what was read of them",
-        "",
-        *_paragraph(
-            "**None of the standards themselves was at hand.** Read were the openings of public pages that",
-            "quote or summarise them; a clause is named only where such a page quotes it. Editions may be",
-            "superseded.",
-        ),
-        "",
-        *_table(("standard", "read", "used here"), rows),
-    ]
-
-
-def _failures(claimed: Sequence[Sequence[Mapping[str, Any]]], judgement: Judgement) -> list[str]:
-    scale = "; ".join(f"{i + 1} {text}" for i, text in enumerate(SEVERITIES))
-    rows = [
-        _failure_cells(number + 1, failure, own, judgement)
-        for number, (failure, own) in enumerate(zip(judgement.lists["failures"], claimed, strict=True))
-    ]
-    return [
-        "## Failure modes",
-        "",
-        *_paragraph(
-            "In the form of a failure modes and effects analysis. The severity is that of the effect without",
-            f"any reaction: {scale}. There is no risk priority number: no failure rates of these parts are",
-            "known. Detection, reaction, cases and the highest share of an absorber's rated energy are the",
-            "matrix's, with the model-based check on. The median time runs from the fault to its detection:",
-            "one that comes at rest is found when the part is next used.",
-        ),
-        "",
-        *_table(
-            (
-                *("no.", "item: function", "failure mode", "effect", "severity", "detection", "reaction"),
-                *("cases: unsafe, undetected", "absorber", "safe state", "remains"),
-                *("proof test, interval, owner",),
-            ),
-            rows,
-        ),
-    ]
-
-
-def _failure_cells(
-    number: int, failure: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], judgement: Judgement
-) -> tuple[str, ...]:
+def _figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return what the matrix's `rows` of a failure tell."""
     verdicts: Counter[str] = Counter()
     for row in rows:
         verdicts.update(row["verdicts"])
     ticks = sorted(tick for row in rows for tick in row["detection_ticks"])
     median = f", median {ticks[len(ticks) // 2]} ms" if ticks else ""
-    return (
-        f"F{number}",
-        f"{failure['item']}: {failure['function']}",
-        failure["mode"],
-        failure["effect"],
-        str(failure["severity"]),
-        ", ".join(_most(rows, "detected_by")) or "-",
-        (", ".join(_most(rows, "reactions")) or "-") + median,
-        f"{sum(verdicts.values())}: {verdicts['unsafe']}, {verdicts['undetected']}",
-        f"{100 * max((row['worst_stop'] for row in rows), default=0.0):.0f} %",
-        failure["safe_state"],
-        failure["remains"],
-        _proof(failure, judgement),
-    )
+    return {
+        "detection": _most(rows, "detected_by"),
+        "reaction": _most(rows, "reactions") + median,
+        "cases": f"{sum(verdicts.values())}: {verdicts['unsafe']}, {verdicts['undetected']}",
+        "absorber": f"{100 * max((row['worst_stop'] for row in rows), default=0.0):.0f} %",
+    }
 
 
-def _most(rows: Sequence[Mapping[str, Any]], key: str) -> list[str]:
+def _most(rows: Sequence[Mapping[str, Any]], key: str) -> str:
     """Return the three entries of the lists `key` that come in most of `rows`, ties in their order."""
-    return [text for text, _ in Counter(text for row in rows for text in row[key]).most_common(3)]
-
-
-def _proof(entry: Mapping[str, Any], judgement: Judgement) -> str:
-    tables = judgement.tables
-    owner = f"; {tables['owners'][entry['owner']]}" if "owner" in entry else ""
-    return f"{entry['proof_test']}; {tables['intervals'][entry['interval']]}{owner}"
-
-
-def _untried(judgement: Judgement) -> list[str]:
-    rows = [
-        (e["item"], e["mode"], e["effect"], str(e["severity"]), e["measure"], _proof(e, judgement))
-        for e in judgement.lists["untried"]
-    ]
-    names = ("item", "failure mode", "effect", "severity", "measure", "proof test, interval, owner")
-    return ["## Failures that no simulation here tries", "", *_table(names, rows)]
-
-
-def _functions(judgement: Judgement) -> list[str]:
-    rows = [
-        (
-            f"**{e['name']}** ({e['standard']})",
-            e["demand"],
-            e["reaction"],
-            e["safe_state"],
-            f"{' '.join(_risk(e))}: **PL {RISK_GRAPH[_risk(e)]}**",
-            e["why"],
-            f"{e['category']}: {e['means']}",
-            _proof(e, judgement),
-            e["open"],
-        )
-        for e in judgement.lists["functions"]
-    ]
-    names = (
-        *(
-            "function",
-            "demand",
-            "reaction",
-            "safe state",
-            "required level",
-            "why",
-            "category proposed, means",
-        ),
-        *("proof test, interval", "open"),
-    )
-    return [
-        "## Safety functions and the level they need",
-        "",
-        *_paragraph(
-            "Required performance level by the risk graph: severity S, exposure F, avoidance P. Fence and",
-            "absorbers are counted as there, as they do not depend on control. The category is a proposal to",
-            "the integrator, who owns these functions; the level that a built circuit reaches is to be",
-            "calculated there.",
-        ),
-        "",
-        *_table(names, rows),
-    ]
-
-
-def _hazards(judgement: Judgement) -> list[str]:
-    rows = [
-        (e["hazard"], e["where"], e["consequence"], e["measures"], e["open"])
-        for e in judgement.lists["hazards"]
-    ]
-    return ["## Hazards to people", "", *_table(("hazard", "where", "consequence", "measures", "open"), rows)]
-
-
-def _open(judgement: Judgement) -> list[str]:
-    lines = [f"- **{name}**: {text}." for name, text in judgement.tables["open"].items()]
-    return ["## What only the installation can decide", "", *lines]
+    found = Counter(text for row in rows for text in row[key]).most_common(3)
+    return ", ".join(text for text, _ in found) or "-"
