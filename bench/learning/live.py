@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -84,9 +83,7 @@ class LiveSwinger:
         self._stack.enter_context(self._lease)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
 
     def __call__(self, weights: Array) -> ObservedSwing:

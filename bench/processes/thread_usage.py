@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import resource
-from types import TracebackType
 from typing import NamedTuple, Self
 
 from bench.processes.tick_timing import Stall
@@ -44,9 +43,7 @@ class UsageReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
