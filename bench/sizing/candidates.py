@@ -7,24 +7,10 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from bench.sizing.catalogue import Catalogue
-from bench.sizing.hardware import Hardware, parts_of
+from bench.sizing.hardware import KINDS, Hardware, parts_of
 
 _SMALL_FEED = 2.6e-7
 """Conductance of the three valves up to which the shipped feed and manifold serve, m3/(s Pa)."""
-_SHRUNK = (
-    ("vane", "vanes"),
-    ("arm", "cylinders"),
-    ("wrist", "cylinders"),
-    ("shoulder_valve", "valves"),
-    ("arm_valve", "valves"),
-    ("wrist_valve", "valves"),
-    ("arm_absorber", "absorbers"),
-    ("wrist_absorber", "absorbers"),
-    ("feed", "feeds"),
-    ("manifold", "manifolds"),
-    ("hose", "hoses"),
-    ("vent", "vents"),
-)
 
 
 @dataclass(frozen=True)
@@ -67,9 +53,9 @@ class SizingGrid:
 def cheaper(catalogue: Catalogue, hardware: Hardware) -> list[Hardware]:
     """Return `hardware` with one part each replaced by the largest smaller one of a lower price class."""
     found = []
-    for field, kind in _SHRUNK:
+    for field, kind in KINDS.items():
         parts, own = getattr(catalogue, kind), getattr(hardware, field)
-        if not own:
+        if field == "frame" or not own:  # a frame has no price
             continue
         below = list(parts)[: list(parts).index(own)]
         less = [name for name in below if parts[name].price < parts[own].price]

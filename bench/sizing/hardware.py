@@ -101,7 +101,7 @@ class Parts(NamedTuple):
     """Upper ends of the parts' price classes, EUR in all."""
 
 
-_KINDS = {
+KINDS = {
     "vane": "vanes",
     "arm": "cylinders",
     "wrist": "cylinders",
@@ -130,7 +130,7 @@ def parts_of(catalogue: Catalogue, hardware: Hardware) -> Parts:
         BenchError: the catalogue has no part of a name.
     """
     found: dict[str, Any] = {}
-    for field, kind in _KINDS.items():
+    for field, kind in KINDS.items():
         name, known = getattr(hardware, field), getattr(catalogue, kind)
         if field in _OPTIONAL and not name:
             continue
