@@ -25,7 +25,7 @@ def replay_command(path: Path, tolerance: float, json_: bool) -> bool:
     """Replay the record at `path`, print what came of it, and return whether it is equal.
 
     Raises:
-        BenchError, ExceptionGroup: as `bench.simulation.replay.replay_record`.
+        BenchError, ExceptionGroup: as `bench.simulation.replay.replay_cycles`.
     """
     if not 0.0 <= tolerance < inf:
         cure = f"Leave it out for {TOLERANCE:g}."

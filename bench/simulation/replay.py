@@ -30,7 +30,6 @@ from bench.errors import BenchError
 from bench.from_toml import Builder, Tree, as_tree, laid_over
 from bench.loop import Cycle, CycleArray, Cycles
 from bench.telemetry.cycle_record import FIELDS, Field
-from bench.telemetry.recorder import read_swing
 from bench.telemetry.snapshot import read_snapshot, unpack_snapshot
 from bench.telemetry.swing_metadata import read_profile, since
 from drivers.base import Command, DriverError, Readings
@@ -155,25 +154,18 @@ class Replay:
         return [_difference(self, field, tolerance) for field in FIELDS if field.name in DECIDED]
 
 
-def replay_record(path: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Replay:
-    """Replay the record at `path`; `progress` gets the ticks done and in all.
-
-    Raises:
-        BenchError: it cannot be read or replayed: it has no snapshot, lost records, or a snapshot of
-            another controller.
-        ExceptionGroup: of BenchErrors, the values of its configuration that today's program rejects.
-    """
-    cycles, metadata = read_swing(path)
-    return replay_cycles(cycles, metadata, str(path), progress)
-
-
 def replay_cycles(
     cycles: Cycles,
     metadata: Mapping[str, Any],
     place: str,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Replay:
-    """Replay `cycles` with their record's `metadata`; `place` names the record. Raises as `replay_record`."""
+    """Replay `cycles` with their record's `metadata`; `place` names it, `progress` gets the ticks.
+
+    Raises:
+        BenchError: the record has no snapshot, one of another controller, or lost cycles.
+        ExceptionGroup: of BenchErrors, the values of its configuration that today's program rejects.
+    """
     snapshot = read_snapshot(metadata, place)
     if not metadata.get("replayable", False):
         raise BenchError(

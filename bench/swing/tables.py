@@ -59,13 +59,6 @@ class ThesisSwing:
         """Time of the last sample, s."""
         return float(self.shoulder.time[-1])
 
-    @property
-    def shoulder_return(self) -> float:
-        """Time at which theta1 is back at its start in the downswing, s: the reference's impact."""
-        time, value = self.shoulder
-        down = time >= TOP
-        return float(np.interp(0.0, value[down], time[down]))
-
 
 @dataclass(frozen=True)
 class Address:

@@ -23,7 +23,7 @@ from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.loop import Cycle, CycleArray
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles, replay_record
+from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swings
 from bench.telemetry.cycle_record import FIELDS
 from bench.telemetry.recorder import read_swing, write_swing
@@ -61,7 +61,7 @@ def test_every_field_is_input_decided_or_measured() -> None:
 
 @pytest.mark.parametrize("path", [SWING, STOP])
 def test_todays_controller_does_what_the_reference_did(path: Path) -> None:
-    replay = replay_record(path)
+    replay = replay_cycles(*read_swing(path), path.name)
     assert len(replay.recorded) > 700
     assert wrong(replay) == {}
     assert not replay.defaults, "the record is older than these settings: make reference"
@@ -138,7 +138,7 @@ def test_a_changed_controller_shows(name: str, monkeypatch: pytest.MonkeyPatch) 
         return parameters
 
     monkeypatch.setattr("bench.simulation.replay.build_controller", changed)
-    assert field in wrong(replay_record(path))
+    assert field in wrong(replay_cycles(*read_swing(path), path.name))
 
 
 # Records of any kind --------------------------------------------------------------------------------
