@@ -328,9 +328,9 @@ def design(
     from bench.design.planned_openings import require_planned_openings
     from bench.swing.golfers import find_golfer
 
-    configuration = context.ensure_object(Session).configuration()
+    configuration = context.ensure_object(Session).configuration().with_club(club)
     require_planned_openings(configuration.control)
-    plant = configuration.plant_with(club=club)
+    plant = configuration.plant
     whose = None if golfer is None else find_golfer(golfer)
     demand = SwingDemand(
         head_speed=45.0 if speed is None else speed,
@@ -346,8 +346,8 @@ def design(
     path = output or Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
     try:
         if highest:
-            return _show_highest_speed(configuration, plant, demand, begin, (processes, cluster))
-        swing = _save_design(configuration, plant, demand, begin, path, whose)
+            return _show_highest_speed(configuration, demand, begin, (processes, cluster))
+        swing = _save_design(configuration, demand, begin, path, whose)
     except DesignFailed as failure:
         raise BenchError(
             "swing design", str(failure), "a swing that this plant can do", _ASK_FOR_LESS
@@ -417,7 +417,6 @@ def _design_progress() -> Iterator[Callable[[str, float], None]]:
 
 def _show_highest_speed(
     configuration: Configuration,
-    plant: PlantParameters,
     demand: SwingDemand,
     begin: str | None,
     workers: tuple[int, str],
@@ -425,9 +424,8 @@ def _show_highest_speed(
     """Print the highest head speed, its limit, and what would raise it; `workers`: processes, cluster."""
     from bench.design.highest_speed import TOGETHER, DownswingStudy, highest_speed
 
-    c, unwatched = configuration, configuration.envelope.with_model_check("off")
-    study = DownswingStudy(plant, demand, c.control, unwatched, c.estimator, _profile_named(begin))
-    with sweep_engine(c, *workers, TOGETHER) as engine, progress_bar() as bar:
+    study = DownswingStudy(configuration, demand, _profile_named(begin))
+    with sweep_engine(configuration, *workers, TOGETHER) as engine, progress_bar() as bar:
         task = bar.add_task("", total=None)
         found = highest_speed(study, engine, lambda what: bar.update(task, description=what))
     typer.echo(
@@ -441,7 +439,6 @@ def _show_highest_speed(
 
 def _save_design(
     configuration: Configuration,
-    plant: PlantParameters,
     demand: SwingDemand,
     begin: str | None,
     path: Path,
@@ -455,14 +452,11 @@ def _save_design(
     start = _profile_named(begin)
     with _design_progress() as progress:
         made = design_swing(
-            plant,
+            configuration,
             demand,
             path.stem,
             golfer="robot" if golfer is None else golfer.name,
             text="" if golfer is None else f"as close to a golfer as the robot can: {golfer.text}",
-            control=configuration.control,
-            envelope=configuration.envelope.with_model_check("off"),  # it has no limits yet
-            estimator=configuration.estimator,
             start=start,
             progress=progress,
         )

@@ -63,15 +63,8 @@ def design_at(configuration: Configuration, speed: float, name: str, start: Prof
     failures = list[DesignFailed]()
     for backswing, top in _TEMPI:
         try:
-            return design_swing(
-                c.plant,
-                replace(demand, backswing_time=backswing, top_time=top),
-                name,
-                control=c.control,
-                envelope=c.envelope.with_model_check("off"),  # it has no limits yet
-                estimator=c.estimator,
-                start=start or near,
-            ).profile
+            asked = replace(demand, backswing_time=backswing, top_time=top)
+            return design_swing(c, asked, name, start=start or near).profile
         except DesignFailed as failure:
             failures.append(failure)
     raise failures[0]

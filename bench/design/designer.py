@@ -23,9 +23,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.config import Configuration
 from bench.control.gain_table import MOVE, gains_along
 from bench.control.planned_air import with_planned_air
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, pid_record
+from bench.control.settings import EnvelopeSettings, pid_record
 from bench.design.backswing import learned_backswing
 from bench.design.blind_brake import SPACING, design_blind_brake
 from bench.design.casadi_package import load_casadi
@@ -551,30 +552,17 @@ def _with_cushions(problem: DownswingProblem, energies: Array) -> DownswingProbl
     return replace(problem, cushions=(max(float(energies[0]), 1.0), max(float(energies[1]), 1.0)))
 
 
-def plan_at_speed(
-    parameters: PlantParameters,
-    demand: SwingDemand,
-    control: ControlSettings,
-    envelope: EnvelopeSettings,
-    estimator: EstimatorSettings,
-    start: Profile | None,
-) -> DownswingPlan:
+def plan_at_speed(configuration: Configuration, demand: SwingDemand, start: Profile | None) -> DownswingPlan:
     """Return the plan of a downswing that meets `demand` on the plant; without a speed the fastest one.
 
     Raises:
         DesignFailed: no plan that the plant can follow within its cushions.
     """
-    bench = _bench(parameters, control, envelope, estimator)
+    bench = _bench(configuration)
     return design_downswing(bench, demand, start, _swing_up(bench, demand), lambda what, part: None)[0].plan
 
 
-def fastest_plan(
-    parameters: PlantParameters,
-    demand: SwingDemand,
-    control: ControlSettings,
-    envelope: EnvelopeSettings,
-    estimator: EstimatorSettings,
-) -> DownswingPlan:
+def fastest_plan(configuration: Configuration, demand: SwingDemand) -> DownswingPlan:
     """Return the fastest downswing of the model within `demand`, by collocation alone, solved or not.
 
     The plant is not asked whether it can follow, nor what its cushions take: seconds instead of minutes.
@@ -584,11 +572,11 @@ def fastest_plan(
         DesignFailed: the plant does not reach the top.
     """
     load_casadi()
-    bench = _bench(parameters, control, envelope, estimator)
-    begun = _swing_up(bench, replace(demand, head_speed=None))
-    problem = _problem(parameters, replace(demand, head_speed=None), envelope, _model_state(begun))
-    time, guess = _first_guess(parameters, problem.start, demand)
-    return solve_downswing(parameters, problem, time, guess, _INTERVALS)
+    bench, demand = _bench(configuration), replace(demand, head_speed=None)
+    begun = _swing_up(bench, demand)
+    problem = _problem(bench.plant, demand, bench.envelope, _model_state(begun))
+    time, guess = _first_guess(bench.plant, problem.start, demand)
+    return solve_downswing(bench.plant, problem, time, guess, _INTERVALS)
 
 
 def _model_state(begun: _Start) -> Array:
@@ -673,26 +661,23 @@ def _with_figures(
 
 
 def design_swing(
-    parameters: PlantParameters,
+    configuration: Configuration,
     demand: SwingDemand,
     name: str,
     *,
     golfer: str = "robot",
     text: str = "",
-    control: ControlSettings | None = None,
-    envelope: EnvelopeSettings | None = None,
-    estimator: EstimatorSettings | None = None,
     start: Profile | None = None,
     progress: Progress = lambda what, part: None,
 ) -> DesignedSwing:
-    """Return a swing that meets `demand` on the plant of `parameters`; begins with `start`, or from scratch.
+    """Return a swing that meets `demand` on the configured plant; begins with `start`, or from scratch.
 
     Raises:
         BenchError: the package casadi is not installed.
         DesignFailed: no swing was found; the text gives the reason.
     """
     load_casadi()  # a missing package must fail before the long part
-    bench = _bench(parameters, control, envelope, estimator)
+    bench = _bench(configuration)
     begun = _swing_up(bench, demand)
     downswing, rounds = design_downswing(bench, demand, start, begun, progress)
     try:
@@ -764,18 +749,8 @@ def _into_the_loop(
     return best[1], best[2]
 
 
-def _bench(
-    parameters: PlantParameters,
-    control: ControlSettings | None,
-    envelope: EnvelopeSettings | None,
-    estimator: EstimatorSettings | None,
-) -> SimulatedBench:
-    """Return the bench for the rehearsals, still with an empty profile."""
-    nothing = _sketch(SwingDemand(), parameters, np.zeros(3), np.zeros(3))
-    return SimulatedBench(
-        nothing,
-        parameters,
-        control or ControlSettings(),
-        envelope or EnvelopeSettings(),
-        estimator or EstimatorSettings(),
-    )
+def _bench(configuration: Configuration) -> SimulatedBench:
+    """Return the bench for the rehearsals, still with an empty profile; there are no limits of it yet."""
+    c = configuration
+    nothing = _sketch(SwingDemand(), c.plant, np.zeros(3), np.zeros(3))
+    return SimulatedBench(nothing, c.plant, c.control, c.envelope.with_model_check("off"), c.estimator)

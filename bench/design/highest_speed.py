@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from math import inf
 from typing import NamedTuple
 
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
+from bench.config import Configuration
 from bench.design.casadi_package import load_casadi
 from bench.design.designer import DesignFailed, SwingDemand, plan_at_speed
 from bench.design.optimal_control import DownswingPlan
 from bench.simulation.sweep import Engine, sweep
 from bench.swing.profile import Profile
-from sim.plant import PlantParameters
 
 STEP, NEAREST = 2.0, 0.5
 """Step of the demanded speed, and max gap between the fastest found and the slowest failed one, m/s."""
@@ -33,11 +32,8 @@ class HighestSpeed(NamedTuple):
 class DownswingStudy:
     """The downswing at each speed (m/s), or the fastest plan for None; a text if none was found."""
 
-    plant: PlantParameters
+    configuration: Configuration
     demand: SwingDemand
-    control: ControlSettings
-    envelope: EnvelopeSettings
-    estimator: EstimatorSettings
     start: Profile | None
 
     def prepared(self) -> Callable[[float | None], DownswingPlan | str]:
@@ -52,7 +48,7 @@ class DownswingStudy:
     def _search(self, speed: float | None) -> DownswingPlan | str:
         demand = replace(self.demand, head_speed=speed, follow=None)
         try:
-            return plan_at_speed(self.plant, demand, self.control, self.envelope, self.estimator, self.start)
+            return plan_at_speed(self.configuration, demand, self.start)
         except DesignFailed as failure:
             return str(failure)
 

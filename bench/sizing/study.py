@@ -9,7 +9,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from bench.config import Configuration, load_configuration
-from bench.control.settings import EnvelopeSettings
 from bench.design.casadi_package import load_casadi
 from bench.design.check import SwingCheck
 from bench.design.designer import DesignFailed, SwingDemand, design_swing, fastest_plan
@@ -63,11 +62,6 @@ def candidate_configuration(text: str) -> Configuration:
         return load_configuration(file)
 
 
-def _unwatched(configuration: Configuration) -> EnvelopeSettings:
-    """Return the envelope without the model-based check: a new plant has no limits for it yet."""
-    return configuration.envelope.with_model_check("off")
-
-
 def _reasons(group: ExceptionGroup[Exception]) -> str:
     found = (fault for fault in group.exceptions if isinstance(fault, BenchError))
     return "; ".join(f"found {one.found}, expected {one.expected}. {one.cure}" for one in found)
@@ -95,7 +89,7 @@ class PlanStudy:
         try:
             c = candidate_configuration(text)
             wanted = self.demand.of(hardware, None)
-            plan = fastest_plan(c.plant, wanted, c.control, _unwatched(c), c.estimator)
+            plan = fastest_plan(c, wanted)
         except ExceptionGroup as group:
             return SizedPlan(nan, f"no valid configuration: {_reasons(group)}")
         except DesignFailed as failure:
@@ -139,12 +133,10 @@ class SwingStudy:
     def _swung(self, hardware: Hardware, shipped: Configuration) -> SizedSwing:
         text = candidate_text(self.catalogue, hardware, shipped, self.demand)
         c = candidate_configuration(text)
-        c = replace(c, envelope=_unwatched(c))
+        c = replace(c, envelope=c.envelope.with_model_check("off"))  # a new plant has no limits for it yet
         try:
             wanted = self.demand.of(hardware, self.demand.speed)
-            made = design_swing(
-                c.plant, wanted, "sized", control=c.control, envelope=c.envelope, estimator=c.estimator
-            )
+            made = design_swing(c, wanted, "sized")
             found = _judged(c, made.profile, self.spacing)
         except (DesignFailed, Refused) as failure:
             return SizedSwing(nan, str(failure))

@@ -11,14 +11,13 @@ from bench.commissioning import fastest_swing
 from bench.commissioning.fastest_swing import design_at
 from bench.config import load_configuration, shipped_configuration
 from bench.design.designer import DesignFailed, SwingDemand
-from sim.plant import PlantParameters
 
 
 @pytest.mark.parametrize("works_from", [0.85, 1.1, 9.0])
 def test_a_slower_backswing_is_tried(monkeypatch: pytest.MonkeyPatch, works_from: float) -> None:
     tried = list[float]()
 
-    def design(plant: PlantParameters, demand: SwingDemand, name: str, **given: Any) -> SimpleNamespace:
+    def design(_: Any, demand: SwingDemand, name: str, **given: Any) -> SimpleNamespace:
         tried.append(demand.backswing_time)
         assert demand.before_stop > 0.0
         if demand.backswing_time < works_from:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
 from bench.design import designer
 from bench.design.closed_loop import Rehearsal
 from bench.design.designer import (
@@ -148,10 +147,10 @@ def test_a_path_in_the_tilted_plane_rises_by_the_attack_angle() -> None:
 def test_a_wrist_may_be_kept_from_its_stop_at_the_ball(plant: PlantParameters) -> None:
     """The fastest downswing meets it there: a robot a little off was slower by 0.7 % in every other swing."""
     ahead, demand = 0.0012, SwingDemand(attack=radians(2.0))
-    settings = ControlSettings(), EnvelopeSettings(), EstimatorSettings()
+    configuration = replace(load_configuration(None), plant=plant)
     missed = []
     for before_stop in (0.0, ahead):
-        plan = fastest_plan(plant, replace(demand, before_stop=before_stop), *settings)
+        plan = fastest_plan(configuration, replace(demand, before_stop=before_stop))
         assert plan.solved
         angle, speed = plan.state[-1, 2], plan.state[-1, 5]
         missed.append((plant.wrist.upper - angle) / speed)
@@ -361,7 +360,7 @@ def test_a_design_ends_with_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(designer, "_into_the_loop", lambda *arguments: (made, arguments[3]))
     monkeypatch.setattr(designer, "design_blind_brake", lambda *_: made.blind_brake)
     with pytest.raises(DesignFailed, match='club: found "none"'):
-        design_swing(load_configuration(None).plant, SwingDemand(), "made")
+        design_swing(load_configuration(None), SwingDemand(), "made")
 
 
 def test_a_shipped_swing_tells_what_it_is_short_of() -> None:
@@ -374,4 +373,4 @@ def test_a_shipped_swing_tells_what_it_is_short_of() -> None:
 def test_a_missing_package_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(BenchError, match=r"golfbench\[design\]"):
-        design_swing(PlantParameters(), SwingDemand(), "nothing")
+        design_swing(load_configuration(None), SwingDemand(), "nothing")

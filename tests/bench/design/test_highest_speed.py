@@ -8,18 +8,15 @@ from typing import Any
 
 import pytest
 
-from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings
+from bench.config import load_configuration
 from bench.design import highest_speed as module
 from bench.design.designer import DesignFailed, SwingDemand
 from bench.design.highest_speed import DownswingStudy, highest_speed
 from bench.simulation.local_engine import InProcess
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from sim.plant import PlantParameters
 
-STUDY = DownswingStudy(
-    PlantParameters(), SwingDemand(), ControlSettings(), EnvelopeSettings(), EstimatorSettings(), None
-)
+STUDY = DownswingStudy(load_configuration(None), SwingDemand(), None)
 
 
 def robot_that_does(
