@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bench.control.gain_table import DAMPING, DERIVATIVE, gains_along
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause
-from bench.simulation.simulated_bench import SimulatedBench, begin_swing
+from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.profile import Profile
 
 Array = NDArray[np.float64]
@@ -41,10 +41,16 @@ class Rehearsal:
         """
         # References past the ball are still being found: do not check following errors.
         free = replace(bench, envelope=replace(bench.envelope, following={}))
+        powered = PoweredBench(free)
+        engine = powered.engine
         try:
-            self.bench, self._first = begin_swing(free, bench.plant.ball if ball else None)
+            powered.arm()
+            if not powered.begin(bench.plant.ball if ball else None):
+                cause = CAUSE_TEXT[engine.cause] if engine.cause else "the robot does not come to rest"
+                raise engine.refusal(cause)
         except Refused as refused:
             raise LoopFailed(f"{refused.place}: {refused.found}") from None
+        self.bench, self._first = engine.stepper, engine.latest
 
     def advance(self, ticks: int) -> NDArray[Any]:
         """Return the CYCLE records of the next `ticks` ticks of the swing, its first one included.

@@ -76,7 +76,7 @@ def make_limits(
         Refused: robots without a fault are stopped by the envelope.
     """
     engine = engine or InProcess()
-    runs = _drawn(KnownRobots(bench), draws, engine, lambda part: progress(part / 1.5))
+    runs = _drawn(DrawnRobots(bench), draws, engine, lambda part: progress(part / 1.5))
     causes = [run.cause for run in runs if run.cause]
     if len(runs) < draws or len(causes) > MAX_STOPPED * draws:
         why = CAUSE_TEXT[causes[0]] if causes else "they do not reach their address"
@@ -88,11 +88,10 @@ def make_limits(
         )
     known = [run.largest for run in runs]
     learning_runs = _drawn(
-        RobotsToLearnOn(bench), draws // 2, engine, lambda part: progress((2.0 + part) / 3.0)
+        DrawnRobots(bench, unknown=True), draws // 2, engine, lambda part: progress((2.0 + part) / 3.0)
     )
-    unknown = [run.largest for run in learning_runs]
     tables = _tables(np.array(known), "")
-    learning = _tables(np.array(unknown), "learning_")
+    learning = _tables(np.array([run.largest for run in learning_runs]), "learning_")
     return ModelLimits(
         bench.profile.name,
         draws,
@@ -102,30 +101,22 @@ def make_limits(
 
 
 @dataclass(frozen=True)
-class KnownRobots:
-    """Swings of robots within their tolerances around the model, by seed."""
+class DrawnRobots:
+    """Swings of robots around the model, by seed."""
 
     bench: Bench
+    unknown: bool = False
+    """Whether they are robots that the bench does not know, each with a correction of its own; or robots
+    within their tolerances."""
 
     def prepared(self) -> Callable[[int], HealthyRun | None]:
         """Return the function of a seed; None for a robot that does not reach its address."""
         bench, parameters = self.bench, _unlimited(self.bench)
-        return lambda seed: healthy_run(healthy_plant(bench.model, seed), parameters, bench.profile, seed)
-
-
-@dataclass(frozen=True)
-class RobotsToLearnOn:
-    """Swings of robots that the bench does not know, each with a correction of its own, by seed."""
-
-    bench: Bench
-
-    def prepared(self) -> Callable[[int], HealthyRun | None]:
-        """Return the function of a seed; None for a robot that does not reach its address."""
-        bench, parameters = self.bench, _unlimited(self.bench)
+        drawn = unknown_plant if self.unknown else healthy_plant
 
         def run(seed: int) -> HealthyRun | None:
-            corrected = _with_drawn_correction(bench, parameters, seed)
-            return healthy_run(unknown_plant(bench.model, seed), corrected, bench.profile, seed)
+            swung = _with_drawn_correction(bench, parameters, seed) if self.unknown else parameters
+            return healthy_run(drawn(bench.model, seed), swung, bench.profile, seed)
 
         return run
 

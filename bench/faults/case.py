@@ -97,22 +97,18 @@ class Workbench:
         return self._bases[instant].copy()
 
     def _brought_to(self, instant: Instant) -> LockstepEngine:
-        if instant.phase == "start":
-            plant, parameters = self._homing if instant.label == "index" else self._absolute
-            stepper = Lockstep(plant, parameters, hanging_pose(plant.parameters))
+        plant, parameters, unhomed = self.plant, self.parameters, instant.phase in ("start", "homing")
+        if unhomed:
+            plant, parameters = self._absolute if instant.label == "absolute" else self._homing
+        stepper = Lockstep(plant, parameters, hanging_pose(plant.parameters))
+        bench = LockstepEngine(stepper, name=self.profile.name)
+        if unhomed:
             stepper.state = new_control_state(State.SAFE)
-            bench = LockstepEngine(stepper, name=self.profile.name)
-        elif instant.phase == "homing":
-            plant, parameters = self._homing
-            stepper = Lockstep(plant, parameters, hanging_pose(plant.parameters))
-            stepper.state = new_control_state(State.SAFE)
-            bench = LockstepEngine(stepper, name=self.profile.name)
-            bench.advance(20)
-            bench.request(Request.HOME)
-            bench.advance(instant.tick)
+            if instant.phase == "homing":
+                bench.advance(20)
+                bench.request(Request.HOME)
+                bench.advance(instant.tick)
         else:
-            stepper = Lockstep(self.plant, self.parameters, hanging_pose(self.configuration.plant))
-            bench = LockstepEngine(stepper, name=self.profile.name)
             bench.advance(200)
             if instant.phase != "standing":
                 bench.arm()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bench.errors import BenchError
 from bench.learning.figures import figures_of
 from bench.lifecycle import CAUSE_TEXT
-from bench.simulation.series import Bench, SeriesSwing, quiet, settled
+from bench.simulation.series import Bench, Series, SeriesSwing, quiet
 from bench.swing.correction import Basis
 from sim.plant import PlantParameters
 
@@ -54,7 +54,8 @@ class Model:
     def __init__(self, bench: Bench, basis: Basis, plant: PlantParameters | None = None) -> None:
         """Arm the model, or another `plant`; Refused if it does not reach its address."""
         self._bench, self._basis = bench, basis
-        self._series, self._mark = settled(bench, quiet(plant or bench.model))
+        self._series = Series(bench, quiet(plant or bench.model))
+        self._series.settle()
         profile = bench.profile
         self._ticks = min(round((profile.impact_time + _AFTER) / profile.period), len(profile.angle))
         self.rows = path_rows(bench)
@@ -62,11 +63,11 @@ class Model:
     def swing(self, point: Array) -> SeriesSwing:
         """Swing with the correction `point` (m,)."""
         corrected = self._basis.correction(point).applied_to(self._bench.profile)
-        return self._series.swing_from(self._mark, corrected, self._ticks)
+        return self._series.swing_again(corrected, self._ticks)
 
     def free(self) -> Array:
         """Swing without correction and without a ball; return the angles (k, 3) tick by tick, rad."""
-        swing = self._series.swing_from(self._mark, self._bench.profile, self._ticks, ball=False)
+        swing = self._series.swing_again(self._bench.profile, self._ticks, ball=False)
         return np.array(swing.cycles["plant_angle"])
 
     def response(

@@ -18,7 +18,7 @@ from bench.control.settings import (
 )
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
-from bench.simulation.engine import LockstepEngine, Mark
+from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, joined
@@ -121,27 +121,20 @@ class Series:
         """Plant that is swung."""
         return self._engine.stepper.plant
 
-    def mark(self) -> Mark:
-        """Return the present instant, at the address, for `swing_from`."""
-        return self._engine.mark()
+    def settle(self, swings: int = 2) -> None:
+        """Swing some times and rest: at this instant `swing_again` begins.
 
-    def swing_from(
-        self,
-        mark: Mark,
-        profile: Profile,
-        ticks: int | None = None,
-        *,
-        ball: bool = True,
-        parameters: ControlParameters | None = None,
-    ) -> SeriesSwing:
-        """Swing `profile` from the instant `mark`; the robot is left where it is after `ticks`.
-
-        With `parameters` the controller is another one from here on.
+        Without planned air the first swing after arming begins with other pressures than those that follow.
         """
-        stepper = self._engine.stepper
-        stepper.parameters = parameters or stepper.parameters
-        self._engine.go_back(mark)
-        return self._swing(profile, ticks or len(profile.angle), ball=ball)
+        for _ in range(swings):
+            self.swing(self.bench.profile)
+        self.rest()
+        self._mark = self._engine.mark()
+
+    def swing_again(self, profile: Profile, ticks: int, *, ball: bool = True) -> SeriesSwing:
+        """Swing `profile` from the instant of `settle`; the robot is left where it is after `ticks`."""
+        self._engine.go_back(self._mark)
+        return self._swing(profile, ticks, ball=ball)
 
     def swing(
         self, profile: Profile, parameters: ControlParameters | None = None, *, ball: bool = True
@@ -226,18 +219,6 @@ class Series:
                 "reset after a stop", CAUSE_TEXT[cause], "a bench that can be reset", "Check the plant."
             )
         self._arm()
-
-
-def settled(bench: Bench, plant: PlantParameters, swings: int = 2) -> tuple[Series, Mark]:
-    """Return a series on `plant` and the instant at its address after some swings.
-
-    Without planned air the first swing after arming begins with other pressures than those that follow.
-    """
-    series = Series(bench, plant)
-    for _ in range(swings):
-        series.swing(bench.profile)
-    series.rest()
-    return series, series.mark()
 
 
 def quiet(plant: PlantParameters) -> PlantParameters:

@@ -161,7 +161,7 @@ def simulate_swings(
     Raises:
         Refused: the robot does not reach its address.
     """
-    powered = _PoweredBench(bench, stop)
+    powered = PoweredBench(bench, stop)
     engine = powered.engine
     try:
         if not powered.arm():
@@ -180,26 +180,11 @@ def simulate_swings(
         engine.stepper.make_passive()
 
 
-def begin_swing(bench: SimulatedBench, ball: Ball | None) -> tuple[Lockstep, Cycles]:
-    """Return `bench` as `simulate_swing` has it once the swing has begun.
-
-    Beside it the record of the swing's first tick, which is done.
-
-    Raises:
-        Refused: the robot does not come to rest at its address.
-    """
-    powered = _PoweredBench(bench, never)
-    engine = powered.engine
-    powered.arm()
-    if not powered.begin(ball):
-        raise engine.refusal(CAUSE_TEXT[engine.cause] if engine.cause else "the robot does not come to rest")
-    return engine.stepper, engine.latest
-
-
-class _PoweredBench:
+class PoweredBench:
     """A simulated bench while it is switched on."""
 
-    def __init__(self, bench: SimulatedBench, stop: Callable[[], bool]) -> None:
+    def __init__(self, bench: SimulatedBench, stop: Callable[[], bool] = never) -> None:
+        """Stand vented in the hanging pose."""
         self.bench = bench
         plant = build_plant(bench.plant)
         parameters = build_controller(
@@ -279,7 +264,7 @@ class _PoweredBench:
         )
 
 
-class ArmedBench(_PoweredBench):
+class ArmedBench(PoweredBench):
     """A simulated bench that is armed once; each swing begins at that same instant.
 
     A swing then depends on its own `plant` and `ball` only, not on those before it: a series that was cut off

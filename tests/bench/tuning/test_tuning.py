@@ -16,7 +16,7 @@ from bench.control.gains import Gains
 from bench.control.linear_loop import Estimator, least_damping, steady_estimator
 from bench.control.linear_plant import Frozen, freeze
 from bench.control.settings import estimator_record
-from bench.simulation.series import Bench, settled
+from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.tuning.along_swing import Judged, gains_along, judge, operating_points
@@ -70,8 +70,9 @@ def test_the_linear_plant_moves_as_the_plant_does(bench: Bench, plants: list[Fro
         for name in ("shoulder", "right_arm", "wrist")
     }
     plant = build_plant(replace(bench.model, **actuators))
-    series, mark = settled(bench, bench.model, swings=0)
-    series.swing_from(mark, bench.profile, bench.profile.begins[1] + 400)
+    series = Series(bench, bench.model)
+    series.settle(swings=0)
+    series.swing_again(bench.profile, bench.profile.begins[1] + 400)
     stepper = series._engine.stepper
     state, command = stepper.plant_state, stepper.command.copy()
     command["valve"] = [0.08, -0.08, 0.08]  # beyond the dead band, and not much: the pressures change slowly
