@@ -24,7 +24,7 @@ def test_the_way_up_is_followed(seed: int) -> None:
     plant = drawn_robot(seed, c.plant) if seed else c.plant
     pid = pid_record(c.control, c.estimator, plant)
     sketch = designer._sketch(demand, plant, address_pose(plant, demand), top_pose(plant, demand), pid)
-    bench = designer._bench(plant, c.control, c.envelope, c.estimator)
+    bench = designer._bench(replace(c, plant=plant))
     sketch = with_planned_air(sketch, plant)
     found = learned_backswing(replace(bench, profile=sketch), pid, TICKS, 1.0 - demand.margin)
     error = np.abs(found.cycles["reference_angle"] - found.cycles["angle"]).max(axis=0)

@@ -10,7 +10,7 @@ import pytest
 
 from bench.drawing.bodies import DrawnBody
 from bench.drawing.drawing import Drawing, draw, placed
-from bench.drawing.layers import wrist_way, wrist_ways
+from bench.drawing.layers import wrist_ways
 from bench.drawing.mesh import mesh_volume
 from bench.drawing.placement import address, body_poses, plane_to_golf
 from bench.drawing.solids import Bar, Ellipsoid, Solid, Tube
@@ -160,7 +160,7 @@ def test_the_piston_stays_within_the_right_arm(plant: PlantParameters) -> None:
 def test_the_wrist_s_yoke_holds_the_lever_s_pin(plant: PlantParameters) -> None:
     low, high = wrist_ways(plant)
     for theta3 in np.linspace(plant.wrist.lower, plant.wrist.upper, 9):
-        along, across = wrist_way(plant, float(theta3)), -float(plant.wrist_slope(theta3))
+        along, across = float(plant.wrist_stroke(float(theta3))), -float(plant.wrist_slope(theta3))
         assert low - 1e-12 <= along <= high + 1e-12
         # The pin drawn on the club, turned with it, is where the yoke stands.
         turn = np.array([[np.cos(theta3), -np.sin(theta3)], [np.sin(theta3), np.cos(theta3)]])

@@ -57,6 +57,10 @@ def is_ready(supporter: ManagedProcess) -> bool:
     return supporter.ready
 
 
+def is_starting(supporter: ManagedProcess) -> bool:
+    return supporter.starting
+
+
 Beat = Callable[[float, Condition], None]
 
 
@@ -64,11 +68,11 @@ def test_it_can_be_relied_on_once_its_heart_says_so(supporter: ManagedProcess, b
     supporter.turn(0.0)
     assert not is_ready(supporter)
     assert supporter.note == "starting"
-    assert supporter.starting
+    assert is_starting(supporter)
     beat(0.1, Condition.WORKING)
     supporter.turn(0.1)
     assert is_ready(supporter)
-    assert not supporter.starting
+    assert not is_starting(supporter)
     beat(0.2, Condition.TROUBLE)
     supporter.turn(0.2)
     assert supporter.note == "trouble"

@@ -154,14 +154,14 @@ def test_gains_from_the_machine_keep_more_margin_than_those_by_hand(
 
 @compiled_only
 def test_the_command_shows_margins_and_swings(capsys: pytest.CaptureFixture[str]) -> None:
-    for options in (["--json"], []):
+    def shown(*options: str) -> str:
         with pytest.raises(SystemExit) as ended:
             main(["tune", *options])
         assert ended.value.code == 0
-        if options:
-            told = json.loads(capsys.readouterr().out)
+        return capsys.readouterr().out
+
+    told, text = json.loads(shown("--json")), shown()
     assert len(told["margins"]) == 21
     assert [told["swings"][robot]["failure"] for robot in ("nominal", "worn")] == [None, None]
-    shown = capsys.readouterr().out
-    assert "backswing 2/3" in shown
-    assert "nominal robot: " in shown
+    assert "backswing 2/3" in text
+    assert "nominal robot: " in text
