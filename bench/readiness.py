@@ -15,6 +15,7 @@ from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import Calibration, apply
 from bench.calibration.values import CalibrationKind
 from bench.config import Configuration, contradictions, unheard_phases
+from bench.control.model_limits import LimitsInUse
 from bench.design.validate import Check, check_profile, other_rate, rate_faults
 from bench.errors import BenchError
 from bench.lifecycle import Block
@@ -159,16 +160,42 @@ def assess(
         found += rate_faults(profile, c.plant, str(file))
     checks = check_profile(profile, _as_designed(configuration, c, profile), c.envelope, str(file))
     limits = ""
-    if c.envelope.model.check == "off":
-        warnings.append(NO_MODEL_CHECK)
+    real, model = running and c.is_machine, c.envelope.model
+    if model.check == "off":
+        reason = model.off_reason.strip()
+        warnings.append(f"{NO_MODEL_CHECK}; the reason given: {reason}" if reason else NO_MODEL_CHECK)
+        if real and not reason:
+            found.append(_unwatched(c))
     else:
         used = c.limits_in_use(profile, file)
         c = replace(c, envelope=replace(c.envelope, model=used.settings))
-        if used.stale:
+        if used.stale and real:
+            found.append(_stale(profile, used))
+        elif used.stale:
             warnings.append(f"limits of the model-based check: {used.source}")
         else:
             limits = used.source
     return Readiness(c, calibration, profile, file, tuple(found), tuple(checks), limits, tuple(warnings))
+
+
+def _unwatched(c: Configuration) -> BenchError:
+    """Return the fault of a real robot whose check is off without a reason."""
+    return BenchError(
+        f"{', '.join(map(str, c.files))}: envelope.model.check",
+        "off with a real robot",
+        '"always", or a reason in envelope.model.off_reason: a stuck valve is found too late without it',
+        'Set it to "always" once the robot is measured: golfbench commission does.',
+    )
+
+
+def _stale(profile: Profile, used: LimitsInUse) -> BenchError:
+    """Return the fault of a real robot whose limits were made for something else."""
+    return BenchError(
+        f"limits of {profile.name}",
+        used.source,
+        "limits made for this robot, profile and controller, or none",
+        f"Make them: golfbench swing limits {profile.name}",
+    )
 
 
 def _as_designed(nominal: Configuration, c: Configuration, profile: Profile) -> PlantParameters:

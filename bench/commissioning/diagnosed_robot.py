@@ -31,8 +31,9 @@ class DiagnosedRobot:
         """What the last swing says; None before the first."""
 
     def series(self, bench: Bench) -> DiagnosedSeries:
-        """Arm `bench`, whose model is the robot as measured."""
-        return DiagnosedSeries(self._robot.series(bench), bench, self)
+        """Arm `bench`, whose model is the robot as measured: the model-based check is on."""
+        watched = bench._replace(envelope=bench.envelope.with_model_check("always"))
+        return DiagnosedSeries(self._robot.series(watched), bench, self)
 
     def look_at(self, swing: SeriesSwing, bench: Bench, name: str, loads: Loads | None) -> None:
         """Keep what `swing` of the profile `name` says.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
+from bench.control.measured_plant import value_at, with_values
 from sim.plant import PlantParameters
 
 ACTUATOR_KEYS = ("shoulder", "right_arm", "wrist")
@@ -54,34 +54,3 @@ class KnownRobot:
         """Return the standard error of `key`; `otherwise` if it was not found."""
         found = self.found.get(key)
         return otherwise if found is None else found.error
-
-
-def with_values(plant: PlantParameters, values: Mapping[str, float]) -> PlantParameters:
-    """Return `plant` with `values` by their dotted keys; KeyError if a key is not there."""
-    for key, value in values.items():
-        plant = _with(plant, key.split("."), value)
-    return plant
-
-
-def value_at(plant: PlantParameters, key: str) -> Any:
-    """Return the value of `plant` at dotted `key`; KeyError if it is not there."""
-    at: Any = plant
-    for part in key.split("."):
-        at = at[int(part)] if isinstance(at, tuple) else _field(at, part)
-    return at
-
-
-def _field(value: Any, name: str) -> Any:
-    if not is_dataclass(value) or name not in {field.name for field in fields(value)}:
-        raise KeyError(name)
-    return getattr(value, name)
-
-
-def _with(value: Any, path: list[str], new: float) -> Any:
-    if not path:
-        return round(new) if isinstance(value, int) else new
-    first, rest = path[0], path[1:]
-    if isinstance(value, tuple):
-        index = int(first)
-        return (*value[:index], _with(value[index], rest, new), *value[index + 1 :])
-    return replace(value, **{first: _with(_field(value, first), rest, new)})

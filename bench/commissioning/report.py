@@ -8,9 +8,10 @@ from importlib.resources import files
 import jinja2
 
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning
-from bench.commissioning.known_robot import KnownRobot, value_at
+from bench.commissioning.known_robot import KnownRobot
 from bench.commissioning.robot_file import GUESSES, NO_CALIBRATION
 from bench.commissioning.steps import NamedStep
+from bench.control.measured_plant import value_at
 from sim.plant import PlantParameters
 
 

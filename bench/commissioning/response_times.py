@@ -23,7 +23,7 @@ from bench.commissioning.air_fit import (
     spool_path,
     way_per_angle,
 )
-from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot, with_values
+from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
 from bench.commissioning.moves import (
     FOLD_ORDER,
@@ -39,6 +39,7 @@ from bench.commissioning.moves import (
 )
 from bench.commissioning.steps import StepResult, Traces
 from bench.commissioning.wrong_machine import WrongMachine
+from bench.control.measured_plant import with_values
 from drivers.base import JOINTS, Triple
 from sim.driver import joint_travel
 

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping
 from datetime import date
 from textwrap import wrap
 
-from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at
+from bench.commissioning.known_robot import FoundValue, KnownRobot
+from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
 
 GUESSES = (
@@ -74,6 +75,9 @@ def robot_file(
     if following:
         lines += ["", "[envelope.following]"]
         lines += [f"{phase} = {list(limits)}" for phase, limits in following.items()]
+    lines += ["", "[envelope.model]", 'check = "always"  # this robot was measured']
+    lines += ["", "[envelope.model.standard_errors]"]
+    lines += [f'"{found.key}" = {found.error!r}' for found in known.found.values() if found.error > 0.0]
     return "\n".join(lines) + "\n"
 
 

@@ -18,7 +18,7 @@ from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
 from bench.commissioning.air_fit import VENT_TOLERANCE, joint_angles, robust_errors, way_per_angle
-from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot, value_at, with_values
+from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
 from bench.commissioning.moves import (
     FOLD_ORDER,
@@ -33,6 +33,7 @@ from bench.commissioning.moves import (
 )
 from bench.commissioning.steps import StepResult, Traces
 from bench.commissioning.wrong_machine import WrongMachine
+from bench.control.measured_plant import value_at, with_values
 from drivers.base import JOINTS, Triple
 from sim.driver import joint_travel
 from sim.kane import bias_forces, inverse_dynamics

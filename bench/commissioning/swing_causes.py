@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.commissioning.known_robot import ACTUATOR_KEYS, value_at, with_values
+from bench.commissioning.known_robot import ACTUATOR_KEYS
 from bench.commissioning.machine import Array
 from bench.commissioning.short_predictions import RecordedSwing
+from bench.control.measured_plant import value_at, with_values
 from drivers.base import CHAMBERS, JOINTS
 from drivers.base.compiled import compiled
 from sim.plant import PlantParameters

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.commissioning.known_robot import FoundValue, value_at, with_values
+from bench.commissioning.known_robot import FoundValue
 from bench.commissioning.machine import Array
 from bench.commissioning.short_predictions import QUANTITIES, RecordedSwing
+from bench.control.measured_plant import value_at, with_values
 from sim.plant import PlantParameters
 
 _SCATTER = np.array([5e-4] * 3 + [0.05] * 3 + [300.0] * 6 + [100.0])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bench.address import address_mistakes
 from bench.config.safety import check_safety
 from bench.config.settings import Configuration
+from bench.control.measured_plant import value_at
 from bench.control.settings import (
     MODEL_PHASES,
     OPTIONAL_ROWS,
@@ -38,6 +39,9 @@ LONGEST_ANSWER = 0.7
 COST_OF_A_SYNC = 2.2
 """Ticks without a sample when a SYNC is lost: its own; the next, whose sample might answer the lost one; and
 the max delay of a tick."""
+
+LEAST_RELIEF = 1.1
+"""Least opening pressure of the manifold's relief valve over the regulated one."""
 
 DATABASE_FILE = "golfbench.sqlite"
 
@@ -97,6 +101,12 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             found = "nothing" if name in watched else "an unknown phase"
             expected = f"each of {', '.join(watched)} once"
             yield f"envelope.model.{kind}.{name}", found, expected, "Correct the table."
+    for name in c.envelope.model.standard_errors:
+        try:
+            float(value_at(c.plant, name))
+        except (KeyError, IndexError, TypeError, ValueError):
+            place = f"envelope.model.standard_errors.{name}"
+            yield place, "no number below [plant]", "a key such as shoulder.area_a", "Correct or delete it."
 
 
 def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
@@ -237,13 +247,12 @@ def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         )
         yield "envelope.max_supply_pressure", found, wanted, "Correct it; pressures are Pa absolute."
     rating = min(actuator.pressure_rating for actuator in c.plant.actuators)
-    if not 0.999 * c.envelope.max_supply_pressure <= supply.manifold_relief_pressure < rating:
+    if supply.manifold_relief_ratio < LEAST_RELIEF or supply.manifold_relief_pressure >= rating:
         yield (
             "plant.supply.manifold_relief_ratio",
             f"{short(supply.manifold_relief_ratio)}, {short(supply.manifold_relief_pressure)} Pa",
-            f"at least envelope.max_supply_pressure, {short(c.envelope.max_supply_pressure)} Pa, "
-            f"less than the lowest pressure_rating, {short(rating)} Pa",
-            "Set it; below the former the valve would hide a regulator that fails.",
+            f"at least {LEAST_RELIEF}, and less than the lowest pressure_rating, {short(rating)} Pa",
+            "Set it; a valve that opens nearer to the regulated pressure takes part in a healthy swing.",
         )
     if c.envelope.minimum_stop_margin > 1.0:
         found = short(c.envelope.minimum_stop_margin)

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 
 from bench.address import BenchSettings, NetworkSettings
 from bench.config.club_site import ClubSite
-from bench.control.model_limits import LimitsInUse, MadeFor, limits_in_use, limits_path
+from bench.control.made_for import MadeFor
+from bench.control.model_limits import LimitsInUse, limits_in_use, limits_path
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,

@@ -72,7 +72,9 @@ def _keys(table: _Table) -> Iterator[str]:
     """Yield the lines of the keys of `table` that are no tables."""
     if not is_dataclass(table.kind):
         if not is_dataclass(get_args(table.kind)[1]):
-            yield from (f"{name} = {_written(value)}" for name, value in table.value.items())
+            for name, value in table.value.items():
+                key = name if name.isidentifier() else json.dumps(name)
+                yield f"{key} = {_written(value)}"
         return
     hints, docs = get_type_hints(table.kind, include_extras=True), field_docs(table.kind)
     named = table.path.startswith(("clubs.", "balls.", "faults."))

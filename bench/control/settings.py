@@ -233,7 +233,12 @@ class ModelSettings:
     """
 
     check: Literal["off", "simulated", "always"] = "off"
-    """Stop when what is measured does not fit the plant's model; "simulated": only with the `sim` driver."""
+    """Stop when what is measured does not fit the plant's model; "simulated": only with the `sim` driver;
+    "always": with each driver, for a robot that was measured."""
+    off_reason: str = ""
+    """Why a real robot moves without the check. Needed there if it is off; each record has it."""
+    standard_errors: dict[str, NotNegative] = field(default_factory=dict)
+    """Standard errors of measured values, by their keys below [plant]; limits are made with them."""
     air: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
             "homing": (4.0e4, 3.0e5, 8.0e4),
@@ -351,7 +356,8 @@ class EnvelopeSettings:
     min_supply_pressure: Positive = 6.5e5
     """Pa absolute, below which no swing begins."""
     max_supply_pressure: Positive = 8.8e5
-    """Pa absolute; above it the robot becomes faster than its profile."""
+    """Pa absolute, at most where the manifold's relief valve opens; above it the robot becomes faster than
+    its profile."""
     clearance: NotNegative = 0.015
     """Head over ground outside the ball's window, m in the swing plane."""
     ball_window: Positive = 0.60
@@ -490,9 +496,12 @@ def estimator_record(estimator: EstimatorSettings, plant: PlantParameters) -> np
 
 
 def for_learning(parameters: ControlParameters, settings: ModelSettings) -> ControlParameters:
-    """Return `parameters` with the limits of learning; without such limits nothing is compared."""
+    """Return `parameters` with the limits of learning.
+
+    Without such limits those of known robots hold for one that was measured; for another nothing is compared.
+    """
     record = _model_record(settings, learning=True)
-    record["check"] = settings.check != "off" and settings.knows_learning
+    record["check"] = settings.check == "always" or (settings.check != "off" and settings.knows_learning)
     return parameters._replace(model=record)
 
 
@@ -623,6 +632,9 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
         "frame_radius",
     ):
         record[name] = getattr(settings, name)
+    # Above it the relief valve opens, and hides a regulator that fails.
+    highest = min(settings.max_supply_pressure, plant.supply.manifold_relief_pressure)
+    record["max_supply_pressure"] = highest
     record["ball_clearance"] = settings.clearance_by_ball(plant.site)
     record["ground"], record["sole_depth"] = plant.site.ground, plant.site.sole_depth
     record["ball_x"], record["lever_angle"] = profile.ball[0], plant.wrist_lever_angle

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from bench.calibration.archive import add_calibration
-from bench.calibration.values import BallPosition, ClubInMount, EncoderZeros, Values
+from bench.calibration.values import BallPosition, ClubInMount, EncoderZeros, Values, ValveCentres
 from bench.cli import main
 from bench.commands.status_table import status_table
 from bench.config import Configuration, database_url, load_configuration
@@ -39,6 +39,7 @@ MACHINE = (
     '[loop]\nrealtime = "require"\n'
     '[daq]\nvent_proof = "pressure switches PS1 to PS6"\nshut_off_feedback = "port0/line7"\n'
 )
+UNWATCHED = '[envelope.model]\noff_reason = "trial of the valves, air at 1.3 bar"\n'
 
 Calibrate = Callable[..., None]
 
@@ -98,12 +99,80 @@ def test_assess_ball_calibrated_off_the_profile_blocks(
 
 def test_assess_machine_without_calibrations_blocks(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
-    file.write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n{MACHINE}', encoding="utf-8")
-    found = assess_bench(load_configuration(file), NOW, running=True)
+    text = f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n{MACHINE}{UNWATCHED}'
+    file.write_text(text, encoding="utf-8")
+    c = load_configuration(file)
+    found = assess_bench(c, NOW, running=True)
     assert {block["code"] for block in found.blocks(NOW)} == {Block.CALIBRATION_MISSING}
     assert len(found.blocks(NOW)) == 4
     assert found.faults == []  # a simulation of it needs none
-    assert any("model-based check is off" in warning for warning in found.warnings)
+    assert any("the reason given: trial of the valves" in warning for warning in found.warnings)
+    assert c.effective()["envelope"]["model"]["off_reason"].startswith("trial of")  # as each record has it
+
+
+@pytest.fixture
+def machine(
+    configuration: Configuration, calibrate: Calibrate, tmp_path: Path
+) -> Callable[[str], Configuration]:
+    """Return a function of more TOML: the configuration of a calibrated machine."""
+    calibrate(MET)
+    calibrate(EncoderZeros((0.0, 0.0, 0.0), (1, 1, 1), 131072, 1e-4))
+    calibrate(ClubInMount("driver", 1.09, 0.2617993877991494, 0.9250245035569946, 5e-4, 1e-3))
+    calibrate(ValveCentres((0.0, 0.0, 0.0), (0.02, 0.02, 0.02), 1e-4))
+    folder = configuration.bench.data_dir
+
+    def load(more: str) -> Configuration:
+        file = tmp_path / "machine.toml"
+        head = f'base = "shipped"\n[bench]\nid = "{configuration.bench.id}"\ndata_dir = "{folder}"\n'
+        file.write_text(head + MACHINE + more, encoding="utf-8")
+        return load_configuration(file)
+
+    return load
+
+
+Machine = Callable[[str], Configuration]
+
+
+@pytest.mark.parametrize("check", ["", 'check = "off"\n', 'off_reason = " "\n'])
+def test_assess_machine_whose_check_is_off_without_reason_blocks(machine: Machine, check: str) -> None:
+    c = machine(f"[envelope.model]\n{check}")
+    (block,) = assess_bench(c, NOW, running=True).blocks(NOW)
+    assert block["code"] == Block.CONFIGURATION
+    assert block["place"].endswith("machine.toml: envelope.model.check")
+    assert "envelope.model.off_reason" in block["expected"]
+    assert assess_bench(c, NOW).faults == []  # a simulation of it is watched, or need not be
+
+
+def test_assess_machine_with_the_check_on_or_a_reason_arms(machine: Machine) -> None:
+    found = assess_bench(machine('[envelope.model]\ncheck = "always"\n'), NOW, running=True)
+    assert (found.blocks(NOW), found.warnings) == ([], ())
+    assert found.limits.endswith("default.limits.toml")
+    assert codes(machine(UNWATCHED)) == []
+
+
+def test_assess_stale_limits_block_a_machine_and_warn_a_simulated_bench(
+    machine: Machine, configuration: Configuration
+) -> None:
+    stiffer = "[plant.wrist.friction]\ncoulomb = 49.0\n"
+    (block,) = assess_bench(
+        machine(f'[envelope.model]\ncheck = "always"\n{stiffer}'), NOW, running=True
+    ).blocks(NOW)
+    assert block["place"] == "limits of default"
+    assert "another plant (wrist.friction.coulomb 45, here 49)" in block["found"]
+    assert "golfbench swing limits default" in block["cure"]
+    wrist = configuration.plant.wrist
+    wrist = replace(wrist, friction=replace(wrist.friction, coulomb=49.0))
+    c = replace(configuration, plant=replace(configuration.plant, wrist=wrist))
+    found = assess_bench(c, NOW, running=True)
+    assert found.blocks(NOW) == []
+    assert "wrist.friction.coulomb 45, here 49" in found.warnings[0]
+
+
+def test_assess_standard_error_of_no_value_blocks(configuration: Configuration) -> None:
+    model = replace(configuration.envelope.model, standard_errors={"shoulder.aera_a": 1e-6})
+    c = replace(configuration, envelope=replace(configuration.envelope, model=model))
+    (block,) = assess_bench(c, NOW, running=True).blocks(NOW)
+    assert block["place"].endswith("envelope.model.standard_errors.shoulder.aera_a")
 
 
 def test_assess_expired_and_future_calibrations_block(
@@ -156,10 +225,13 @@ def test_assess_calibrations_within_tolerance_keep_the_limits(
     calibrate(BallPosition(0.2503, -1.5602, 5e-4))
     calibrate(EncoderZeros((11.0, 22.0, 33.0), (1, 1, 1), 131072, 1e-4))
     found = assess_bench(configuration, NOW, running=True)
+    calibrate(ClubInMount("driver", 1.0905, 0.2617993877991494, 0.9250245035569946, 5e-4, 1e-3))
+    calibrate(ValveCentres((5e-4, -5e-4, 5e-4), (0.02, 0.0205, 0.02), 1e-4))
+    found = assess_bench(configuration, NOW, running=True)
     assert (found.blocks(NOW), found.warnings) == ([], ())
     calibrate(ClubInMount("driver", 1.092, 0.18, 0.92, 5e-4, 1e-3))
     (warning,) = assess_bench(configuration, NOW, running=True).warnings
-    assert "made for another plant" in warning
+    assert "made for another plant (robot.club.loft" in warning
 
 
 def test_assess_tee_is_calibrated_for_the_mounted_clubs_site_only(tmp_path: Path) -> None:
@@ -329,7 +401,7 @@ def test_command_with_a_missed_ball_refuses(command: list[str], golfbench: Run, 
 
 
 def test_check_uncalibrated_machine_ends_in_the_whole_verdict(golfbench: Run) -> None:
-    code, out, errors = golfbench("check", more=MACHINE)
+    code, out, errors = golfbench("check", more=MACHINE + UNWATCHED)
     assert code == ExitCode.REFUSED
     assert out.splitlines()[-1].startswith("Arming blocked for 4 reasons")
     assert errors.count("never calibrated") == 4

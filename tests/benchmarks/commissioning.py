@@ -26,12 +26,13 @@ from rich.table import Table
 from bench.commissioning.commissioning import begin, commission
 from bench.commissioning.driver_machine import SimulatedMachine
 from bench.commissioning.fastest_swing import fastest_swing
-from bench.commissioning.known_robot import KnownRobot, value_at
+from bench.commissioning.known_robot import KnownRobot
 from bench.commissioning.learned_swing import LEARNED_FILE
 from bench.commissioning.rising_swings import SWING_FILE, bench_of
 from bench.commissioning.swing_diagnosis import diagnose
 from bench.commissioning.swung_robot import SimulatedRobot
 from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.control.measured_plant import value_at
 from bench.errors import Refused
 from bench.learning.figures import figures_of
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at
+from bench.commissioning.known_robot import FoundValue, KnownRobot
 from bench.commissioning.robot_file import robot_file
 from bench.config import Configuration
+from bench.control.measured_plant import value_at
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 from sim.robot import Body

@@ -27,7 +27,7 @@ from bench.commissioning.commissioning import (
 )
 from bench.commissioning.driver_machine import SimulatedMachine
 from bench.commissioning.folder_lock import commissioning_process, folder_lock
-from bench.commissioning.known_robot import FoundValue, KnownRobot, value_at, with_values
+from bench.commissioning.known_robot import FoundValue, KnownRobot
 from bench.commissioning.machine import CommissionedMachine, MotionBounds, Segment
 from bench.commissioning.report import commissioning_report
 from bench.commissioning.rising_swings import bench_of
@@ -36,6 +36,8 @@ from bench.commissioning.steps import StepResult, Traces
 from bench.commissioning.wiring import Wiring
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.config.text import configuration_text
+from bench.control.measured_plant import value_at, with_values
 from bench.control.model_limits import load_limits
 from bench.design.model_limits import DRAWS
 from bench.errors import BenchError, Refused
@@ -177,6 +179,11 @@ def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configurat
     assert loaded.envelope.following == following
     assert "0.0123  # ± 0.0001; valves" in path.read_text()
     assert "guess" in path.read_text()
+    model = loaded.envelope.model
+    assert model.check == "always"
+    assert model.standard_errors == {"wrist.valve.centre": 1e-4, "shoulder.valve.natural_frequency": 5.0}
+    path.write_text(configuration_text(loaded))
+    assert load_configuration(path).envelope.model == model
 
 
 def test_robot_file_says_how_its_zeros_are_calibrated(tmp_path: Path, configuration: Configuration) -> None:

@@ -12,12 +12,13 @@ from bench.commissioning.diagnosed_robot import DiagnosedRobot
 from bench.commissioning.rising_swings import bench_of
 from bench.commissioning.short_predictions import RecordedSwing
 from bench.commissioning.swing_diagnosis import Diagnosis, diagnose
-from bench.commissioning.swung_robot import SimulatedRobot
+from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.errors import Refused
+from bench.lifecycle import Phase
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
-from bench.simulation.series import NotReturned
+from bench.simulation.series import Bench, NotReturned
 from bench.swing.profile import Profile
 from tests.bench.commissioning.wrong_machines import measured_values, swung_wrongly, true_robot
 
@@ -81,6 +82,22 @@ def test_commissioning_ends_with_the_swing_that_a_cause_explains(
         watched.series(bench).swing(default)
     assert (tmp_path / "wrong-swing.npz").exists()
     assert watched.explained(found.value) is found.value, "said already"
+
+
+def test_each_swing_of_commissioning_has_the_check_on(
+    configuration: Configuration, default: Profile, tmp_path: Path
+) -> None:
+    armed = list[Bench]()
+
+    class Noting(SimulatedRobot):
+        def series(self, bench: Bench) -> SimulatedSeries:
+            armed.append(bench)
+            return None  # type: ignore[return-value]
+
+    DiagnosedRobot(Noting(configuration.plant), (), tmp_path).series(bench_of(configuration, default))
+    parameters = armed[0].controller()
+    assert parameters.model["check"][0]
+    assert np.isfinite(parameters.model["air"][0, Phase.DOWNSWING]).all()
 
 
 def test_what_a_swing_does_not_explain_is_said_so(configuration: Configuration, tmp_path: Path) -> None:

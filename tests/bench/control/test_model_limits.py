@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration
+from bench.control.made_for import LEAST_FELT_TEE_SHIFT, NAMES_IN_FILES, NOT_FELT, SHARE, TOLERANCES, MadeFor
 from bench.control.model import BLOW, BRAKING, KINDS, LEARNING
 from bench.control.model_limits import (
     ENDING,
     FROM_SETTINGS,
-    LEAST_FELT_TEE_SHIFT,
     REQUIRED,
-    MadeFor,
     ModelLimits,
     limits_in_use,
     limits_path,
@@ -89,11 +88,12 @@ Edit = Callable[[str], str]
 @pytest.mark.parametrize(
     ("edit", "place", "found"),
     [
-        (lambda t: t.replace("limits/1", "limits/9"), "schema", '"golfbench-limits/9"'),
+        (lambda t: t.replace("limits/2", "limits/9"), "schema", '"golfbench-limits/9"'),
         (lambda t: t.replace("draws = 300\n", ""), "draws", "nothing"),
         (lambda t: t.replace("draws = 300", "drows = 300"), "drows", "an unknown key"),
         (lambda t: t.replace("[flow]", "[flaw]"), "flaw", "an unknown key"),
-        (lambda t: t.replace("plant = ", "planet = "), "made_for", "planet"),
+        (lambda t: t.replace("made_for.plant", "made_for.planet"), "made_for", "planet"),
+        (lambda t: t.replace("[made_for.plant]", "plant = 1\n[made_for.p]"), "made_for", "plant"),
         (lambda t: t.replace("hold = ", "held = ", 1), "air.held", "an unknown row"),
         (lambda t: t.replace("hold = [1.5, 2.25, 3.0]\n", "", 1), "air.hold", "nothing"),
         (lambda t: t.replace("hold = [1.5, 2.25, 3.0]", "hold = [1.5, 2.25]", 1), "air.hold", "[1.5, 2.25]"),
@@ -160,7 +160,54 @@ def test_stale_limits_are_named_and_not_used(
 ) -> None:
     used = limits_in_use(ModelSettings(check="always"), made_for(default_profile, **changed), [file])
     assert (used.settings, used.stale) == (ModelSettings(check="always"), True)
-    assert f"{file}: made for another {part};" in used.source
+    assert f"{file}: made for another {part} (" in used.source
+
+
+def moved(plant: PlantParameters, by: float) -> PlantParameters:
+    """Return `plant` with the measured values that drift most, each `by` times what is allowed."""
+    encoders = replace(
+        plant.encoders, zero_count=(1.0, -700.0, 5e4), sign=(1, -1, -1), latency=1e-4 + by * 1e-4
+    )
+    club = replace(plant.robot.club, length_to_face=1.09 + 5e-4 * by, shaft_length=1.0668 - 5e-4 * by)
+    valve = replace(plant.wrist.valve, centre=by * 0.005, conductance=7.9e-8 / (1 - by * SHARE))
+    return replace(
+        plant,
+        robot=replace(plant.robot, club=club),
+        encoders=encoders,
+        wrist=replace(plant.wrist, valve=valve),
+        site=replace(plant.site, ball_x=plant.site.ball_x - by * 0.005),
+    )
+
+
+def test_what_a_swing_hardly_feels_keeps_the_limits(default_profile: Profile, file: Path) -> None:
+    for by in (-0.99, 0.2, 0.99):
+        near = made_for(default_profile, plant=moved(PLANT, by))
+        assert not limits_in_use(ModelSettings(), near, [file]).stale
+    far = limits_in_use(ModelSettings(), made_for(default_profile, plant=moved(PLANT, 1.5)), [file])
+    assert far.stale
+    assert "wrist.valve.conductance 7.9e-08, here 8.14" in far.source
+    assert "and 3 more" in far.source
+
+
+def test_a_key_that_is_renamed_keeps_its_name_in_files(
+    default_profile: Profile, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the code calls otherwise than the file is not felt twice."""
+    text = file.read_text()
+    assert "wrist_lever = " in text
+    file.write_text(text.replace("wrist_lever = ", "wrist_radius = "))
+    assert limits_in_use(ModelSettings(), made_for(default_profile), [file]).stale
+    monkeypatch.setitem(NAMES_IN_FILES, "wrist_lever", "wrist_radius")  # type: ignore[arg-type]
+    assert not limits_in_use(ModelSettings(), made_for(default_profile), [file]).stale
+
+
+def test_each_tolerance_and_exception_is_of_a_value_there_is(default_profile: Profile) -> None:
+    nested = asdict(PLANT)
+    for name in (*NOT_FELT, *TOLERANCES):
+        value: Any = nested
+        for part in name.split("."):
+            value = value[part]
+    assert TOLERANCES.keys() <= made_for(default_profile).plant.keys()
 
 
 def test_limits_of_a_changed_profile_are_stale(default_profile: Profile, file: Path) -> None:
@@ -231,7 +278,7 @@ def test_a_lift_counts_only_where_it_acts(default_profile: Profile) -> None:
 
 def test_the_first_file_that_fits_is_used(limits: ModelLimits, file: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.limits.toml"
-    save_limits(other, replace(limits, made_for=limits.made_for._replace(plant="0")))
+    save_limits(other, replace(limits, made_for=limits.made_for._replace(plant={"wrist_lever": 1.0})))
     assert limits_in_use(ModelSettings(), limits.made_for, [other, file]).source == str(file)
 
 
@@ -263,10 +310,12 @@ def test_the_controller_has_a_row_for_each_limit(
     assert (bool(teaching["check"]), int(teaching["first_row"])) == (True, LEARNING)
 
 
-def test_default_tables_have_no_limits_for_learning(default_profile: Profile) -> None:
+def test_default_tables_hold_for_learning_of_a_measured_robot_only(default_profile: Profile) -> None:
     settings = ModelSettings(check="always")
     made = build_controller(PLANT, default_profile, envelope=EnvelopeSettings(model=settings))
-    assert not for_learning(made, settings).model["check"][0]
+    teaching = for_learning(made, settings).model[0]
+    assert (bool(teaching["check"]), int(teaching["first_row"])) == (True, 0)
+    assert not for_learning(made, replace(settings, check="simulated")).model["check"][0]
     model, follow_through = made.model[0], Phase.FOLLOW_THROUGH
     assert (model["velocity"][BLOW] == model["velocity"][follow_through]).all()
     assert (model["jump"][BLOW] == model["jump"][follow_through]).all()

@@ -7,8 +7,8 @@ import pytest
 
 from bench.control.model import KINDS, LEARNING
 from bench.control.model_limits import FROM_SETTINGS, REQUIRED
-from bench.control.settings import MODEL_ROWS
-from bench.design.model_limits import FLOORS, _rounded, _tables, gumbel_quantile, make_limits
+from bench.control.settings import MODEL_ROWS, ModelSettings
+from bench.design.model_limits import FLOORS, _rounded, _tables, floor_of, gumbel_quantile, make_limits
 from bench.errors import Refused
 from bench.simulation.series import Bench
 from bench.swing.library import find_profile
@@ -48,7 +48,8 @@ def test_a_limit_is_never_below_its_floor_and_rows_of_few_swings_get_the_widest(
     made[:3, :, MODEL_ROWS["braking_top"]] = 9e9
     tables = _tables(made, "learning_")
     for kind in KINDS:
-        assert tables[kind]["learning_top"] == FLOORS[kind]
+        assert tables[kind]["learning_top"] == floor_of(kind, "learning_top")
+        assert floor_of(kind, "top") == floor_of(kind, "learning_braking_top") == FLOORS[kind]
         assert "learning_braking_top" not in tables[kind]
         assert tables[kind]["learning_impact"] == tables[kind]["learning_hold"]
         assert {f"learning_{row}" for row in REQUIRED} <= tables[kind].keys()
@@ -57,6 +58,13 @@ def test_a_limit_is_never_below_its_floor_and_rows_of_few_swings_get_the_widest(
 
 def test_limits_are_rounded_up() -> None:
     assert _rounded(np.array([12345.0, 0.001, 99.99])) == (12400.0, 0.001, 100.0)
+
+
+def test_a_robot_to_learn_on_is_compared_as_closely_as_a_known_one_at_speed() -> None:
+    assert floor_of("air", "learning_hold") == ModelSettings().air["hold"]
+    assert floor_of("air", "learning_downswing") == FLOORS["air"]
+    assert floor_of("velocity", "learning_impact") == FLOORS["velocity"]
+    assert floor_of("jump", "learning_downswing") == ModelSettings().jump["downswing"]
 
 
 @needs_speed

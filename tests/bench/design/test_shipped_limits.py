@@ -13,9 +13,12 @@ from bench.control.model_limits import ENDING
 from bench.control.settings import build_controller
 from bench.lifecycle import Cause
 from bench.simulation.deviations import healthy_run
+from bench.simulation.series import Bench, Series
 from bench.simulation.variation import healthy_plant
 from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
+from sim.plant import PlantParameters
+from sim.pneumatics import Actuator
 from tests.bench.design.bag_demands import DEMANDS
 from tests.compiled_only import needs_speed
 
@@ -57,3 +60,38 @@ def test_no_healthy_swing_or_stop_is_stopped(name: str) -> None:
         assert run is not None
         assert (run.cause, run.escalated) == (Cause.NONE, ())
         assert run.stops > 5
+
+
+def worn(plant: PlantParameters, signs: tuple[float, float, float], lengths: float) -> PlantParameters:
+    """Return `plant` with valves as months leave them, centres off by `signs`, and `lengths` (m) off."""
+
+    def actuator(a: Actuator, sign: float) -> Actuator:
+        valve = replace(
+            a.valve,
+            dead_band=a.valve.dead_band + 0.012,
+            centre=a.valve.centre + 0.008 * sign,
+            natural_frequency=0.8 * a.valve.natural_frequency,
+        )
+        return replace(a, valve=valve)
+
+    r = plant.robot
+    if lengths:
+        robot = replace(r, l12=r.l12 + lengths, l16=r.l16 - lengths, l23=r.l23 + lengths, l56=r.l56 - lengths)
+        late = replace(plant.encoders, latency=plant.encoders.latency + 6e-4)
+        return replace(plant, robot=robot, wrist_lever=plant.wrist_lever + lengths, encoders=late)
+    a, b, c = (actuator(one, sign) for one, sign in zip(plant.actuators, signs, strict=True))
+    return replace(plant, shoulder=a, right_arm=b, wrist=c)
+
+
+@needs_speed
+@pytest.mark.parametrize(
+    ("signs", "lengths"),
+    [((-1.0, -1.0, -1.0), 0.0), ((1.0, 1.0, 1.0), 0.0), ((-1.0, 1.0, -1.0), 0.0), ((0.0, 0.0, 0.0), 1.5e-3)],
+)
+def test_a_worn_robot_arms_and_swings_while_it_learns(
+    signs: tuple[float, float, float], lengths: float
+) -> None:
+    c, profile = watched("default"), load_profile(find_profile("default"))
+    bench = Bench(c.plant, profile, c.control, c.envelope, c.estimator)
+    series = Series(bench, worn(c.plant, signs, lengths))
+    assert [series.swing(profile).cause for _ in range(2)] == [Cause.NONE] * 2
