@@ -223,16 +223,10 @@ def demo(
 
     Exits with 1 if the test was not completed.
     """
+    from bench.commands.demo.demo import run_demo
+
     configuration = context.ensure_object(Session).configuration()
-    if engine == "bench":
-        from bench.commands.demo.live import run_live_demo
-
-        valid = run_live_demo(configuration, output, swings, seed)
-    else:
-        from bench.commands.demo.lock_step import run_lock_step_demo
-
-        valid = run_lock_step_demo(configuration, output, swings, seed)
-    if not valid:
+    if not run_demo(configuration, output, swings, seed, live=engine == "bench"):
         raise typer.Exit(ExitCode.REFUSED)
 
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import write_campaign_report
@@ -24,20 +23,6 @@ from bench.shot.shot_table import write_shot_table
 from bench.store.campaigns import CampaignStore
 from bench.store.records import CampaignEntry, CampaignState
 from bench.viewer.recording import write_recording
-
-
-class Files(NamedTuple):
-    """Files of a demo."""
-
-    report: Path
-    recording: Path
-    shots: Path
-    swings: Path
-
-    @classmethod
-    def within(cls, folder: Path) -> Files:
-        """Return the files' paths in `folder`."""
-        return cls(folder / "report.html", folder / "demo.rrd", folder / "shots.csv", folder / "swings")
 
 
 class ScreenWatcher(Watcher):
@@ -104,30 +89,26 @@ def write_result(
     store: CampaignStore,
     entry: CampaignEntry,
     outcome: RunOutcome,
-    files: Files,
+    folder: Path,
     c: Configuration,
 ) -> None:
-    """Leave report, recording and table, and show what came of it; after Ctrl-C the table only."""
+    """Leave report, recording and table in `folder`, and show the result; after Ctrl-C the table only."""
     record = load_record(store, entry)
     found = findings(record.plan, record.shots)
-    files = files._replace(swings=c.bench.data_dir / "campaigns" / entry.id / "swings")
+    report, recording, shots = (folder / name for name in ("report.html", "demo.rrd", "shots.csv"))
     if record.shots:
-        write_shot_table(files.shots, record.shots)
+        write_shot_table(shots, record.shots)
     interrupted = outcome.state is CampaignState.STOPPED
     stopped = "Ctrl-C: the robot was brought to rest; no report, no recording"
     if record.shots and not interrupted:
         screen.say("writing the report")
-        write_campaign_report(files.report, record, found)
+        write_campaign_report(report, record, found)
         screen.step()
         screen.say("writing the recording")
         stored = [c.bench.data_dir / one.file for one in store.shots(entry.id) if one.file]
         if stored:
-            write_recording(
-                files.recording,
-                [read_shot(path).record for path in stored],
-                c.plant,
-                files.recording.parent.name,
-            )
+            swung = [read_shot(path).record for path in stored]
+            write_recording(recording, swung, c.plant, folder.name)
         screen.step()
     s = record.plan.simulation
     by_itself = "" if entry.real_time else f"supply pressure {100 * s.supply:g} %, "
@@ -136,5 +117,6 @@ def write_result(
         f"to ball, launch monitor {s.ball_speed:g} m/s, {s.spin_rpm:g} rpm and {s.carry:g} m of carry "
         "(standard deviations)"
     )
-    written = [path for path in files if path.exists()]
+    swings = c.bench.data_dir / "campaigns" / entry.id / "swings"
+    written = [path for path in (report, recording, shots, swings) if path.exists()]
     screen.finish(scatter, entry.seed, written, stopped if interrupted else outcome.reason, found)

@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench.commands.demo.live import demo_configuration
+from bench.commands.demo.demo import demo_configuration
 from bench.commands.demo.result import demo_plan
 from bench.config import load_configuration
 from bench.errors import ExitCode
@@ -89,7 +89,7 @@ def test_control_c_completes_the_swing_and_ends_all_that_was_started(tmp_path: P
 
 def test_the_demo_swings_what_is_configured_on_a_simulated_bench_of_its_own(tmp_path: Path) -> None:
     shipped = load_configuration(Path("shipped"))
-    configuration = demo_configuration(shipped, tmp_path)
+    configuration = demo_configuration(shipped, tmp_path, live=True)
     assert configuration.bench.id != shipped.bench.id
     assert configuration.network.endpoint != shipped.network.endpoint
     assert (configuration.driver.name, configuration.driver.time) == ("sim", "paced")

@@ -15,7 +15,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from bench.cli import main
-from bench.commands.demo.lock_step import run_lock_step_demo
+from bench.commands.demo.demo import run_demo
 from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings
 from bench.errors import BenchError, ExitCode
@@ -98,7 +98,7 @@ def test_the_seed_repeats_the_shots_and_another_one_does_not(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     configuration = load_configuration()
-    assert run_lock_step_demo(configuration, tmp_path / "again", 2, 1)
+    assert run_demo(configuration, tmp_path / "again", 2, 1, live=False)
     again = read_shot_table(tmp_path / "again" / "shots.csv")
     assert _figures(again) == _figures(read_shot_table(folder / "shots.csv"))
     text = " ".join(capsys.readouterr().out.split())
@@ -107,7 +107,7 @@ def test_the_seed_repeats_the_shots_and_another_one_does_not(
     assert "drawn from seed 1: supply pressure" in text
     for name in ("report.html", "demo.rrd", "shots.csv"):
         assert name in text
-    assert run_lock_step_demo(configuration, tmp_path / "other", 2, 2)
+    assert run_demo(configuration, tmp_path / "other", 2, 2, live=False)
     assert _figures(read_shot_table(tmp_path / "other" / "shots.csv")) != _figures(again)
 
 
@@ -160,7 +160,7 @@ def test_a_folder_in_use_is_refused(folder: Path, capsys: pytest.CaptureFixture[
 def test_a_folder_that_cannot_be_made_is_said_so(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BenchError, match=r"--output"):
-        run_lock_step_demo(load_configuration(), tmp_path / "file" / "below", 1, 1)
+        run_demo(load_configuration(), tmp_path / "file" / "below", 1, 1, live=False)
 
 
 @pytest.mark.live

@@ -1,4 +1,4 @@
-"""`golfbench demo`: the shipped test of two balls on a bench that runs for it alone, in real time.
+"""`golfbench demo`: the shipped test of two balls on a bench that runs for it alone, or in lock-step.
 
 The bench is the daemon with the plant in step (`paced`); the campaign swings it over the network as any
 campaign does. Everything that is started here ends here, also after Ctrl-C.
@@ -13,9 +13,9 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from bench.campaign.operate import bench_facts, new_entry, run_live
+from bench.campaign.operate import bench_facts, new_entry, run_live, run_simulated
 from bench.commands.demo.bench_process import BenchPlan
-from bench.commands.demo.result import Files, ScreenWatcher, demo_plan, new_folder, write_result
+from bench.commands.demo.result import ScreenWatcher, demo_plan, new_folder, write_result
 from bench.commands.demo.screen import Screen
 from bench.config import Configuration, database_url
 from bench.interrupt import deferred_interrupt
@@ -32,12 +32,17 @@ _END = 40.0
 """s in which it must have brought the robot to rest."""
 
 
-def demo_configuration(configuration: Configuration, data_dir: Path) -> Configuration:
-    """Return the configuration of a simulated bench of its own, which stays armed from swing to swing."""
-    c = configuration
+def demo_configuration(configuration: Configuration, data_dir: Path, *, live: bool) -> Configuration:
+    """Return `configuration` with files below `data_dir`.
+
+    `live`: of a simulated bench of its own, which stays armed from swing to swing.
+    """
+    c = replace(configuration, bench=replace(configuration.bench, data_dir=data_dir, database=""))
+    if not live:
+        return c
     return replace(
         c,
-        bench=replace(c.bench, id=f"demo-{os.getpid()}", data_dir=data_dir, database=""),
+        bench=replace(c.bench, id=f"demo-{os.getpid()}"),
         driver=replace(c.driver, name="sim", time="paced"),
         network=replace(c.network, endpoint=f"tcp/127.0.0.1:{free_port()}", beyond="", router=""),
         lifecycle=replace(c.lifecycle, series=True, local_reset=False),
@@ -61,11 +66,14 @@ def own_bench(configuration: Configuration, log: Path) -> Iterator[None]:
         child.end(patience)
 
 
-def run_live_demo(configuration: Configuration, output: Path | None, swings: int, seed: int) -> bool:
-    """Start the bench, run the campaign, show and store; return whether it came to its end.
+def run_demo(
+    configuration: Configuration, output: Path | None, swings: int, seed: int, *, live: bool
+) -> bool:
+    """Swing the shipped test of two balls, show and store it; return whether it came to its end.
 
-    After Ctrl-C the swing under way is completed; the shots so far and their table are there, without report
-    and recording.
+    `live`: on a bench that is started for it; else in lock-step in this process, where one seed gives the
+    same shots. After Ctrl-C the swing under way is completed; the shots so far and their table are there,
+    without report and recording.
 
     Raises:
         BenchError: the profile is invalid, `output` cannot be used, or the bench does not start.
@@ -75,25 +83,30 @@ def run_live_demo(configuration: Configuration, output: Path | None, swings: int
     begin = datetime.now(UTC)
     demo_plan(configuration, swings, seed)  # refused before anything is written
     folder = new_folder(output, configuration, begin)
-    c = demo_configuration(configuration, folder / "bench")
+    c = demo_configuration(configuration, folder / "bench", live=live)
     plan = demo_plan(c, swings, seed)
     d = plan.design
-    title = f"{d.clubs[0]}, profile {d.swings[0]}, balls {' and '.join(d.balls)}"
-    shots = len(plan.design.balls) * plan.design.blocks
+    shots = len(d.balls) * d.blocks
+    title = f"{shots} {'swings in real time' if live else 'simulated swings'}: {d.clubs[0]}"
+    title += f", profile {d.swings[0]}, balls {' and '.join(d.balls)}"
     with ExitStack() as stack:
-        screen = stack.enter_context(Screen(f"{shots} swings in real time: {title}", shots))
+        screen = stack.enter_context(Screen(title, shots))
         store = CampaignStore(stack.enter_context(open_database(database_url("", c.bench.data_dir))))
-        screen.say("starting the bench")
         running = stack.enter_context(ExitStack())
-        running.enter_context(own_bench(c, folder / "bench.log"))
+        if live:
+            screen.say("starting the bench")
+            running.enter_context(own_bench(c, folder / "bench.log"))
         with deferred_interrupt() as asked:
-            with BenchClient.connect(c) as client:
-                facts = bench_facts(plan, c, client.status())
+            facts = None
+            if live:
+                with BenchClient.connect(c) as client:
+                    facts = bench_facts(plan, c, client.status())
             entry = new_entry(plan, c, begin, simulated=True, real_time=facts)
             store.begin(entry)
-            screen.say("arming")
-            outcome = run_live(entry, c, store, ScreenWatcher(screen), asked.is_made)
+            screen.say("arming" if live else "swinging")
+            run = run_live if live else run_simulated
+            outcome = run(entry, c, store, ScreenWatcher(screen), asked.is_made)
             screen.say("bringing the robot to rest")
             running.close()
-            write_result(screen, store, entry, outcome, Files.within(folder), c)
+            write_result(screen, store, entry, outcome, folder, c)
     return outcome.state is CampaignState.FINISHED
