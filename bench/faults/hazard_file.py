@@ -171,7 +171,7 @@ def _claims(
 
 
 def _figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return what the matrix's `rows` of a failure tell."""
+    """Return the figures in the matrix's `rows` of a failure."""
     verdicts: Counter[str] = Counter()
     for row in rows:
         verdicts.update(row["verdicts"])

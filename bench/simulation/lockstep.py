@@ -61,7 +61,7 @@ def run(
     With `faults` (Faults) between plant and step `robot` and `plant` may break, too, and a tick without the
     loop leaves a record of zeros except for the plant's truth. `largest` notes deviations wherever the
     model-based check compares them. `openings` (n, 3) are applied in place of the step's, and `acceleration`
-    (n, 3) gets the estimated accelerations, rad/s2. Each is None where it is not wanted.
+    (n, 3) gets the estimated accelerations, rad/s2. Each may be None.
     """
     period = plant[0].tick
     for k in range(len(requests)):
