@@ -197,7 +197,7 @@ def test_a_key_that_is_renamed_keeps_its_name_in_files(
     assert "wrist_lever = " in text
     file.write_text(text.replace("wrist_lever = ", "wrist_radius = "))
     assert limits_in_use(ModelSettings(), made_for(default_profile), [file]).stale
-    monkeypatch.setitem(NAMES_IN_FILES, "wrist_lever", "wrist_radius")  # type: ignore[arg-type]
+    monkeypatch.setitem(NAMES_IN_FILES, "wrist_lever", "wrist_radius")
     assert not limits_in_use(ModelSettings(), made_for(default_profile), [file]).stale
 
 
