@@ -29,16 +29,6 @@ HeadInertia = Annotated[float, Range(1e-5, 2e-3, "kg m2")]
 FaceRadius = Annotated[float, Range(0.05, 1e6, "m")]
 
 
-ADDED_TO_CLUBS = {
-    "restitution_slope": 0.0,
-    "tangential_stiffness": 0.0,
-    "tangential_loss": 0.0,
-    "friction_factor": 1.0,
-    "tee_shift": 0.0,
-}
-"""Fields of clubs that are younger than limits and records in use, with the values that change nothing."""
-
-
 @dataclass(frozen=True, slots=False)
 class Club:
     """A golf club in the robot's mount; the head is a point mass to the robot, a rigid body to the ball.

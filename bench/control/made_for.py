@@ -151,4 +151,4 @@ def _alike(made: Any, here: Any, share: float, least: float) -> bool:
 
 
 def _short(value: Any) -> str:
-    return "nothing" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else "nothing" if value in (None, "") else str(value)

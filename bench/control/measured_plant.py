@@ -17,12 +17,13 @@ _FARTHEST = 3.0
 def measured_as(plant: PlantParameters, errors: Mapping[str, float], seed: int) -> PlantParameters:
     """Return a robot, drawn with `seed`, that could have been measured as `plant` with standard `errors`.
 
-    A value keeps its sign.
+    The two areas of an actuator are off alike, as one scale gives both. A value keeps its sign.
     """
-    random, values = np.random.default_rng([seed, 5]), dict[str, float]()
+    random, off, values = np.random.default_rng([seed, 5]), dict[str, float](), dict[str, float]()
     for key, error in errors.items():
+        by = float(np.clip(random.standard_normal(), -_FARTHEST, _FARTHEST))
         value = float(value_at(plant, key))
-        drawn = value + error * float(np.clip(random.standard_normal(), -_FARTHEST, _FARTHEST))
+        drawn = value + error * off.setdefault(key.replace("area_b", "area_a"), by)
         values[key] = drawn if value * drawn >= 0.0 else value
     return with_values(plant, values)
 

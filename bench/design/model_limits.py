@@ -28,7 +28,6 @@ from bench.simulation.series import Bench
 from bench.simulation.sweep import Engine, Study, sweep
 from bench.simulation.variation import healthy_plant, unknown_plant
 from bench.swing.correction import basis_of
-from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
 
@@ -121,7 +120,8 @@ class DrawnRobots:
 
         def run(seed: int) -> HealthyRun | None:
             swung = _with_drawn_correction(bench, parameters, seed) if self.unknown else parameters
-            return healthy_run(drawn(_measured(bench, seed), seed), swung, bench.profile, seed)
+            like = measured_as(bench.model, bench.envelope.model.standard_errors, seed)
+            return healthy_run(drawn(like, seed), swung, bench.profile, seed)
 
         return run
 
@@ -141,11 +141,6 @@ def _drawn(
 
         runs += [run for run in sweep(study, seeds, engine, progress=report) if run is not None]
     return runs
-
-
-def _measured(bench: Bench, seed: int) -> PlantParameters:
-    """Return a robot that could have been measured as the model."""
-    return measured_as(bench.model, bench.envelope.model.standard_errors, seed)
 
 
 def _unlimited(bench: Bench) -> ControlParameters:

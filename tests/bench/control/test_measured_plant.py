@@ -25,5 +25,12 @@ def test_a_robot_is_drawn_within_its_standard_errors_and_keeps_the_rest() -> Non
     assert measured_as(PLANT, ERRORS, 7) == measured_as(PLANT, ERRORS, 7)
 
 
+def test_the_areas_of_an_actuator_are_off_alike() -> None:
+    errors = {"wrist.area_a": 0.02 * PLANT.wrist.area_a, "wrist.area_b": 0.02 * PLANT.wrist.area_b}
+    for seed in range(20):
+        drawn = measured_as(PLANT, errors, seed).wrist
+        assert drawn.area_a / drawn.area_b == pytest.approx(PLANT.wrist.area_a / PLANT.wrist.area_b)
+
+
 def test_a_robot_without_standard_errors_is_as_measured() -> None:
     assert measured_as(PLANT, {}, 7) == PLANT
