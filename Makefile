@@ -26,7 +26,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # Files stay whole: their module-wide fixtures are made once.
 PARALLEL := -n 2 --dist loadfile --max-worker-restart 0
 
-test: $(VENV)/.dev  ## lint, types, import contracts, branches of the safety code, fast tests (five minutes)
+test: $(VENV)/.dev  ## lint, types, import contracts, branches of the safety code, fast tests (twenty minutes)
 	@$(MAKE) --no-print-directory -j3 lint fast
 
 # Files in their order: those with few tests take longest, and would else come last and alone.

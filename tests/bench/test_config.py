@@ -276,7 +276,7 @@ def test_every_number_refuses_nan(overlay: Overlay) -> None:
     check_each(overlay, bad)
 
 
-@pytest.mark.slow  # nan, which fails every comparison, stands for them in the fast tests
+@pytest.mark.release  # nan, which fails every comparison, stands for them in the fast tests
 @pytest.mark.parametrize("other", ["inf", "-inf", "true"])
 def test_every_number_refuses_infinity_and_true(other: str, overlay: Overlay) -> None:
     def bad(value: Any) -> str | None:
@@ -287,7 +287,7 @@ def test_every_number_refuses_infinity_and_true(other: str, overlay: Overlay) ->
     check_each(overlay, bad)
 
 
-@pytest.mark.parametrize("value", [pytest.param("-1e30", marks=pytest.mark.slow), "1e30"])
+@pytest.mark.parametrize("value", [pytest.param("-1e30", marks=pytest.mark.release), "1e30"])
 def test_every_physical_value_has_a_range(value: str, overlay: Overlay) -> None:
     settings_of_control = {"control", "lifecycle", "homing", "estimator", "envelope"}
     physical = [k for k, v in LEAVES if isinstance(v, float) and k[0] not in settings_of_control]

@@ -82,7 +82,7 @@ def test_the_points_of_an_indoor_range_do(tmp_path: Path) -> None:
     assert (values.drag_factor, values.lift_factor) == pytest.approx((DRAG, LIFT), abs=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("common", [NONE, replace(NONE, speed=0.2, launch_angle=0.002, carry=0.5)])
 def test_the_standard_errors_cover_the_truth_in_19_of_20(common: FlightUncertainty) -> None:
     off = []

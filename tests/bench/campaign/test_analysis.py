@@ -215,7 +215,7 @@ def test_verdicts_keep_their_promise(case: Case) -> None:
         assert row.holds, row
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_error_rates_coverage_and_power_on_known_truth() -> None:
     """The full check with 10,000 campaigns a case: `python -m tests.benchmarks campaign_statistics`."""
     for row in survey(300):

@@ -857,6 +857,7 @@ class Listening(Watcher):
 
 @pytest.mark.live
 @pytest.mark.paced
+@pytest.mark.release
 @pytest.mark.timeout(400)
 def test_a_swing_is_relearned_on_the_bench_without_a_ball(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

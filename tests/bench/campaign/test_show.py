@@ -8,7 +8,7 @@ import pytest
 
 from tests.benchmarks.campaign_show import rows_of, show
 
-pytestmark = [pytest.mark.live, pytest.mark.paced]
+pytestmark = [pytest.mark.live, pytest.mark.paced, pytest.mark.release]
 
 
 @pytest.mark.timeout(900)  # the first start compiles

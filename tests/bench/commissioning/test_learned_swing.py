@@ -48,6 +48,7 @@ def test_a_mark_is_read_to_half_a_millimetre() -> None:
 
 
 @compiled_only
+@pytest.mark.release
 @pytest.mark.timeout(600)
 def test_marks_find_what_unmeasured_lengths_do_to_the_strike(
     tmp_path: Path, configuration: Configuration

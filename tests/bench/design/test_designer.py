@@ -53,6 +53,7 @@ from sim.kinematics import forward_kinematics, head_motion, right_arm_length
 from sim.motion import STATES as PLANT_STATES
 from sim.motion import _derivative
 from sim.plant import PlantParameters, build_plant
+from tests.sampling import release_except
 
 SHIPPED = (
     ("default", "shipped", 43.2),
@@ -78,6 +79,7 @@ SHIPPED = (
     ("tour-male-full", "golfers", 51.41),
 )
 """Name, for which configuration, and head speed (m/s) demanded."""
+SAMPLE = {"default", "driver-130mph", "tour-male-full"}
 RISING = dict.fromkeys(
     (
         *("default", "driver-85mph", "driver-90mph", "driver-100mph", "driver-115mph", "driver-130mph"),
@@ -193,7 +195,7 @@ def test_a_ball_on_turf_that_the_arms_do_not_reach_is_refused() -> None:
         address_pose(far, SwingDemand())
 
 
-@pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
+@pytest.mark.parametrize(("name", "variant", "speed"), release_except(SAMPLE, SHIPPED))
 def test_a_shipped_design_delivers_in_closed_loop(name: str, variant: str, speed: float) -> None:
     bench = _bench(name, variant)
     result, told = simulate_swing(bench), bench.profile.delivery
@@ -210,7 +212,7 @@ def test_a_shipped_design_delivers_in_closed_loop(name: str, variant: str, speed
     assert limits["greatest_opening"] == 0.85
 
 
-@pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
+@pytest.mark.parametrize(("name", "variant", "speed"), release_except(SAMPLE, SHIPPED))
 def test_a_shipped_design_survives_a_missed_ball(name: str, variant: str, speed: float) -> None:
     bench = _bench(name, variant)
     (missed,) = simulate_swings(bench, [None])

@@ -53,6 +53,7 @@ def mean_of_first(problem: LearningProblem) -> float:
     return float(np.abs((figures - problem.target.array) / Tolerance().scale(problem.target)).max())
 
 
+@pytest.mark.release
 def test_the_first_swings_are_near_with_what_identification_left_over(
     problem: LearningProblem, recorded: list[Recorded]
 ) -> None:

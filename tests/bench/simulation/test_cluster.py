@@ -54,6 +54,7 @@ def test_workers_that_are_killed_cost_no_result_and_double_none(tmp_path: Path) 
 
 
 @pytest.mark.live
+@pytest.mark.release
 @pytest.mark.timeout(300)
 def test_a_lost_scheduler_ends_the_sweep_and_another_one_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
