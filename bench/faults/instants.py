@@ -38,6 +38,11 @@ ACCESS = (Instant("access", 0, "before"), Instant("access", 0, "inside"))
 """The fault comes while the robot is armed, before it vents for access; or when the guard is released."""
 
 
+def phase_name(phase: Phase) -> str:
+    """Return the name of `phase` in matrices."""
+    return phase.name.lower().replace("_", "-")
+
+
 def _spans(profile: Profile) -> dict[Phase, tuple[int, int]]:
     ends = (*profile.begins[1:], len(profile.angle))
     return dict(zip(SWING_PHASES, zip(profile.begins, ends, strict=True), strict=True))
@@ -46,7 +51,7 @@ def _spans(profile: Profile) -> dict[Phase, tuple[int, int]]:
 def dense_instants(profile: Profile) -> tuple[Instant, ...]:
     """Return instants 12 ms apart from downswing to follow-through, where stops are hit."""
     return tuple(
-        Instant(phase.name.lower().replace("_", "-"), tick, f"at {tick} ms")
+        Instant(phase_name(phase), tick, f"at {tick} ms")
         for phase, (begin, end) in _spans(profile).items()
         if Phase.DOWNSWING <= phase <= Phase.FOLLOW_THROUGH
         for tick in range(begin + (-begin) % _DENSE, end, _DENSE)
@@ -70,7 +75,7 @@ def instants_of(profile: Profile) -> tuple[Instant, ...]:
 
     def at(phase: Phase, *shares: float) -> list[Instant]:
         begin, end = spans[phase]
-        name = phase.name.lower().replace("_", "-")
+        name = phase_name(phase)
         return [Instant(name, begin + round(s * (end - 1 - begin)), f"{100 * s:.0f} %") for s in shares]
 
     return (

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.faults.catalogue import FAMILIES
+from bench.faults.instants import phase_name
 from bench.faults.matrix import Skipped
 from bench.faults.verdict import CaseOutcome
 from bench.lifecycle import Phase
@@ -17,7 +18,7 @@ from sim.faults import MEANINGS, sort_of
 SCHEMA_VERSION = 3
 VERDICTS = ("irrelevant", "harmless", "safe", "undetected", "unsafe")
 """From best to worst."""
-PHASES = ("start", "access", *(phase.name.lower().replace("_", "-") for phase in Phase))
+PHASES = ("start", "access", *map(phase_name, Phase))
 
 
 def summarise(
