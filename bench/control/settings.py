@@ -622,7 +622,6 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
         "max_opening",
         "max_gap",
         "min_supply_pressure",
-        "max_supply_pressure",
         "min_lever",
         "stop_deceleration",
         "stop_speed",
@@ -633,8 +632,7 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
     ):
         record[name] = getattr(settings, name)
     # Above it the relief valve opens, and hides a regulator that fails.
-    highest = min(settings.max_supply_pressure, plant.supply.manifold_relief_pressure)
-    record["max_supply_pressure"] = highest
+    record["max_supply_pressure"] = min(settings.max_supply_pressure, plant.supply.manifold_relief_pressure)
     record["ball_clearance"] = settings.clearance_by_ball(plant.site)
     record["ground"], record["sole_depth"] = plant.site.ground, plant.site.sole_depth
     record["ball_x"], record["lever_angle"] = profile.ball[0], plant.wrist_lever_angle
