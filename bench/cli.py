@@ -304,14 +304,15 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
     """Return the messages for `error`, of a group those of its errors and its own, and the exit code."""
     from drivers.base import DriverError
 
+    for_programs = os.environ.get(FOR_PROGRAMS) == "json"
     match error:
         case ExceptionGroup():
             parts = [explain(part) for part in error.exceptions]
             all_texts = [text for texts, _ in parts for text in texts]
-            if os.environ.get(FOR_PROGRAMS) != "json":
+            if not for_programs:
                 all_texts.append(f"{len(parts)} error{'s' * (len(parts) > 1)}: {error.message}")
             return all_texts, max(code for _, code in parts)
-        case BenchError() if os.environ.get(FOR_PROGRAMS) == "json":
+        case BenchError() if for_programs:
             return [json.dumps(error.record())], error.exit_code
         case BenchError():
             lines = (f"error: {error.place}", f"  found:    {error.found}", f"  expected: {error.expected}")

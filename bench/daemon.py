@@ -278,8 +278,7 @@ class Daemon:
         `ready` is called once commands are answered, and recorder and publisher work or are in trouble.
 
         Raises:
-            BenchError: a process did not start, or the loop died (LoopDied).
-            DriverError: the plant did not start.
+            BenchError: a process did not start, the plant's too, or the loop died (LoopDied).
         """
         c = self.configuration
         with ExitStack() as stack:
