@@ -291,13 +291,12 @@ def _search(
         while better:
             better = False
             for tried in _neighbours(found, step):
-                if tried == found:
+                stiffer = _stiffness(tried) > 1.001 * _stiffness(found)
+                if tried == found or (worst.share >= _KEPT and not stiffer):
                     continue
                 reached = _worst(poses, estimator, tried, opened, period, at_least=min(worst.share, _KEPT))
                 nearer = worst.share < _KEPT and reached.share > worst.share
-                if nearer or (
-                    min(reached.share, worst.share) >= _KEPT and _stiffness(tried) > 1.001 * _stiffness(found)
-                ):
+                if nearer or (stiffer and min(reached.share, worst.share) >= _KEPT):
                     found, worst, better = tried, reached, True
     return found, worst
 

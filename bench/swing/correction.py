@@ -8,7 +8,6 @@ from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from bench.errors import BenchError
 from bench.swing.profile import Profile
@@ -109,6 +108,8 @@ def basis_of(profile: Profile, valve_spacing: float = 0.025, angle_spacing: floa
 
 def _splines(profile: Profile, first: int, last: int, spacing: int) -> tuple[Array, Array]:
     """Return cubic B-splines with centres from sample `first` to `last`, and their slopes (1/s)."""
+    from scipy.interpolate import BSpline  # here, for it takes long to import and few processes learn
+
     element = BSpline.basis_element(np.arange(-2.0, 3.0) * spacing, extrapolate=False)
     away = np.arange(len(profile.angle)) - np.arange(first, last + 1, spacing)[:, None]
     # A spline's peak is 2/3.

@@ -78,7 +78,7 @@ def decode_table(content: bytes, blind_spacing: int) -> dict[str, Array]:
     from pyarrow import parquet
 
     try:
-        found = parquet.read_table(BytesIO(content), use_threads=False)
+        found = parquet.ParquetFile(BytesIO(content)).read(use_threads=False)
     except (pa.ArrowException, OSError) as error:
         raise ValueError(f"no Parquet file: {error}") from None
     tables = {}
@@ -120,7 +120,11 @@ def _numbers(column: pa.ChunkedArray, name: str) -> Array:
     array = column.combine_chunks()
     if isinstance(array, pa.ChunkedArray):
         array = pa.concat_arrays(array.chunks)
-    words = np.frombuffer(array.buffers()[1], dtype=np.int64)
-    low = words.reshape(-1, 2)[array.offset : array.offset + len(array), 0]
-    valid = ~np.asarray(array.is_null())
-    return np.where(valid, low / 10**column.type.scale, -0.0)
+    bits, words = array.buffers()  # read here: pyarrow would import pandas first
+    within = slice(array.offset, array.offset + len(array))
+    low = np.frombuffer(words, dtype=np.int64).reshape(-1, 2)[within, 0]
+    numbers = low / 10**column.type.scale
+    if bits is None:
+        return numbers
+    valid = np.unpackbits(np.frombuffer(bits, dtype=np.uint8), bitorder="little")[within]
+    return np.where(valid == 1, numbers, -0.0)
