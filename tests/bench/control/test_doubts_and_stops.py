@@ -11,10 +11,10 @@ from tests.bench.control.puppet import ATMOSPHERE
 
 
 def test_a_reset_leaves_a_doubt_about_an_encoder_until_the_air_is_out() -> None:
-    puppet = reach(State.ARMED, vent_time=0.8, vented_still=0.05, vented_blind=0.4)
+    puppet = reach(State.ARMED, vent_time=1.2, vented_still=0.05, vented_blind=0.4)
     puppet.give(chamber_pressure=(6e5,) * 6)
     puppet.give(encoder_valid=(0, 1, 1)).run(30)
-    puppet.give(encoder_valid=1).run(400)
+    puppet.give(encoder_valid=1).run(900)
     assert puppet.bench is State.FAULT
     assert puppet.control["distrusted"]
     press(puppet)
