@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import pytest
 
 
-def release_except(sample: Collection[Any], cases: Iterable[Any]) -> list[Any]:
-    """Return `cases` for parametrize, marked `release` where their (first) value is not in `sample`.
+def release_except(
+    sample: Collection[Any], cases: Iterable[Any], name: Callable[[Any], Any] = lambda value: value
+) -> list[Any]:
+    """Return `cases` for parametrize, marked `release` where the `name` of their first value is none of `sample`.
 
     Raises:
         ValueError: a value of `sample` is not among the cases.
@@ -17,8 +19,8 @@ def release_except(sample: Collection[Any], cases: Iterable[Any]) -> list[Any]:
     missing, marked = set(sample), []
     for case in cases:
         values = case if isinstance(case, tuple) else (case,)
-        missing.discard(values[0])
-        marked.append(pytest.param(*values, marks=() if values[0] in sample else pytest.mark.release))
+        missing.discard(named := name(values[0]))
+        marked.append(pytest.param(*values, marks=() if named in sample else pytest.mark.release))
     if missing:
         raise ValueError(f"not among the cases: {sorted(map(str, missing))}")
     return marked

@@ -105,6 +105,7 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
         plant.close()
 
 
+@pytest.mark.release
 def test_a_replaced_node_that_stores_for_seconds_is_taken_by_a_reset(tmp_path: Path) -> None:
     file = patient_configuration(tmp_path, "store", SLOW_MOVES)
     with ExitStack() as first:
@@ -127,6 +128,7 @@ def said(file: Path, *arguments: str) -> tuple[int, str]:
     return process.returncode, told
 
 
+@pytest.mark.release
 @pytest.mark.timeout(600)
 def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp_path: Path) -> None:
     file = patient_configuration(tmp_path, "preset", SLOW_MOVES)
@@ -205,6 +207,7 @@ def swing_undisturbed(bench: BenchProcess) -> tuple[np.ndarray[Any, Any], dict[s
                 raise
 
 
+@pytest.mark.release
 @pytest.mark.timeout(600)
 def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) -> None:
     """Encoders reversed and scaled, inputs and outputs inverted; a scan beside the running bench."""
@@ -222,6 +225,7 @@ def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) ->
     assert 40.0 < speed < 46.0
 
 
+@pytest.mark.release
 @pytest.mark.timeout(600)
 def test_the_robot_behind_the_bus_is_commissioned(tmp_path: Path) -> None:
     """It is measured at the pressure to which its regulator is turned, homed, armed and swung."""

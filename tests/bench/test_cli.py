@@ -26,6 +26,7 @@ from bench.lifecycle import State
 from bench.network.free_port import free_port
 from drivers.base import DriverError
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
+from tests.sampling import release_except
 
 TOP = Path(__file__).resolve().parents[2]
 HEAVY = (
@@ -101,9 +102,8 @@ NO_CLIENTS = frozenset(
 """Packages that a command of a running bench does without: who stops a robot does not wait for them."""
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
+COMMANDS = (
+    *(
         "stop",
         "estop",
         "status",
@@ -115,14 +115,12 @@ NO_CLIENTS = frozenset(
         "access --end",
         "tee",
         "reset",
-        "swing",
-        "swing --no-wait",
-        "lease take",
-        "lease renew",
-        "lease release",
-        "lease show",
-    ],
+    ),
+    *("swing", "swing --no-wait", "lease take", "lease renew", "lease release", "lease show"),
 )
+
+
+@pytest.mark.parametrize("command", release_except({"stop", "status", "swing", "lease take"}, COMMANDS))
 def test_a_command_of_a_running_bench_loads_no_model(command: str, tmp_path: Path) -> None:
     """With a bench that answers everything and swings at once."""
     code = (

@@ -79,6 +79,7 @@ def test_a_plant_on_its_own_clock_breaks_where_a_joint_passes(tmp_path: Path) ->
         assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
 
 
+@pytest.mark.release
 def test_nodes_that_break_are_noticed_over_the_bus(tmp_path: Path) -> None:
     file = write_configuration(
         tmp_path,

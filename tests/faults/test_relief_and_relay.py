@@ -53,6 +53,7 @@ def highest_supply(workbench: Workbench) -> float:
     return max(shown)
 
 
+@pytest.mark.release
 @pytest.mark.parametrize("name", ["workbench", "high_speed"])
 def test_no_healthy_swing_comes_near_the_manifolds_relief(name: str, request: pytest.FixtureRequest) -> None:
     """Limits that were made without that valve hold with it."""

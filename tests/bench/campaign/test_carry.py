@@ -35,6 +35,8 @@ from sim.ball import REFERENCE_BALL, Ball
 from sim.flight import fly
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 AROUND = FlightConditions()
 LAUNCH = Launch(63.0, 0.2, 0.01, 2800 * pi / 30, 0.02)
 NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)

@@ -24,6 +24,8 @@ from bench.store.records import CampaignState, Event, ShotExclusion
 from tests.bench.campaign.test_campaign_report import NOW, _record
 from tests.benchmarks.campaign_statistics import Truth
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 LATER = NOW + timedelta(days=3)
 
 

@@ -147,6 +147,7 @@ def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> 
         assert store.entries()[0][1].state is CampaignState.SUSPENDED
 
 
+@pytest.mark.release
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(400)
@@ -623,6 +624,7 @@ duration = 45.0
 """
 
 
+@pytest.mark.release
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(400)
@@ -688,6 +690,7 @@ def call(file: Path, *arguments: str | Path) -> tuple[int, str]:
         return process.returncode, output
 
 
+@pytest.mark.release
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(400)

@@ -16,6 +16,8 @@ from bench.campaign.reader_units import UnitSystem, display_unit, number_text, t
 from tests.bench.campaign.test_campaign_report import _record, _words
 from tests.benchmarks.campaign_statistics import Truth
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 SI_ONLY = re.compile(r"\d (?:m|m/s|mm|°C|hPa|g)\b(?!²)")
 US_ONLY = re.compile(r"\d (?:yd|mph|in|°F|inHg|oz)\b")
 

@@ -23,6 +23,8 @@ from bench.store.records import CampaignRun, CampaignState, Event
 from tests.bench.campaign.test_campaign_report import NOW, _record, _words
 from tests.benchmarks.campaign_statistics import Truth
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 PLAN = """
 [campaign]
 name = "signed"

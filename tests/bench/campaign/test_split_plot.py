@@ -35,6 +35,8 @@ from bench.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignState, Standing
 from tests.bench.campaign.known_truth import Known, cases, drawn
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 SHIPPED = load_configuration(Path("shipped"))
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 BALLS = {"tour": 0.0, "range": 7.0}

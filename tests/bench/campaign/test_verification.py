@@ -22,6 +22,8 @@ from tests.bench.campaign.test_campaign_report import NOW, _record
 from tests.benchmarks.campaign_statistics import Truth
 from tests.sampling import release_except
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 @pytest.fixture(scope="module")
 def record() -> CampaignRecord:

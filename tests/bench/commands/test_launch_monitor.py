@@ -188,6 +188,7 @@ def test_what_monitors_do_wrong_is_told_and_survived(tmp_path: Path) -> None:
         assert bench.end() == 0
 
 
+@pytest.mark.release
 def test_a_port_that_is_taken_is_told_and_had_later(tmp_path: Path) -> None:
     file, port = configuration(tmp_path, "taken")
     with socket.create_server(("127.0.0.1", port)) as other:

@@ -27,6 +27,7 @@ def test_the_shipped_robot_keeps_its_limits(configuration: Configuration, defaul
     }
 
 
+@pytest.mark.release
 @compiled_only
 def test_a_robot_that_lags_gets_room_and_is_not_stopped(
     configuration: Configuration, default: Profile

@@ -81,6 +81,7 @@ def test_a_slower_swing_comes_as_fast_as_its_share(
         require_as_predicted(deviation(bench, predicted, other), other.cause, "swing of 50 %")
 
 
+@pytest.mark.release
 @compiled_only
 def test_a_slow_swing_that_its_prediction_stops_is_designed(
     monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile

@@ -28,6 +28,7 @@ from sim.plant import PlantParameters, build_plant
 from sim.pneumatics import flow
 from tests.bench.commissioning.drawn_robots import drawn_robot
 from tests.bench.control.puppet import QUICK, STILL, Puppet
+from tests.sampling import release_except
 
 Array = np.ndarray[Any, Any]
 
@@ -313,7 +314,7 @@ def test_a_dead_band_is_made_up_for_once(*, planned: bool) -> None:
 
 
 @compiled_only
-@pytest.mark.parametrize("seed", [1000001, 1000002, 1000003, 1000006])
+@pytest.mark.parametrize("seed", release_except({1000002}, [1000001, 1000002, 1000003, 1000006]))
 def test_a_soft_shoulder_comes_to_its_address(seed: int) -> None:
     """A small vane with low pressure and large dead bands slipped to and fro by 0.1 rad until it was late.
 
@@ -392,9 +393,9 @@ def machine(profile: Profile, **valve: float) -> tuple[PlantParameters, Profile]
     "valve",
     [
         {"centre": 0.03},
-        {"centre": -0.03, "dead_band": 0.01},
-        {"natural_frequency": 2.0 * np.pi * 60.0, "dead_band": 0.05},
-        {"leakage": 0.005, "natural_frequency": 2.0 * np.pi * 150.0},
+        pytest.param({"centre": -0.03, "dead_band": 0.01}, marks=pytest.mark.release),
+        pytest.param({"natural_frequency": 2.0 * np.pi * 60.0, "dead_band": 0.05}, marks=pytest.mark.release),
+        pytest.param({"leakage": 0.005, "natural_frequency": 2.0 * np.pi * 150.0}, marks=pytest.mark.release),
     ],
     ids=["off centre", "off centre, hardly a dead band", "slow spools", "leaking"],
 )
@@ -409,6 +410,7 @@ def test_known_valves_bring_the_air_in_time(valve: dict[str, float], profile: Pr
     assert np.abs(deviation(bench, planned)).max() < 1.6 * TOLERANCE
 
 
+@pytest.mark.release
 @compiled_only
 def test_a_joint_that_sticks_and_slips_comes_to_rest_and_stays(profile: Profile) -> None:
     """A shoulder with much friction, little area, and a plan far from what its spool swings to.

@@ -75,6 +75,7 @@ def test_every_pose_keeps_its_margins(name: str) -> None:
     assert np.quantile(shares, 0.1) >= 1.0
 
 
+@pytest.mark.release
 def test_a_machine_that_forbids_the_margins_is_named() -> None:
     late = replace(
         with_valves(SHIPPED, natural_frequency=0.4), encoders=replace(SHIPPED.encoders, latency=0.003)

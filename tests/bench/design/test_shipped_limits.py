@@ -50,6 +50,7 @@ def test_shipped_limits_are_not_stale(name: str) -> None:
     assert found.source.endswith(f"{name}{ENDING}")
 
 
+@pytest.mark.release
 @needs_speed
 @pytest.mark.parametrize("name", WITH_LIMITS[:1])
 def test_no_healthy_swing_or_stop_is_stopped(name: str) -> None:

@@ -63,6 +63,7 @@ def test_what_strays_is_told_by_joint_and_phase(bench: Bench) -> None:
     assert strayed(cycles, bench.profile, bench.envelope) == (0, Phase.DOWNSWING)
 
 
+@pytest.mark.release
 @compiled_only
 def test_the_model_tracks_where_pids_alone_do_not(bench: Bench) -> None:
     told: list[str] = []

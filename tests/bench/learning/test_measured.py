@@ -116,6 +116,7 @@ def test_a_ball_nearer_than_it_should_be_does_not_slow_the_club(
     assert np.abs(speeds / _true_speed(motion, plant) - 1).max() < 2e-3
 
 
+@pytest.mark.release
 def test_robots_whose_arm_lets_go_at_another_instant_are_measured_as_well() -> None:
     profile = load_profile(find_profile("default"))
     bench = Bench(PlantParameters(), profile)

@@ -59,6 +59,7 @@ def hear_shots(bench: BenchProcess, ended: threading.Event, into: list[ShotMessa
                 into.append(message)
 
 
+@pytest.mark.release
 def test_club_data_come_from_the_launch_monitor_and_else_from_the_encoders(
     tmp_path: Path,
 ) -> None:
@@ -88,6 +89,7 @@ def test_club_data_come_from_the_launch_monitor_and_else_from_the_encoders(
     assert said.count("no launch monitor data for this swing") == 1
 
 
+@pytest.mark.release
 def test_a_mark_tells_where_the_ball_was_struck_and_a_wrong_one_is_asked_for_again(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "marked-lesson")
     with running_bench(file):

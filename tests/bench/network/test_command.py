@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.errors import BenchError
@@ -212,6 +212,7 @@ def test_what_is_taken_has_the_form(verb: str, message: dict[str, Any]) -> None:
         assert set(needed) <= message.keys() <= {*needed, *allowed}
 
 
+@settings(max_examples=30)
 @given(
     st.builds(
         CommandAnswer,

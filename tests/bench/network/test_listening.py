@@ -87,6 +87,7 @@ def test_a_running_bench_with_a_viewer_is_seen_on_this_machine_only(tmp_path: Pa
         assert not beyond({address for address, _ in found.listening} | found.others)
 
 
+@pytest.mark.release
 def test_a_networked_bench_listens_at_one_more_place(tmp_path: Path) -> None:
     folder, port = Folder(tmp_path / "certificates"), free_port()
     identity = folder.add("bench1")

@@ -152,6 +152,7 @@ def test_it_is_readable_in_both_themes_and_on_a_phone(browser: Any, page: Runnin
             assert tab.page.evaluate("() => document.activeElement.id") == "stop"
 
 
+@pytest.mark.release
 def test_a_swing_by_clicks_on_a_running_bench(browser: Any, tmp_path: Path) -> None:
     file, port = write_configuration(tmp_path, "page"), free_port()
     with running_bench(file) as bench, command_beside(file, "page", "--port", str(port)) as process:

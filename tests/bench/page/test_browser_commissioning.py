@@ -28,6 +28,7 @@ STEP = 600_000.0
 WRONG = '[faults.vents]\nsignal = "vents"\nkind = "stuck"\nvalue = 1.0\n'
 
 
+@pytest.mark.release
 def test_a_wrong_machine_is_named_repaired_and_measured(browser: Any, tmp_path: Path) -> None:
     tokens, file, port = write_day(tmp_path), write_configuration(tmp_path, "first"), free_port()
     robots = tmp_path / "data" / "robots"

@@ -37,6 +37,7 @@ def test_a_cluster_gives_the_results_of_one_process() -> None:
             sweep(Draws(refused=3), CASES, engine)
 
 
+@pytest.mark.release
 @pytest.mark.live
 @pytest.mark.timeout(300)
 def test_workers_that_are_killed_cost_no_result_and_double_none(tmp_path: Path) -> None:
@@ -77,6 +78,7 @@ def test_a_lost_scheduler_ends_the_sweep_and_another_one_goes_on(tmp_path: Path)
     assert found == sweep(Draws(), CASES, InProcess())
 
 
+@pytest.mark.release
 @pytest.mark.live
 def test_the_clusters_links_are_encrypted_with_our_certificates(tmp_path: Path) -> None:
     now = datetime.now(UTC)
@@ -99,6 +101,7 @@ def test_the_clusters_links_are_encrypted_with_our_certificates(tmp_path: Path) 
                 pass
 
 
+@pytest.mark.release
 @pytest.mark.live
 def test_a_cluster_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_engine, "CONNECT_TIMEOUT", 2.0)

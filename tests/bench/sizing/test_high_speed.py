@@ -41,6 +41,7 @@ def test_a_variant_is_the_hardware_that_it_names(name: str, speed: float) -> Non
     assert made.envelope == variant.envelope
 
 
+@pytest.mark.release
 @needs_speed
 @pytest.mark.parametrize(
     "name", release_except({"driver-130mph"}, ["driver-115mph", "driver-130mph", "driver-130mph-level"])

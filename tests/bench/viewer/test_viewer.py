@@ -155,6 +155,7 @@ def test_the_ball_is_shown_on_its_way_as_time_goes(
     assert np.isnan(speeds[-1][0])
 
 
+@pytest.mark.release
 def test_the_memory_of_shots_does_not_grow_with_their_cycles(
     watched: Watched, make_swing: Callable[[int], Cycles]
 ) -> None:

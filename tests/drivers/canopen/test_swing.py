@@ -52,6 +52,7 @@ def test_the_delivery_is_that_of_the_sim_driver(configuration: Configuration, by
     assert (counters.missing, counters.late, counters.duplicates, driver.trouble) == (0, 0, 0, "")
 
 
+@pytest.mark.release
 def test_lost_answers_do_not_spoil_it(configuration: Configuration, by_sim: Contact) -> None:
     bench, driver, wire = on_canopen(configuration)
     chance = random.Random(5)
@@ -62,6 +63,7 @@ def test_lost_answers_do_not_spoil_it(configuration: Configuration, by_sim: Cont
     assert driver.counters.missing > 10
 
 
+@pytest.mark.release
 def test_nor_do_stamps_that_are_microseconds_wrong(configuration: Configuration, by_sim: Contact) -> None:
     bench, _, wire = on_canopen(configuration)
     wire.stamp_error = partial(random.Random(5).gauss, 0.0, 2e-6)

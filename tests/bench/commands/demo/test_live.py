@@ -46,6 +46,7 @@ def wait_for(process: subprocess.Popen[str], out: Path, pattern: str) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.release
 def test_a_demo_leaves_report_recording_table_and_swings_and_no_process(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     with start(out, 2) as process:
