@@ -11,14 +11,14 @@ import pytest
 def release_except(
     sample: Collection[Any], cases: Iterable[Any], name: Callable[[Any], Any] = lambda value: value
 ) -> list[Any]:
-    """Return `cases` for parametrize, marked `release` where the `name` of their first value is none of `sample`.
+    """Return `cases` for parametrize; `release` marks those whose first value has no `name` in `sample`.
 
     Raises:
         ValueError: a value of `sample` is not among the cases.
     """
     missing, marked = set(sample), []
     for case in cases:
-        values = case if isinstance(case, tuple) else (case,)
+        values = case if type(case) is tuple else (case,)  # a named tuple is one value
         missing.discard(named := name(values[0]))
         marked.append(pytest.param(*values, marks=() if named in sample else pytest.mark.release))
     if missing:

@@ -119,6 +119,7 @@ def test_ids_are_unique_although_many_pictures_share_a_page() -> None:
     assert len(ids) == len(set(ids))
 
 
+@pytest.mark.usefixtures("undrawn_here")
 def test_an_unfinished_campaign_says_so_first(record: CampaignRecord) -> None:
     standing = Standing(CampaignState.SUSPENDED, "balls used up", "")
     page = render_campaign_report(replace(record, standing=standing), findings(record.plan, record.shots))
@@ -126,6 +127,7 @@ def test_an_unfinished_campaign_says_so_first(record: CampaignRecord) -> None:
     assert page.index("not finished") < page.index("pole has")
 
 
+@pytest.mark.usefixtures("undrawn_here")
 def test_one_level_and_no_shots() -> None:
     record = _record("repeatability", Truth())
     page = _words(render_campaign_report(record, findings(record.plan, record.shots)))
@@ -134,6 +136,7 @@ def test_one_level_and_no_shots() -> None:
         render_campaign_report(replace(record, shots=[]), findings(record.plan, []))
 
 
+@pytest.mark.usefixtures("undrawn_here")
 def test_long_lists_say_what_they_leave_out(record: CampaignRecord) -> None:
     events = [Event(NOW, n, "guard", f"guard opened, number {n}.") for n in range(1, 251)]
     prompts = [Prompt(n, n, "club", f"Mount it, number {n}.", {}, NOW, NOW, "erika") for n in range(1, 203)]
@@ -165,6 +168,7 @@ def test_names_in_any_script_are_readable_in_the_plots(record: CampaignRecord) -
     assert sum("飛び</text>" in picture for picture in pictures) >= 2
 
 
+@pytest.mark.usefixtures("undrawn_here")
 def test_the_time_of_a_shot_has_a_date_where_the_campaign_took_days(record: CampaignRecord) -> None:
     shots = [replace(shot, time_utc=NOW + timedelta(hours=n)) for n, shot in enumerate(record.shots)]
     events = [Event(NOW + timedelta(hours=9), 5, "killed", "the runner had ended")]
@@ -318,6 +322,7 @@ def _browse(
     return subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
 
 
+@pytest.mark.usefixtures("undrawn_here")
 def test_who_did_what_by_hand_and_vouches_for_the_balls(record: CampaignRecord) -> None:
     asked = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
     prompts = [
@@ -335,6 +340,7 @@ def test_who_did_what_by_hand_and_vouches_for_the_balls(record: CampaignRecord) 
     assert "not confirmed" in _words(render_campaign_report(nobody, findings(real.plan, real.shots)))
 
 
+@pytest.mark.usefixtures("undrawn_here")
 def test_the_air_is_told_as_it_changed(record: CampaignRecord) -> None:
     shots = [replace(record.shots[0], air_temperature_k=295.15), *record.shots[1:]]
     page = _words(render_campaign_report(replace(record, shots=shots), findings(record.plan, shots)))

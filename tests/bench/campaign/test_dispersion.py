@@ -14,6 +14,7 @@ TRUTH = np.array([[9.0, 2.4], [2.4, 4.0]])
 AREA = pi * stats.chi2.ppf(0.95, 2) * np.sqrt(np.linalg.det(TRUTH))
 
 
+@pytest.mark.release
 def test_the_area_is_unbiased_and_its_interval_holds() -> None:
     random, areas, inside = np.random.default_rng(1), [], 0
     ball = np.zeros(12, int)

@@ -139,6 +139,7 @@ def test_guard_band() -> None:
     assert decide_by_limit(323.1, 3.0, 320.0) is Decision.FAILS
 
 
+@pytest.mark.release
 def test_a_ball_at_the_limit_is_passed_once_in_44(distance: CampaignPlan) -> None:
     random, passed, count = np.random.default_rng(20261122), 0, 3000
     plan = replace(distance, rules=replace(distance.rules, apply=("ods",), uncertainty={"total_m": 0.0}))

@@ -162,6 +162,7 @@ def test_an_unknown_campaign_is_told(call: Call, verb: str) -> None:
     assert "no such campaign" in str(call(verb, "xyz").exception)
 
 
+@pytest.mark.release
 def test_the_gate_of_ci_holds_and_sees_a_club_that_rebounds_less(tmp_path: Path) -> None:
     gate = Path(__file__).parents[3] / ".github"
     assert "--check .github/two-balls.baseline.toml" in (gate / "workflows" / "check.yml").read_text()

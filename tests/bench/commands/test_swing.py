@@ -123,6 +123,7 @@ def test_a_club_is_mounted_on_its_site_for_one_command(run: Run) -> None:
     assert (answer.code, "one of driver" in answer.err) == (ExitCode.BAD_INPUT, True)
 
 
+@pytest.mark.release
 def test_a_swing_of_the_bag_is_learned_with_its_club_mounted(run: Run) -> None:
     learn = ("--config", "bag", "learn", str(IRON), "--sim", "--swings", "1", "--json")
     answer = run(*learn)

@@ -75,6 +75,7 @@ def test_no_cause_is_named_that_is_not_there(
     assert not unsafe
 
 
+@pytest.mark.release
 def test_commissioning_ends_with_the_swing_that_a_cause_explains(
     configuration: Configuration, default: Profile, tmp_path: Path
 ) -> None:

@@ -35,6 +35,7 @@ def nominal() -> np.ndarray:
     return values
 
 
+@pytest.mark.release
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
 def test_flow_and_inertia_are_found_from_swings() -> None:
     truth = nominal()
