@@ -12,13 +12,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
-from types import TracebackType
 from typing import Any, NamedTuple, Self
-
-import numpy as np
 
 from bench.campaign.carry import Measured, ShotCarry, require_carry
 from bench.campaign.corrections import CorrectedProfiles
@@ -35,9 +32,9 @@ from bench.from_toml import format_value
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
 from bench.lifecycle import Refusal
+from bench.network.bench_operator import READY, BenchOperator, NoShot, SwingRecord
 from bench.network.bench_service import BenchStatus
-from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
-from bench.network.live_swing import LOOK, STORED, ShotNews, SwingRecord, in_words, tee_up
+from bench.network.client import BenchClient, CommandRefused
 from bench.network.status_words import absent_monitor_text
 from bench.processes.bench_folder import bench_folder
 from bench.readiness import felt_alike, with_face_of
@@ -59,23 +56,13 @@ from sim.robot import Club
 
 HOLDER = "campaign "
 """Prefix of a campaign's name as holder of the lease."""
-LEASE = 15.0
-"""Duration of the lease, s: a dead runner holds the bench no longer."""
 _AT_THE_ROBOT = {
     Refusal.GUARD: "Leave the robot and close the guard.",
     Refusal.LOCAL_RESET: "Press the reset button beside the robot.",
     Refusal.GAUGE: "Read the gauges, and press the reset button beside them.",
 }
 """Refusals that a person beside the robot cures, and the cures."""
-_LASTING = frozenset({Refusal.READ_ONLY, Refusal.BLOCKED, Refusal.CORRECTION})
-"""Refusals that last until a person has calibrated, learned again or restarted the bench."""
-_READY = 60.0
-"""Max time until the robot rests at its address, or until the lease of a dead runner expires, s."""
-_SWING = 60.0
-"""Max duration of a swing, until the robot is back or stands, s."""
 NO_WORD = "the launch monitor's process did not report the swing"
-_RESETS = 3
-"""Max number of automatic resets of a simulated bench before one shot."""
 
 
 Events = tuple[tuple[str, str], ...]
@@ -165,26 +152,30 @@ class LiveShots:
         `clubs` are those of the bench's configuration; `air` returns the reading at a real bench.
         """
         self._plan, self._swings, self._clubs = plan, swings, clubs
-        self._client, self._holder, self.simulated = client, holder, simulated
-        self._interrupted, self._aborted, self._air = interrupted, aborted, air
-        self._stack, self._lease = ExitStack(), ExitStack()
-        self._held = False
+        self._client, self.simulated, self._air = client, simulated, air
+        self._operator = BenchOperator(
+            client,
+            holder,
+            simulated=simulated,
+            ask_person=_left_to_person,
+            on_reset=self._note_reset,
+            aborted=aborted,
+            interrupted=interrupted,
+        )
         self._ordered: tuple[tuple[float, ...], int] = (), 0
         """Weights requested from the bench, and its number of the correction."""
         self._monitored = monitored
         self._carry = ShotCarry(plan, measured or {})
-        self._ball_chosen = False
-        self._freshly_armed, self._stays_armed = False, True
+        self._ball_chosen, self._stays_armed = False, True
+        self._events: list[tuple[str, str]] = []
+        """(kind, text) of what happened on the way to the shot under way."""
 
     def __enter__(self) -> Self:
-        self._news = ShotNews(self._stack.enter_context(self._client.shots()))
-        self._stack.enter_context(self._lease)
+        self._operator.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.close()
+    def __exit__(self, *error: object) -> None:
+        self._operator.__exit__(*error)
         if self._ball_chosen:
             self._choose_ball(None)
 
@@ -225,21 +216,17 @@ class LiveShots:
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
         """Take shot `number` with ball `sample`; raises as `ShotSource.take`."""
-        events: list[tuple[str, str]] = []
-        self._news.forget()
-        ball = self._ball_as_hit(step, number, sample)
+        self._events.clear()
+        ball, operator = self._ball_as_hit(step, number, sample), self._operator
         with _suspending():
-            self._take_lease()
+            operator.take_lease()
             self._ball_chosen = self._monitored and self.simulated and self._choose_ball(ball)
-            tick = self._swing(step, events)
-            if tick is None:
-                return self._untaken(step, number, sample, tuple(events))
-            self._wait_until_over()
-            record = self._news.record_since(tick)
-            message = None
-            if self._monitored and record is not None:
-                message = self._news.message_about(record, self._client.status())
-        return self._taken(step, number, sample, record, message, tuple(events))
+            try:
+                record = operator.swing(lambda status: self._prepare(step, status), ball=True)
+            except NoShot as none:
+                return self._untaken(step, number, sample, none)
+            message = operator.message_about(record) if self._monitored else None
+        return self._taken(step, number, sample, record, message, tuple(self._events))
 
     # A person at the robot -------------------------------------------------------------------------
 
@@ -263,10 +250,9 @@ class LiveShots:
         with _suspending():
             self.rest()
             if kind is PromptKind.BENCH:
-                self._lease.close()
-                self._held = False
+                self._operator.release()
                 return
-            self._take_lease()
+            self._operator.take_lease()
             self._until(lambda status: status["state"] == "ACCESS", self._client.access)
 
     def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
@@ -274,7 +260,7 @@ class LiveShots:
         if kind is PromptKind.BENCH:
             return
         with _suspending():
-            self._take_lease()
+            self._operator.take_lease()
             self._until(lambda status: status["state"] != "ACCESS", self._client.secure, ask)
 
     def _until(
@@ -287,7 +273,7 @@ class LiveShots:
 
         `ask` shows each new cure for which the bench waits.
         """
-        deadline, shown = time.monotonic() + _READY, ""
+        deadline, shown = time.monotonic() + READY, ""
         while not holds(self._client.status()):
             try:
                 request()
@@ -298,66 +284,26 @@ class LiveShots:
                 if cure != shown:
                     shown = cure
                     ask(cure)
-            self._pause()
+            self._operator.pause()
 
     # Moving the bench ------------------------------------------------------------------------------
 
-    def _take_lease(self) -> None:
-        """Take the lease; wait for that of a dead runner of this campaign to expire."""
-        deadline = time.monotonic() + _READY
-        while not self._held:
-            try:
-                self._lease.enter_context(self._client.lease(self._holder, LEASE))
-                self._held = True
-            except CommandRefused:
-                lease = self._client.status()["lease"]
-                other = lease is not None and lease["holder"] != self._holder
-                if other or time.monotonic() > deadline:
-                    raise
-                self._pause()
-
-    def _swing(self, step: Step, events: list[tuple[str, str]]) -> int | None:
-        """Swing as soon as the robot rests at its address; return a tick before it, None if no ball came.
+    def _prepare(self, step: Step, status: BenchStatus) -> bool:
+        """Prepare the swing at the address; return whether the robot still rests there.
 
         Raises:
             ShotPostponed: the supply pressure is too low.
         """
-        deadline, resets, held_since = time.monotonic() + _READY, 0, np.inf
-        while True:
-            status = self._client.status()
-            lease = status["lease"]
-            if lease is None or lease["holder"] != self._holder:
-                raise Suspended("the bench restarted, or another holder has its lease")
-            try:
-                if status["state"] == "ARMED" and status["phase"] == "HOLD":
-                    held_since = min(held_since, status["time"])
-                    if status["time"] - held_since >= REST:
-                        if self._short_of_air(step, status):
-                            raise ShotPostponed(*events)
-                        if self._must_practise(step) and not status["ball_present"]:
-                            self._practise(events)
-                            deadline, held_since = time.monotonic() + _READY, np.inf
-                            continue
-                        self._correct(step, status)
-                        if not tee_up(self._client, self._pause):
-                            return None
-                        self._client.swing()
-                        return status["tick"]
-                else:
-                    held_since = np.inf
-                if status["state"] in LATCHED and resets >= _RESETS:
-                    raise Suspended(f"{in_words(status)}: it came back {resets} times")
-                if self._bring_nearer(status):
-                    resets += 1
-                    events.append(
-                        ("reset", f"{in_words(status)}; a simulated bench resets, homes and arms itself")
-                    )
-            except CommandRefused as refused:  # not at rest, not vented, guard still open: all pass in time
-                if refused.refusal in _LASTING or time.monotonic() > deadline:
-                    raise
-            if time.monotonic() > deadline:
-                raise Suspended(f"{in_words(status)}, not at rest at its address after {_READY:g} s")
-            self._pause()
+        if self._short_of_air(step, status):
+            raise ShotPostponed(*self._events)
+        if self._must_practise(step) and not status["ball_present"]:
+            self._practise()
+            return False
+        self._correct(step, status)
+        return True
+
+    def _note_reset(self, cause: str) -> None:
+        self._events.append(("reset", f"{cause}; a simulated bench resets, homes and arms itself"))
 
     def _correct(self, step: Step, status: BenchStatus) -> None:
         """Set the correction learned for `step`, also after a restart of the bench."""
@@ -369,8 +315,7 @@ class LiveShots:
 
     def relearn(self, drift: Drift, number: int) -> str:
         """Relearn a swing on the bench without a ball; the learner holds the lease meanwhile."""
-        self._lease.close()
-        self._held = False
+        self._operator.release()
         with _suspending():
             return self._swings.refresh(drift, number, self._learner)
 
@@ -379,54 +324,17 @@ class LiveShots:
 
     def _must_practise(self, step: Step) -> bool:
         """Return whether arming left other air for `step` than a swing would: without planned air."""
-        if not (self._plan.warm_up.practice and self._freshly_armed and self._stays_armed):
+        if not (self._plan.warm_up.practice and self._operator.armed_anew and self._stays_armed):
             return False
         return not self._swings.designed((step.trial.arm.swing, step.trial.arm.club)).air
 
-    def _practise(self, events: list[tuple[str, str]]) -> None:
+    def _practise(self) -> None:
         """Swing without a ball; not repeated on a bench that does not stay armed after it."""
         self._client.swing()
-        self._freshly_armed = False
-        self._wait_until_over()
+        self._operator.armed_anew = False
+        self._operator.wait_until_over()
         self._stays_armed = self._client.status()["state"] == "ARMED"
-        events.append(("practice", "a swing without a ball, as the bench was re-armed"))
-
-    def _bring_nearer(self, status: BenchStatus) -> bool:
-        """Request the next step on the way to the address; return whether it was a reset."""
-        match status["state"]:
-            case "READY":
-                self._client.arm()
-                self._freshly_armed = True
-            case "ESTOP" | "FAULT" | "SAFE" if not self.simulated:
-                raise Suspended(f"{in_words(status)}: reset and home it, then resume")
-            case "ESTOP" | "FAULT":
-                self._client.reset()
-                return True
-            case "SAFE":
-                self._client.home()
-            case "ACCESS":
-                raise Suspended("the guard is unlocked: golfbench access --end, then resume")
-        return False
-
-    def _pause(self) -> None:
-        """Wait for the next poll; raise on a request to end before the swing."""
-        if self._aborted():
-            self._client.stop()
-            raise Suspended("aborted by request")
-        if self._interrupted():
-            raise KeyboardInterrupt
-        time.sleep(LOOK)
-
-    def _wait_until_over(self) -> None:
-        """Wait until the robot is back at its address or stands; an abort stops it at once."""
-        deadline, stopped = time.monotonic() + _SWING, False
-        while self._client.status()["state"] in {"SWINGING", "RECOVERING"}:
-            if not stopped and self._aborted():
-                self._client.stop()
-                stopped = True
-            if time.monotonic() > deadline:
-                raise Suspended(f"a swing was not over after {_SWING:g} s")
-            time.sleep(LOOK)
+        self._events.append(("practice", "a swing without a ball, as the bench was re-armed"))
 
     def _ball_as_hit(self, step: Step, number: int, sample: int) -> Ball:
         """Return the ball of the shot as the simulation has it."""
@@ -444,14 +352,7 @@ class LiveShots:
 
     # What came of it -------------------------------------------------------------------------------
 
-    def _untaken(
-        self,
-        step: Step,
-        number: int,
-        sample: int,
-        events: Events,
-        reason: str = "feeder empty or jammed: no ball came",
-    ) -> Taken:
+    def _untaken(self, step: Step, number: int, sample: int, none: NoShot) -> Taken:
         """Return a failed shot: no swing, or no record of it."""
         shot = Shot.from_measurements(
             **_row(step, number, sample),
@@ -459,24 +360,21 @@ class LiveShots:
             launch=None,
             flight=None,
             status=ShotStatus.FAILED,
-            reason=reason,
+            reason=none.found,
             time_utc=datetime.now(UTC),
         )
-        return Taken(shot, None, {}, False, events)
+        return Taken(shot, None, {}, none.swung, tuple(self._events))
 
     def _taken(
         self,
         step: Step,
         number: int,
         sample: int,
-        record: SwingRecord | None,
+        record: SwingRecord,
         message: ShotMessage | None,
         events: Events,
     ) -> Taken:
-        """Return the shot of the swing in `record`; a failed one if None."""
-        if record is None:
-            taken = self._untaken(step, number, sample, events, f"no record of it within {STORED:g} s")
-            return taken._replace(struck=True)
+        """Return the shot of the swing in `record`."""
         metadata, cycles = record.metadata, record.cycles
         plant, around = plant_of(metadata, str(record.path))
         plant = self._with_planned_club(plant, step.trial.arm.club)
@@ -594,6 +492,10 @@ def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
         "attempt": step.attempt,
         "sample": sample,
     }
+
+
+def _left_to_person(todo: str) -> None:
+    raise Suspended(f"{todo}, then resume")
 
 
 @contextmanager

@@ -38,10 +38,10 @@ from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
 from bench.learning.store import learned_swings
 from bench.lifecycle import REFUSAL_WORDS, Block, Phase, Refusal, State
+from bench.network.bench_operator import SwingRecord
 from bench.network.bench_service import ArmingBlock
 from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
-from bench.network.live_swing import SwingRecord
 from bench.processes.status import NO_LAUNCH_MONITOR
 from bench.shot.shot import ShotStatus
 from bench.shot.shot_message import ShotMessage
@@ -379,8 +379,8 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Campaig
 def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
     plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.network.live_swing.FEED", 0.1)
-    monkeypatch.setattr("bench.campaign.live.REST", 0.0)
+    monkeypatch.setattr("bench.network.bench_operator._FEED", 0.1)
+    monkeypatch.setattr("bench.network.bench_operator.REST", 0.0)
     bench = StandingBench(state="ARMED", phase="HOLD", time=5.0, ball_present=False)
     taken = take(plan, bench, simulated=True)
     assert (taken.shot.status, taken.shot.reason) == (
@@ -437,7 +437,7 @@ def test_a_bench_that_will_not_arm_suspends_at_once(
 
 
 def test_a_refusal_that_passes_is_waited_for(plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.campaign.live._READY", 0.2)
+    monkeypatch.setattr("bench.network.bench_operator.READY", 0.2)
 
     class Venting(StandingBench):
         """Its chambers never empty."""
@@ -839,13 +839,12 @@ def test_a_swing_without_a_ball_follows_each_arming_that_brings_no_planned_air(
     plan: CampaignPlan, series: bool, practice: bool, planned: bool, asked: list[str]
 ) -> None:
     plan = replace(plan, warm_up=replace(plan.warm_up, practice=practice))
-    bench, events = ArmableBench(series=series), list[tuple[str, str]]()
+    bench = ArmableBench(series=series)
     with shots_of(plan, bench, planned=planned) as source:
-        source._take_lease()
         for _ in range(2):
-            source._swing(a_step(), events)
+            source._operator.begin_swing(lambda status: source._prepare(a_step(), status), ball=True)
     assert bench.asked == asked
-    assert [kind for kind, _ in events] == ["practice"] * (practice and not planned)
+    assert [kind for kind, _ in source._events] == ["practice"] * (practice and not planned)
 
 
 class Listening(Watcher):

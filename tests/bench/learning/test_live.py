@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
-from types import SimpleNamespace
-from typing import cast
-
 import numpy as np
 import pytest
 
 from bench.errors import Refused
-from bench.learning.learn import LearningProblem
-from bench.learning.live import LiveSwinger, require_bench, swung_cycles
-from bench.lifecycle import Answer, Refusal, Request
-from bench.network.bench_service import BenchStatus, LaunchMonitorStatus
-from bench.network.client import BenchClient, CommandRefused
-from bench.network.command import CommandAnswer, Verb
+from bench.learning.live import require_bench, swung_cycles
+from bench.lifecycle import Answer, Request
+from bench.network.bench_service import LaunchMonitorStatus
 from bench.processes.status import NO_LAUNCH_MONITOR
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -73,58 +66,3 @@ def test_a_launch_monitor_that_is_not_there_tells_nothing() -> None:
     with pytest.raises(Refused, match="not connected"):
         require_bench({**status, "launch_monitor": away}, PROFILE, "launch-monitor")
     require_bench({**status, "launch_monitor": {**away, "present": True}}, PROFILE, "launch-monitor")
-
-
-class SwayingBench:
-    """Rests at its address by its status; its loop sees it sway for `sways` requests."""
-
-    bench = "swaying"
-
-    def __init__(self, sways: int) -> None:
-        self.asked: list[str] = []
-        self._sways = sways
-        standing = {"state": "ARMED", "phase": "HOLD", "driver": "sim", "profile": PROFILE.name}
-        self._status = cast(BenchStatus, {**FakeDesk().status(), **standing, "time": 0.0, "tick": 0})
-
-    def status(self) -> BenchStatus:
-        self._status["time"] += 2.0
-        self._status["tick"] += 2000
-        return self._status
-
-    def lease(self, holder: str, seconds: float) -> AbstractContextManager[None]:
-        return nullcontext()
-
-    def correct(self, profile: str, weights: list[float]) -> None:
-        self.asked.append("correct")
-
-    def swing(self) -> None:
-        self.asked.append("swing")
-        if self._sways:
-            self._sways -= 1
-            raise CommandRefused(self.bench, Verb.SWING, SWAYS)
-
-
-SWAYS = CommandAnswer(False, "ARMED", Refusal.NOT_AT_ADDRESS.name, reason="the robot does not rest")
-
-
-def swinger(bench: SwayingBench) -> LiveSwinger:
-    problem = cast(LearningProblem, SimpleNamespace(bench=SimpleNamespace(profile=PROFILE)))
-    client = cast(BenchClient, bench)
-    return LiveSwinger(client, problem, "encoders+model", lambda text: None, with_ball=False)
-
-
-def test_a_swing_refused_while_the_robot_sways_is_requested_again() -> None:
-    """Re-armed after a stopped swing it may still sway when its status says HOLD."""
-    bench = SwayingBench(sways=2)
-    source = swinger(bench)
-    tick = source._begin(np.zeros(3))
-    assert bench.asked == ["correct", "swing"] * 3
-    assert tick == bench._status["tick"]
-
-
-def test_a_swing_refused_for_longer_than_the_time_out_ends_learning(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.learning.live._READY", 0.2)
-    bench = SwayingBench(sways=1000)
-    source = swinger(bench)
-    with pytest.raises(CommandRefused, match="does not rest"):
-        source._begin(np.zeros(3))

@@ -1,0 +1,103 @@
+"""A program at a running bench: which refusals it waits for, and what it leaves to a person."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, cast
+
+import pytest
+
+from bench.lifecycle import REFUSAL_WORDS, Refusal
+from bench.network.bench_operator import BenchOperator
+from bench.network.bench_service import BenchStatus
+from bench.network.client import BenchClient, CommandRefused
+from bench.network.command import CommandAnswer, Verb
+from tests.bench.fake_bench_service import FakeDesk
+
+
+class RestingBench:
+    """Rests at its address by its status; refuses a swing for each of `refusals`."""
+
+    bench = "resting"
+
+    def __init__(self, *refusals: Refusal) -> None:
+        self.asked: list[str] = []
+        self.refusals = list(refusals)
+        self.state: dict[str, Any] = {**FakeDesk().status(), "time": 0.0, "tick": 0}
+        self.state |= {"state": "ARMED", "phase": "HOLD"}
+
+    def status(self) -> dict[str, Any]:
+        self.state["time"] += 2.0
+        self.state["tick"] += 2000
+        return self.state
+
+    @contextmanager
+    def lease(self, holder: str, seconds: float) -> Iterator[None]:
+        self.asked.append("lease")
+        self.state["lease"] = {"holder": holder}
+        yield
+        self.asked.append("release")
+
+    def swing(self) -> None:
+        self.asked.append("swing")
+        if self.refusals:
+            refusal = self.refusals.pop(0)
+            answer = CommandAnswer(False, "ARMED", refusal.name, reason=REFUSAL_WORDS[refusal][0])
+            raise CommandRefused(self.bench, Verb.SWING, answer)
+
+
+def operator_of(
+    bench: RestingBench, todo: list[str] | None = None, *, simulated: bool = True
+) -> BenchOperator:
+    said: list[str] = [] if todo is None else todo
+    return BenchOperator(cast(BenchClient, bench), "me", simulated=simulated, ask_person=said.append)
+
+
+def prepared(bench: RestingBench) -> Callable[[BenchStatus], bool]:
+    def prepare(status: BenchStatus) -> bool:
+        bench.asked.append("prepare")
+        return True
+
+    return prepare
+
+
+def test_a_swing_refused_while_the_robot_sways_is_requested_again() -> None:
+    """Re-armed after a stopped swing it may still sway when its status says HOLD."""
+    bench = RestingBench(Refusal.NOT_AT_ADDRESS, Refusal.STATE)
+    tick = operator_of(bench).begin_swing(prepared(bench), ball=False)
+    assert bench.asked == ["lease"] + ["prepare", "swing"] * 3
+    assert tick == bench.state["tick"]
+
+
+def test_a_swing_refused_for_longer_than_the_time_out_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.network.bench_operator.READY", 0.2)
+    bench = RestingBench(*[Refusal.NOT_AT_ADDRESS] * 1000)
+    with pytest.raises(CommandRefused, match="does not rest"):
+        operator_of(bench).begin_swing(prepared(bench), ball=False)
+
+
+@pytest.mark.parametrize("refusal", [Refusal.READ_ONLY, Refusal.BLOCKED, Refusal.CORRECTION])
+def test_a_refusal_that_lasts_is_raised_at_once(refusal: Refusal) -> None:
+    bench = RestingBench(refusal)
+    with pytest.raises(CommandRefused):
+        operator_of(bench).begin_swing(prepared(bench), ball=False)
+    assert bench.asked.count("swing") == 1
+
+
+def test_a_stopped_real_bench_is_left_to_a_person_without_a_lease() -> None:
+    bench = RestingBench()
+    ways = iter(["SAFE", "SAFE", "HOMING", "ARMED", "ARMED", "ARMED"])
+    still, todo = bench.status, list[str]()
+
+    def status() -> dict[str, Any]:
+        bench.state["state"] = next(ways)
+        return still()
+
+    operator = operator_of(bench, todo, simulated=False)
+    operator.take_lease()
+    bench.status = status  # type: ignore[method-assign]
+    assert operator.rest_at_address()["state"] == "ARMED"
+    assert bench.asked == ["lease", "release", "lease"]
+    assert len(todo) == 1
+    assert "golfbench reset" in todo[0]
