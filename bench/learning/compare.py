@@ -23,7 +23,7 @@ from bench.learning.learn import LearningProblem, learn, on_series, prepare
 from bench.lifecycle import Cause, Phase
 from bench.simulation.series import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile
-from bench.swing.thesis_experiment import ThesisParameters
+from bench.swing.thesis_experiment import DERIVATIVE, INTEGRAL, PROPORTIONAL
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
 from sim.pneumatics import REFERENCE_DENSITY
@@ -74,17 +74,11 @@ def thesis_gains(plant: PlantParameters) -> PidSettings:
 
     Its controllers put out N m, N and N m; opening 1 is the force at full supply pressure.
     """
-    gauge, thesis = plant.supply.pressure - plant.supply.atmosphere, ThesisParameters()
-    levers = (1.0, 1.0, plant.wrist_lever)
-    max_force = [
+    gauge, levers = plant.supply.pressure - plant.supply.atmosphere, (1.0, 1.0, plant.wrist_lever)
+    a, b, c = (
         gauge * actuator.area_a * lever for actuator, lever in zip(plant.actuators, levers, strict=True)
-    ]
-
-    def openings(gains: tuple[float, float, float]) -> tuple[float, float, float]:
-        a, b, c = (gain / most for gain, most in zip(gains, max_force, strict=True))
-        return a, b, c
-
-    return PidSettings(openings(thesis.proportional), openings(thesis.integral), openings(thesis.derivative))
+    )
+    return PidSettings(*((gain / a, gain / b, gain / c) for gain in (PROPORTIONAL, INTEGRAL, DERIVATIVE)))
 
 
 def controllers(bench: Bench) -> list[Controller]:

@@ -6,8 +6,8 @@ time. Between samples the thesis' simulation interpolates linearly. Three seams 
 are kept: the backswing ends at 0.68 s and the downswing starts at 0.686 s, the wrist has two samples at
 0.4 s, and each curve jumps a little where two pieces meet.
 
-The thesis does not say where the right arm's displacement and the shoulder's offset count from. Here an
-`Address` says it; the default follows from the geometry (see `Address`).
+The thesis does not say where the right arm's displacement and the shoulder's offset count from: here both
+follow from the geometry, see `ADDRESS_ROD` and `joint_reference`.
 """
 
 from __future__ import annotations
@@ -23,6 +23,10 @@ from sim.robot import RobotParameters
 
 TOP = 0.686
 """s; the downswing's first sample"""
+ADDRESS_ROD = 0.22
+"""Rod stroke at zero displacement, m (ASSUMPTION). At the full stroke of Appendix B the right arm is
+0.34 + 0.22 = 0.56 m = l23: both arms are equally long and the hands hang below the middle of the
+shoulders, as a golfer stands; and the 0.2030 m of travel stay inside the stroke."""
 
 
 class Table(NamedTuple):
@@ -31,16 +35,9 @@ class Table(NamedTuple):
     time: NDArray[np.float64]
     value: NDArray[np.float64]
 
-    def at(self, t: ArrayLike, extrapolate: bool = False) -> NDArray[np.float64]:
-        """Return the values at `t` s by linear interpolation.
-
-        After the last sample the last value is held, or the last slope goes on when `extrapolate`.
-        """
-        value = np.asarray(np.interp(np.asarray(t, dtype=float), self.time, self.value))
-        if extrapolate:
-            slope = (self.value[-1] - self.value[-2]) / (self.time[-1] - self.time[-2])
-            value = value + slope * np.maximum(np.asarray(t) - self.time[-1], 0.0)
-        return value
+    def at(self, t: ArrayLike) -> NDArray[np.float64]:
+        """Return the values at `t` s by linear interpolation; after the last sample the last value."""
+        return np.asarray(np.interp(np.asarray(t, dtype=float), self.time, self.value))
 
 
 @dataclass(frozen=True)
@@ -58,20 +55,6 @@ class ThesisSwing:
     def end(self) -> float:
         """Time of the last sample, s."""
         return float(self.shoulder.time[-1])
-
-
-@dataclass(frozen=True)
-class Address:
-    """Where the tables count from, which the thesis leaves open. Both defaults are ASSUMPTIONS."""
-
-    rod: float = 0.22
-    """Rod stroke at zero displacement, m. At the full stroke of Appendix B the right arm is
-    0.34 + 0.22 = 0.56 m = l23: both arms are equally long and the hands hang below the middle of the
-    shoulders, as a golfer stands; and the 0.2030 m of travel stay inside the stroke."""
-    theta1: float | None = None
-    """Shoulder angle at zero offset, rad. None: such that the shaft points straight down the swing
-    plane (theta_T = 3 pi / 2) at the first sample. It turns the whole swing, changes no speed, and of
-    the efforts gravity's part only."""
 
 
 def thesis_swing() -> ThesisSwing:
@@ -97,39 +80,19 @@ def thesis_swing() -> ThesisSwing:
     )
 
 
-def joint_reference(
-    swing: ThesisSwing,
-    robot: RobotParameters,
-    t: ArrayLike,
-    address: Address | None = None,
-    extrapolate: bool = False,
-) -> NDArray[np.float64]:
+def joint_reference(swing: ThesisSwing, robot: RobotParameters, t: ArrayLike) -> NDArray[np.float64]:
     """Return the joint angles (theta1, theta2, theta3) in rad at the times `t` (...,) s; shape (..., 3).
 
-    theta2 is the third-quadrant angle that gives the right arm its length l56 + rod + displacement.
-
-    Raises:
-        ValueError: the address drives the rod out of its stroke.
+    theta2 is the third-quadrant angle that gives the right arm its length l56 + rod + displacement. theta1 is
+    such that the shaft points straight down the swing plane (theta_T = 3 pi / 2) at the first sample
+    (ASSUMPTION): it turns the whole swing, changes no speed, and of the efforts gravity's part only.
     """
-    address = address or Address()
-    travel = swing.right_arm.value
-    if not (address.rod + travel.min() >= 0.0 and address.rod + travel.max() <= robot.stroke):
-        raise ValueError(
-            f"address.rod: found {address.rod} m, which drives the rod through "
-            f"{address.rod + travel.min():.4f} to {address.rod + travel.max():.4f} m; its stroke is 0 to "
-            f"{robot.stroke} m: choose {-travel.min():.4f} to {robot.stroke - travel.max():.4f} m"
-        )
-    theta2 = theta2_from_right_arm(robot, robot.l56 + address.rod + swing.right_arm.at(t, extrapolate))
-    theta1 = _address_theta1(swing, robot, address) + swing.shoulder.at(t, extrapolate)
-    return np.stack([theta1, theta2, swing.wrist.at(t, extrapolate)], axis=-1)
-
-
-def _address_theta1(swing: ThesisSwing, robot: RobotParameters, address: Address) -> float:
-    if address.theta1 is not None:
-        return address.theta1
-    theta2 = theta2_from_right_arm(robot, robot.l56 + address.rod + swing.right_arm.value[0])
-    shaft_down = 1.5 * np.pi - float(theta2) - swing.wrist.value[0]
-    return float(np.remainder(shaft_down + np.pi, 2.0 * np.pi) - np.pi)
+    arm = robot.l56 + ADDRESS_ROD
+    theta2 = theta2_from_right_arm(robot, arm + swing.right_arm.at(t))
+    begin = theta2_from_right_arm(robot, arm + swing.right_arm.value[0])
+    shaft_down = 1.5 * np.pi - float(begin) - swing.wrist.value[0]
+    theta1 = float(np.remainder(shaft_down + np.pi, 2.0 * np.pi) - np.pi) + swing.shoulder.at(t)
+    return np.stack([theta1, theta2, swing.wrist.at(t)], axis=-1)
 
 
 def colon(start: float, step: float, stop: float) -> NDArray[np.float64]:

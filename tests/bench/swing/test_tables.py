@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from bench.swing.tables import TOP, Address, colon, joint_reference, thesis_swing
+from bench.swing.tables import TOP, colon, joint_reference, thesis_swing
 from sim.kane import inverse_dynamics
 from sim.kinematics import forward_kinematics, right_arm_length
 from sim.robot import thesis_robot
@@ -51,20 +51,9 @@ def test_joint_reference_keeps_the_tables() -> None:
     assert right_arm_length(ROBOT, q[0, 1]) == pytest.approx(ROBOT.l23, abs=1e-3)
 
 
-def test_address_is_a_parameter() -> None:
-    q = joint_reference(SWING, ROBOT, 0.0, Address(rod=0.21, theta1=0.0))
-    assert q[0] == 0.0
-    assert right_arm_length(ROBOT, q[1]) == pytest.approx(0.34 + 0.21, abs=1e-3)
-    for rod in (0.2, 0.23, float("nan")):
-        with pytest.raises(ValueError, match=r"address\.rod.*choose 0\.2030 to 0\.2205 m"):
-            joint_reference(SWING, ROBOT, 0.0, Address(rod=rod))
-
-
-def test_after_the_last_sample_the_value_is_held_or_the_slope_goes_on() -> None:
+def test_after_the_last_sample_the_value_is_held() -> None:
     held = joint_reference(SWING, ROBOT, [0.846, 0.9])
     assert held[1] == pytest.approx(held[0])
-    gone_on = joint_reference(SWING, ROBOT, [0.846, 0.9], extrapolate=True)
-    assert gone_on[1, 0] - gone_on[0, 0] == pytest.approx(11.8 * 0.054)
 
 
 def test_following_the_tables_exactly() -> None:
