@@ -11,19 +11,19 @@ import importlib.metadata
 import itertools
 import json
 import os
-import re
 import resource
 import shutil
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from packaging.requirements import Requirement
 from rich import box
 from rich.console import Group
 from rich.table import Table
@@ -48,18 +48,6 @@ _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 
 _MODULES = {"eclipse-zenoh": "zenoh", "python-can": "can", "rerun-sdk": "rerun"}
 """Import name of a distribution where it is not the same word with underscores."""
-
-_TOOLS = {
-    "chromium": (
-        "chromium",
-        "looks at reports in the tests",
-        ("chromium", "chromium-browser", "google-chrome"),
-    ),
-    "cyclictest": ("rt-tests", "compares the loop's timing with the kernel's own", ("cyclictest",)),
-    "PostgreSQL client": ("postgresql-client", "looks into a campaign database in PostgreSQL", ("psql",)),
-    "QEMU": ("qemu-system-x86", "boots the service in a virtual machine for tests", ("qemu-system-x86_64",)),
-}
-"""Optional programs: Debian package, purpose, names on the PATH."""
 
 
 class CheckStatus(StrEnum):
@@ -171,7 +159,6 @@ def probes(data_dir: Path) -> tuple[Probe, ...]:
         Probe("CAN", "SocketCAN", socketcan),
         Probe("CAN", "attached interfaces", can_channels),
         Probe("DAQ", "NI-DAQmx", daq_cards),
-        *(Probe("optional tools", name, functools.partial(tool, *about)) for name, about in _TOOLS.items()),
     )
 
 
@@ -253,85 +240,25 @@ def package_probes() -> Iterator[Probe]:
         outcome = missing(found, "install golfbench: `make demo`, or `pip install -e .`")
         yield Probe("packages", "golfbench", lambda: outcome, required=True)
         return
-    wanted = [requirement for line in lines if (requirement := Requirement.of(line)) is not None]
-    modules = {r.name: _MODULES.get(r.name, r.name.replace("-", "_")) for r in wanted}
-    answers = functools.cache(lambda: import_answers(tuple(modules.values())))
-    for requirement in wanted:
-        look = functools.partial(
-            package, requirement.name, requirement.allows, answers, modules[requirement.name]
-        )
-        yield Probe("packages", requirement.name, look, required=True)
+    for requirement in map(Requirement, lines):
+        if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+            yield Probe("packages", requirement.name, functools.partial(package, requirement), required=True)
 
 
-class Requirement(NamedTuple):
-    """A package that golfbench requires: from a version, and below another one."""
-
-    name: str
-    bounds: tuple[tuple[str, str], ...]
-    """(">=" or "<", version)."""
-
-    @classmethod
-    def of(cls, line: str) -> Requirement | None:
-        """Return the requirement in a `line` of metadata; None if only an extra requires it."""
-        line, _, marker = line.partition(";")
-        if "extra" in marker:
-            return None
-        name = re.match(r"[A-Za-z0-9._-]+", line)
-        return cls(name[0] if name else line, tuple(re.findall(r"(>=|<)\s*([0-9.]+)", line)))
-
-    def allows(self, version: str) -> bool:
-        """Return whether `version` lies within the bounds."""
-        return all(
-            (_release(version) >= _release(bound)) if sign == ">=" else (_release(version) < _release(bound))
-            for sign, bound in self.bounds
-        )
-
-
-def _release(version: str) -> tuple[int, ...]:
-    """Return the numbers of `version` before any suffix, without zeros at the end: 2.0rc1 as (2,)."""
-    found = re.match(r"[0-9.]+", version)
-    numbers = [int(part) for part in found[0].split(".") if part] if found else []
-    while numbers and numbers[-1] == 0:
-        numbers.pop()
-    return tuple(numbers)
-
-
-def package(
-    name: str, allowed: Callable[[str], bool], answers: Callable[[], Mapping[str, str]], module: str
-) -> ItemResult:
-    """Look whether distribution `name` is installed in an `allowed` version and `module` imports."""
-    cure = "install what constraints.txt pins: `make clean demo`"
+def package(requirement: Requirement) -> ItemResult:
+    """Look whether a required distribution is installed in a version that is allowed, and can be imported."""
+    name, cure = requirement.name, "install what constraints.txt pins: `make clean demo`"
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return missing("not installed", cure)
-    answer = answers()[module]
-    if answer != "ok":
-        return missing(f"{version}, import fails: {answer}", cure)
-    if not allowed(version):
+    try:  # a wheel for another processor ends the process with SIGILL
+        _run("-c", f"import {_MODULES.get(name, name.replace('-', '_'))}")
+    except (RuntimeError, subprocess.TimeoutExpired) as error:
+        return missing(f"{version}, import fails: {error}", cure)
+    if version not in requirement.specifier:
         return limited(f"{version}, outside the tested versions", cure)
     return ok(version)
-
-
-def import_answers(modules: Sequence[str]) -> dict[str, str]:
-    """Return for each module 'ok' or the reason why it does not import.
-
-    One child process imports them in turn. If it dies (a wheel for another processor ends it with
-    SIGILL) that costs the module it died of, and a new child goes on behind it.
-    """
-    answers: dict[str, str] = {}
-    while remaining := [module for module in modules if module not in answers]:
-        command = [sys.executable, "-m", "bench.commands.probe", "imports", *remaining]
-        try:
-            child = subprocess.run(command, check=False, capture_output=True, timeout=CHILD_TIME_LIMIT)
-            lines, end = child.stdout, f"it ends the interpreter (exit code {child.returncode})"
-        except subprocess.TimeoutExpired as expired:
-            lines, end = expired.stdout or b"", f"it takes longer than {CHILD_TIME_LIMIT:.0f} s"
-        new = dict(line.split("\t", 1) for line in lines.decode(errors="replace").splitlines())
-        answers |= new
-        if len(new) < len(remaining):
-            answers[remaining[len(new)]] = end
-    return answers
 
 
 def compiled_code() -> ItemResult:
@@ -496,25 +423,15 @@ def daq_cards() -> ItemResult:
     return ok(f"{driver}: {', '.join(found['cards'])}")
 
 
-# Tools -----------------------------------------------------------------------------------------------
-
-
-def tool(package_name: str, purpose: str, programs: Sequence[str]) -> ItemResult:
-    """Look for the first of `programs` on the PATH."""
-    path = next(filter(None, map(shutil.which, programs)), None)
-    if path:
-        return ok(path)
-    return missing("not found", f"{purpose}; Debian: apt-get install {package_name}")
-
-
 def _child(question: str) -> str:
     """Return what `bench.commands.probe` prints on `question`; raises when it fails or takes too long."""
+    return _run("-m", "bench.commands.probe", question)
+
+
+def _run(*arguments: str) -> str:
+    """Return what another Python prints; raises when it fails or takes too long."""
     answer = subprocess.run(
-        [sys.executable, "-m", "bench.commands.probe", question],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=CHILD_TIME_LIMIT,
+        [sys.executable, *arguments], check=False, capture_output=True, text=True, timeout=CHILD_TIME_LIMIT
     )
     if answer.returncode:
         reason = (answer.stderr.strip().splitlines() or ["no message"])[-1]

@@ -1,6 +1,5 @@
 """Checks made in a process of their own, because they change the process or may end it.
 
-`python -m bench.commands.probe imports MODULE...` imports each module and prints `module TAB answer`.
 `python -m bench.commands.probe realtime` asks the kernel for what the loop needs and prints JSON.
 `python -m bench.commands.probe can` asks python-can's backends for attached channels and prints JSON.
 `python -m bench.commands.probe daq` asks NI's driver for its version and its cards and prints JSON.
@@ -9,10 +8,9 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Any
 
 from bench.clock import GridClock
@@ -20,18 +18,6 @@ from bench.processes.real_time import real_time
 
 PERIOD_NS = 1_000_000
 TICKS = 500
-
-
-def imports(modules: Sequence[str]) -> None:
-    """Import each of `modules` and print `module TAB ok` or `module TAB error`, one line each."""
-    answers, sys.stdout = sys.stdout, sys.stderr  # a chatty import must not look like an answer
-    for module in modules:
-        try:
-            importlib.import_module(module)
-            answer = "ok"
-        except BaseException as error:  # SystemExit at import is an answer, too
-            answer = f"{type(error).__name__}: {error}".replace("\n", " ").replace("\t", " ")
-        print(module, answer, sep="\t", file=answers, flush=True)
 
 
 def wake_up_latencies(ticks: int = TICKS, period_ns: int = PERIOD_NS) -> list[float]:
@@ -98,16 +84,14 @@ def compiled_code_folder() -> str:
     return str(cache_folder())
 
 
+QUESTIONS: dict[str, Callable[[], Any]] = {
+    "realtime": realtime,
+    "can": can_channels,
+    "daq": daq_cards,
+    "cache": compiled_code_folder,
+}
+
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["imports"]:
-        imports(sys.argv[2:])
-    elif sys.argv[1:] == ["realtime"]:
-        print(json.dumps(realtime()))
-    elif sys.argv[1:] == ["can"]:
-        print(json.dumps(can_channels()))
-    elif sys.argv[1:] == ["daq"]:
-        print(json.dumps(daq_cards()))
-    elif sys.argv[1:] == ["cache"]:
-        print(json.dumps(compiled_code_folder()))
-    else:
+    if len(sys.argv) != 2 or sys.argv[1] not in QUESTIONS:
         sys.exit(__doc__)
+    print(json.dumps(QUESTIONS[sys.argv[1]]()))
