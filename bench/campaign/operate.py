@@ -173,7 +173,7 @@ def run_live(
     data_dir = configuration.bench.data_dir
 
     def aborted() -> bool:
-        return store.standing(entry.id).requested.startswith("abort")
+        return store.standing(entry.id).requested == "abort"
 
     def air() -> Air | None:
         since = datetime.now(UTC) - timedelta(seconds=plan.air.valid_for)
@@ -330,7 +330,7 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: s
         raise Refused(
             f"campaign {campaign}", "no runner", "a running campaign", f"golfbench campaign resume {campaign}"
         )
-    store.change(campaign, requested=f"{request} by {by}" if request and by else request)
+    store.change(campaign, requested=request, requested_by=by)
     return {
         "pause": "pauses after the current shot",
         "stop": "stops after the current shot",
@@ -406,7 +406,7 @@ def standing_now(data_dir: Path, campaign: str, stored: Standing) -> Standing:
     if is_running(data_dir, campaign):
         return stored
     reason = f"its runner ended without closing it; resume it: golfbench campaign resume {campaign}"
-    return Standing(CampaignState.INTERRUPTED, reason, stored.requested)
+    return Standing(CampaignState.INTERRUPTED, reason, *stored[2:])
 
 
 def _lock_file(data_dir: Path, name: str) -> Path:

@@ -283,8 +283,8 @@ class Runner:
     def _wait_for_database(self, trouble: DatabaseLocked) -> None:
         """Give up waiting for the database after some time or when interrupted."""
         if not self._locked_for:
-            self._watcher.say(f"The database is {trouble.state.rstrip(',')}: waiting for it.")
-        self._locked_for, self._locked_as = trouble.waited, trouble.state.partition(",")[0]
+            self._watcher.say(f"The database is {trouble.state}: waiting for it.")
+        self._locked_for, self._locked_as = trouble.waited, trouble.state
         if trouble.waited > _DATABASE_PATIENCE or self._interrupted():
             self._store.waiting = None  # what follows tries once
             raise trouble
@@ -580,8 +580,8 @@ class Runner:
         """Return the pending request and who made it; a sign of life."""
         with suppress(OSError):
             self._alive.touch()
-        request, _, by = self._store.standing(self._entry.id).requested.partition(" by ")
-        return request, by
+        standing = self._store.standing(self._entry.id)
+        return standing.requested, standing.requested_by
 
     def _by_request(self, done: str) -> str:
         _, by = self._requested()

@@ -11,14 +11,11 @@ from bench.commissioning.known_robot import FoundValue
 from bench.commissioning.rising_swings import exceeded
 from bench.commissioning.swing_diagnosis import Diagnosis, diagnose
 from bench.commissioning.swung_robot import Mark, SwingSeries, SwungRobot
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.wrong_machine import PredictionFails, WrongMachine
 from bench.errors import Refused
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, NotReturned, SeriesSwing
 from bench.swing.profile import Profile
-
-PREDICTION = "prediction"
-"""Begin of the place of an error in which the robot itself has not moved."""
 
 
 class DiagnosedRobot:
@@ -51,7 +48,7 @@ class DiagnosedRobot:
 
     def explained(self, error: Refused) -> Refused:
         """Return `error` of a step with what the last swing says, where that says no cause."""
-        if self.last is None or self.last.named is not None or error.place.startswith(PREDICTION):
+        if self.last is None or self.last.named is not None or isinstance(error, PredictionFails):
             return error
         return type(error)(error.place, f"{error.found}; {self.last.text}", error.expected, error.cure)
 

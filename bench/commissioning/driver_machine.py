@@ -19,6 +19,7 @@ from bench.commissioning.machine import (
     Array,
     MotionBounds,
     MotionTrace,
+    PassedBound,
     Segment,
     Until,
     bound_passed,
@@ -156,7 +157,7 @@ class DriverMachine:
                 "empty chambers",
                 "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside.",
             )
-        return log.trace("", (False,), self._tick)
+        return log.trace(None, (False,), self._tick)
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
         """Run `segments` with the supply on; afterwards the last openings stay in force."""
@@ -167,7 +168,7 @@ class DriverMachine:
         most = round(min(sum(s.duration for s in segments), bounds.duration) / self._tick)
         log = _Log(most + 1, self._counts)
         ended: list[bool] = []
-        tripped = ""
+        tripped = None
         for number, segment in enumerate(segments):
             tripped, met = self._segment(segment, number, bounds, log)
             ended.append(met)
@@ -175,14 +176,16 @@ class DriverMachine:
                 break
         return log.trace(tripped, tuple(ended), self._tick)
 
-    def _segment(self, segment: Segment, number: int, bounds: MotionBounds, log: _Log) -> tuple[str, bool]:
+    def _segment(
+        self, segment: Segment, number: int, bounds: MotionBounds, log: _Log
+    ) -> tuple[PassedBound | None, bool]:
         """Run one segment; return the bound that was passed and whether its condition ended it."""
         ticks = max(round(segment.duration / self._tick), 1)
         begin, end = np.array(segment.valve), np.array(segment.end or segment.valve)
         for k in range(ticks):
             if log.full:
                 self.make_passive()
-                return f"duration, bound {bounds.duration:g} s", False
+                return PassedBound(f"duration, bound {bounds.duration:g} s"), False
             opening = np.clip(begin + (end - begin) * (k / ticks), -bounds.opening, bounds.opening)
             self._write(opening, segment.vents_shut)
             log.note(self._readings, self._applied, number)
@@ -192,8 +195,8 @@ class DriverMachine:
                 return passed, False
             self._next()
             if segment.until is not None and self._met(segment.until, log, k):
-                return "", True
-        return "", False
+                return None, True
+        return None, False
 
     def _met(self, until: Until, log: _Log, k: int) -> bool:
         if until.kind == "above":
@@ -362,7 +365,7 @@ class _Log:
         counts = counts if joint is None else counts[:, [joint]]
         return bool(np.max(np.ptp(counts, axis=0)) * (2 * np.pi / self._counts) < _REST)
 
-    def trace(self, tripped: str, ended: tuple[bool, ...], tick: float) -> MotionTrace:
+    def trace(self, tripped: PassedBound | None, ended: tuple[bool, ...], tick: float) -> MotionTrace:
         """Return the rows, one a `tick` (s): rows that a busy machine missed lie between their neighbours."""
         n = self._n
         at = np.arange(n, dtype=float)

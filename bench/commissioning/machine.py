@@ -17,7 +17,6 @@ from drivers.base import CHAMBERS, JOINTS, Triple
 
 Array = NDArray[np.float64]
 
-WAY = "way of the "
 """Begin of the text of a bound on a joint's way."""
 
 
@@ -59,6 +58,14 @@ class MotionBounds(NamedTuple):
     """Max duration of a sequence, s."""
 
 
+class PassedBound(NamedTuple):
+    """A bound that a motion passed."""
+
+    text: str
+    way_of: int | None = None
+    """Joint whose way it bounds; None for a bound of something else."""
+
+
 @dataclass(frozen=True, eq=False)
 class MotionTrace:
     """Sensor readings and commands of a sequence, one row a tick."""
@@ -79,8 +86,8 @@ class MotionTrace:
     """(n,) whether the vents are commanded shut from this row on."""
     segment: NDArray[np.int64]
     """(n,) number of the segment."""
-    tripped: str = ""
-    """Bound that ended the sequence; empty if none did."""
+    tripped: PassedBound | None = None
+    """Bound that ended the sequence."""
     ended: tuple[bool, ...] = ()
     """Whether the condition of each segment ended it."""
 
@@ -128,16 +135,19 @@ class CommissionedMachine(Protocol):
         """Centre the spools, shut the supply, open the vents; never raises."""
 
 
-def bound_passed(bounds: MotionBounds, speed: Array, way: Array, pressure: Array) -> str:
-    """Return the name of the bound that `speed` (3,), `way` (3,) or `pressure` (6,) passes, or nothing."""
+def bound_passed(bounds: MotionBounds, speed: Array, way: Array, pressure: Array) -> PassedBound | None:
+    """Return the bound that `speed` (3,), `way` (3,) or `pressure` (6,) passes."""
     for i, joint in enumerate(JOINTS):
         if not abs(speed[i]) <= bounds.speed[i]:
-            return f"speed of the {joint} {abs(speed[i]):.1f} rad/s, bound {bounds.speed[i]:.1f} rad/s"
+            text = f"speed of the {joint} {abs(speed[i]):.1f} rad/s, bound {bounds.speed[i]:.1f} rad/s"
+            return PassedBound(text)
         if not abs(way[i]) <= bounds.travel[i]:
-            return f"{WAY}{joint} {abs(way[i]):.2f} rad, bound {bounds.travel[i]:.2f} rad"
+            text = f"way of the {joint} {abs(way[i]):.2f} rad, bound {bounds.travel[i]:.2f} rad"
+            return PassedBound(text, way_of=i)
     for k, chamber in enumerate(CHAMBERS):
         if not pressure[k] <= bounds.pressure:
-            return (
+            text = (
                 f"pressure of {chamber} {1e-5 * pressure[k]:.2f} bar, bound {1e-5 * bounds.pressure:.2f} bar"
             )
-    return ""
+            return PassedBound(text)
+    return None

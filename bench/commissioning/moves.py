@@ -9,7 +9,6 @@ import numpy as np
 
 from bench.commissioning.known_robot import ACTUATOR_KEYS, KnownRobot
 from bench.commissioning.machine import (
-    WAY,
     CommissionedMachine,
     MotionBounds,
     MotionTrace,
@@ -170,7 +169,7 @@ def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters)
     name, seen = JOINTS[joint], int(np.argmax(way))
     if seen != joint and way[joint] < _OWN_SHARE * way[seen]:
         raise swapped_encoders(joint, seen, way)
-    if trace.tripped.startswith(f"{WAY}{name}"):
+    if trace.tripped.way_of == joint:
         raise WrongMachine(
             f"{name} encoder",
             f"turns by {way[joint]:.2f} rad and is not at a stop: wrong scale, or no stop",
@@ -194,7 +193,7 @@ def require_within(trace: MotionTrace, doing: str) -> None:
     """Raise WrongMachine if a bound ended `trace`."""
     if not trace.tripped:
         return
-    if trace.tripped.startswith(WAY):
+    if trace.tripped.way_of is not None:
         cure = (
             "An encoder's scale is wrong (plant.encoders.counts_per_revolution), or its "
             "coupling is loose, or a stop is missing."
@@ -203,4 +202,4 @@ def require_within(trace: MotionTrace, doing: str) -> None:
         cure = (
             "Look for a valve that opens too far, an encoder that jumps, or a supply that is not turned down."
         )
-    raise WrongMachine(doing, trace.tripped, "a slow motion between the stops", cure)
+    raise WrongMachine(doing, trace.tripped.text, "a slow motion between the stops", cure)

@@ -18,7 +18,12 @@ from bench.commissioning.following import with_following_limits
 from bench.commissioning.slowed_swing import slowed
 from bench.commissioning.steps import StepResult
 from bench.commissioning.swung_robot import SwungRobot
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.wrong_machine import (
+    PredictionFails,
+    PredictionStopped,
+    SwingStopped,
+    WrongMachine,
+)
 from bench.config import Configuration
 from bench.control.feed_forward import FeedForward
 from bench.design.designer import DesignFailed
@@ -132,7 +137,7 @@ def swung_slowly(
     try:
         return [_swung(robot, slow.bench, slow.share, folder)]
     except WrongMachine as wrong:
-        if slow.designed or not wrong.found.startswith(_STOPPED):
+        if slow.designed or not isinstance(wrong, SwingStopped):
             raise
         note = f"{wrong.place} {wrong.found}: designed instead"
     slow = slow_swing(known, full, share, speed, stretched=False)
@@ -183,7 +188,7 @@ def slow_swing(
             return SlowSwing(tried, bench_of(with_following_limits(known, designed), designed), designed=True)
         except DesignFailed as failure:
             found = f"{found}; designed: {failure}".removeprefix("; ")
-    raise WrongMachine(
+    raise PredictionFails(
         f"prediction of the swing of {100 * share:.0f} %",
         found,
         "a whole swing of about this speed, of the robot as measured",
@@ -208,12 +213,12 @@ def _swung(robot: SwungRobot, bench: Bench, share: float, folder: Path) -> str:
     ball, place = share >= DESIGNED_SHARES[0], f"swing of {100 * share:.0f} %"
     model = Series(bench, bench.model)
     predicted = [model.swing(bench.profile, ball=ball) for _ in range(_PREDICTIONS)]
-    require_safe(model.loads(), f"prediction of the {place}")
+    require_safe(model.loads(), f"prediction of the {place}", PredictionFails)
     whole = [one for one in predicted if not one.cause]
     if not whole:
         said = f"{_STOPPED}{CAUSE_TEXT[predicted[0].cause]}"
         cure = "Look at friction and dead bands: the robot as measured cannot make a swing designed for it."
-        raise WrongMachine(f"prediction of the {place}", said, "a whole swing", cure)
+        raise PredictionStopped(f"prediction of the {place}", said, "a whole swing", cure)
     series = robot.series(bench)
     made = series.swing(bench.profile, ball=ball)
     np.savez_compressed(folder / f"records/6-swing-{100 * share:.0f}.npz", cycles=made.cycles)
@@ -241,7 +246,7 @@ def exceeded(loads: Loads | None) -> list[str]:
     return [] if loads is None else dangers(RunEnd(loads), SafetyLimits())
 
 
-def require_safe(loads: Loads | None, place: str) -> None:
+def require_safe(loads: Loads | None, place: str, error: type[WrongMachine] = WrongMachine) -> None:
     """Refuse to go on after `loads` beyond a rating; None: nothing measures them.
 
     Raises:
@@ -249,7 +254,7 @@ def require_safe(loads: Loads | None, place: str) -> None:
     """
     if unsafe := exceeded(loads):
         cure = "Inspect cushions, chambers and club before anything moves; brakes are weaker than assumed."
-        raise WrongMachine(place, "; ".join(unsafe), "loads within every rating", cure)
+        raise error(place, "; ".join(unsafe), "loads within every rating", cure)
 
 
 def deviation(bench: Bench, predicted: SeriesSwing, made: SeriesSwing) -> SwingDeviation:
@@ -315,7 +320,7 @@ def require_as_predicted(
     """
     cure = "Look for what changed since the steps before: supply and hoses, play, a rubbing joint, the club."
     if cause:
-        raise WrongMachine(place, f"{_STOPPED}{CAUSE_TEXT[cause]}", "a whole swing", cure)
+        raise SwingStopped(place, f"{_STOPPED}{CAUSE_TEXT[cause]}", "a whole swing", cure)
     off = found.measured / found.predicted - 1.0
     spread = spread or PredictionSpread()
     most = _MOST_SPEED / share + spread.speed

@@ -89,7 +89,12 @@ class CampaignStore:
         Raises:
             Refused: the id exists already.
         """
-        values = asdict(entry) | {"state": CampaignState.RUNNING, "reason": "", "requested": ""}
+        values = asdict(entry) | {
+            "state": CampaignState.RUNNING,
+            "reason": "",
+            "requested": "",
+            "requested_by": "",
+        }
 
         def work(connection: Connection) -> None:
             last = connection.scalar(select(func.max(CAMPAIGNS.c.number))) or 0
@@ -141,7 +146,7 @@ class CampaignStore:
         return [
             (
                 CampaignEntry(**{name: row[name] for name in names}),
-                Standing(CampaignState(row["state"]), row["reason"], row["requested"]),
+                Standing(CampaignState(row["state"]), row["reason"], row["requested"], row["requested_by"]),
                 counts.get(row["id"], Counter()),
             )
             for row in rows
@@ -150,13 +155,13 @@ class CampaignStore:
     @_again_if_lost
     def standing(self, campaign: str) -> Standing:
         """Return the state of a campaign."""
-        c = CAMPAIGNS.c
+        columns = (CAMPAIGNS.c[name] for name in Standing._fields)
         with self._reading() as connection:
-            row = connection.execute(select(c.state, c.reason, c.requested).where(c.id == campaign)).one()
+            row = connection.execute(select(*columns).where(CAMPAIGNS.c.id == campaign)).one()
         return Standing(CampaignState(row[0]), *row[1:])
 
     def change(self, campaign: str, **values: Any) -> None:
-        """Set columns `state`, `reason` or `requested`."""
+        """Set columns of `Standing`."""
         self._execute(update(CAMPAIGNS).where(CAMPAIGNS.c.id == campaign).values(**values))
 
     @_again_if_lost

@@ -20,7 +20,7 @@ from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
 from bench.errors import BenchError, Refused
 from bench.store.tables import Row, SchemaVersionRow
 
-SCHEMA_VERSION = 10
+SCHEMA_VERSION = 11
 """Version of `bench.store.tables`."""
 
 
@@ -40,6 +40,7 @@ class DatabaseLocked(Refused):
     """Another process holds the database for longer than the time that was waited."""
 
     state = "locked by another process"
+    """How it is, before the time for which it is so."""
     expected_state = "a database that is free to write"
     action = "End the program that holds it (a backup, a database browser), then try again."
 
@@ -52,8 +53,8 @@ class DatabaseLocked(Refused):
 class DatabaseAway(DatabaseLocked):
     """The database's server is not there, for longer than the time that was waited."""
 
-    state = "out of reach, its server restarts or is down,"
-    expected_state = "a server that answers"
+    state = "out of reach"
+    expected_state = "a server that is up and answers"
     action = "Start the server or mend the way to it, then try again."
 
 

@@ -62,6 +62,7 @@ class Standing(NamedTuple):
     state: CampaignState
     reason: str
     requested: str
+    requested_by: str = ""
 
 
 class Event(NamedTuple):

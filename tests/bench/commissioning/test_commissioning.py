@@ -211,7 +211,8 @@ def test_a_passed_bound_makes_the_machine_passive() -> None:
     with SimulatedMachine(plant, plant) as machine:
         machine.vent(1.0)
         trace = machine.run((Segment(3.0, (0.3, 0.0, 0.0)),), BOUNDS._replace(speed=(0.2, 10.0, 20.0)))
-        assert trace.tripped.startswith("speed of the shoulder")
+        assert trace.tripped is not None
+        assert trace.tripped.text.startswith("speed of the shoulder")
         assert not machine.driver.applied.supply_enable
 
 

@@ -25,7 +25,16 @@ from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store import database
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import DatabaseLocked, open_database
-from bench.store.records import CampaignEntry, CampaignState, Event, Hit, Prompt, ShotExclusion, ShotNote
+from bench.store.records import (
+    CampaignEntry,
+    CampaignState,
+    Event,
+    Hit,
+    Prompt,
+    ShotExclusion,
+    ShotNote,
+    Standing,
+)
 from bench.store.tables import SHOTS
 from tests.bench.lossy_proxy import LossyProxy
 from tests.bench.running_postgres import PostgresServer, running_postgres
@@ -96,8 +105,9 @@ def _round_trip(url: Any) -> None:
         assert store.shots(ENTRY.id) == _shots(1, 3)
         assert store.events(ENTRY.id) == [event]
         assert store.hits(ENTRY.id) == {Hit("ball", "tour", 3): 3, Hit("club", "driver"): 2}
-        store.change(ENTRY.id, state=CampaignState.PAUSED, reason="lunch", requested="pause")
-        assert store.standing(ENTRY.id) == (CampaignState.PAUSED, "lunch", "pause")
+        asked = Standing(CampaignState.PAUSED, "lunch", "pause", "Ann")
+        store.change(ENTRY.id, **asked._asdict())
+        assert store.standing(ENTRY.id) == asked
         ((entry, standing, counts),) = store.entries()
         assert (entry, standing.reason, counts) == (ENTRY, "lunch", Counter(valid=3))
 
