@@ -69,6 +69,7 @@ COMMANDS: Mapping[str, str] = {
     "check": "bench.cli:check",
     "replay": "bench.cli:replay",
     "swing": "bench.commands.swing:app",
+    "golfer": "bench.commands.golfer:app",
     **dict.fromkeys(
         ("status", "home", "arm", "disarm", "access", "tee", "stop", "estop", "reset", "lease"), _OPERATE
     ),

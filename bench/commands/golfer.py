@@ -1,0 +1,173 @@
+"""`golfbench golfer ...`: measured swings of golfers."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from bench.commands.session import Json, Session, show_json
+from bench.errors import BenchError
+
+if TYPE_CHECKING:
+    from bench.golfer import MeasuredSwing, Roles
+
+app = typer.Typer(no_args_is_help=True)
+
+_NAME = re.compile(r"[\w][\w .-]{0,99}")
+
+
+Recording = Annotated[Path, typer.Argument(metavar="FILE", help="Recording: .c3d, .trc, .csv or .bvh.")]
+Markers = Annotated[
+    Path | None, typer.Option(metavar="MAP", help="TOML from roles to markers.", show_default="built-in maps")
+]
+Name = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Name of the result.", show_default="the file's")
+]
+Lead = Annotated[
+    str | None, typer.Option(metavar="left|right", help="Lead side, to be verified.", show_default="found")
+]
+Up = Annotated[
+    str | None, typer.Option(metavar="x|y|z", help="Up axis, -z for z down.", show_default="found")
+]
+Events = Annotated[
+    str | None,
+    typer.Option(metavar="top=S,impact=S", help="Events (s) in the file's time.", show_default="found"),
+]
+Cutoff = Annotated[
+    str, typer.Option(metavar="BODY,HEAD", help="Cut-offs of the filter (Hz); hands 5/3 of the body's.")
+]
+Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the result.")]
+Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Also plot it: .png, .svg or .pdf.")]
+
+
+@app.callback()
+def golfer() -> None:
+    """Import measured swings of golfers."""
+
+
+@app.command("import")
+def import_(
+    context: typer.Context,
+    file: Recording,
+    markers: Markers = None,
+    name: Name = None,
+    lead: Lead = None,
+    up: Up = None,
+    events: Events = None,
+    cutoff: Cutoff = "15,50",
+    output: Output = Path(),
+    plot: Plot = None,
+    json_: Json = False,
+) -> None:
+    """Import a recorded swing: events, swing plane, joint angles, speeds, and what a robot cannot repeat.
+
+    Writes NAME.golfer.toml and its table. A recording without a club gives shoulders and arm only. Files of
+    GEARS itself are not read: export C3D from GEARS. C3D needs `pip install 'golfbench[mocap]'`.
+    """
+    from bench.golfer import ImportOptions, find_roles, measure, read_capture, save_golfer, summary
+
+    options = ImportOptions(
+        _choice("--lead", lead, ("left", "right")),
+        _choice("--up", up, ("x", "y", "z", "-x", "-y", "-z")),
+        **_events(events),
+        cutoff=_cutoff(cutoff),
+    )
+    _require_picture(plot)
+    title = name if name is not None else file.stem
+    if not _NAME.fullmatch(title):
+        raise BenchError(
+            "--name", title[:60], "letters, digits, blanks, dots, dashes", "Give another --name."
+        )
+    if not output.is_dir():
+        raise BenchError("--output", str(output), "a folder that exists", "Make the folder, or name another.")
+    plant = context.ensure_object(Session).configuration().plant
+    capture = read_capture(file)
+    roles = find_roles(capture, markers)
+    swing = measure(capture, roles, options)
+    path = save_golfer(output, title, swing, capture, roles)
+    if plot is not None:
+        _draw(plot, swing, f"{title}, {capture.path.name}")
+    found = {"golfer": str(path), "source_sha256": capture.digest, **summary(swing)}
+    _show(swing, roles, _beyond(plant, swing), found if json_ else None)
+    if not json_:
+        for label, written in (("Golfer", path), ("Picture", plot)):
+            if written is not None:
+                typer.echo(f"{label}: {written}")
+
+
+def _draw(plot: Path, swing: MeasuredSwing, title: str) -> None:
+    """Write the picture of `swing`."""
+    from bench.golfer.golfer_plot import golfer_plot
+
+    try:
+        golfer_plot(swing, title).savefig(plot, dpi=150)
+    except OSError as error:
+        cure = "Name a file in a folder that exists."
+        raise BenchError("--plot", error.strerror or str(error), "a file that can be written", cure) from None
+
+
+def _show(
+    swing: MeasuredSwing, roles: Roles, beyond: dict[str, float | None], found: dict[str, Any] | None
+) -> None:
+    """Print the import: the record `found` with the rest as JSON, or without one the tables."""
+    if found is not None:
+        more = {"beyond_machine": beyond, "markers": roles.markers, "markers_left_out": roles.dropped}
+        show_json(found | more)
+        return
+    from bench.commands.golfer_tables import import_report
+
+    console = Console()
+    for shown in import_report(swing, roles, beyond):
+        console.print(shown, highlight=False, soft_wrap=isinstance(shown, str))
+
+
+def _beyond(plant: Any, swing: MeasuredSwing) -> dict[str, float | None]:
+    """Return the excess beyond the machine's ranges by joint, None where not measured."""
+    from math import isnan
+
+    from bench.golfer import beyond_ranges
+
+    excess = beyond_ranges(plant, swing.angle[swing.downswing])
+    keys = ("shoulder_rad", "right_arm_m", "wrist_rad")
+    return {key: None if isnan(value) else round(value, 4) for key, value in zip(keys, excess, strict=True)}
+
+
+def _choice(option: str, given: str | None, choices: tuple[str, ...]) -> str:
+    if given is None:
+        return ""
+    if given.lower() not in choices:
+        raise BenchError(option, given[:40], f"one of {', '.join(choices)}", f"Correct {option}.")
+    return given.lower()
+
+
+def _events(text: str | None) -> dict[str, float]:
+    """Return the events in `text` (s)."""
+    found: dict[str, float] = {}
+    for part in text.split(",") if text else ():
+        key, _, value = (word.strip() for word in part.partition("="))
+        try:
+            found[{"top": "top", "impact": "impact"}[key]] = float(value)
+        except (KeyError, ValueError):
+            raise BenchError("--events", part[:40], "top=S, impact=S or both", "Correct --events.") from None
+    return found
+
+
+def _cutoff(text: str) -> tuple[float, float]:
+    try:
+        body, head = (float(part) for part in text.split(","))
+    except ValueError:
+        raise BenchError(
+            "--cutoff", text[:40], "two frequencies (Hz), as 15,50", "Correct --cutoff."
+        ) from None
+    if not (2.0 <= body <= 200.0 and 2.0 <= head <= 500.0):
+        raise BenchError("--cutoff", text[:40], "2 to 200 and 2 to 500 Hz", "Correct --cutoff.")
+    return body, head
+
+
+def _require_picture(plot: Path | None) -> None:
+    if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise BenchError("--plot", str(plot), "a name that ends in .png, .svg or .pdf", "Change its ending.")

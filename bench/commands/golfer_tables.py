@@ -1,0 +1,66 @@
+"""How `golfbench golfer` shows a measured swing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from bench.golfer import MeasuredSwing, Roles, summary
+
+_JOINTS = ("shoulders θ1", "lead arm θ2", "wrist θ3")
+
+
+def import_report(
+    swing: MeasuredSwing, roles: Roles, beyond: Mapping[str, float | None]
+) -> Iterator[Table | str]:
+    """Yield the tables and lines of an import."""
+    found = summary(swing)
+    yield f"Recording: {found['frames']} frames at {found['rate_hz']:g} Hz"
+    yield f"  unit      {found['unit']}"
+    yield f"  up        {found['up']}"
+    yield f"  lead      {found['lead']}, {found['lead_clue']}"
+    yield f"  impact    {found['impact_s']:.3f} s, by {found['impact_clue']}"
+    turn = "" if found["club_top_s"] is None else f"; the shaft turns back at {found['club_top_s']:.3f} s"
+    yield f"  top       {found['top_s']:.3f} s, by {found['top_clue']}{turn}"
+    yield f"  downswing {found['downswing_s']:.3f} s"
+    yield f"  plane     {found['plane_deg']:.1f}° from the ground"
+    gaps = ", ".join(f"{role} {count}" for role, count in swing.gaps.items() if count)
+    yield f"  gaps      {f'{gaps} frames filled' if gaps else 'none'}"
+    if roles.dropped:
+        yield f"  left out  {', '.join(roles.dropped)}: missing in too many frames"
+    yield _angles(found)
+    if found["max_cock_deg"] is not None:
+        yield f"Largest cock of the wrist {found['max_cock_deg']:.0f}°"
+    head = found["head_speed_mps"]
+    speed = "" if head is None else f"head {head:.1f} m/s, "
+    hands, peak = found["hand_speed_mps"], found["peak_hand_speed_mps"]
+    yield f"At the ball: {speed}hands {hands:.1f} m/s (peak {peak:.1f})"
+    if found["x_factor_top_deg"] is not None:
+        at_top, most = found["x_factor_top_deg"], found["x_factor_max_deg"]
+        yield f"X-factor: {at_top:.0f}° at the top, {most:.0f}° at most"
+    off = ", ".join(
+        f"{role.replace('_', ' ')} {value:.0f}" for role, value in found["off_plane_rms_mm"].items()
+    )
+    x, y = found["hub_travel_mm"]
+    yield f"A planar robot cannot show: {off} mm off the plane (rms); shoulders travel {x:.0f} by {y:.0f} mm"
+    out = [
+        f"{key.rpartition('_')[0].replace('_', ' ')} {value:.2f} {key.rpartition('_')[2]}"
+        for key, value in beyond.items()
+        if value
+    ]
+    yield f"Beyond the machine's ranges: {', '.join(out) if out else 'nothing that was measured'}"
+    if swing.not_measured:
+        yield f"Not measured: {'; '.join(swing.not_measured)}"
+
+
+def _angles(found: Mapping[str, object]) -> Table:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for heading in ("joint", "top, °", "ball, °", "peak, rad/s"):
+        table.add_column(heading, justify="left" if heading == "joint" else "right")
+    columns = [found[key] for key in ("theta_top_deg", "theta_ball_deg", "peak_joint_speed_rad_per_s")]
+    for joint, name in enumerate(_JOINTS):
+        cells = [column[joint] for column in columns]  # type: ignore[index]  # lists of three
+        table.add_row(name, *("not measured" if cell is None else f"{cell:.1f}" for cell in cells))
+    return table

@@ -1,0 +1,207 @@
+"""`NAME.golfer.toml` with its Parquet table: a measured swing, where it comes from, how it was found."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from hashlib import sha256
+from importlib.metadata import version
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.errors import BenchError
+from bench.from_toml import read_toml
+from bench.golfer.capture import Array, Capture
+from bench.golfer.measured_swing import STEP, MeasuredSwing
+from bench.golfer.roles import Roles
+from bench.telemetry.whole_file import whole_file
+
+SCHEMA = "golfbench.golfer/1"
+SUFFIX = ".golfer.toml"
+ANGLES = ("theta1_rad", "theta2_rad", "theta3_rad")
+_KEYS = {"schema": str, "name": str, "table": str, "table_sha256": str, "downswing_s": float, "lead": str}
+_CURE = "Import the recording again with `golfbench golfer import FILE`."
+DEFINITIONS = {
+    "plane": "least squares through the head's path from where the shaft is level to the ball, or without a "
+    "club through the lead wrist's; x level towards the target, y up, origin at the ball",
+    "angles": "theta1 trail to lead shoulder, theta1 + theta2 lead arm (shoulder to wrist), "
+    "theta1 + theta2 + theta3 shaft, each projected onto the plane, from x, counterclockwise",
+    "impact": "loss of head speed between two frames, else the pass of the position at address",
+    "top": "slowest lead wrist before the ball",
+    "filter": "Butterworth, second order, forth and back, frames before the ball only",
+}
+
+
+@dataclass(frozen=True)
+class GolferSwing:
+    """A golfer's swing as read from a file; the last row is the ball."""
+
+    name: str
+    time: Array
+    """Time (n,), 0 at the ball (s)."""
+    angle: Array
+    """theta1, theta2, theta3 (n, 3), NaN where not measured (rad)."""
+    head: Array
+    """Head path (n, 2) from the ball, NaN without a club (m)."""
+    head_speed: float
+    """Head speed at the ball, NaN without a club (m/s)."""
+    top_row: int
+    """Row of the top."""
+    path: Path
+    """File that it was read from."""
+
+
+def degrees_or_none(angle: Array, *, wrapped: bool = True) -> list[float | None]:
+    """Return three angles (rad) in degrees, None where not measured; arm and wrist from 0 to 360."""
+    found = np.degrees(angle)
+    if wrapped:
+        found[1:] %= 360.0
+    return [None if np.isnan(value) else round(float(value), 2) for value in found]
+
+
+def summary(swing: MeasuredSwing) -> dict[str, Any]:
+    """Return the figures of `swing` for file and JSON; None where not measured."""
+    down = swing.downswing
+    head = swing.speed.get("head")
+    cock = None if not swing.has_club else round(360.0 - float(np.degrees(swing.angle[down, 2].min())), 2)
+    off_plane = {role: round(1e3 * value, 1) for role, value in swing.off_plane.items()}
+    x, y = swing.hub_travel
+    factor = swing.separation
+    club_top = swing.club_top_row
+    return {
+        "rate_hz": swing.rate,
+        "frames": swing.frames,
+        "impact_s": round(swing.impact_time, 5),
+        "impact_clue": swing.impact_clue,
+        "top_s": round(swing.impact_time + float(swing.time[swing.top_row]), 4),
+        "top_clue": swing.top_clue,
+        "club_top_s": None if club_top is None else round(swing.impact_time + float(swing.time[club_top]), 4),
+        "downswing_s": round(-float(swing.time[swing.top_row]), 4),
+        "lead": swing.orientation.lead,
+        "lead_clue": swing.orientation.lead_clue,
+        "unit": swing.orientation.unit,
+        "up": swing.orientation.up,
+        "plane_deg": round(float(np.degrees(swing.plane)), 2),
+        "theta_top_deg": degrees_or_none(swing.angle[swing.top_row]),
+        "theta_ball_deg": degrees_or_none(swing.angle[-1]),
+        "max_cock_deg": cock,
+        "head_speed_mps": None if head is None else round(float(head[-1]), 3),
+        "hand_speed_mps": round(float(swing.speed["lead_wrist"][-1]), 3),
+        "peak_hand_speed_mps": round(float(swing.speed["lead_wrist"][down].max()), 3),
+        "peak_joint_speed_rad_per_s": _peaks(swing),
+        "x_factor_top_deg": None if factor is None else round(float(np.degrees(factor[swing.top_row])), 2),
+        "x_factor_max_deg": None if factor is None else round(float(np.degrees(factor[down].max())), 2),
+        "off_plane_rms_mm": off_plane,
+        "hub_travel_mm": [round(1e3 * x, 1), round(1e3 * y, 1)],
+        "gaps_filled": swing.gaps,
+        "not_measured": list(swing.not_measured),
+    }
+
+
+def _peaks(swing: MeasuredSwing) -> list[float | None]:
+    rates = np.gradient(swing.angle, STEP, axis=0)[swing.downswing]
+    return [None if np.isnan(column).any() else round(float(np.abs(column).max()), 2) for column in rates.T]
+
+
+def save_golfer(folder: Path, name: str, swing: MeasuredSwing, capture: Capture, roles: Roles) -> Path:
+    """Write `NAME.golfer.toml` and `NAME.golfer.parquet` into `folder`, and return the path of the first.
+
+    Raises:
+        NotStored: a file cannot be written.
+    """
+    path, table = folder / f"{name}{SUFFIX}", folder / f"{name}.golfer.parquet"
+    content = _table(swing)
+    body, head = swing.options.cutoff
+    about: dict[str, Any] = {
+        "schema": SCHEMA,
+        "name": name,
+        "table": table.name,
+        "table_sha256": sha256(content).hexdigest(),
+        "source": capture.path.name,
+        "source_sha256": capture.digest,
+        "golfbench": version("golfbench"),
+        "cutoff_hz": {"body": body, "hands": round(body * 5 / 3, 3), "club": head},
+        **summary(swing),
+    }
+    lines = [f"{key} = {_toml(value)}" for key, value in about.items() if value is not None]
+    lines += ["", "[markers]", *(f"{role} = {_toml(list(names))}" for role, names in roles.markers.items())]
+    lines += ["", "[definitions]", *(f"{key} = {_toml(text)}" for key, text in DEFINITIONS.items())]
+    with whole_file(table) as stream:
+        stream.write(content)
+    with whole_file(path) as stream:
+        stream.write(("\n".join(lines) + "\n").encode())
+    return path
+
+
+def _toml(value: Any) -> str:
+    """Return `value` as TOML; a value that was not measured is nan."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(below)}" for key, below in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return "nan" if value is None else json.dumps(value, ensure_ascii=False)
+
+
+def _table(swing: MeasuredSwing) -> bytes:
+    """Return the Parquet file: time, angles, speeds, and each role's path in the plane."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    columns: dict[str, Array] = {"time_s": np.round(swing.time, 6)}
+    columns |= dict(zip(ANGLES, swing.angle.T, strict=True))
+    columns |= {f"{role}_speed_mps": speed for role, speed in swing.speed.items()}
+    if swing.separation is not None:
+        columns["x_factor_rad"] = swing.separation
+    for role, path in swing.position.items():
+        columns |= {f"{role}_{axis}_m": path[:, k] for k, axis in enumerate(("x", "y", "off"))}
+    file = BytesIO()
+    narrow = pa.table({name: values.astype(np.float32) for name, values in columns.items()})
+    parquet.write_table(narrow, file, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
+    return file.getvalue()
+
+
+def load_golfer(path: Path) -> GolferSwing:
+    """Return the golfer's swing in `path`, a `NAME.golfer.toml`.
+
+    Raises:
+        BenchError: a file is missing, damaged, or its table is not the one it was written with.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    raw = read_toml(path, "a golfer's swing", _CURE)
+    for key, kind in _KEYS.items():
+        if not isinstance(raw.get(key), kind):
+            raise BenchError(f"{path}: {key}", str(raw.get(key, "nothing"))[:60], f"a {kind.__name__}", _CURE)
+    if raw["schema"] != SCHEMA:
+        raise BenchError(f"{path}: schema", raw["schema"][:60], SCHEMA, _CURE)
+    table_path = path.with_name(Path(raw["table"]).name)
+    try:
+        content = table_path.read_bytes()
+    except OSError as error:
+        raise BenchError(
+            str(table_path), error.strerror or str(error), f"the table of {path}", _CURE
+        ) from None
+    if sha256(content).hexdigest() != raw["table_sha256"]:
+        raise BenchError(str(table_path), "another digest", f"the table of {path}", _CURE)
+    try:
+        table = parquet.ParquetFile(BytesIO(content)).read(use_threads=False)
+        columns = {name: np.array(table.column(name).to_pylist(), dtype=float) for name in table.column_names}
+        time = columns["time_s"]
+        angle = np.column_stack([columns[name] for name in ANGLES])
+    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+        raise BenchError(
+            str(table_path), f"no table of a golfer: {error}", "the columns of an import", _CURE
+        ) from None
+    nothing = np.full(len(time), np.nan)
+    head = np.column_stack([columns.get(f"head_{axis}_m", nothing) for axis in "xy"])
+    speed = float(columns.get("head_speed_mps", nothing)[-1])
+    row = len(time) - 1 - round(raw["downswing_s"] / STEP)
+    if not 0 <= row < len(time) - 2:
+        raise BenchError(
+            f"{path}: downswing_s", f"{raw['downswing_s']:g} s", "a time within the table", _CURE
+        )
+    return GolferSwing(raw["name"], time, angle, head, speed, row, path)

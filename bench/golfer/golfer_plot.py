@@ -1,0 +1,80 @@
+"""Plot of a measured swing: angles, speeds and events over time, and the view onto the swing plane."""
+
+from __future__ import annotations
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from bench.golfer.measured_swing import MeasuredSwing
+from bench.shot.plot_style import COLOURS, GREY, INK, STYLE, styled
+
+_NAMES = ("θ1 shoulders", "θ2 lead arm", "θ3 wrist")
+
+
+def golfer_plot(swing: MeasuredSwing, title: str) -> Figure:
+    """Return the figure of `swing`."""
+    with mpl.rc_context(STYLE):
+        figure = styled(6.2)
+        axes_of = figure.subplot_mosaic([[f"{row}", "plane"] for row in range(4)])
+        rows = [axes_of[f"{row}"] for row in range(4)]
+        begin = max(len(swing.time) - 1 - int(4.0 * (len(swing.time) - 1 - swing.top_row)), 0)
+        since = 1e3 * swing.time[begin:]
+        for joint, name in enumerate(_NAMES):
+            axes = rows[joint]
+            axes.set(title=name, ylabel="degrees")
+            if np.isnan(swing.angle[-1, joint]):
+                axes.text(0.5, 0.5, "not measured", transform=axes.transAxes, ha="center", color=GREY)
+            else:
+                axes.plot(since, np.degrees(swing.angle[begin:, joint]), color=COLOURS[joint])
+        for role, colour in (("head", COLOURS[1]), ("lead_wrist", COLOURS[0])):
+            if role in swing.speed:
+                rows[3].plot(since, swing.speed[role][begin:], color=colour, label=role.replace("_", " "))
+        rows[3].set(title="speed", ylabel="m/s", xlabel="ms before the ball")
+        rows[3].legend(loc="upper left")
+        for axes in rows[:3]:
+            axes.sharex(rows[3])
+            axes.tick_params(labelbottom=False)
+        for axes in rows:
+            _mark_events(axes, swing)
+        _draw_plane(axes_of["plane"], swing)
+        figure.suptitle(f"{title}\nGrey: top (dotted: the shaft turns back). Black: ball.", fontsize=8.5)
+    return figure
+
+
+def _mark_events(axes: Axes, swing: MeasuredSwing) -> None:
+    axes.axvline(1e3 * swing.time[swing.top_row], color=GREY, linewidth=0.8)
+    axes.axvline(0.0, color=INK, linewidth=0.8)
+    if swing.club_top_row is not None:
+        axes.axvline(1e3 * swing.time[swing.club_top_row], color=GREY, linewidth=0.8, linestyle=":")
+
+
+def _draw_plane(axes: Axes, swing: MeasuredSwing) -> None:
+    """Draw the paths in the plane, and the stick figure at the top, in the downswing and at the ball."""
+    begin = swing.top_row
+    for role, colour in (("head", COLOURS[1]), ("lead_wrist", COLOURS[0]), ("lead_shoulder", COLOURS[2])):
+        if role in swing.position:
+            path = swing.position[role][begin:]
+            axes.plot(path[:, 0], path[:, 1], color=colour, linewidth=1.0, label=role.replace("_", " "))
+    chain = ["trail_shoulder", "lead_shoulder", "lead_wrist", *(["head"] if swing.has_club else [])]
+    last = len(swing.time) - 1
+    for row in np.linspace(begin, last, 6).astype(int):
+        stick = np.array([swing.position[role][row, :2] for role in chain])
+        strong = row in (begin, last)
+        axes.plot(
+            stick[:, 0],
+            stick[:, 1],
+            "o-",
+            color=INK if strong else GREY,
+            markersize=2.5,
+            linewidth=1.2 if strong else 0.6,
+            alpha=1.0 if strong else 0.6,
+        )
+    axes.set(
+        title=f"swing plane, {np.degrees(swing.plane):.1f}° from the ground",
+        xlabel="to the target, m",
+        ylabel="up the plane, m",
+    )
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.legend(loc="upper right")

@@ -1,0 +1,293 @@
+"""Damaged recordings are refused, each by name."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.errors import BenchError
+from bench.golfer import ImportOptions, read_capture
+from tests.bench.golfer.synthetic import BALL, MAP, Array, Synthetic, write
+from tests.bench.golfer.test_synthetic_golfers import imported
+
+RATE = 240
+AT_BALL = round(BALL * RATE)
+Change = Callable[[list[str], Array], Array | None]
+
+
+@cache
+def _recording() -> tuple[tuple[str, ...], Array]:
+    names, points = Synthetic().recording()
+    return tuple(names), points
+
+
+def _of(names: list[str], *roles: str) -> list[int]:
+    return [k for k, name in enumerate(names) if name[:-1] in roles]
+
+
+def _missing(role: str, first: int, end: int) -> Change:
+    def change(names: list[str], points: Array) -> Array | None:
+        points[first:end, _of(names, role)] = np.nan
+        return None
+
+    return change
+
+
+def _swapped(one: str, other: str, first: int = 0) -> Change:
+    def change(names: list[str], points: Array) -> Array | None:
+        a, b = _of(names, one), _of(names, other)
+        points[first:, a + b] = points[first:, b + a]
+        return None
+
+    return change
+
+
+def _cut(first: int, end: int) -> Change:
+    return lambda _, points: points[first:end]
+
+
+def _times(factor: float) -> Change:
+    return lambda _, points: points * factor
+
+
+def _jump(names: list[str], points: Array) -> Array | None:
+    points[280, _of(names, "LWRI")] += [0.0, 0.06, 0.0]
+    return None
+
+
+def _step(names: list[str], points: Array) -> Array | None:
+    points[290:, _of(names, "RSHO")] += [0.08, 0.0, 0.0]
+    return None
+
+
+def _slow(_: list[str], points: Array) -> Array | None:
+    return np.repeat(points[:150], 3, axis=0)
+
+
+def _half_swing(_: list[str], points: Array) -> Array | None:
+    there = points[60:130]
+    return np.concatenate([points[:130], there[::-1], np.repeat(there[:1], 60, axis=0)])
+
+
+def _standing(_: list[str], points: Array) -> Array | None:
+    return np.repeat(points[:1], 300, axis=0)
+
+
+DAMAGED: dict[str, tuple[Change, str, str]] = {
+    "cut 5 ms before the ball": (_cut(0, AT_BALL - 1), "no impact", "HEAD"),
+    "cut 50 ms before the ball": (_cut(0, AT_BALL - 12), "no impact", "HEAD"),
+    "cut at the top": (_cut(0, 250), "no impact", "HEAD"),
+    "begins after the ball": (_cut(AT_BALL + 5, 385), "no swing", ""),
+    "head lost at the ball": (_missing("HEAD", AT_BALL - 2, AT_BALL + 2), "at the ball", "HEAD1"),
+    "head lost 15 ms before the ball": (_missing("HEAD", AT_BALL - 5, AT_BALL - 3), "at the ball", "HEAD1"),
+    "wrist lost at the ball": (_missing("LWRI", AT_BALL - 3, AT_BALL + 1), "at the ball", "LWRI1"),
+    "head lost from the downswing on": (_missing("HEAD", AT_BALL - 20, 385), "marker lost", "HEAD1"),
+    "gap of 50 ms in the downswing": (_missing("LWRI", 280, 292), "gap of 50 ms", "LWRI1"),
+    "gap of 46 ms of a shoulder": (_missing("RSHO", 270, 281), "gap of 46 ms", "RSHO1"),
+    "shoulders swapped": (_swapped("LSHO", "RSHO"), "sides swapped", "RWRI1"),
+    "wrists swapped": (_swapped("LWRI", "RWRI"), "sides swapped", "LWRI1"),
+    "shoulders swapped in the downswing": (_swapped("LSHO", "RSHO", 285), "swapped sides", "SHO1"),
+    "a wrist jumps to and fro": (_jump, "a jump of", "LWRI1"),
+    "a shoulder jumps and stays": (_step, "a jump of", "RSHO1"),
+    "numbers of another unit": (_times(10.0), "sizes of a person", "LSHO1 to LWRI1"),
+    "numbers in inches": (_times(1 / 0.0254), "sizes of a person", "LSHO1 to LWRI1"),
+    "a child's size": (_times(0.5), "sizes of a person", "LSHO1 to LWRI1"),
+    "a slow backswing": (_slow, "no ", ""),
+    "half a backswing and back": (_half_swing, "no ", ""),
+    "standing still": (_standing, "no impact", "HEAD"),
+    "grip where the head is": (_swapped("GRIP", "HEAD"), "head further away", "HEAD1"),
+    "head always missing": (_missing("HEAD", 0, 385), "less than 12 frames", "HEAD1"),
+}
+
+
+@pytest.mark.parametrize(("change", "found", "marker"), DAMAGED.values(), ids=DAMAGED)
+def test_a_damaged_recording_is_refused(change: Change, found: str, marker: str, tmp_path: Path) -> None:
+    names, points = list(_recording()[0]), _recording()[1].copy()
+    changed = change(names, points)
+    path = write(tmp_path / "damaged.csv", names, points if changed is None else changed, RATE)
+
+    with pytest.raises(BenchError) as refused:
+        imported(path)
+
+    assert str(path) in refused.value.place
+    assert found in f"{refused.value.found} {refused.value.expected}"
+    assert marker in refused.value.place
+    assert len(refused.value.cure.split()) > 3
+
+
+def _csv(tmp_path: Path) -> Path:
+    names, points = _recording()
+    return write(tmp_path / "swing.csv", list(names), points, RATE)
+
+
+def _refusal(path: Path) -> BenchError:
+    with pytest.raises(BenchError) as refused:
+        read_capture(path)
+    return refused.value
+
+
+def test_a_recording_at_60_hz_is_refused(tmp_path: Path) -> None:
+    names, points = _recording()
+
+    refusal = _refusal(write(tmp_path / "slow.csv", list(names), points[::4], 60))
+
+    assert "60 frames per second" in refusal.found
+
+
+@pytest.mark.parametrize(
+    ("line", "new", "place", "found"),
+    [
+        (100, "0.4125,zero", "line 100, column 2", "'zero'"),
+        (0, "time,LSHO1_x", "line 1", "time"),
+        (200, "", "", "4 cells"),
+        (50, "0.1", "line 50", "1 cells"),
+    ],
+    ids=["text", "header", "cut row", "short row"],
+)
+def test_a_damaged_csv_is_refused_with_its_line(
+    line: int, new: str, place: str, found: str, tmp_path: Path
+) -> None:
+    path = _csv(tmp_path)
+    lines = path.read_text().splitlines()
+    if place.endswith("column 2"):
+        cells = lines[line - 1].split(",")
+        cells[1] = "zero"
+        new = ",".join(cells)
+    if not place:
+        lines, new, line = lines[:line], "0.829167,0.1,0.2,0.3", 0
+        lines.append(new)
+    else:
+        lines[max(line - 1, 0)] = new
+    path.write_text("\n".join(lines))
+
+    refusal = _refusal(path)
+
+    assert place in refusal.place
+    assert found in refusal.found
+
+
+def test_times_that_fall_are_refused(tmp_path: Path) -> None:
+    path = _csv(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[10], lines[11] = lines[11], lines[10]
+    path.write_text("\n".join(lines))
+
+    assert "does not rise" in _refusal(path).found
+
+
+def test_left_out_rows_are_gaps(tmp_path: Path) -> None:
+    path = _csv(tmp_path)
+    lines = path.read_text().splitlines()
+    del lines[150:153]
+    path.write_text("\n".join(lines))
+
+    capture = read_capture(path)
+
+    assert capture.rate == pytest.approx(RATE)
+    assert np.isnan(capture.points[149:152]).all()
+    assert len(capture.points) == 385
+
+
+@pytest.mark.parametrize("suffix", [".c3d", ".trc"])
+@pytest.mark.parametrize("part", [0.3, 0.97])
+def test_a_cut_file_is_refused(suffix: str, part: float, tmp_path: Path) -> None:
+    names, points = _recording()
+    path = write(tmp_path / f"swing{suffix}", list(names), points, RATE)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(part * len(content))])
+
+    assert str(path) in _refusal(path).place
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\x02\x50" + bytes(2000), bytes(range(256)) * 20], ids=["empty", "zeros", "noise"]
+)
+@pytest.mark.parametrize("suffix", [".c3d", ".trc", ".csv", ".bvh"])
+def test_a_file_of_something_else_is_refused(suffix: str, content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / f"other{suffix}"
+    path.write_bytes(content)
+
+    assert str(path) in _refusal(path).place
+
+
+def test_a_declared_unit_that_is_wrong_is_refused_with_the_one_that_fits(tmp_path: Path) -> None:
+    golfer = Synthetic(unit="mm")
+    path = write(tmp_path / "swing.trc", *golfer.recording(), RATE, "m")
+
+    with pytest.raises(BenchError) as refused:
+        imported(path)
+
+    assert "they would fit mm" in refused.value.cure
+
+
+def test_a_file_of_gears_itself_is_refused(tmp_path: Path) -> None:
+    assert "export C3D from GEARS" in _refusal(tmp_path / "swing.gears").cure
+
+
+def test_a_role_without_a_marker_lists_the_names_of_the_file(tmp_path: Path) -> None:
+    path = _csv(tmp_path)
+
+    with pytest.raises(BenchError) as refused:
+        imported(path, map_text=MAP.replace("left_wrist", "#"))
+
+    assert "no marker for left_wrist" in refused.value.found
+    assert "LWRI1" in refused.value.found
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ('elbow = ["LSHO1"]', "no such role"),
+        ('grip = ["GRIPS"]', "no such marker"),
+        ("grip = 3", "3"),
+        ("grip = [", "invalid TOML"),
+    ],
+)
+def test_a_damaged_map_is_refused(text: str, found: str, tmp_path: Path) -> None:
+    with pytest.raises(BenchError) as refused:
+        imported(_csv(tmp_path), map_text=text)
+
+    assert found in refused.value.found
+
+
+def test_lead_and_trail_swapped_in_a_map_are_refused(tmp_path: Path) -> None:
+    swapped = MAP.replace("left_", "trail_").replace("right_", "lead_")
+
+    with pytest.raises(BenchError, match="sides swapped"):
+        imported(_csv(tmp_path), map_text=swapped)
+
+
+@pytest.mark.parametrize(
+    ("options", "place"),
+    [
+        (ImportOptions(lead="right"), "swing.csv"),
+        (ImportOptions(up="-z"), "--up"),
+        (ImportOptions(impact=9.0), "--events impact"),
+        (ImportOptions(top=1.30), "--events top"),
+    ],
+    ids=["lead", "up", "impact", "top"],
+)
+def test_a_stated_value_that_contradicts_the_file_is_refused(
+    options: ImportOptions, place: str, tmp_path: Path
+) -> None:
+    with pytest.raises(BenchError) as refused:
+        imported(_csv(tmp_path), options=options)
+
+    assert place in refused.value.place
+
+
+def test_c3d_without_its_package_is_refused_with_the_cure(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "ezc3d", None)
+    names, points = _recording()
+    path = tmp_path / "swing.c3d"
+    path.write_bytes(b"\x02\x50")
+
+    assert "golfbench[mocap]" in _refusal(path).cure
+    assert len(points) > len(names)
