@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 _JUMP = 0.050
 """Max jump of a marker in a frame (m)."""
+_EXCHANGE = 0.060
+"""Min sum of the jumps of two markers that may be exchanged (m)."""
 _AT_BALL = 0.020
 """Time around the ball in which head and lead wrist must be seen (s)."""
 _CHECKED = 1.2
@@ -29,7 +31,7 @@ def check_jumps(capture: Capture, raw: dict[str, Array], markers: Markers, impac
     """Raise BenchError where a marker but the head's jumps before the ball (raw paths in m)."""
     first, end = max(int(impact - _CHECKED * capture.rate), 0), int(impact) + 1
     for role, path in raw.items():
-        if role in ("head",):
+        if role == "head":
             continue
         # A jump to and fro shows twice its length in the second difference, one that stays once.
         jumps = second_differences(path)[first:end]
@@ -38,6 +40,24 @@ def check_jumps(capture: Capture, raw: dict[str, Array], markers: Markers, impac
             frame = first + int(np.argmax(jumps > limit))
             found = f"a jump of {1e3 * jumps[frame - first]:.0f} mm in a frame, or swapped sides"
             raise capture.error(found, f"jumps below {1e3 * _JUMP:.0f} mm", _RECORD, frame, markers[role][0])
+
+
+def check_exchanges(capture: Capture, raw: dict[str, Array], markers: Markers, impact: float) -> None:
+    """Raise BenchError where the markers of two sides are exchanged from one frame to the next."""
+    first, end = max(int(impact - _CHECKED * capture.rate), 2), int(impact) + 1
+    for part in ("shoulder", "wrist", "hip"):
+        pair = [raw.get(f"{side}_{part}") for side in ("lead", "trail")]
+        if pair[0] is None or pair[1] is None:
+            continue
+        here = np.stack([pair[0], pair[1]])[:, first:end]
+        ahead = np.stack([2.0 * path[first - 1 : end - 1] - path[first - 2 : end - 2] for path in pair])
+        kept = np.linalg.norm(here - ahead, axis=2).sum(axis=0)
+        exchanged = np.linalg.norm(here[::-1] - ahead, axis=2).sum(axis=0)
+        wrong = np.flatnonzero((kept > _EXCHANGE) & (exchanged < 0.5 * kept))
+        if len(wrong):
+            found = f"sides swapped: the two {part}s are exchanged"
+            expected = "each marker on its side in all frames"
+            raise capture.error(found, expected, _RECORD, first + int(wrong[0]), markers[f"lead_{part}"][0])
 
 
 def check_losses(capture: Capture, raw: dict[str, Array], markers: Markers, impact: float) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from bench.errors import BenchError
 from bench.golfer.capture import Array, Capture
 from bench.golfer.events import GIVEN, LOSS, PLACE, Impact, find_impact, find_top
-from bench.golfer.gates import check_arm, check_jumps, check_losses, check_swing
+from bench.golfer.gates import check_arm, check_exchanges, check_jumps, check_losses, check_swing
 from bench.golfer.orientation import Orientation, find_scale, find_sides, find_vertical
 from bench.golfer.plane import SwingPlane, fitted_plane, last_level_row, projected_angle, turn_about
 from bench.golfer.roles import Roles
@@ -135,6 +135,7 @@ def measure(capture: Capture, roles: Roles, options: ImportOptions) -> MeasuredS
     named, sides = find_sides(capture, whole, int(impact.frame), vertical, options.lead, roles.by_side)
     names = {new: roles.markers[old] for new, old in named.items()}
     raw = {new: raw[old] for new, old in named.items()}
+    check_exchanges(capture, raw, names, impact.frame)
     check_jumps(capture, raw, names, impact.frame)
     check_losses(capture, raw, names, impact.frame)
     check_arm(capture, raw, names, impact.frame)
