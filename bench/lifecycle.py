@@ -69,6 +69,8 @@ class Block(StrEnum):
     """Profile, club, ball and site do not fit the calibrated machine."""
     CALIBRATION_MISSING = "calibration_missing"
     CALIBRATION_EXPIRED = "calibration_expired"
+    CALIBRATION_FAILED = "calibration_failed"
+    """Check of the inputs that found something wrong."""
     CALIBRATION_AHEAD = "calibration_ahead"
     """Calibration dated later than the clock."""
     CALIBRATION_NOT_LOADED = "calibration_not_loaded"

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import Calibration, apply
-from bench.calibration.values import CalibrationKind
+from bench.calibration.values import CalibrationKind, SeenInputs, Values
+from bench.calibration.wiring_digest import wiring_digest
 from bench.config import Configuration, contradictions, unheard_phases
 from bench.control.model_limits import LimitsInUse
 from bench.design.validate import Check, check_profile, other_rate, rate_faults
@@ -161,6 +162,16 @@ def assess(
     checks = check_profile(profile, _as_designed(configuration, c, profile), c.envelope, str(file))
     limits = ""
     real, model = running and c.is_machine, c.envelope.model
+    inputs = calibration.of(CalibrationKind.INPUTS)
+    if real and inputs is not None and _is_rewired(inputs.values, c):
+        found.append(
+            BenchError(
+                inputs.name,
+                "of other settings of the driver",
+                "a check of the inputs with the settings in force",
+                f"golfbench calibrate {inputs.kind}",
+            )
+        )
     if model.check == "off":
         reason = model.off_reason.strip()
         warnings.append(f"{NO_MODEL_CHECK}; the reason given: {reason}" if reason else NO_MODEL_CHECK)
@@ -176,6 +187,10 @@ def assess(
         else:
             limits = used.source
     return Readiness(c, calibration, profile, file, tuple(found), tuple(checks), limits, tuple(warnings))
+
+
+def _is_rewired(values: Values, c: Configuration) -> bool:
+    return isinstance(values, SeenInputs) and values.wiring != wiring_digest(c)
 
 
 def _unwatched(c: Configuration) -> BenchError:

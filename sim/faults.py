@@ -89,6 +89,18 @@ PHASES = (
 )
 """Names of the phases for onsets, by number; a test keeps them equal to the bench's."""
 
+SWITCHES = (
+    "emergency stop",
+    "guard closed",
+    "guard locked",
+    "local reset",
+    "ball sensor",
+    "vent 1 feedback",
+    "vent 2 feedback",
+    "shut-off feedback",
+)
+"""Inputs that are on or off, by their numbers for "swapped"."""
+
 MEANINGS: dict[str, dict[Kind, str]] = {
     "encoder": {
         "off": "no valid reading",
@@ -150,6 +162,7 @@ MEANINGS: dict[str, dict[Kind, str]] = {
         "garbage": "on or off at random",
         "delayed": "`value` s late",
         "intermittent": "off in the share `value` of ticks",
+        "swapped": "exchanged with number `value` of SWITCHES",
     },
     "tee": {"off": "no ball rises"},
     "pressure": {
@@ -195,19 +208,7 @@ MEANINGS: dict[str, dict[Kind, str]] = {
 }
 """Meaning of each kind, by sort of signal; a missing pair is invalid."""
 
-_SORTS = dict.fromkeys(
-    (
-        "emergency stop",
-        "guard closed",
-        "guard locked",
-        "local reset",
-        "ball sensor",
-        "vent 1 feedback",
-        "vent 2 feedback",
-        "shut-off feedback",
-    ),
-    "switch",
-) | dict.fromkeys(("supervisor", "recorder", "lease"), "process")
+_SORTS = dict.fromkeys(SWITCHES, "switch") | dict.fromkeys(("supervisor", "recorder", "lease"), "process")
 
 
 def sort_of(signal: str) -> str:
@@ -267,8 +268,9 @@ class Fault:
             raise ValueError(f"phase: any, or one of {', '.join(PHASES)}")
         if self.kind in _NEEDS_VALUE and not isfinite(self.value):
             raise ValueError(f"value: a number, as {self.signal} {kinds[self.kind]}")
-        if self.kind == "swapped" and self.value not in range(len(JOINTS)):
-            raise ValueError("value: the number of a joint, 0 shoulder, 1 arm, 2 wrist")
+        others = SWITCHES if sort_of(self.signal) == "switch" else JOINTS
+        if self.kind == "swapped" and self.value not in range(len(others)):
+            raise ValueError(f"value: 0 to {len(others) - 1}, for {', '.join(others)}")
         if self.kind == "intermittent" and not 0.0 <= self.value <= 1.0:
             raise ValueError("value: a share, 0 to 1")
         if self.kind in ("slow", "delayed") and not self.value >= 0.0:
@@ -577,6 +579,35 @@ def _spoil_encoder(f: Any, m: Any, p: Any, out: Any, i: int, now: float) -> None
 
 
 @compiled
+def _switch_number(signal: int) -> int:
+    """Return the number in SWITCHES of a switch that is not a valve."""
+    if signal <= _BALL:
+        return signal - _E_STOP
+    return 7 if signal == _SHUT_OFF_FEEDBACK else signal - _VENT_FEEDBACK + 5
+
+
+@compiled
+def _exchange_switches(r: Any, a: int, b: int) -> None:
+    """Exchange the switches with numbers `a` and `b` of SWITCHES; one that is not fitted reads off."""
+    on = np.empty(8, np.bool_)
+    on[0], on[1], on[2], on[3] = r.emergency_stop_clear, r.guard_closed, r.guard_locked, r.local_reset
+    on[4], on[5], on[6], on[7] = (
+        r.ball_present,
+        r.vent_open[0] > 0.5,
+        r.vent_open[1] > 0.5,
+        r.shut_off_open > 0.5,
+    )
+    on[a], on[b] = on[b], on[a]
+    r.emergency_stop_clear, r.guard_closed, r.guard_locked, r.local_reset = on[0], on[1], on[2], on[3]
+    r.ball_present = on[4]
+    for k in range(2):
+        if np.isfinite(r.vent_open[k]):
+            r.vent_open[k] = 1.0 if on[5 + k] else 0.0
+    if np.isfinite(r.shut_off_open):
+        r.shut_off_open = 1.0 if on[7] else 0.0
+
+
+@compiled
 def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
     """Apply the sensors' faults to the READINGS record `out`."""
     p, now, r = plant[0], faults.device[0].elapsed, out[0]
@@ -584,6 +615,9 @@ def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
         f, m = faults.faults[k], faults.memory[k]
         if f.signal < _VALVE:
             _spoil_encoder(f, m, p, r, f.signal, now)
+        elif f.kind == _SWAPPED:
+            if m.active and (_E_STOP <= f.signal <= _BALL or f.signal >= _VENT_FEEDBACK):
+                _exchange_switches(r, _switch_number(f.signal), int(f.value))
         elif f.signal == _E_STOP:
             r.emergency_stop_clear = _switched(f, m, r.emergency_stop_clear, now, p.tick)
         elif f.signal == _GUARD_CLOSED:

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from math import degrees
 
-from bench.calibration.values import BallPosition, ClubInMount, EncoderZeros, Values, ValveCentres
+from bench.calibration.values import (
+    BallPosition,
+    ClubInMount,
+    EncoderZeros,
+    SeenInputs,
+    Values,
+    ValveCentres,
+)
 
 
 def in_words(values: Values) -> str:
@@ -26,6 +33,9 @@ def in_words(values: Values) -> str:
             )
         case ValveCentres(centre, band, uncertainty):
             return f"centre {_three(centre, 'z.4f')}, dead band {_three(band, 'z.4f')} ± {uncertainty:.2g}"
+        case SeenInputs(seen, _, findings, gauge):
+            words = f"{len(seen)} seen to change, supply {1e-5 * gauge:+z.2f} bar beside the gauge"
+            return f"wrong: {'; '.join(findings)}" if findings else words
 
 
 def _three(values: tuple[float, float, float], form: str) -> str:

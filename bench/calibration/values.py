@@ -27,6 +27,7 @@ class CalibrationKind(StrEnum):
     BALL = "ball"
     CLUB = "club"
     VALVES = "valves"
+    INPUTS = "inputs"
 
 
 VALID_DAYS: Mapping[CalibrationKind, int] = {
@@ -34,9 +35,11 @@ VALID_DAYS: Mapping[CalibrationKind, int] = {
     CalibrationKind.BALL: 30,
     CalibrationKind.CLUB: 90,
     CalibrationKind.VALVES: 180,
+    CalibrationKind.INPUTS: 1,
 }
 """Default days until a calibration expires. Assumption: absolute encoders hold until they
-are taken off, a tee is moved often, a club works loose in its mount, seals and springs age."""
+are taken off, a tee is moved often, a club works loose in its mount, seals and springs age; switches are
+bridged and cables exchanged on any day."""
 
 
 @dataclass(frozen=True)
@@ -102,13 +105,28 @@ class ValveCentres:
     uncertainty: Annotated[float, Range(0.0, 0.1, "")]
 
 
-Values = EncoderZeros | BallPosition | ClubInMount | ValveCentres
+@dataclass(frozen=True)
+class SeenInputs:
+    """Inputs that a person was seen to change, one by one, and the supply's sensor beside its gauge."""
+
+    seen: tuple[str, ...]
+    """Names of the inputs, also of those found wrong."""
+    wiring: str
+    """Digest of the driver's settings at the check."""
+    findings: tuple[str, ...] = field(default=(), metadata={"optional": True})
+    """What was found wrong; arming is refused until a check finds nothing."""
+    gauge: Annotated[float, Range(-2e6, 2e6, "Pa")] = field(default=0.0, metadata={"optional": True})
+    """Largest deviation of the supply's sensor from the gauge."""
+
+
+Values = EncoderZeros | BallPosition | ClubInMount | ValveCentres | SeenInputs
 
 KINDS: Mapping[CalibrationKind, type[Values]] = {
     CalibrationKind.ENCODERS: EncoderZeros,
     CalibrationKind.BALL: BallPosition,
     CalibrationKind.CLUB: ClubInMount,
     CalibrationKind.VALVES: ValveCentres,
+    CalibrationKind.INPUTS: SeenInputs,
 }
 
 

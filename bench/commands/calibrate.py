@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from bench.commands.calibrate_aerodynamics import aerodynamics, user_name
+from bench.commands.calibrate_inputs import inputs
 from bench.commands.session import Json, Session, show_json
 from bench.errors import BenchError, ExitCode, Refused
 
@@ -213,6 +214,7 @@ def valves(
     _add(context, CalibrationKind.VALVES, content, method or "values entered", by, expires_days, note, json_)
 
 
+app.command()(inputs)
 app.command()(aerodynamics)
 
 

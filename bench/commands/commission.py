@@ -20,9 +20,12 @@ from bench.commands.session import Session, show_json
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
+    from bench.calibration.values import SeenInputs
     from bench.commissioning.commissioning import Commissioning
     from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.inputs_check import WatchedMachine
     from bench.commissioning.known_robot import KnownRobot
+    from bench.commissioning.live_robot import Hands
     from bench.commissioning.machine import CommissionedMachine
     from bench.commissioning.steps import NamedStep
     from bench.commissioning.swung_robot import SwungRobot
@@ -66,7 +69,7 @@ def commission(
     check: Check = False,
     json_: Json = False,
 ) -> None:
-    """Measure an unknown robot in five bounded steps, design its swing, and learn it.
+    """Check the inputs, measure an unknown robot in five bounded steps, design its swing, and learn it.
 
     Takes the place of golfbench run meanwhile; with --sim the robot is simulated in lock-step. Writes
     robot.toml, with standard errors, its profile, also as learned, and a report to sign. If the machine is
@@ -170,6 +173,7 @@ def _commission(
         state.save()
         task = bar.add_task(ALL_STEPS[0].title, total=len(ALL_STEPS), completed=len(state.done))
         try:
+            _see_inputs(state, configuration, machine, now, on_step, show)
             measured, observe = machine.measured, machine.observe
             known = commission(state, nominal, measured, now, observe=observe, on_step=on_step, progress=show)
             measured.set_supply(float("inf"))
@@ -181,6 +185,38 @@ def _commission(
             bar.update(task, completed=len(state.done))
         finally:
             _write_report(state, nominal, now())
+
+
+def _see_inputs(
+    state: Commissioning,
+    configuration: Configuration,
+    machine: _Machine,
+    now: Callable[[], datetime],
+    on_step: Callable[[NamedStep], None],
+    progress: Callable[[str], None],
+) -> None:
+    """Do the step before all others; on hardware its result is a calibration."""
+    from bench.commands.calibrate_aerodynamics import user_name
+    from bench.commands.calibrate_inputs import inputs_in_force, keep_inputs
+    from bench.commissioning.commissioning import see_inputs
+
+    in_force = None if state.simulated else inputs_in_force(configuration, now())
+
+    def keep(seen: SeenInputs) -> None:
+        if in_force is not None:
+            keep_inputs(configuration, seen, user_name())
+
+    see_inputs(
+        state,
+        configuration,
+        machine.watched,
+        machine.hands,
+        now,
+        in_force=in_force,
+        keep=keep,
+        on_step=on_step,
+        progress=progress,
+    )
 
 
 def _write_robot(
@@ -204,6 +240,8 @@ class _Machine(NamedTuple):
 
     measured: CommissionedMachine
     swung: SwungRobot
+    watched: WatchedMachine
+    hands: Hands
     observe: Callable[[], tuple[str, ...]]
     """Returns notes after a measuring step."""
 
@@ -211,12 +249,14 @@ class _Machine(NamedTuple):
 @contextmanager
 def _simulated(configuration: Configuration, truth: Configuration) -> Iterator[_Machine]:
     """Yield the robot of `truth`, simulated in lock-step."""
+    from bench.commands.calibrate_inputs import simulated_hands
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.commissioning.swung_robot import SimulatedRobot
 
     faults = tuple(truth.faults.values())
     with SimulatedMachine(truth.plant, configuration.plant, faults) as machine:
-        yield _Machine(machine, SimulatedRobot(truth.plant, faults), lambda: (_loads(machine),))
+        swung, hands = SimulatedRobot(truth.plant, faults), simulated_hands(machine)
+        yield _Machine(machine, swung, machine, hands, lambda: (_loads(machine),))
 
 
 @contextmanager
@@ -224,19 +264,49 @@ def _live(
     configuration: Configuration, truth: Configuration, regulator: str | None, bar: Progress
 ) -> Iterator[_Machine]:
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
-    from bench.commands.learn import mark_from_person
+    from bench.commands.calibrate_inputs import SIMULATED_PATIENCE
     from bench.commissioning.live_robot import Hands, live_robot
-    from bench.commissioning.regulator import by_person, by_program, of_simulation, turned_once
+    from bench.commissioning.regulator import in_simulation
     from bench.processes.ownership import take_bench
     from sim.live.contact_watch import ContactWatch
 
     def say(text: str) -> None:
         bar.console.print(text, highlight=False)
 
+    c, supply = configuration, configuration.plant.supply
+    with take_bench(c.bench.id) as owner:
+        if c.driver.name == "sim":
+            marks = ContactWatch(owner.folder)
+            plant = in_simulation(owner.folder, supply.pressure, supply.atmosphere)
+            hands = Hands(
+                plant.turn,
+                say,
+                look=lambda: _mark_in(marks, truth.plant),
+                act=plant.act,
+                gauge=plant.gauge,
+                patience=SIMULATED_PATIENCE,
+            )
+            moving = live_robot(c, owner, hands, truth)
+        else:
+            hands = _hands_of_person(c, regulator, bar, say)
+            moving = live_robot(c, owner, hands)
+        with moving as robot:
+            yield _Machine(robot, robot, robot, hands, tuple)
+
+
+def _hands_of_person(
+    configuration: Configuration, regulator: str | None, bar: Progress, say: Callable[[str], None]
+) -> Hands:
+    """Return the hands of the person at the terminal, `regulator` being the program that turns it, if any."""
+    from bench.commands.calibrate_inputs import ask_person, gauge_from_person, saying
+    from bench.commands.learn import mark_from_person
+    from bench.commissioning.live_robot import Hands
+    from bench.commissioning.regulator import by_person, by_program, turned_once
+
     def ask(text: str) -> None:
         bar.stop()
         try:
-            typer.prompt(f"{text}, then press Enter", default="", show_default=False, err=True)
+            ask_person(text)
         finally:
             bar.start()
 
@@ -245,26 +315,22 @@ def _live(
         typer.echo("The guard is released: look at the ball's mark on the face, and wipe it off.", err=True)
         try:
             mark = mark_from_person()
-            typer.prompt(
-                "Leave and close the guard, then press Enter", default="", show_default=False, err=True
-            )
+            ask_person("Leave and close the guard")
         finally:
             bar.start()
         return mark
 
-    c, supply = configuration, configuration.plant.supply
-    with take_bench(c.bench.id) as owner:
-        if c.driver.name == "sim":
-            marks = ContactWatch(owner.folder)
-            hands = Hands(of_simulation(owner.folder), say, look=lambda: _mark_in(marks, truth.plant))
-            moving = live_robot(c, owner, hands, truth)
-        else:
-            turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else None
-            person = ask_mark if _at_terminal() else None
-            hands = Hands(turned_once(turn or by_program(regulator or "")), say, person)
-            moving = live_robot(c, owner, hands)
-        with moving as robot:
-            yield _Machine(robot, robot, tuple)
+    def ask_gauge() -> float:
+        bar.stop()
+        try:
+            return gauge_from_person()
+        finally:
+            bar.start()
+
+    supply = configuration.plant.supply
+    turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else by_program(regulator)
+    person, gauge = (ask_mark, ask_gauge) if _at_terminal() else (None, None)
+    return Hands(turned_once(turn), say, person, act=saying(say), gauge=gauge)
 
 
 def _mark_in(contacts: ContactWatch, truth: PlantParameters) -> tuple[float, float] | None:
@@ -296,7 +362,7 @@ def _show_steps(state: Commissioning, *, json_: bool) -> None:
         highlight=False,
         markup=False,
     )
-    for number, step in enumerate(ALL_STEPS, start=1):
+    for number, step in enumerate(ALL_STEPS):
         word = "done" if step.name in done else "left"
         console.print(
             f"{number}. {step.title} ({word})\n   {step.bounds_text}", highlight=False, markup=False

@@ -33,7 +33,7 @@ class UnfitNodes(BenchError):
 
 
 class NotTurned(BenchError):
-    """The regulator of simulated nodes is not turned."""
+    """No hand is at the simulated nodes."""
 
     exit_code = ExitCode.REFUSED
 
@@ -113,6 +113,10 @@ def nodes(
             help="Turn the regulator of the nodes in --folder to bar absolute, or to 'service', and exit.",
         ),
     ] = None,
+    act: Annotated[
+        str | None,
+        typer.Option("--act", metavar="ACT", help="Act at the inputs of the nodes in --folder and exit."),
+    ] = None,
 ) -> None:
     """Run the simulated nodes on the CAN bus, with the simulated robot behind them, until stopped.
 
@@ -122,16 +126,15 @@ def nodes(
     if turn is not None:
         turn_regulator(folder, turn)
         return
+    if act is not None:
+        act_at(folder, act)
+        return
     configuration = context.ensure_object(Session).configuration()
     if look:
         show_scan(configuration)
         return
     if dbc is not None:
-        from drivers.canopen.dbc import describe
-
-        c = configuration
-        dbc.write_text(describe(c.canopen, 1.0 / c.loop.rate, c.driver.watchdog), encoding="ascii")
-        typer.echo(f"{dbc}: the frames of channel {c.canopen.channel}")
+        write_dbc(configuration, dbc)
         return
 
     if folder is not None:
@@ -140,6 +143,14 @@ def nodes(
     else:
         with tempfile.TemporaryDirectory(prefix="golfbench-nodes-") as made:
             play(nodes_plan(configuration, Path(made), encoder, io))
+
+
+def write_dbc(c: Configuration, file: Path) -> None:
+    """Write a DBC file of all frames on the bus of `c`."""
+    from drivers.canopen.dbc import describe
+
+    file.write_text(describe(c.canopen, 1.0 / c.loop.rate, c.driver.watchdog), encoding="ascii")
+    typer.echo(f"{file}: the frames of channel {c.canopen.channel}")
 
 
 def turn_regulator(folder: Path | None, bar: str) -> None:
@@ -162,6 +173,27 @@ def turn_regulator(folder: Path | None, bar: str) -> None:
         raise NotTurned(place, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
     try:
         of_simulation(folder)(pressure)
+    except SharedMemoryError as error:
+        raise NotTurned(place, str(error), "running nodes", f"Start them with --folder {folder}.") from error
+
+
+def act_at(folder: Path | None, key: str) -> None:
+    """Do at the inputs of the simulated nodes with their files in `folder` what a person does.
+
+    Raises:
+        NotTurned: no nodes are there, or nothing is called `key`.
+    """
+    from bench.commissioning.inputs import ACTS
+    from bench.commissioning.regulator import act_in_simulation
+    from drivers.base.shared_record import SharedMemoryError
+
+    place = f"nodes --act {key}"
+    if key not in ACTS:
+        raise NotTurned(place, repr(key), f"one of {', '.join(ACTS)}", "Give one of them.")
+    if folder is None:
+        raise NotTurned(place, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
+    try:
+        act_in_simulation(folder)(ACTS[key])
     except SharedMemoryError as error:
         raise NotTurned(place, str(error), "running nodes", f"Start them with --folder {folder}.") from error
 

@@ -13,9 +13,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.calibration.values import SeenInputs
 from bench.commissioning.diagnosed_robot import DiagnosedRobot
 from bench.commissioning.following import with_following_limits
 from bench.commissioning.healthy_limits import HealthyLimits
+from bench.commissioning.inputs_check import (
+    InputHands,
+    InputsStep,
+    WatchedMachine,
+    check_inputs,
+    raise_findings,
+)
 from bench.commissioning.known_robot import FoundValue, KnownRobot
 from bench.commissioning.leakage import Leakage
 from bench.commissioning.learned_swing import LearnedSwing
@@ -37,11 +45,13 @@ from sim.plant import PlantParameters
 STATE_FILE = "commissioning.json"
 _VERSION = 1
 
+INPUTS_STEP = InputsStep()
+"""The step before all others."""
 STEPS: tuple[CommissioningStep, ...] = (Wiring(), ValveEdges(), Leakage(), SlowMoves(), ResponseTimes())
 """The steps that measure, in their order."""
 SWINGING_STEPS: tuple[SwingingStep, ...] = (RisingSwings(), LearnedSwing(), HealthyLimits())
 """The steps after them."""
-ALL_STEPS: tuple[NamedStep, ...] = (*STEPS, *SWINGING_STEPS)
+ALL_STEPS: tuple[NamedStep, ...] = (INPUTS_STEP, *STEPS, *SWINGING_STEPS)
 
 
 class DoneStep(NamedTuple):
@@ -205,6 +215,43 @@ class _CountedMachine:
 
     def make_passive(self) -> None:
         self._machine.make_passive()
+
+
+def see_inputs(
+    state: Commissioning,
+    configuration: Configuration,
+    machine: WatchedMachine,
+    hands: InputHands,
+    now: Callable[[], datetime],
+    *,
+    in_force: str | None,
+    keep: Callable[[SeenInputs], object],
+    on_step: Callable[[NamedStep], None] = lambda step: None,
+    progress: Callable[[str], None] = lambda what: None,
+) -> None:
+    """Do the step before all others, again if it is due: nothing moves before the inputs are believed.
+
+    `in_force` names a check that is still in force, empty if none is; None: the robot is simulated, and once
+    is enough. `keep` stores a check.
+
+    Raises:
+        WrongMachine: an input is wrong; the state says so.
+        Refused: no person is there, or the device fails.
+    """
+    if in_force is None and state.has_done(INPUTS_STEP):
+        return
+    notes, begun = [f"{in_force} is in force"], now()
+    if not in_force:
+        on_step(INPUTS_STEP)
+        with _noting_what_is_wrong(state, INPUTS_STEP, now):
+            seen, findings = check_inputs(machine, hands, configuration, progress)
+            keep(seen)
+            raise_findings(findings)
+        beside = f"supply sensor {1e-5 * seen.gauge:+z.2f} bar beside the gauge"
+        notes = [f"seen to change: {', '.join(seen.seen)}", beside]
+    done = _done(INPUTS_STEP, "", StepResult((), tuple(notes)), now(), (now() - begun).total_seconds())
+    state.done = [done, *(step for step in state.done if step.name != INPUTS_STEP.name)]
+    state.save()
 
 
 def commission(

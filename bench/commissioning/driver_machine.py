@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from math import isfinite, isnan
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.clock import Clock, FreeClock
+from bench.commissioning.inputs import Act
 from bench.commissioning.machine import (
     Array,
     MotionBounds,
@@ -29,9 +31,9 @@ from bench.errors import Refused
 from bench.loop import record_reading
 from bench.simulation.loads import Loads, loads_of
 from bench.simulation.swing_operator import never
-from drivers.base import ABSENT, CHAMBERS, JOINTS, PASSIVE, Command, Driver
+from drivers.base import ABSENT, CHAMBERS, JOINTS, PASSIVE, Command, Driver, Readings
 from drivers.base.compiled import new_record
-from drivers.base.records import READINGS
+from drivers.base.records import READINGS, unpack_readings
 from sim.driver import SimDriver
 from sim.faults import Fault, turn_regulator
 from sim.plant import PlantParameters, build_plant
@@ -48,8 +50,22 @@ _LOST = 5
 """Ticks for which sensors may fail in a row: a bus may lose a frame."""
 _STALL, _STALL_FELT = 5.0, 0.5
 """Ticks without one that are a stall, and the time after one for which it explains lost readings (s)."""
+_STIRRED = 0.05
+"""rad by which a joint moves at most while the spools are centred with air on."""
 _READY = 3.0
 """s in which a device that was opened gives its first readings and the guard locks."""
+
+
+def _switches(readings: Readings) -> tuple[float, ...]:
+    """Return the levels of all inputs that are on or off; one that is not fitted is -1."""
+    r = readings
+    shown = (r.local_reset, r.ball_present, *r.vent_open, r.shut_off_open)
+    return (
+        r.emergency_stop_clear,
+        r.guard_closed,
+        r.guard_locked,
+        *(-1.0 if isnan(level) else level for level in shown),
+    )
 
 
 def stopped_by_operator() -> Refused:
@@ -79,11 +95,13 @@ class DriverMachine:
         *,
         warning: float = 0.0,
         stop: Callable[[], bool] = never,
+        inputs_only: bool = False,
     ) -> None:
         """Open `driver`; tick, encoders and atmosphere are those of `believed`.
 
         Its ticks come from `clock`, by default as fast as they are computed. The beacon warns for `warning`
-        (s) before air comes on, and what runs ends once `stop` says so.
+        (s) before air comes on, and what runs ends once `stop` says so. `inputs_only`: it only watches its
+        inputs, for which no pressure sensors and no closed interlocks are needed.
 
         Raises:
             Refused: the device gives no readings, or an interlock is open.
@@ -93,7 +111,7 @@ class DriverMachine:
         self._counts = believed.encoders.counts_per_revolution
         self._atmosphere = believed.supply.atmosphere
         self._now = self._began = 0.0
-        self._failed, self._trouble = 0, _Trouble()
+        self._failed, self._trouble, self._inputs_only = 0, _Trouble(), inputs_only
         self._stall = self._stalled_at = 0.0
         """Duration and end of the last stall, s."""
         self._seen = deque[NDArray[np.int64]](maxlen=_SPEED_SPAN + 1)
@@ -158,6 +176,58 @@ class DriverMachine:
                 "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside.",
             )
         return log.trace(None, (False,), self._tick)
+
+    def watch(
+        self, command: Command, before: Readings | None, air: float, settled: float, patience: float
+    ) -> Readings:
+        """Hold `command` until the switches differ from `before`, if given, and rested for `settled` (s).
+
+        After `patience` (s) the last readings are returned whatever they are, and at once with more than
+        `air` (Pa absolute) in the manifold; the machine is passive then. An open interlock ends
+        nothing: interlocks are watched.
+
+        Raises:
+            Refused: the device fails, or it was stopped.
+            WrongMachine: a joint moves with air on and the guard closed.
+        """
+        begun = changed = self._now
+        last, start = None if before is None else _switches(before), self._seen[-1]
+        while True:
+            self._applied, self._bounds = self._driver.write(command), None
+            self._await_tick()
+            self._read()
+            self._trouble = self._device_failure()
+            self._failed = self._failed + 1 if self._trouble.text else 0
+            if self._trouble.text and (self._trouble.lasting or self._failed > _LOST):
+                self._refuse_to_go_on()
+            if self._stop():
+                self.make_passive()
+                raise stopped_by_operator()
+            readings = unpack_readings(self._readings)
+            if command.supply_enable and readings.guard_closed:
+                self._require_rest(start)
+            if isfinite(readings.supply_pressure) and readings.supply_pressure > air:
+                self.make_passive()
+                return readings
+            if (now := _switches(readings)) != last:
+                last, changed = now, self._now
+            differs = before is None or now != _switches(before)
+            if (differs and self._now - changed >= settled) or self._now - begun >= patience:
+                return readings
+
+    def _require_rest(self, start: NDArray[np.int64]) -> None:
+        """Make the machine passive and raise WrongMachine if a joint has moved from counts `start`."""
+        half = self._counts // 2
+        way = np.abs((self._seen[-1] - start + half) % self._counts - half) * (2 * np.pi / self._counts)
+        if way.max() <= _STIRRED:
+            return
+        self.make_passive()
+        raise WrongMachine(
+            f"{JOINTS[int(np.argmax(way))]} valve",
+            f"the joint moves by {way.max():.2f} rad with the spools centred",
+            "rest",
+            "Adjust its centre by the maker's manual, or look for a stuck spool.",
+        )
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
         """Run `segments` with the supply on; afterwards the last openings stay in force."""
@@ -234,7 +304,8 @@ class DriverMachine:
             Refused: it may not, and what to do.
         """
         for _ in range(round(_READY / self._tick)):
-            if not self._trouble.text:
+            trouble = self._device_failure() if self._inputs_only else self._trouble
+            if not trouble.text:
                 self._failed = 0
                 return
             self._driver.write(PASSIVE)
@@ -297,14 +368,17 @@ class DriverMachine:
     def _problem(self) -> _Trouble:
         """Return why the machine may not move."""
         r = self._readings[0]
-        problem, cure, lasting, of_device = "", "", False, False
         if not r["emergency_stop_clear"]:
-            problem, lasting = "the emergency stop is pressed", True
-            cure = "Clear it, then continue with --resume."
-        elif not (r["guard_closed"] and r["guard_locked"]):
-            problem, lasting = "the guard is open", True
-            cure = "Close it, then continue with --resume."
-        elif not self._driver.operational:
+            return _Trouble("the emergency stop is pressed", "Clear it, then continue with --resume.", True)
+        if not (r["guard_closed"] and r["guard_locked"]):
+            return _Trouble("the guard is open", "Close it, then continue with --resume.", True)
+        return self._device_failure()
+
+    def _device_failure(self) -> _Trouble:
+        """Return what the device or its sensors fail to give."""
+        r = self._readings[0]
+        problem, cure, lasting, of_device = "", "", False, False
+        if not self._driver.operational:
             trouble = getattr(self._driver, "trouble", "") or "its watchdog, or its link"
             problem, lasting, of_device = f"the device went passive: {trouble}", True, True
             cure = "Check its link, then continue with --resume."
@@ -312,6 +386,8 @@ class DriverMachine:
             lost = ", ".join(JOINTS[i] for i in range(3) if not r["encoder_valid"][i])
             problem, cure = f"no valid reading of the encoder of {lost}", "Check its plug and cable."
             of_device = True
+        elif self._inputs_only:
+            pass
         elif not np.isfinite(r["supply_pressure"]):
             problem, cure = "no reading of the supply's pressure", "Check the sensor and its cable."
             of_device = True
@@ -398,11 +474,16 @@ class SimulatedMachine(DriverMachine):
     """The simulated plant: a robot that is truly swung, with its faults."""
 
     def __init__(
-        self, truth: PlantParameters, believed: PlantParameters, faults: tuple[Fault, ...] = ()
+        self,
+        truth: PlantParameters,
+        believed: PlantParameters,
+        faults: tuple[Fault, ...] = (),
+        *,
+        inputs_only: bool = False,
     ) -> None:
         """Stand vented and hanging: `truth` moves, with `faults`; the bench believes in `believed`."""
         self.driver = SimDriver(build_plant(truth), faults=faults, seed=truth.seed)
-        super().__init__(self.driver, believed)
+        super().__init__(self.driver, believed, inputs_only=inputs_only)
         self._truth = truth
 
     @property
@@ -413,3 +494,11 @@ class SimulatedMachine(DriverMachine):
     def set_supply(self, pressure: float) -> None:
         """Turn the simulated regulator to `pressure` (Pa absolute), at most to that of service."""
         turn_regulator(self.driver.plant, self.driver.faults, pressure)
+
+    def gauge(self) -> float:
+        """Return what a true gauge at the manifold shows, Pa over the atmosphere."""
+        return float(self.driver.plant_state["supply_pressure"][0]) - self._truth.supply.atmosphere
+
+    def act(self, act: Act) -> None:
+        """Do what a person does."""
+        self.driver.plant_state[act.field] = act.value

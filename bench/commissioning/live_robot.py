@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, cast
 
+from bench.commissioning.inputs import Act
 from bench.commissioning.machine import MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine_process import MachinePlan
 from bench.commissioning.machine_server import (
@@ -20,6 +21,7 @@ from bench.commissioning.machine_server import (
     Run,
     Swing,
     Vent,
+    WatchInputs,
 )
 from bench.commissioning.regulator import Regulator
 from bench.commissioning.swung_robot import Mark
@@ -30,6 +32,7 @@ from bench.processes.ownership import Ownership
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, SeriesSwing
 from bench.swing.profile import Profile
+from drivers.base import Command, Readings
 
 _START, _END = 120.0, 20.0
 """s in which the process is ready, and in which it brings the robot to rest at its end."""
@@ -53,6 +56,12 @@ class Hands(NamedTuple):
     """Asks a person at the club for the ball's mark; None: no person is there."""
     look: Callable[[], Mark | None] = lambda: None
     """Reads the mark of a simulated ball."""
+    act: Callable[[Act], None] = lambda act: None
+    """Does something at the inputs, or says to a person what to do."""
+    gauge: Callable[[], float] | None = None
+    """Returns what the gauge behind the regulator shows, Pa over the atmosphere; None: no person."""
+    patience: float = 60.0
+    """Time for each act at the inputs, s."""
 
 
 class LiveRobot:
@@ -61,7 +70,7 @@ class LiveRobot:
     def __init__(self, child: Child, connection: Connection, hands: Hands) -> None:
         """Give orders to `child` by `connection`, with the `hands` of who stands beside the robot."""
         self._child, self._connection = child, connection
-        self._regulator, self._say, self._person, self._look = hands
+        self._regulator, self._say, self._person, self._look = hands[:4]
         self._number, self._time = 0, 0.0
 
     # A CommissionedMachine -----------------------------------------------------------------------------
@@ -78,6 +87,12 @@ class LiveRobot:
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
         """Run `segments`; afterwards the last openings stay in force."""
         return self._trace(Run(segments, bounds))
+
+    def watch(
+        self, command: Command, before: Readings | None, air: float, settled: float, patience: float
+    ) -> Readings:
+        """Hold `command` until the switches differ from `before`, and have rested for `settled` (s)."""
+        return cast("Readings", self._order(WatchInputs(command, before, air, settled, patience)))
 
     def vent(self, duration: float = 40.0) -> MotionTrace:
         """Be passive until chambers are empty and joints rest."""
@@ -164,10 +179,13 @@ def live_robot(
     owner: Ownership,
     hands: Hands,
     truth: Configuration | None = None,
+    *,
+    inputs_only: bool = False,
 ) -> Iterator[LiveRobot]:
     """Start the process that has the machine of the bench owned by `owner`; at the end the robot rests.
 
-    `truth` has the robot that really moves, with its faults, where it is simulated.
+    `truth` has the robot that really moves, with its faults, where it is simulated. `inputs_only`: its inputs
+    are watched, and nothing else is done.
 
     Raises:
         BenchError: it does not start, and why.
@@ -176,7 +194,7 @@ def live_robot(
     with ours, its:
         os.set_inheritable(its.fileno(), True)
         plan = MachinePlan(
-            configuration, owner.folder, owner.descriptor, its.fileno(), truth or configuration
+            configuration, owner.folder, owner.descriptor, its.fileno(), truth or configuration, inputs_only
         )
         child = Child.start(
             "machine", "bench.commissioning.machine_process", plan, pass_fds=(owner.descriptor, its.fileno())

@@ -50,6 +50,8 @@ class MachinePlan:
     """Inherited descriptor of the connection."""
     truth: Configuration
     """Has the robot that really moves, with its faults, where it is simulated."""
+    inputs_only: bool = False
+    """Whether only its inputs are watched."""
 
 
 class _Interruption:
@@ -85,7 +87,12 @@ def serve(plan: MachinePlan, parent: Parent) -> None:
         clock = PacedClock(period) if c.driver.paced else GridClock(round(1e9 * period))
         interrupted = _Interruption(connection, parent)
         server = MachineServer(
-            driver, c, clock, stop=interrupted, say=lambda text: send_event("say", text=text)
+            driver,
+            c,
+            clock,
+            stop=interrupted,
+            say=lambda text: send_event("say", text=text),
+            inputs_only=plan.inputs_only,
         )
         stack.callback(server.close)
         send_event("ready", real_time=granted.as_json())

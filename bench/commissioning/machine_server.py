@@ -12,7 +12,7 @@ from bench.commissioning.machine import MotionBounds, Segment
 from bench.config import Configuration
 from bench.simulation.series import Bench
 from bench.swing.profile import Profile
-from drivers.base import Driver
+from drivers.base import Command, Driver, Readings
 
 
 class Run(NamedTuple):
@@ -20,6 +20,19 @@ class Run(NamedTuple):
 
     segments: tuple[Segment, ...]
     bounds: MotionBounds
+
+
+class WatchInputs(NamedTuple):
+    """Hold outputs and watch the switches; answered with the Readings."""
+
+    command: Command
+    before: Readings | None
+    air: float
+    """Pa absolute in the manifold that end it."""
+    settled: float
+    """s"""
+    patience: float
+    """s"""
 
 
 class Vent(NamedTuple):
@@ -54,7 +67,7 @@ class LockGuard(NamedTuple):
     """Lock the guard that a person has closed."""
 
 
-Order = LetIn | LockGuard | Run | Vent | BePassive | ArmFor | Swing
+Order = LetIn | LockGuard | Run | WatchInputs | Vent | BePassive | ArmFor | Swing
 
 
 class MachineServer:
@@ -68,8 +81,11 @@ class MachineServer:
         *,
         stop: Callable[[], bool],
         say: Say,
+        inputs_only: bool = False,
     ) -> None:
         """Open `driver` of `configuration`; `stop` ends a motion, `say` calls a person.
+
+        `inputs_only`: its inputs are watched, and nothing else is done.
 
         Raises:
             Refused: it gives no readings, or an interlock is open.
@@ -79,7 +95,9 @@ class MachineServer:
         self._configuration = configuration
         self._series: LiveSeries | None = None
         warning = configuration.lifecycle.warning_time
-        self._machine = DriverMachine(driver, configuration.plant, clock, warning=warning, stop=stop)
+        self._machine = DriverMachine(
+            driver, configuration.plant, clock, warning=warning, stop=stop, inputs_only=inputs_only
+        )
 
     @property
     def time(self) -> float:
@@ -121,6 +139,8 @@ class MachineServer:
         match order:
             case Run(segments, bounds):
                 return self._machine.run(segments, bounds)
+            case WatchInputs():
+                return self._machine.watch(*order)
             case Vent(duration):
                 return self._machine.vent(duration)
             case BePassive():

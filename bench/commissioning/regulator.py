@@ -7,7 +7,9 @@ import shlex
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
+from bench.commissioning.inputs import Act
 from bench.errors import BenchError, ExitCode
 from sim.live.surroundings import SurroundingsWriter
 
@@ -88,3 +90,40 @@ def of_simulation(folder: Path) -> Regulator:
             surroundings.change(regulated=0.0 if math.isinf(pressure) else pressure)
 
     return turn
+
+
+def act_in_simulation(folder: Path) -> Callable[[Act], None]:
+    """Return what acts at the inputs of the simulated plant with its files in `folder`."""
+
+    def act(one: Act) -> None:
+        with SurroundingsWriter(folder) as surroundings:
+            if one.field != "ball_present":
+                surroundings.change(**{one.field: one.value})  # type: ignore[arg-type]
+            elif one.value:
+                surroundings.place_ball()
+            else:
+                surroundings.take_ball()
+
+    return act
+
+
+class SimulatedHands(NamedTuple):
+    """Hands at a simulated plant in a process of its own."""
+
+    turn: Regulator
+    act: Callable[[Act], None]
+    gauge: Callable[[], float]
+
+
+def in_simulation(folder: Path, service: float, atmosphere: float) -> SimulatedHands:
+    """Return the hands at the plant with its files in `folder`; its gauge shows what the regulator is set to.
+
+    `service` and `atmosphere` are in Pa absolute.
+    """
+    turn, last = of_simulation(folder), [service]
+
+    def turned(pressure: float) -> None:
+        last[0] = min(pressure, service)
+        turn(pressure)
+
+    return SimulatedHands(turned, act_in_simulation(folder), lambda: last[0] - atmosphere)

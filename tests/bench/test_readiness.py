@@ -13,7 +13,15 @@ import pytest
 from rich.console import Console
 
 from bench.calibration.archive import add_calibration
-from bench.calibration.values import BallPosition, ClubInMount, EncoderZeros, Values, ValveCentres
+from bench.calibration.values import (
+    BallPosition,
+    ClubInMount,
+    EncoderZeros,
+    SeenInputs,
+    Values,
+    ValveCentres,
+)
+from bench.calibration.wiring_digest import wiring_digest
 from bench.cli import main
 from bench.commands.status_table import status_table
 from bench.config import Configuration, database_url, load_configuration
@@ -104,7 +112,7 @@ def test_assess_machine_without_calibrations_blocks(tmp_path: Path) -> None:
     c = load_configuration(file)
     found = assess_bench(c, NOW, running=True)
     assert {block["code"] for block in found.blocks(NOW)} == {Block.CALIBRATION_MISSING}
-    assert len(found.blocks(NOW)) == 4
+    assert len(found.blocks(NOW)) == 5
     assert found.faults == []  # a simulation of it needs none
     assert any("the reason given: trial of the valves" in warning for warning in found.warnings)
     assert c.effective()["envelope"]["model"]["off_reason"].startswith("trial of")  # as each record has it
@@ -125,7 +133,9 @@ def machine(
         file = tmp_path / "machine.toml"
         head = f'base = "shipped"\n[bench]\nid = "{configuration.bench.id}"\ndata_dir = "{folder}"\n'
         file.write_text(head + MACHINE + more, encoding="utf-8")
-        return load_configuration(file)
+        found = load_configuration(file)
+        calibrate(SeenInputs(("guard closed",), wiring_digest(found)))
+        return found
 
     return load
 
@@ -403,8 +413,8 @@ def test_command_with_a_missed_ball_refuses(command: list[str], golfbench: Run, 
 def test_check_uncalibrated_machine_ends_in_the_whole_verdict(golfbench: Run) -> None:
     code, out, errors = golfbench("check", more=MACHINE + UNWATCHED)
     assert code == ExitCode.REFUSED
-    assert out.splitlines()[-1].startswith("Arming blocked for 4 reasons")
-    assert errors.count("never calibrated") == 4
+    assert out.splitlines()[-1].startswith("Arming blocked for 5 reasons")
+    assert errors.count("never calibrated") == 5
 
 
 def test_check_with_warnings_counts_them_in_its_verdict(golfbench: Run) -> None:

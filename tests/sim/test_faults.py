@@ -100,6 +100,7 @@ def test_every_signal_has_a_sort_and_every_meaning_a_kind() -> None:
         ("arm exhaust", "scale", 1.5),
         ("arm encoder", "swapped", 3.0),
         ("arm valve", "swapped", 0.5),
+        ("guard closed", "swapped", 8.0),
     ],
 )
 def test_what_has_no_meaning_is_refused(signal: str, kind: str, value: float) -> None:

@@ -15,7 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from bench.calibration.archive import add_calibration
-from bench.calibration.values import BallPosition, ClubInMount, EncoderZeros, Values, ValveCentres
+from bench.calibration.values import (
+    BallPosition,
+    ClubInMount,
+    EncoderZeros,
+    SeenInputs,
+    Values,
+    ValveCentres,
+)
+from bench.calibration.wiring_digest import wiring_digest
 from bench.config import Configuration, database_url, load_configuration
 from bench.lifecycle import Phase, State
 from bench.network.client import BenchClient, CommandRefused
@@ -114,6 +122,7 @@ def _calibrate(c: Configuration) -> None:
         BallPosition(site.ball_x, site.ball_y, 0.001),
         ClubInMount(club.name, club.length_to_face, club.loft, club.lie, 0.001, 0.001),
         ValveCentres((0.0, 0.0, 0.0), (0.02, 0.02, 0.02), 0.001),
+        SeenInputs((), wiring_digest(c)),
     )
     with open_database(database_url(c.bench.database, c.bench.data_dir), now) as database:
         for value in values:

@@ -78,7 +78,7 @@ function show(found) {
   checked = found;
   by("commission-preview").replaceChildren(...(found === null ? [] : [
     make("p", {}, "Checked: it will do these steps, each within its bounds."),
-    make("ol", { class: "steps numbered" }, ...found.steps.map((step) => make("li", {}, step.title, make("br"), make("span", { class: "muted" }, step.bounds)))),
+    make("ol", { class: "steps numbered", start: 0 }, ...found.steps.map((step) => make("li", {}, step.title, make("br"), make("span", { class: "muted" }, step.bounds)))),
   ]));
   refresh();
 }
@@ -107,7 +107,7 @@ function one(c, index) {
   }
   part.append(make("p", { class: "muted" }, `Robot: ${c.robot || CONFIGURED}, simulated`),
     make("progress", { max: c.steps.length, value: c.done, "aria-label": "Steps done" }),
-    make("ol", { class: "steps marked" }, ...c.steps.map((s, at) => step(s, at === c.done ? state(c) : ""))));
+    make("ol", { class: "steps marked", start: 0 }, ...c.steps.map((s, at) => step(s, at === c.done ? state(c) : ""))));
   if (c.wrong) part.append(wrong(c.wrong));
   part.append(make("div", { class: "row" }, ...actions(c)));
   return part;

@@ -133,7 +133,12 @@ def test_expiry_is_a_problem_and_missing_ones_only_with_a_machine(database: Engi
     add(database, BALL, days=1)
     simulated = effective_calibration(database, "b", NOW)
     assert simulated.problems(NOW) == []
-    assert simulated.nominal == (CalibrationKind.ENCODERS, CalibrationKind.CLUB, CalibrationKind.VALVES)
+    assert simulated.nominal == (
+        CalibrationKind.ENCODERS,
+        CalibrationKind.CLUB,
+        CalibrationKind.VALVES,
+        CalibrationKind.INPUTS,
+    )
     (problem,) = simulated.problems(NOW + DAY)
     assert "calibration ball version 1 expired on 2026-11-22" in problem.text
     assert "golfbench calibrate ball" in problem.cure
@@ -142,6 +147,7 @@ def test_expiry_is_a_problem_and_missing_ones_only_with_a_machine(database: Engi
         "encoders of bench b never calibrated",
         "club iron7 of bench b never calibrated",
         "valves of bench b never calibrated",
+        "inputs of bench b never calibrated",
     ]
 
 

@@ -62,7 +62,7 @@ def in_force(*values: Values, club: str = "driver") -> Calibration:
 
 def test_without_calibration_nothing_changes(shipped: Configuration) -> None:
     assert apply(in_force(), shipped) == shipped
-    assert in_force().summary() == "nominal: encoders, ball, club, valves"
+    assert in_force().summary() == "nominal: encoders, ball, club, valves, inputs"
 
 
 def test_every_kind_reaches_its_place(shipped: Configuration) -> None:
@@ -107,7 +107,7 @@ def test_the_record_is_json_and_complete() -> None:
         ("valves", 2, 2, NOW.isoformat()),
     ]
     assert record["in_force"][0]["values"] == {"x": 0.26, "y": -1.55, "uncertainty": 1e-3}
-    assert record["nominal"] == ["encoders", "club"]
+    assert record["nominal"] == ["encoders", "club", "inputs"]
     assert record["expired"] == []
     assert replace(calibration, when=NOW + timedelta(days=1)).record()["expired"] == ["ball", "valves"]
 

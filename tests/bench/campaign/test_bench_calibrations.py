@@ -48,7 +48,7 @@ def test_a_campaign_keeps_the_newest_calibrations_of_its_clubs(tmp_path: Path) -
         found = calibrations_in_force(engine, bench, plan.design.clubs, NOW)
         names = [(one["kind"], one["subject"], one["version"]) for one in found["in_force"]]
         assert names == [("encoders", "", 2), ("club", "driver", 1), ("club", "driver-9", 2)]
-        assert found["nominal"] == ["ball", "club driver-12", "valves"]
+        assert found["nominal"] == ["ball", "club driver-12", "inputs", "valves"]
         versions = calibration_versions(engine, bench, plan.design.clubs, NOW)
         assert versions == {"encoders": "version 2", "club driver": "version 1", "club driver-9": "version 2"}
         kept = bench_calibrations(plan, CONFIGURATION, CampaignStore(engine), NOW)

@@ -57,7 +57,7 @@ def test_a_new_bench_is_nominal_and_looking_makes_nothing(golfbench: Run, tmp_pa
     code, text, _ = golfbench("calibrate", "list")
     assert (code, "testbench was never calibrated" in text) == (0, True)
     code, text, _ = golfbench("calibrate", "show")
-    assert (code, text.count("nominal")) == (0, 4)
+    assert (code, text.count("nominal")) == (0, 5)
     assert not (tmp_path / "data").exists()
 
 
@@ -76,7 +76,7 @@ def test_what_is_calibrated_is_listed_shown_and_superseded(golfbench: Run) -> No
     assert "in force" in text
     code, text, _ = golfbench("calibrate", "show", "--json")
     shown = json.loads(text)
-    assert (code, shown["problems"], shown["nominal"]) == (0, [], ["encoders", "club", "valves"])
+    assert (code, shown["problems"], shown["nominal"]) == (0, [], ["encoders", "club", "valves", "inputs"])
     assert [entry["version"] for entry in shown["in_force"]] == [2]
 
 

@@ -312,7 +312,7 @@ def test_the_robot_swings_as_it_was_measured(
     assert known.envelope.min_supply_pressure < 7e5 < known.envelope.max_supply_pressure < 8e5
     assert known.files[-1] == (tmp_path / "day" / "robot.toml").resolve()
     assert "learned.toml" in capsys.readouterr().out
-    assert [step.name for step in read_state(tmp_path / "day").done] == ["swings", "learning"]
+    assert [step.name for step in read_state(tmp_path / "day").done] == ["inputs", "swings", "learning"]
 
 
 def test_without_a_learned_swing_the_command_does_not_exit_with_0(
@@ -402,7 +402,7 @@ def test_a_robot_of_the_range_learns_its_swing(tmp_path: Path, configuration: Co
     assert ended.value.code == 0, (day / "report.html").read_text()
     state, learned = read_state(day), load_profile(day / "learned.toml")
     assert [step.name for step in state.done] == [step.name for step in ALL_STEPS]
-    assert "All 8 steps done" in (day / "report.html").read_text()
+    assert "All 9 steps done" in (day / "report.html").read_text()
     assert load_limits(day / "learned.limits.toml").draws == DRAWS
     # The learned swing, on the robot itself, as the plant knows it.
     known = load_configuration(day / "robot.toml")

@@ -77,7 +77,7 @@ def test_steps_findings_and_faults_are_shown(tmp_path: Path) -> None:
     stored(tmp_path, "first-day", done=2, wrong=True)
     (one,) = shelf.view()["commissionings"]
     assert (one["name"], one["done"], one["robot"], one["process"]) == ("first-day", 2, "other", None)
-    assert [step["done"] for step in one["steps"]] == [True, True, *[False] * 6]
+    assert [step["done"] for step in one["steps"]] == [True, True, *[False] * 7]
     assert one["steps"][0]["notes"] == [SCRIPT]
     assert one["wrong"]["cure"] == "Fit the hose."
     assert one["files"] == ["report"]

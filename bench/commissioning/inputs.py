@@ -1,0 +1,217 @@
+"""Inputs as they are proven: each is seen to change alone, in an order in which none acts as another does.
+
+A person acts, the bench watches all inputs at once. The table of stages is the whole check: what the outputs
+do, what the person does, and which inputs then differ from the robot at rest. The column of an input over all
+stages is its own, so that two exchanged cables show each other's column. While the outputs are energised the
+regulator is turned down to nothing: the stop contacts are seen to open without air behind them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import combinations
+from math import isnan
+from typing import NamedTuple
+
+from drivers.base import PASSIVE, Command, Readings
+
+
+class Act(NamedTuple):
+    """What a person does."""
+
+    key: str
+    """Name for programs."""
+    text: str
+    field: str
+    """Field of the plant that it changes, in simulation."""
+    value: bool
+
+
+ACTS: Mapping[str, Act] = {
+    act.key: act
+    for act in (
+        Act(
+            "press-stop",
+            "Press an emergency stop, each day another one",
+            "emergency_stop_clear",
+            False,
+        ),
+        Act(
+            "release-stop",
+            "Release the emergency stop, and reset the safety relay",
+            "emergency_stop_clear",
+            True,
+        ),
+        Act("press-reset", "Press the local reset and keep it pressed", "local_reset", True),
+        Act("release-reset", "Let the local reset go", "local_reset", False),
+        Act("open-guard", "The guard is released: open it", "guard_closed", False),
+        Act("place-ball", "Put a ball on the tee", "ball_present", True),
+        Act("take-ball", "Take the ball off the tee", "ball_present", False),
+        Act("close-guard", "Leave, and close the guard", "guard_closed", True),
+    )
+}
+"""Acts by their keys."""
+
+
+class Input(NamedTuple):
+    """An input that is on or off."""
+
+    level: Callable[[Readings], float]
+    rest: bool
+    """Its level while the robot stands passive behind its closed guard."""
+    off: str
+    on: str
+    """Words for its levels."""
+    cure: str
+
+
+_CONTACT = "Look for a bridge, a welded contact or a short circuit, and for its plug and cable."
+_VALVE = "Look at the valve, its coil and its position switch."
+
+INPUTS: Mapping[str, Input] = {
+    "emergency stop": Input(lambda r: r.emergency_stop_clear, True, "pressed", "clear", _CONTACT),
+    "guard closed": Input(lambda r: r.guard_closed, True, "open", "closed", _CONTACT),
+    "guard locked": Input(lambda r: r.guard_locked, True, "released", "locked", _CONTACT),
+    "local reset": Input(lambda r: r.local_reset, False, "not pressed", "pressed", _CONTACT),
+    "ball sensor": Input(lambda r: r.ball_present, False, "no ball", "a ball", "Clean, align or replace it."),
+    "vent 1": Input(lambda r: r.vent_open[0], True, "shut", "open", _VALVE),
+    "vent 2": Input(lambda r: r.vent_open[1], True, "shut", "open", _VALVE),
+    "shut-off": Input(lambda r: r.shut_off_open, False, "shut", "open", _VALVE),
+}
+"""Inputs by their names."""
+
+VENTS = ("vent 1", "vent 2")
+FEEDBACKS = (*VENTS, "shut-off")
+"""Inputs that show what the stop contacts do."""
+
+
+class Stage(NamedTuple):
+    """A stage of the check."""
+
+    name: str
+    outputs: Command
+    act: str
+    """Key of what the person does; empty: only the outputs change."""
+    changed: frozenset[str]
+    """Inputs that then differ from the robot at rest."""
+
+
+_ENERGISED = Command(supply_enable=True, exhaust_closed=True, beacon=True)
+_UNLOCKED = _ENERGISED._replace(guard_lock=False)
+_OPEN = Command(guard_lock=False)
+_AT_STOP, _AT_GUARD = "emergency stop pressed", "guard opened"
+
+
+def _stage(name: str, outputs: Command, act: str, *changed: str) -> Stage:
+    return Stage(name, outputs, act, frozenset(changed))
+
+
+STAGES: tuple[Stage, ...] = (
+    _stage("at rest", PASSIVE, ""),
+    _stage("outputs energised", _ENERGISED, "", *FEEDBACKS),
+    _stage(_AT_STOP, _ENERGISED, "press-stop", "emergency stop"),
+    _stage("emergency stop released", PASSIVE, "release-stop"),
+    _stage("local reset pressed", PASSIVE, "press-reset", "local reset"),
+    _stage("local reset let go", PASSIVE, "release-reset"),
+    _stage("outputs energised again", _ENERGISED, "", *FEEDBACKS),
+    _stage("guard lock released", _UNLOCKED, "", "guard locked", *VENTS),
+    _stage(_AT_GUARD, _UNLOCKED, "open-guard", "guard locked", "guard closed"),
+    _stage("ball on the tee", _OPEN, "place-ball", "guard locked", "guard closed", "ball sensor"),
+    _stage("ball taken", _OPEN, "take-ball", "guard locked", "guard closed"),
+    _stage("guard closed", _OPEN, "close-guard", "guard locked"),
+    _stage("guard locked", PASSIVE, ""),
+)
+"""The check, in its order."""
+_RESET_STAGES = ("local reset pressed", "local reset let go")
+
+
+def stages(*, local_reset: bool) -> tuple[Stage, ...]:
+    """Return the stages, those of the local reset only where one is wired."""
+    return tuple(stage for stage in STAGES if local_reset or stage.name not in _RESET_STAGES)
+
+
+class InputFinding(NamedTuple):
+    """Something wrong with an input."""
+
+    place: str
+    found: str
+    expected: str
+    cure: str
+
+    @property
+    def text(self) -> str:
+        """The finding as a sentence."""
+        return f"{self.place}: {self.found}; expected {self.expected}. {self.cure}"
+
+
+Column = tuple[bool, ...]
+
+
+def fitted(readings: Readings, *, local_reset: bool) -> tuple[str, ...]:
+    """Return the names of the inputs that are fitted, by `readings`."""
+    return tuple(
+        name
+        for name, one in INPUTS.items()
+        if not isnan(one.level(readings)) and (local_reset or name != "local reset")
+    )
+
+
+def judged(done: Sequence[Stage], seen: Sequence[Readings], names: Sequence[str]) -> list[InputFinding]:
+    """Return the findings of inputs `names` that read `seen` in the stages `done`."""
+    wanted = {name: tuple(INPUTS[name].rest != (name in stage.changed) for stage in done) for name in names}
+    read = {name: tuple(INPUTS[name].level(r) > 0.5 for r in seen) for name in names}
+    findings = list[InputFinding]()
+    _take_welded(done, wanted, read, findings)
+    wrong = [name for name in names if read[name] != wanted[name]]
+    for a, b in combinations(list(wrong), 2):
+        if {a, b} <= set(wrong) and read[a] == wanted[b] and read[b] == wanted[a]:
+            wrong = [name for name in wrong if name not in (a, b)]
+            findings.append(
+                InputFinding(
+                    f"{a} and {b}",
+                    "each shows what the other should: they are exchanged",
+                    "each shows its own",
+                    f"Exchange the cables of {a} and {b}, or their numbers in the configuration.",
+                )
+            )
+    findings += [_wrong(name, done, wanted[name], read[name]) for name in wrong]
+    return findings
+
+
+def _take_welded(
+    done: Sequence[Stage], wanted: dict[str, Column], read: dict[str, Column], findings: list[InputFinding]
+) -> None:
+    """Find stages that all position switches sleep through, and count those as read in them."""
+    shown = [name for name in FEEDBACKS if name in read]
+    for at, stage in enumerate(done):
+        moved = [name for name in shown if wanted[name][at] != wanted[name][at - 1]]
+        if stage.name not in (_AT_STOP, _AT_GUARD) or not moved:
+            continue
+        if all(read[name][at] == wanted[name][at - 1] for name in moved):
+            findings.append(
+                InputFinding(
+                    "stop contacts",
+                    f"{' and '.join(moved)} as before with {stage.name}: a contact is welded or bridged",
+                    "outputs without energy, whatever the bench commands",
+                    "Replace the safety relay, and look for a bridge over its contacts.",
+                )
+            )
+            for name in moved:
+                read[name] = (*read[name][:at], wanted[name][at], *read[name][at + 1 :])
+
+
+def _wrong(name: str, done: Sequence[Stage], wanted: Column, read: Column) -> InputFinding:
+    """Return the finding of input `name`, which is not exchanged with another one."""
+    one = INPUTS[name]
+    word = {False: one.off, True: one.on}
+    if len(set(read)) == 1:
+        found = f"reads {word[read[0]]!r} all the time"
+        cure = one.cure if read[0] else f"Look for a cut cable, a loose plug or a lost supply. {one.cure}"
+        return InputFinding(name, found, "a change when it is acted on", cure)
+    if all(a != b for a, b in zip(wanted, read, strict=True)):
+        cure = "Wire the contact that opens when acted on, or the other one of a position switch."
+        return InputFinding(name, "reads the opposite at all times", "the right way round", cure)
+    at = next(k for k in range(len(done)) if wanted[k] != read[k])
+    return InputFinding(
+        name, f"reads {word[read[at]]!r} with {done[at].name}", f"{word[wanted[at]]!r}", one.cure
+    )

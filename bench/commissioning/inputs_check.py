@@ -1,0 +1,215 @@
+"""Step 0 of commissioning, and the check of each day: inputs are believed after they were seen to change.
+
+Nothing moves: spools are centred, and the switches are tried with the regulator turned down to nothing. Only
+then air comes into the manifold, behind a closed guard with open vents, for the supply's sensor to be
+compared with a gauge at two pressures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf, isfinite, isnan
+from typing import Protocol
+
+from bench.calibration.values import SeenInputs
+from bench.calibration.wiring_digest import wiring_digest
+from bench.commissioning.inputs import ACTS, Act, InputFinding, Stage, fitted, judged, stages
+from bench.commissioning.regulator import Regulator
+from bench.commissioning.wrong_machine import WrongMachine
+from bench.config import Configuration
+from bench.errors import Refused
+from drivers.base import CHAMBERS, Command, Readings
+
+PRESSURES = (2.5e5, 4.0e5)
+"""Pressures at which the gauge is read, Pa absolute."""
+TOLERANCE, TOLERANCE_SHARE = 0.1e5, 0.02
+"""Pa, and share of the pressure on top, by which a sensor may differ: a gauge of class 1 to 10 bar."""
+_EMPTY = 0.5e5
+"""Pa above the atmosphere that the manifold may keep with the regulator turned down."""
+_LEAST_SHARE = 0.7
+"""Share of the wanted pressure that the gauge shows at least: two readings of no air prove no span."""
+_SETTLED, _FILLED = 1.0, 3.0
+"""s without a change beyond the valves' own delays, and in which the manifold is filled."""
+
+
+_WARNING = Command(beacon=True)
+
+
+class WatchedMachine(Protocol):
+    """Machine whose inputs are watched."""
+
+    def watch(
+        self, command: Command, before: Readings | None, air: float, settled: float, patience: float
+    ) -> Readings:
+        """Hold `command` until the switches differ from `before`, if given, and rested for `settled` (s).
+
+        After `patience` (s) the last readings are returned whatever they are, and at once with more than
+        `air` (Pa absolute) in the manifold; the machine is passive then. An open interlock ends nothing.
+
+        Raises:
+            Refused: the device fails.
+            WrongMachine: a joint moves with air on.
+        """
+
+    def make_passive(self) -> None:
+        """Centre the spools, shut the supply, open the vents; never raises."""
+
+
+class InputHands(Protocol):
+    """Hands at the machine."""
+
+    @property
+    def regulator(self) -> Regulator:
+        """Turns the regulator."""
+
+    @property
+    def act(self) -> Callable[[Act], None]:
+        """Does something, or says to a person what to do."""
+
+    @property
+    def gauge(self) -> Callable[[], float] | None:
+        """Returns what the gauge at the regulator shows, Pa over the atmosphere; None: no person."""
+
+    @property
+    def patience(self) -> float:
+        """Time for each act, s."""
+
+
+class InputsStep:
+    """Step 0."""
+
+    name = "inputs"
+    title = "Interlocks, buttons and switches, one by one; pressure beside the gauge"
+    bounds_text = (
+        "nothing moves; no air for the switches, then "
+        f"{' and '.join(f'{1e-5 * p:.1f}' for p in PRESSURES)} bar absolute in the manifold, vents open"
+    )
+
+
+def check_inputs(
+    machine: WatchedMachine,
+    hands: InputHands,
+    configuration: Configuration,
+    progress: Callable[[str], None] = lambda what: None,
+) -> tuple[SeenInputs, list[InputFinding]]:
+    """Return the inputs seen, and findings; the machine is passive afterwards.
+
+    Raises:
+        Refused: no person reads the gauge, air is on or off where it may not be, the guard is open when air
+            is to come, or the device fails.
+        WrongMachine: a joint moves.
+    """
+    if hands.gauge is None:
+        cure = "Run it in a terminal, or golfbench calibrate inputs before."
+        raise Refused("check of the inputs", "no person at the machine", "a person who acts and reads", cure)
+    c, atmosphere = configuration, configuration.plant.supply.atmosphere
+    done = stages(local_reset=c.lifecycle.local_reset)
+    try:
+        hands.regulator(atmosphere)
+        seen = _watched(machine, hands, c, done, progress)
+        names = fitted(seen[0], local_reset=c.lifecycle.local_reset)
+        findings = judged(done, seen, names)
+        findings += _off_at_rest(seen[-1], atmosphere)
+        deviation = 0.0
+        if not findings and not isnan(seen[-1].supply_pressure):  # no air behind a guard that is not proven
+            progress("supply beside its gauge")
+            deviation, findings = _beside_the_gauge(machine, hands, hands.gauge, c)
+    finally:
+        machine.make_passive()
+    hands.regulator(inf)
+    found = tuple(finding.text for finding in findings)
+    return SeenInputs(names, wiring_digest(c), found, deviation), findings
+
+
+def raise_findings(findings: list[InputFinding]) -> None:
+    """Raise WrongMachine with all `findings`, if there are any."""
+    if findings:
+        place, found, expected, cure = (
+            "; ".join(dict.fromkeys(part)) for part in zip(*findings, strict=True)
+        )
+        raise WrongMachine(place, found, expected, cure)
+
+
+def _watched(
+    machine: WatchedMachine,
+    hands: InputHands,
+    c: Configuration,
+    done: tuple[Stage, ...],
+    progress: Callable[[str], None],
+) -> list[Readings]:
+    """Return the readings at the end of each stage."""
+    supply = c.plant.supply
+    settled = _SETTLED + max(supply.vent_delay, supply.shut_off_delay)
+    seen, air = list[Readings](), supply.atmosphere + _EMPTY
+    for stage in done:
+        progress(stage.name)
+        if stage.act:
+            hands.act(ACTS[stage.act])
+        before = seen[-1] if stage.act else None
+        seen.append(machine.watch(stage.outputs, before, air, settled, hands.patience + settled))
+        if isfinite(seen[-1].supply_pressure) and seen[-1].supply_pressure > air:
+            raise Refused(
+                "check of the inputs",
+                f"{1e-5 * seen[-1].supply_pressure:.2f} bar absolute in the manifold",
+                "none, with the regulator turned down",
+                "Turn the regulator down until its gauge shows 0, and begin again.",
+            )
+    return seen
+
+
+def _off_at_rest(readings: Readings, atmosphere: float) -> list[InputFinding]:
+    """Return the fitted pressure sensors that do not show the atmosphere, vented."""
+    sensors = ("supply", *CHAMBERS)
+    shown = (readings.supply_pressure, *readings.chamber_pressure)
+    return [
+        InputFinding(
+            f"{name} sensor",
+            f"{1e-5 * pressure:.2f} bar absolute, vented" if isfinite(pressure) else "no believable reading",
+            f"{1e-5 * atmosphere:.2f} bar",
+            "Set its zero and span, or replace it; or correct plant.supply.atmosphere.",
+        )
+        for name, pressure in zip(sensors, shown, strict=True)
+        if not isnan(pressure) and not abs(pressure - atmosphere) <= _allowed(atmosphere)
+    ]
+
+
+def _allowed(pressure: float) -> float:
+    return TOLERANCE + TOLERANCE_SHARE * pressure
+
+
+def _beside_the_gauge(
+    machine: WatchedMachine, hands: InputHands, gauge: Callable[[], float], c: Configuration
+) -> tuple[float, list[InputFinding]]:
+    """Return the largest deviation of the supply's sensor from the gauge (Pa), and findings."""
+    a, b, d = (actuator.valve.centre for actuator in c.plant.actuators)
+    on = Command(valve=(a, b, d), supply_enable=True, beacon=True)
+    atmosphere, worst = c.plant.supply.atmosphere, 0.0
+    findings = list[InputFinding]()
+    for pressure in PRESSURES:
+        hands.regulator(pressure)
+        machine.watch(_WARNING, None, inf, c.lifecycle.warning_time, c.lifecycle.warning_time)
+        readings = machine.watch(on, None, inf, _FILLED, _FILLED)
+        if not (readings.guard_closed and readings.guard_locked and readings.emergency_stop_clear):
+            cure = "Close the guard, release the emergency stop, and begin again."
+            raise Refused("check of the inputs", "the guard or the emergency stop", "closed, and clear", cure)
+        over = gauge()
+        if not over >= _LEAST_SHARE * (pressure - atmosphere):
+            raise Refused(
+                "check of the inputs",
+                f"{1e-5 * over:.2f} bar on the gauge",
+                f"about {1e-5 * (pressure - atmosphere):.1f} bar",
+                "Open the air, turn the regulator up, and begin again.",
+            )
+        shown = atmosphere + over
+        off = readings.supply_pressure - shown
+        if not abs(off) <= _allowed(shown):
+            findings.append(
+                InputFinding(
+                    "supply sensor",
+                    f"{1e-5 * readings.supply_pressure:.2f} bar absolute, {1e-5 * shown:.2f} by the gauge",
+                    f"the same within {1e-5 * _allowed(shown):.2f} bar",
+                    "Correct pressure_at_full_scale, or replace the sensor; mind the true pressure.",
+                )
+            )
+        worst = off if isfinite(off) and abs(off) > abs(worst) else worst
+    return worst, findings

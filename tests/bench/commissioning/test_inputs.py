@@ -1,0 +1,372 @@
+"""Inputs are believed after they were seen to change: what is wrong with one is found and named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from math import nan
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+from sqlalchemy import URL, make_url
+
+from bench.calibration.archive import add_calibration, effective_calibration
+from bench.calibration.values import CalibrationKind, SeenInputs
+from bench.calibration.wiring_digest import wiring_digest
+from bench.cli import main
+from bench.commands.calibrate_inputs import simulated_hands
+from bench.commissioning.commissioning import begin, read_state, see_inputs
+from bench.commissioning.driver_machine import SimulatedMachine
+from bench.commissioning.inputs import INPUTS, InputFinding, fitted, judged, stages
+from bench.commissioning.inputs_check import PRESSURES, check_inputs
+from bench.commissioning.live_robot import Hands
+from bench.commissioning.wrong_machine import WrongMachine
+from bench.config import Configuration
+from bench.errors import Refused
+from bench.lifecycle import Block
+from bench.store.database import open_database
+from drivers.base import Readings
+from sim.faults import SWITCHES, Fault, Kind
+
+NOW = datetime(2026, 5, 1, 8, 0, tzinfo=UTC)
+ALL = tuple(INPUTS)
+STAGES = stages(local_reset=True)
+
+
+@pytest.fixture
+def wired(configuration: Configuration) -> Configuration:
+    """The bench with a local reset, as a machine has."""
+    return replace(configuration, lifecycle=replace(configuration.lifecycle, local_reset=True))
+
+
+SLOW = pytest.mark.slow
+
+
+def checked(c: Configuration, *faults: Fault, hands: Hands | None = None) -> list[InputFinding]:
+    with SimulatedMachine(c.plant, c.plant, faults, inputs_only=True) as machine:
+        own = simulated_hands(machine)._replace(patience=0.5)
+        findings = check_inputs(machine, hands or own, c)[1]
+        assert not machine.driver.applied.supply_enable
+        assert machine.loads.peak_head_speed < 0.05, "nothing moves"
+    return findings
+
+
+def broken(signal: str, kind: Kind, value: float = nan) -> Fault:
+    return Fault(f"{signal} {kind}", signal, kind, value)
+
+
+def spans(share: float, atmosphere: float) -> Callable[[Readings], Readings]:
+    """Return what the supply's sensor shows whose span is `share` of the truth, its zero being right."""
+    return lambda r: r._replace(supply_pressure=atmosphere + share * (r.supply_pressure - atmosphere))
+
+
+def readings(levels: dict[str, bool]) -> Readings:
+    """Return readings with `levels` of all inputs."""
+    return Readings(
+        0.0,
+        (0, 0, 0),
+        (0.0, 0.0, 0.0),
+        (True, True, True),
+        (0.0, 0.0, 0.0),
+        levels["emergency stop"],
+        levels["guard closed"],
+        levels["guard locked"],
+        1e5,
+        levels["local reset"],
+        levels["ball sensor"],
+        (1e5,) * 6,
+        vent_open=(float(levels["vent 1"]), float(levels["vent 2"])),
+        shut_off_open=float(levels["shut-off"]),
+    )
+
+
+def healthy() -> list[dict[str, bool]]:
+    """Return the levels of all inputs in each stage of a right machine."""
+    return [{name: one.rest != (name in stage.changed) for name, one in INPUTS.items()} for stage in STAGES]
+
+
+def test_inputs_of_a_right_machine_are_believed(wired: Configuration) -> None:
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        seen, findings = check_inputs(machine, simulated_hands(machine), wired)
+    assert findings == []
+    assert seen.seen == ALL
+    assert abs(seen.gauge) < 0.05e5
+
+
+def test_every_input_has_a_column_of_its_own() -> None:
+    """Only the two vents, which one output opens, act alike."""
+    columns = {name: tuple(level[name] for level in healthy()) for name in ALL}
+    assert all(len(set(column)) == 2 for column in columns.values())
+    assert len(set(columns.values())) == len(ALL) - 1
+    assert columns["vent 1"] == columns["vent 2"]
+
+
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [(a, b) for n, a in enumerate(ALL) for b in ALL[:n] if {a, b} != {"vent 1", "vent 2"}],
+)
+def test_two_exchanged_inputs_are_named_as_a_pair(a: str, b: str) -> None:
+    seen = [readings(levels | {a: levels[b], b: levels[a]}) for levels in healthy()]
+    (finding,) = judged(STAGES, seen, ALL)
+    assert set(finding.place.split(" and ")) == {a, b}
+    assert "exchanged" in finding.found
+
+
+@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("level", [True, False])
+def test_an_input_that_never_changes_is_named(name: str, level: bool) -> None:
+    (finding,) = judged(STAGES, [readings(levels | {name: level}) for levels in healthy()], ALL)
+    assert finding.place == name
+    assert "all the time" in finding.found
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_an_input_of_reversed_polarity_is_named(name: str) -> None:
+    (finding,) = judged(STAGES, [readings(levels | {name: not levels[name]}) for levels in healthy()], ALL)
+    assert (finding.place, "opposite" in finding.found) == (name, True)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_an_input_that_changes_with_another_one_is_named_with_the_stage(name: str) -> None:
+    wrong = healthy()
+    wrong[3][name] = not wrong[3][name]
+    (finding,) = judged(STAGES, [readings(levels) for levels in wrong], ALL)
+    assert finding.place == name
+    assert "emergency stop released" in finding.found
+
+
+@pytest.mark.parametrize(
+    ("fault", "place", "words"),
+    [
+        (broken("guard closed", "stuck", 1.0), "guard closed", "'closed' all the time"),
+        pytest.param(
+            broken("emergency stop", "stuck", 1.0),
+            "emergency stop",
+            "'clear' all the time",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            broken("guard closed", "off"), "guard closed", "'open' all the time", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            broken("guard locked", "stuck", 1.0),
+            "guard locked",
+            "'locked' all the time",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            broken("local reset", "stuck", 1.0),
+            "local reset",
+            "'pressed' all the time",
+            marks=pytest.mark.slow,
+        ),
+        (broken("emergency stop", "swapped", 1.0), "emergency stop and guard closed", "exchanged"),
+        pytest.param(
+            broken("guard closed", "swapped", 2.0),
+            "guard closed and guard locked",
+            "exchanged",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            broken("vent 1 feedback", "swapped", 7.0),
+            "vent 1 and shut-off",
+            "exchanged",
+            marks=pytest.mark.slow,
+        ),
+        (broken("safety relay", "stuck", 1.0), "stop contacts", "welded"),
+        pytest.param(
+            broken("safety relay", "stuck", 0.0), "vent 1", "'open' all the time", marks=pytest.mark.slow
+        ),
+        pytest.param(broken("vent 1", "stuck", 1.0), "vent 1", "'shut' all the time", marks=SLOW),
+        pytest.param(
+            broken("shut-off", "stuck", 1.0), "shut-off", "'open' all the time", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            broken("supply sensor", "scale", 0.8),
+            "supply sensor",
+            "0.81 bar absolute, vented",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            broken("wrist cylinder B sensor", "scale", 0.8),
+            "wrist cylinder B sensor",
+            "0.81 bar",
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=lambda value: f"{value.name} {value.value:g}" if isinstance(value, Fault) else "",
+)
+def test_a_fault_of_an_input_is_found(wired: Configuration, fault: Fault, place: str, words: str) -> None:
+    findings = checked(wired, fault)
+    assert any(place in one.place and words in one.found for one in findings), findings
+    assert all(one.expected and one.cure for one in findings)
+
+
+def test_spans_are_found_whose_regulator_was_turned_to_read_right(
+    wired: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sensors of gauge pressure read the atmosphere right; all spans are 0.8 times the truth."""
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        atmosphere = wired.plant.supply.atmosphere
+        own = simulated_hands(machine)
+        true_watch, spoiled = machine.watch, spans(0.8, atmosphere)
+        monkeypatch.setattr(machine, "watch", lambda *given: spoiled(true_watch(*given)))
+
+        def turned_to_read_right(pressure: float) -> None:
+            own.regulator(atmosphere + (pressure - atmosphere) / 0.8)
+
+        findings = check_inputs(machine, own._replace(regulator=turned_to_read_right), wired)[1]
+    assert [one.place for one in findings] == ["supply sensor"] * len(PRESSURES)
+    assert "by the gauge" in findings[-1].found
+
+
+def test_no_air_comes_behind_a_guard_that_is_not_proven(wired: Configuration) -> None:
+    turned = list[float]()
+    with SimulatedMachine(wired.plant, wired.plant, (broken("guard closed", "stuck", 1.0),)) as machine:
+        hands = simulated_hands(machine)._replace(patience=0.5)
+
+        def turn(pressure: float) -> None:
+            turned.append(pressure)
+            hands.regulator(pressure)
+
+        check_inputs(machine, hands._replace(regulator=turn), wired)
+    assert not set(turned) & set(PRESSURES)
+
+
+@pytest.mark.slow
+def test_a_joint_that_moves_ends_the_check(wired: Configuration) -> None:
+    with (
+        SimulatedMachine(wired.plant, wired.plant, (broken("shoulder valve", "stuck", 0.5),)) as machine,
+        pytest.raises(WrongMachine, match="the joint moves"),
+    ):
+        check_inputs(machine, simulated_hands(machine), wired)
+    assert not machine.driver.applied.supply_enable
+    assert machine.loads.peak_head_speed < 2.0
+
+
+def test_air_that_is_on_ends_the_check_of_the_switches(wired: Configuration) -> None:
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        hands = simulated_hands(machine)._replace(regulator=lambda p: None)
+        with pytest.raises(Refused, match="Turn the regulator down"):
+            check_inputs(machine, hands, wired)
+        assert not machine.driver.applied.supply_enable
+
+
+def test_a_gauge_without_air_proves_no_span(wired: Configuration) -> None:
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        own = simulated_hands(machine)
+        atmosphere = wired.plant.supply.atmosphere
+        with pytest.raises(Refused, match="turn the regulator up"):
+            check_inputs(machine, own._replace(regulator=lambda p: own.regulator(atmosphere)), wired)
+
+
+def test_without_a_person_nothing_is_checked(wired: Configuration) -> None:
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        hands = simulated_hands(machine)._replace(gauge=None)
+        with pytest.raises(Refused, match="calibrate inputs"):
+            check_inputs(machine, hands, wired)
+
+
+def test_inputs_that_are_not_fitted_are_not_asked_for(configuration: Configuration) -> None:
+    plant = replace(configuration.plant, vent_feedback=False, pressure_sensors=False)
+    c = replace(configuration, plant=plant)
+    with SimulatedMachine(plant, plant, inputs_only=True) as machine:
+        seen, findings = check_inputs(machine, simulated_hands(machine), c)
+    assert findings == []
+    assert set(ALL) - set(seen.seen) == {"vent 1", "vent 2", "local reset"}
+
+
+# The calendar ----------------------------------------------------------------------------------------------
+
+
+def blocks(database: URL, *, required: bool, found: tuple[str, ...], hours: float) -> set[Block]:
+    """Return what blocks arming `hours` after a check of the inputs."""
+    with open_database(database, NOW) as engine:
+        seen = SeenInputs(ALL, "0" * 16, found, 0.0)
+        add_calibration(engine, "b", seen, date=NOW, expires=NOW + timedelta(days=1), by="A", method="hand")
+        when = NOW + timedelta(hours=hours)
+        calibration = effective_calibration(engine, "b", when, required=required)
+    return {
+        problem.code
+        for problem in calibration.problems(when)
+        if f"calibrate {CalibrationKind.INPUTS}" in problem.cure
+    }
+
+
+@pytest.mark.parametrize(
+    ("required", "found", "hours", "expected"),
+    [
+        (True, (), 1.0, set()),
+        (True, (), 25.0, {Block.CALIBRATION_EXPIRED}),
+        (True, ("guard closed: bridged",), 1.0, {Block.CALIBRATION_FAILED}),
+        (False, (), 25.0, set()),
+        (False, ("guard closed: bridged",), 1.0, set()),
+    ],
+    ids=["in force", "due", "failed", "simulated, due", "simulated, failed"],
+)
+def test_arming_needs_the_check_of_the_day_on_a_machine(
+    tmp_path: Path, required: bool, found: tuple[str, ...], hours: float, expected: set[Block]
+) -> None:
+    database = make_url(f"sqlite:///{tmp_path / 'b.sqlite'}")
+    assert blocks(database, required=required, found=found, hours=hours) == expected
+
+
+def test_a_check_holds_for_one_wiring(configuration: Configuration) -> None:
+    c = replace(configuration, driver=replace(configuration.driver, name="canopen"))
+    node = c.canopen.valve_node
+    moved = replace(node, inputs=replace(node.inputs, emergency_stop_clear=1, guard_closed=0))
+    other = replace(c, canopen=replace(c.canopen, valve_node=moved))
+    assert wiring_digest(c) == wiring_digest(replace(c, bench=replace(c.bench, id="other")))
+    assert wiring_digest(c) != wiring_digest(other)
+
+
+# Step 0 ----------------------------------------------------------------------------------------------------
+
+
+def test_commissioning_begins_with_the_inputs_and_does_them_again_when_due(
+    tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state, kept = begin(tmp_path, configuration, simulated=True, resume=False), list[SeenInputs]()
+    found = [InputFinding("guard closed", "bridged", "a change", "Look.")]
+    monkeypatch.setattr(
+        "bench.commissioning.commissioning.check_inputs",
+        lambda *_: (SeenInputs(ALL, "0" * 16, tuple(f.text for f in found)), found),
+    )
+
+    def step_0(in_force: str | None) -> int:
+        """Return how many checks were made up to now."""
+        unused = cast("Any", None)
+        see_inputs(state, configuration, unused, unused, lambda: NOW, in_force=in_force, keep=kept.append)
+        return len(kept)
+
+    with pytest.raises(WrongMachine, match="guard closed"):
+        step_0("")
+    wrong = read_state(tmp_path).wrong
+    assert wrong is not None
+    assert (wrong.step, wrong.place, len(kept)) == ("inputs", "guard closed", 1)
+    found.clear()
+    assert step_0("") == 2
+    assert [step.name for step in read_state(tmp_path).done] == ["inputs"]
+    assert step_0(None) == 2, "once is enough in simulation"
+    assert step_0("calibration inputs version 3") == 2
+    assert "version 3" in read_state(tmp_path).done[0].notes[0]
+    assert step_0("") == 3, "due again"
+
+
+def test_the_check_runs_with_simulated_hands_at_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["calibrate", "inputs", "--sim"])
+    assert ended.value.code == 0
+    assert "inputs seen to change: emergency stop, guard closed" in capsys.readouterr().out
+
+
+def test_switches_of_faults_and_inputs_are_the_same() -> None:
+    assert [name.removesuffix(" feedback") for name in SWITCHES] == list(ALL)
+
+
+def test_fitted_inputs_come_from_the_readings() -> None:
+    levels = healthy()[0]
+    assert fitted(readings(levels), local_reset=True) == ALL
+    assert "local reset" not in fitted(readings(levels), local_reset=False)
