@@ -35,14 +35,6 @@ class Air:
     def __post_init__(self) -> None:
         check_ranges(self)
 
-    @classmethod
-    def at_altitude(cls, altitude: float, temperature: float = 298.15, relative_humidity: float = 0.5) -> Air:
-        """Return air at `altitude` (m above sea level, -500 to 11,000) with the standard pressure there."""
-        if not -500.0 <= altitude <= 11_000.0:
-            raise ValueError(f"altitude: found {altitude!r}, expected -500 to 11000 m above sea level")
-        pressure = _STANDARD_PRESSURE * (1.0 - 2.25577e-5 * altitude) ** 5.25588
-        return cls(temperature, pressure, relative_humidity)
-
     @property
     def density(self) -> float:
         """Density of moist air (kg/m3), CIPM-2007."""

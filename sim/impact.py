@@ -1,8 +1,7 @@
 """Club meets ball: the geometry of delivery, defined here once, and the collision.
 
 Golf frame: X along the target line, Y up, Z to the right of it (X x Y = Z). Everything inside is for a
-right-handed golfer, who stands on the -Z side; `mirrored` turns a delivery or launch into the left-handed
-one at the edge.
+right-handed golfer, who stands on the -Z side.
 
 Swing plane, tilted so that it makes the angle `lie` with the ground: x0 = X, y0 = (0, sin lie, -cos lie)
 up the plane towards the golfer, z0 = (0, cos lie, sin lie). The club turns about z0 only; its shaft points
@@ -31,9 +30,9 @@ point mass.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import asin, atan2, cos, hypot, isfinite, nan, pi, sin, sqrt
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -51,7 +50,6 @@ __all__ = [
     "Delivery",
     "Launch",
     "collide",
-    "delivery_from_angles",
     "delivery_from_plane",
     "face_axes",
     "face_gap",
@@ -60,7 +58,6 @@ __all__ = [
     "in_plane_error",
     "launch_from_motion",
     "meets_face",
-    "mirrored",
     "plane_to_golf",
     "strike",
     "strike_point",
@@ -569,34 +566,6 @@ def delivery_from_plane(
     )
 
 
-def delivery_from_angles(
-    speed: float,
-    attack_angle: float,
-    path: float,
-    face_angle: float,
-    dynamic_loft: float,
-    strike_x: float = 0.0,
-    strike_y: float = 0.0,
-    source: Source = "launch monitor",
-    shaft_loft: float = 0.0,
-) -> Delivery:
-    """Return the delivery that a launch monitor states: m/s, rad, m, signs as in `Delivery`.
-
-    `dynamic_loft` includes `shaft_loft`.
-    """
-    level = speed * cos(attack_angle)
-    velocity = (level * cos(path), speed * sin(attack_angle), level * sin(path))
-    return Delivery(
-        velocity,
-        face_angle,
-        dynamic_loft,
-        strike_x=strike_x,
-        strike_y=strike_y,
-        source=source,
-        shaft_loft=shaft_loft,
-    )
-
-
 def strike(delivery: Delivery, club: Club, ball: Ball | None = None) -> Launch:
     """Return the launch of `ball` (default `Ball()`) struck by `club`'s head in `delivery`.
 
@@ -625,20 +594,3 @@ def launch_from_motion(velocity: Vector, spin: Vector) -> Launch:
     up = (-sin(elevation) * cos(azimuth), cos(elevation), -sin(elevation) * sin(azimuth))
     back, side = dot(spin, right), 0.0 - dot(spin, up)
     return Launch(sqrt(dot(velocity, velocity)), elevation, azimuth, hypot(back, side), atan2(side, back))
-
-
-_Mirrored = TypeVar("_Mirrored", Delivery, Launch)
-
-
-def mirrored(value: _Mirrored) -> _Mirrored:
-    """Return `value` as the golfer of the other hand has it: left and right of the target line exchanged.
-
-    `strike_x` stays positive towards the toe.
-    """
-    if isinstance(value, Delivery):
-        (vx, vy, vz), (wx, wy, wz) = value.velocity, value.angular_velocity
-        # A turning rate is an axial vector: its parts within the mirror's plane change sign.
-        return replace(
-            value, velocity=(vx, vy, -vz), angular_velocity=(-wx, -wy, wz), face_angle=-value.face_angle
-        )
-    return value._replace(direction=-value.direction, spin_axis=-value.spin_axis)

@@ -31,9 +31,6 @@ STALE = 3
 IMPLAUSIBLE = 4
 """A count outside the range, or a jump beyond the possible speed."""
 
-VERDICTS = ("fresh", "invalid", "repeated", "stale", "implausible")
-"""Names of the verdicts, by number."""
-
 ENCODER_PARAMETERS = np.dtype(
     [
         ("counts_per_revolution", "f8", (3,)),

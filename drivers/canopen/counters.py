@@ -4,22 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-CLASSES = (
-    "positions",
-    "late",
-    "duplicates",
-    "inputs",
-    "pressures",
-    "heartbeats",
-    "boot_ups",
-    "emergencies",
-    "services",
-    "wrong_length",
-    "error_frames",
-    "foreign",
-)
-"""Frame classes; their counters add up to `frames`."""
-
 
 @dataclass(slots=True)
 class BusCounters:

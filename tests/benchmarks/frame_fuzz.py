@@ -20,10 +20,10 @@ from drivers.base import PASSIVE
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS, pack_readings
 from drivers.can_bus import FRAME
-from drivers.canopen.counters import CLASSES
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
 from tests.benchmarks.row import Row
+from tests.drivers.canopen.frame_classes import CLASSES
 
 PERIOD = 0.001
 _KNOWN = (

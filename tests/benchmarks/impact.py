@@ -24,9 +24,10 @@ from scipy.optimize import least_squares
 from bench.config import load_configuration
 from bench.shot.plot_style import COLOURS, STYLE, styled
 from sim.flight import Launch, fly
-from sim.impact import delivery_from_angles, strike
+from sim.impact import strike
 from sim.robot import Club
 from tests.benchmarks.row import Row
+from tests.sim.deliveries import delivery_from_angles
 from tests.sim.tour_averages import (
     BALL,
     MPH,

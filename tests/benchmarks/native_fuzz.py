@@ -20,9 +20,9 @@ from dataclasses import dataclass, field, replace
 
 from drivers.base import PASSIVE, Command
 from drivers.can_bus import FRAME
-from drivers.canopen.counters import CLASSES
 from tests.benchmarks.frame_fuzz import make_frame
 from tests.benchmarks.row import Row
+from tests.drivers.canopen.frame_classes import CLASSES
 from tests.drivers.canopen.socket_rig import MOVING, NODE, SETTINGS, Found, Rig, found
 
 _PATIENT = replace(SETTINGS, answer_time=0.25)

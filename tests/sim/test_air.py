@@ -28,12 +28,6 @@ def test_humid_and_warm_air_is_lighter() -> None:
     assert Air(temperature=308.15).density < Air().density
 
 
-def test_standard_atmosphere() -> None:
-    # ISO 2533: 1,000 m 89,874.6 Pa, 5,000 m 54,019.9 Pa.
-    assert Air.at_altitude(1000.0).pressure == pytest.approx(89874.6, rel=1e-4)
-    assert Air.at_altitude(5000.0).pressure == pytest.approx(54019.9, rel=1e-4)
-
-
 @pytest.mark.parametrize(
     ("values", "text"),
     [
@@ -46,8 +40,3 @@ def test_standard_atmosphere() -> None:
 def test_unphysical_air_is_named(values: dict[str, float], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         Air(**values)
-
-
-def test_altitude_out_of_range_is_named() -> None:
-    with pytest.raises(ValueError, match="altitude: found 30000"):
-        Air.at_altitude(30000.0)

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from sim.ball import Ball
 from sim.contact import contact_impulse
-from sim.impact import collide, delivery_from_angles, strike
+from sim.impact import collide, strike
 from sim.robot import Club
+from tests.sim.deliveries import delivery_from_angles
 
 BALL = Ball()
 RPM = pi / 30

@@ -19,7 +19,6 @@ from sim.ball import Ball
 from sim.impact import (
     Delivery,
     collide,
-    delivery_from_angles,
     delivery_from_plane,
     face_axes,
     face_gap,
@@ -29,12 +28,12 @@ from sim.impact import (
     in_plane_error,
     launch_from_motion,
     meets_face,
-    mirrored,
     plane_to_golf,
     strike,
     strike_point,
 )
 from sim.robot import Club
+from tests.sim.deliveries import delivery_from_angles
 
 MPH = 0.44704
 RPM = pi / 30
@@ -539,22 +538,6 @@ def test_spin_about_the_line_of_flight_is_small() -> None:
         velocity, spin, _, _ = impact_in_plane(0.0, 0.0, DOWN, 45.0, 0.0, 30.0, 0.0, ball_y, parameters)
         launch = launch_from_motion(velocity, spin)
         assert launch.spin == pytest.approx(np.linalg.norm(spin), rel=0.01)
-
-
-def test_mirrored_is_its_own_inverse_and_swaps_sides() -> None:
-    delivery = delivery_from_plane((0, 0, DOWN + 0.05), (45, -1, 30), (0, 0.01), DRIVER, LIE)
-    other = mirrored(delivery)
-    assert (other.path, other.face_angle) == (-delivery.path, -delivery.face_angle)
-    assert (other.attack_angle, other.strike_x, other.speed) == (
-        delivery.attack_angle,
-        delivery.strike_x,
-        delivery.speed,
-    )
-    assert mirrored(other) == delivery
-    launch = strike(delivery, DRIVER)
-    assert mirrored(launch).direction == -launch.direction
-    assert mirrored(launch).spin_axis == -launch.spin_axis
-    assert mirrored(mirrored(launch)) == launch
 
 
 def test_two_balls_differ() -> None:

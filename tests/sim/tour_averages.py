@@ -19,8 +19,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from sim.ball import Ball
-from sim.impact import delivery_from_angles, strike
+from sim.impact import strike
 from sim.robot import Club
+from tests.sim.deliveries import delivery_from_angles
 
 MPH, RPM = 0.44704, pi / 30
 BALL = Ball()

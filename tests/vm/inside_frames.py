@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.canopen.counters import CLASSES
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.frames import bus_load
 from drivers.canopen.settings import CanopenSettings
 from tests.benchmarks.row import Row
+from tests.drivers.canopen.frame_classes import CLASSES
 from tests.vm.can_bits import bits_of
 from tests.vm.driver_loop import DriverLoop, in_real_time, times
 from tests.vm.guest import (

@@ -15,7 +15,6 @@ from bench.control.encoder import (
     INVALID,
     REPEATED,
     STALE,
-    VERDICTS,
     decode_encoders,
     design_encoders,
 )
@@ -111,7 +110,7 @@ def test_an_impossible_jump_is_named_and_not_believed() -> None:
     channel.take(0.0, counts(here))
     beyond = here + np.array([0.0, 0.0, -(SPEED[2] * PERIOD + 6 * RESOLUTION)])
     state = channel.take(PERIOD, counts(beyond))
-    assert [VERDICTS[v] for v in state["verdict"]] == ["fresh", "fresh", "implausible"]
+    assert state["verdict"].tolist() == [FRESH, FRESH, IMPLAUSIBLE]
     assert state["fresh"].tolist() == [1, 1, 0]
     assert state["rejected"].tolist() == [0, 0, 1]
     assert state["angle"][2] == pytest.approx(6.0, abs=RESOLUTION)

@@ -11,8 +11,8 @@ from collections.abc import Callable
 import pytest
 
 from drivers.base import INVALID, PASSIVE, Command, DriverError, Readings
-from drivers.canopen.counters import CLASSES
 from drivers.canopen.driver import CanopenDriver
+from tests.drivers.canopen.frame_classes import CLASSES
 from tests.drivers.canopen.in_step import PERIOD, SETTINGS, make
 
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
