@@ -220,7 +220,7 @@ def demo(
         ),
     ] = "bench",
 ) -> None:
-    """Compare two balls on the simulated robot: live table, report and records.
+    """Compare two balls on the simulated robot: table, report and records.
 
     Exits with 1 if the test was not completed.
     """

@@ -13,10 +13,12 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from rich.console import Console
+
 from bench.campaign.operate import bench_facts, new_entry, run_live, run_simulated
+from bench.commands.campaign_screen import CampaignScreen, campaign_bar
 from bench.commands.demo.bench_process import BenchPlan
-from bench.commands.demo.result import ScreenWatcher, demo_plan, new_folder, write_result
-from bench.commands.demo.screen import Screen
+from bench.commands.demo.result import demo_plan, new_folder, write_result
 from bench.config import Configuration, database_url
 from bench.interrupt import deferred_interrupt
 from bench.network.client import BenchClient
@@ -89,13 +91,13 @@ def run_demo(
     shots = len(d.balls) * d.blocks
     title = f"{shots} {'swings in real time' if live else 'simulated swings'}: {d.clubs[0]}"
     title += f", profile {d.swings[0]}, balls {' and '.join(d.balls)}"
+    console = Console(stderr=True)
     with ExitStack() as stack:
-        screen = stack.enter_context(Screen(title, shots))
         store = CampaignStore(stack.enter_context(open_database(database_url("", c.bench.data_dir))))
         running = stack.enter_context(ExitStack())
         if live:
-            screen.say("starting the bench")
-            running.enter_context(own_bench(c, folder / "bench.log"))
+            with console.status("starting the bench"):
+                running.enter_context(own_bench(c, folder / "bench.log"))
         with deferred_interrupt() as asked:
             facts = None
             if live:
@@ -103,10 +105,10 @@ def run_demo(
                     facts = bench_facts(plan, c, client.status())
             entry = new_entry(plan, c, begin, simulated=True, real_time=facts)
             store.begin(entry)
-            screen.say("arming" if live else "swinging")
             run = run_live if live else run_simulated
-            outcome = run(entry, c, store, ScreenWatcher(screen), asked.is_made)
-            screen.say("bringing the robot to rest")
-            running.close()
-            write_result(screen, store, entry, outcome, folder, c)
+            with campaign_bar() as bar:
+                outcome = run(entry, c, store, CampaignScreen(entry, plan, bar), asked.is_made)
+            with console.status("bringing the robot to rest"):
+                running.close()
+            write_result(title, store, entry, outcome, folder, c)
     return outcome.state is CampaignState.FINISHED

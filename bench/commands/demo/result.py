@@ -1,4 +1,4 @@
-"""What every demo shares: its plan, its folder, its screen while it runs, and what it leaves."""
+"""What every demo shares: its plan, its folder, and what it leaves."""
 
 from __future__ import annotations
 
@@ -7,34 +7,23 @@ from datetime import datetime
 from itertools import islice
 from pathlib import Path
 
+from rich.console import Console
+
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import write_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.runner import RunOutcome, Watcher
+from bench.campaign.runner import RunOutcome
 from bench.campaign.swings import require_swings
-from bench.commands.demo.screen import Screen
+from bench.commands.demo.screen import print_findings, print_result
 from bench.config import Configuration
 from bench.errors import BenchError, Refused
 from bench.shot.recorded_shot import read_shot
-from bench.shot.shot import Shot
 from bench.shot.shot_table import write_shot_table
 from bench.store.campaigns import CampaignStore
 from bench.store.records import CampaignEntry, CampaignState
 from bench.viewer.recording import write_recording
-
-
-class ScreenWatcher(Watcher):
-    """Shows the shots as they come."""
-
-    def __init__(self, screen: Screen) -> None:
-        self._screen = screen
-
-    def shot(self, shot: Shot) -> None:
-        """Add its row."""
-        self._screen.say("swinging")
-        self._screen.add(shot)
 
 
 def demo_plan(configuration: Configuration, swings: int, seed: int) -> CampaignPlan:
@@ -85,38 +74,35 @@ def new_folder(output: Path | None, configuration: Configuration, begin: datetim
 
 
 def write_result(
-    screen: Screen,
+    title: str,
     store: CampaignStore,
     entry: CampaignEntry,
     outcome: RunOutcome,
     folder: Path,
     c: Configuration,
 ) -> None:
-    """Leave report, recording and table in `folder`, and show the result; after Ctrl-C the table only."""
+    """Leave report, recording and table in `folder`, and print the result; after Ctrl-C the table only."""
     record = load_record(store, entry)
     found = findings(record.plan, record.shots)
     report, recording, shots = (folder / name for name in ("report.html", "demo.rrd", "shots.csv"))
     if record.shots:
         write_shot_table(shots, record.shots)
     interrupted = outcome.state is CampaignState.STOPPED
-    stopped = "Ctrl-C: the robot was brought to rest; no report, no recording"
     if record.shots and not interrupted:
-        screen.say("writing the report")
-        write_campaign_report(report, record, found)
-        screen.step()
-        screen.say("writing the recording")
-        stored = [c.bench.data_dir / one.file for one in store.shots(entry.id) if one.file]
-        if stored:
-            swung = [read_shot(path).record for path in stored]
-            write_recording(recording, swung, c.plant, folder.name)
-        screen.step()
-    s = record.plan.simulation
+        with Console(stderr=True).status("writing report and recording"):
+            write_campaign_report(report, record, found)
+            if stored := [c.bench.data_dir / one.file for one in store.shots(entry.id) if one.file]:
+                swung = [read_shot(path).record for path in stored]
+                write_recording(recording, swung, c.plant, folder.name)
+    s, design = record.plan.simulation, record.plan.design
     by_itself = "" if entry.real_time else f"supply pressure {100 * s.supply:g} %, "
     scatter = (
-        f"{by_itself}restitution {100 * s.restitution:g} % from hit to hit, {100 * s.sample:g} % from ball "
-        f"to ball, launch monitor {s.ball_speed:g} m/s, {s.spin_rpm:g} rpm and {s.carry:g} m of carry "
-        "(standard deviations)"
+        f"drawn from seed {entry.seed}: {by_itself}restitution {100 * s.restitution:g} % from hit to hit, "
+        f"{100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} m/s, {s.spin_rpm:g} rpm "
+        f"and {s.carry:g} m of carry (standard deviations)"
     )
+    ending = "Ctrl-C: the robot was brought to rest; no report, no recording"
+    ending = ending if interrupted else outcome.reason
+    print_result(title, len(design.balls) * design.blocks, record.shots, ending, scatter)
     swings = c.bench.data_dir / "campaigns" / entry.id / "swings"
-    written = [path for path in (report, recording, shots, swings) if path.exists()]
-    screen.finish(scatter, entry.seed, written, stopped if interrupted else outcome.reason, found)
+    print_findings(found, [path for path in (report, recording, shots, swings) if path.exists()])

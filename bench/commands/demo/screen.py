@@ -1,24 +1,21 @@
-"""What the demo shows: a table that grows shot by shot beside a progress bar, then the result in words."""
+"""What the demo prints in the end: a table of its shots and the result in words."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from bench.campaign.findings import Findings
 from bench.campaign.reader_units import MPH, YARD
 from bench.campaign.verdicts import robot_words
-from bench.commands.progress import progress_bar
 from bench.shot.shot import Shot, ShotStatus
 
 
@@ -60,92 +57,48 @@ _COLUMNS = (
 )
 
 
-class Screen:
-    """Use it as a context. Progress goes to standard error, the result to standard output.
+def print_result(title: str, planned: int, shots: Sequence[Shot], ending: str, scatter: str) -> None:
+    """Print the table of `shots` below `title`, how the demo ended, and what was varied.
 
-    Args:
-        title: what is done, in a line.
-        swings: how many shots are expected.
+    `ending`: why fewer than the `planned` shots were made, else empty; `scatter`: what differs by itself.
     """
+    console = Console(highlight=False)
+    console.print(_table(title, shots))
+    left = planned - len(shots)
+    if ending:
+        console.print(f"{ending}, {left} swings not begun.", style="bold red")
+    elif left > 0:
+        console.print(f"{left} swings not begun: after a stop nothing arms by itself.", style="bold red")
+    console.print(f"Everything is simulated. From shot to shot differ, {scatter}.\n")
 
-    def __init__(self, title: str, swings: int) -> None:
-        self._title, self._swings = title, swings
-        self._shots: list[Shot] = []
-        self._progress = progress_bar()
-        self._task = self._progress.add_task("", total=swings + 2)  # the report and the recording too
-        self._live: Live | None = None
-        self._open = ExitStack()
 
-    def __enter__(self) -> Self:
-        console = self._progress.console
-        if console.is_terminal:
-            live = Live(console=console, transient=True, get_renderable=self._drawing)
-            self._live = self._open.enter_context(live)
-        return self
+def print_findings(found: Findings, files: Sequence[Path]) -> None:
+    """Print the verdicts, and where the `files` are."""
+    console = Console(highlight=False)
+    for verdict in (verdict for section in found.verdicts for verdict in section):
+        console.print(verdict.headline, style="bold")
+        console.print(verdict.detail)
+    console.print(f"{robot_words(found.repeatability)}\n")
+    for path in files:
+        console.print(_way_to_open(path), soft_wrap=True)
 
-    def __exit__(self, *_: object) -> None:
-        self._open.close()
 
-    def say(self, doing: str) -> None:
-        """Say beside the bar what is being done."""
-        self._progress.update(self._task, description=doing)
-
-    def step(self) -> None:
-        """Move the bar on."""
-        self._progress.advance(self._task)
-
-    def add(self, shot: Shot) -> None:
-        """Add a row to the table."""
-        self._shots.append(shot)
-        self.step()
-        if self._live is not None:
-            self._live.refresh()
-
-    def finish(self, scatter: str, seed: int, files: Sequence[Path], stopped: str, found: Findings) -> None:
-        """Print the result: table, what was varied, verdict, and where the `files` are.
-
-        `stopped`: why it ended early, else empty.
-        """
-        self._open.close()
-        console = Console(highlight=False)
-        console.print(self._table())
-        left = self._swings - len(self._shots)
-        if stopped:
-            console.print(f"{stopped}, {left} swings not begun.", style="bold red")
-        elif left > 0:
-            console.print(f"{left} swings not begun: after a stop nothing arms by itself.", style="bold red")
-        console.print(
-            f"Everything is simulated. From shot to shot differ, drawn from seed {seed}: {scatter}."
+def _table(title: str, shots: Sequence[Shot]) -> Table:
+    """Return the shots; below them why those that are not valid are not."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=0, title_justify="left")
+    table.title = Text(title, "bold")
+    for column in _COLUMNS:
+        name = column.head == "ball" and not column.unit
+        table.add_column(
+            f"{column.head}\n[dim]{column.unit}[/]", justify="left" if name else "right", no_wrap=True
         )
-        console.print()
-        for verdict in (verdict for section in found.verdicts for verdict in section):
-            console.print(verdict.headline, style="bold")
-            console.print(verdict.detail)
-        console.print(robot_words(found.repeatability))
-        console.print()
-        for path in files:
-            console.print(_way_to_open(path), soft_wrap=True)
-
-    def _drawing(self) -> Group:
-        return Group(self._table(), self._progress.get_renderable())
-
-    def _table(self) -> Table:
-        """Return the shots so far; below them why those that are not valid are not."""
-        table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=0, title_justify="left")
-        table.title = Text(self._title, "bold")
-        for column in _COLUMNS:
-            name = column.head == "ball" and not column.unit
-            table.add_column(
-                f"{column.head}\n[dim]{column.unit}[/]", justify="left" if name else "right", no_wrap=True
-            )
-        for shot in self._shots:
-            style = None if shot.status is ShotStatus.VALID else "red"
-            table.add_row(*(column.text(shot) for column in _COLUMNS), style=style)
-        reasons = [f"shot {shot.shot}, {shot.status}: {shot.reason}" for shot in self._shots if shot.reason]
-        if reasons:
-            table.caption = Text("\n".join(reasons), "red", justify="left")
-            table.caption_justify = "left"
-        return table
+    for shot in shots:
+        style = None if shot.status is ShotStatus.VALID else "red"
+        table.add_row(*(column.text(shot) for column in _COLUMNS), style=style)
+    if reasons := [f"shot {shot.shot}, {shot.status}: {shot.reason}" for shot in shots if shot.reason]:
+        table.caption = Text("\n".join(reasons), "red", justify="left")
+        table.caption_justify = "left"
+    return table
 
 
 def _way_to_open(path: Path) -> str:

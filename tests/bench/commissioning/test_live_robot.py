@@ -352,7 +352,7 @@ def test_rows_that_a_busy_machine_missed_lie_between_their_neighbours() -> None:
         readings = new_record(READINGS)
         readings["time"], readings["encoder_count"], readings["chamber_pressure"] = 7.0 + 0.001 * n, 10 * n, n
         log.note(readings, Command(valve=(0.01 * n, 0.0, 0.0)), n // 4)
-    trace = log.trace("", (True,), 0.001)
+    trace = log.trace(None, (True,), 0.001)
     assert trace.time == pytest.approx(7.0 + 0.001 * np.arange(6))
     assert trace.count[:, 0].tolist() == [0, 10, 20, 30, 40, 50]
     assert trace.pressure[:, 0] == pytest.approx(np.arange(6))
