@@ -1,8 +1,6 @@
 """Impact: ball speed, launch and spin of the bag against published averages; the off-centre map; the bag.
 
 `--fit` fits restitution, its slope and the loss factor again to every other tour row and prints them.
-`--picture FOLDER` also draws face-map.png (over a driver's face) and bag.png (launch, spin, carry, descent
-beside the tours').
 """
 
 from __future__ import annotations
@@ -14,7 +12,6 @@ from math import cos, degrees, radians, sin
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
@@ -22,7 +19,6 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from bench.config import load_configuration
-from bench.shot.plot_style import COLOURS, STYLE, styled
 from sim.flight import Launch, fly
 from sim.impact import strike
 from sim.robot import Club
@@ -243,57 +239,10 @@ def _bag_table(bag: Mapping[str, Club]) -> tuple[Table, list[dict[str, Any]]]:
     return table, found
 
 
-# --- Pictures ---------------------------------------------------------------------------------------
-
-
-def _draw_face(club: Club, file: Path) -> None:
-    x, y = np.linspace(-25, 25, 41), np.linspace(-15, 15, 31)
-    launches = np.array([[_parts(_struck(club, a, b)) for a in x] for b in y])
-    titles = (
-        "ball speed (mph)",
-        "launch (deg)",
-        "direction (deg, + right)",
-        "back spin (rpm)",
-        "side spin (rpm, + right)",
-    )
-    with mpl.rc_context(STYLE):
-        figure = styled(6.2)
-        for number, title in enumerate(titles):
-            axes = figure.add_subplot(3, 2, number + 1)
-            lines = axes.contour(x, y, launches[..., number], levels=10, colors=COLOURS[0], linewidths=0.8)
-            axes.clabel(lines, fontsize=6, fmt="%g")
-            axes.set(title=title, aspect="equal", xlabel="heel to toe (mm)", ylabel="up the face (mm)")
-        figure.savefig(file, dpi=130)
-
-
-def _draw_bag(found: Sequence[dict[str, Any]], file: Path) -> None:
-    titles = {
-        "launch": "launch (deg)",
-        "spin": "spin (rpm)",
-        "carry": "carry (yd)",
-        "descent": "descent (deg)",
-    }
-    with mpl.rc_context(STYLE):
-        figure = styled(5.4)
-        for number, (key, title) in enumerate(titles.items()):
-            axes = figure.add_subplot(2, 2, number + 1)
-            for colour, tour in zip(COLOURS, ("PGA", "LPGA"), strict=False):
-                rows = [row for row in found if row["tour"] == tour]
-                places = [BAG.index(row["club"]) for row in rows]
-                axes.plot(places, [row[key][0] for row in rows], color=colour, label=f"{tour}, model")
-                tours = [row[key][1] for row in rows]
-                axes.plot(places, tours, "o", color=colour, markersize=4, label=f"{tour}, average")
-            axes.set_xticks(range(len(BAG)), BAG)
-            axes.set_title(title)
-        figure.axes[0].legend()
-        figure.savefig(file, dpi=130)
-
-
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Print the tables and return the figures."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks impact", description=__doc__)
     parser.add_argument("--fit", action="store_true", help="fit again, and print the values")
-    parser.add_argument("--picture", type=Path, metavar="FOLDER", help="also draw face-map.png and bag.png")
     given = parser.parse_args(arguments)
     bag = load_configuration(Path("bag")).clubs
     averages = tour_averages()
@@ -307,10 +256,6 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         _print_table(table)
     if given.fit:
         _print_table(_fitted(fit(averages, bag)))
-    if given.picture:
-        given.picture.mkdir(parents=True, exist_ok=True)
-        _draw_face(bag["wood1"], given.picture / "face-map.png")
-        _draw_bag(found, given.picture / "bag.png")
     pairs = list(zip(averages, errors, strict=True))
     before = {name: _before(club) for name, club in bag.items()}
     shipped = [error_of(a, club_of(a.club, before)) for a in averages if a.held_out]
