@@ -218,9 +218,7 @@ class SimulatedShots:
             around = FlightConditions(c.air, c.wind, c.turf)
             seen = monitored(s, result.launch, noise)
             carry = reported_carry(self._plan, number, result.launch, ball, around)
-            heard = hear(
-                seen, number, speed, self._monitor, c.launch_monitor.plausible, c.launch_monitor.window, carry
-            )
+            heard = hear(seen, number, speed, self._monitor, c.launch_monitor.window, carry)
             if heard.reason:
                 status, reason = ShotStatus.EXCLUDED, reason or heard.reason
             elif heard.launch is not None and heard.launch.launch is not None:

@@ -12,7 +12,7 @@ from bench.shot.shot_matcher import NOT_TOLD
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation
 from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
-from drivers.launch_monitor.plausibility import PlausibleFigures, add_doubts
+from drivers.launch_monitor.plausibility import add_doubts
 from drivers.launch_monitor.record import LaunchRecord
 from sim.launch_monitor import MonitorParameters, monitor_messages
 
@@ -30,7 +30,6 @@ def hear(
     number: int,
     club_speed: float | None,
     parameters: MonitorParameters,
-    plausible: PlausibleFigures,
     window: MatchWindow,
     carry: float | None = None,
 ) -> MonitorResult:
@@ -38,7 +37,7 @@ def hear(
 
     `carry` (m) is the monitor's.
     """
-    talk, records = Conversation(plausible, 0.0), list[LaunchRecord]()
+    talk, records = Conversation(0.0), list[LaunchRecord]()
     for delay, message in monitor_messages(launch, number, parameters, carry=carry):
         records += talk.receive(message, delay).records
     late = window.latest + window.patience
@@ -48,5 +47,5 @@ def hear(
     )
     if found.outcome is MatchOutcome.NO_LAUNCH or found.launch is None:
         return MonitorResult(None, NOT_TOLD)
-    record = add_doubts(found.launch, plausible, club_speed)
+    record = add_doubts(found.launch, club_speed)
     return MonitorResult(record, "; ".join(filter(None, (found.reason, record.reason))))

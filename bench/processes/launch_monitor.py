@@ -87,7 +87,7 @@ class LaunchMonitorService:
         around = FlightConditions(plan.air, plan.wind, plan.turf)
         self._window = settings.window
         self._watch = SwingWatch(plan.run, wall=plan.wall)
-        self._book = LaunchBook(settings.window, settings.plausible, plan.plant, around)
+        self._book = LaunchBook(settings.window, plan.plant, around)
         self._per_shot, self._presence = settings.presence == "per_shot", ShotPresence(settings.seen_within)
         self._lost = 0
         self._arming = ArmingWatch()

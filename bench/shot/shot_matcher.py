@@ -25,7 +25,7 @@ from drivers.launch_monitor.matching import (
     match,
     owner_of,
 )
-from drivers.launch_monitor.plausibility import PlausibleFigures, add_doubts
+from drivers.launch_monitor.plausibility import add_doubts
 from drivers.launch_monitor.record import ClubRecord, LaunchRecord, RefusedRecord
 from sim.ball import REFERENCE_BALL
 from sim.flight import Flight, fly
@@ -71,15 +71,8 @@ def told_figures(launch: LaunchRecord) -> dict[str, Any]:
 class LaunchBook:
     """Matcher of swings and launches that are not settled yet."""
 
-    def __init__(
-        self,
-        window: MatchWindow,
-        plausible: PlausibleFigures,
-        plant: PlantParameters,
-        around: FlightConditions,
-    ) -> None:
-        self._window, self._plausible = window, plausible
-        self._plant, self._around = plant, around
+    def __init__(self, window: MatchWindow, plant: PlantParameters, around: FlightConditions) -> None:
+        self._window, self._plant, self._around = window, plant, around
         self._swings: dict[str, tuple[int, datetime, FinishedSwing]] = {}
         self._open: tuple[SwingImpact, ...] = ()
         self._launches: tuple[LaunchRecord, ...] = ()
@@ -151,7 +144,7 @@ class LaunchBook:
     ) -> None:
         self.counts[one.outcome] += 1
         if of is None or one.outcome not in (MatchOutcome.MATCHED, MatchOutcome.NO_LAUNCH):
-            launch = None if one.launch is None else add_doubts(one.launch, self._plausible)
+            launch = None if one.launch is None else add_doubts(one.launch)
             self._told.append(Told(one.outcome, one.shot, launch, str(one.outcome), None))
             return
         self._told.append(self._of_swing(one, *of, unseen))
@@ -164,7 +157,7 @@ class LaunchBook:
         delivery = delivery_of_cycles(swing.cycles, plant)
         launch = one.launch
         if launch is not None:
-            launch = add_doubts(launch, self._plausible, None if delivery is None else delivery.speed)
+            launch = add_doubts(launch, None if delivery is None else delivery.speed)
             reason = "; ".join(filter(None, (one.reason, launch.reason)))
         else:
             reason = NO_IMPACT if swing.impact is None else unseen if swing.struck else NO_BALL

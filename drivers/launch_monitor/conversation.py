@@ -14,7 +14,7 @@ from drivers.launch_monitor.open_connect import (
     read_message,
     write_answer,
 )
-from drivers.launch_monitor.plausibility import PlausibleFigures, add_doubts
+from drivers.launch_monitor.plausibility import add_doubts
 from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord, RefusedRecord
 
 MAX_DEVICES = 64
@@ -80,9 +80,7 @@ class MeasuredClubFields:
 class Conversation:
     """Protocol state of one connection; all times in s on one clock."""
 
-    def __init__(
-        self, plausible: PlausibleFigures, now: float, measured: MeasuredClubFields | None = None
-    ) -> None:
+    def __init__(self, now: float, measured: MeasuredClubFields | None = None) -> None:
         """Create a conversation; `measured` is shared by all connections."""
         self.counts = MessageCounts()
         self.asides: list[ClubRecord | RefusedRecord] = []
@@ -97,7 +95,6 @@ class Conversation:
         """Whether the monitor sends heartbeats, so that silence means it is lost."""
         self.ready: bool | None = None
         self.ball_detected: bool | None = None
-        self._plausible = plausible
         self._stream = ObjectStream()
         self._begun = now
 
@@ -136,7 +133,7 @@ class Conversation:
             else:
                 counts.shots += 1
                 record = replace(message, device=self.device, club=club, absent=absent)
-                records.append(add_doubts(record, self._plausible))
+                records.append(add_doubts(record))
             answers.append(write_answer(SHOT_TAKEN, "Shot received successfully"))
         if self._stream.error:
             counts.too_large += 1

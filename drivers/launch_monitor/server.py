@@ -272,9 +272,7 @@ class LaunchMonitorServer:
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        client = _Client(
-            connection, peer[0], Conversation(self.settings.plausible, self._clock(), self._measured)
-        )
+        client = _Client(connection, peer[0], Conversation(self._clock(), self._measured))
         with self._lock:
             self._connections += 1
             self._clients[id(client)] = client

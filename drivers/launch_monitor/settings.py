@@ -1,4 +1,4 @@
-"""Settings of launch monitors: connection, plausible figures, and the simulator to forward shots to."""
+"""Settings of launch monitors: connection, and the simulator to forward shots to."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 from drivers.base.ranges import Above, AtLeast, AtMost
 from drivers.launch_monitor.matching import MatchWindow
 from drivers.launch_monitor.open_connect import CLUB_CODE
-from drivers.launch_monitor.plausibility import PlausibleFigures
 
 Port = Annotated[int, AtLeast(1), AtMost(65535)]
 
@@ -72,7 +71,6 @@ class LaunchMonitorSettings:
     device: str = "golfbench"
     """Device name sent to simulators."""
     window: MatchWindow = field(default_factory=MatchWindow)
-    plausible: PlausibleFigures = field(default_factory=PlausibleFigures)
     player: PlayerSettings = field(default_factory=PlayerSettings)
     simulator: SimulatorSettings = field(default_factory=SimulatorSettings)
 

@@ -14,7 +14,7 @@ import pytest
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchOutcome, MatchWindow, SwingImpact, match
 from drivers.launch_monitor.open_connect import read_message
-from drivers.launch_monitor.plausibility import PlausibleFigures, add_doubts
+from drivers.launch_monitor.plausibility import add_doubts
 from drivers.launch_monitor.record import LaunchRecord
 from drivers.launch_monitor.server import LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings
@@ -44,7 +44,7 @@ def told(launch: Launch, number: int, parameters: MonitorParameters) -> list[Lau
     for delay, message in monitor_messages(launch, number, parameters):
         record = read_message(message, delay)
         assert isinstance(record, LaunchRecord)
-        records.append(add_doubts(record, PlausibleFigures()))
+        records.append(add_doubts(record))
     return records
 
 

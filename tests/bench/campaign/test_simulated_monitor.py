@@ -9,7 +9,6 @@ from bench.campaign.simulated_monitor import MonitorResult, hear
 from bench.shot.shot_matcher import NOT_TOLD
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchWindow
-from drivers.launch_monitor.plausibility import PlausibleFigures
 from sim.launch_monitor import MonitorParameters
 
 LAUNCH = Launch(62.0, 0.2, 0.01, 300.0, 0.02)
@@ -17,7 +16,7 @@ QUIET = MonitorParameters(speed_noise=0.0, angle_noise=0.0, spin_noise=0.0, axis
 
 
 def heard(parameters: MonitorParameters, number: int = 1) -> MonitorResult:
-    return hear(LAUNCH, number, 43.0, parameters, PlausibleFigures(), MatchWindow())
+    return hear(LAUNCH, number, 43.0, parameters, MatchWindow())
 
 
 def test_without_faults_the_figures_are_the_balls_as_the_protocol_rounds_them() -> None:

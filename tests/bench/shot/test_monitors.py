@@ -16,7 +16,6 @@ from bench.shot.shot_matcher import LaunchBook, Told
 from bench.shot.swing_watch import FinishedSwing
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
-from drivers.launch_monitor.plausibility import PlausibleFigures
 from drivers.launch_monitor.server import LaunchMonitorServer
 from drivers.launch_monitor.settings import LaunchMonitorSettings
 from sim.launch_monitor import ClubMotion, MonitorParameters, SimulatedMonitor
@@ -47,7 +46,7 @@ def test_every_shot_of_a_monitor_is_valid_with_its_club(
 ) -> None:
     site = replace(Site(), ball_x=BALL[0], ball_y=BALL[1])
     plant = PlantParameters(robot=robot, site=site)
-    book = LaunchBook(MatchWindow(), PlausibleFigures(), plant, FlightConditions())
+    book = LaunchBook(MatchWindow(), plant, FlightConditions())
     cycles = make_swing(1)
     cycles["trip"] = 0
     proxy = Proxy(dialect, server.address[1])

@@ -14,7 +14,6 @@ from bench.shot.shot import ShotStatus
 from bench.shot.shot_matcher import CLUB_ALONE, NO_BALL, NO_IMPACT, NOT_TOLD, REFUSED, LaunchBook, Told
 from bench.shot.swing_watch import FinishedSwing
 from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
-from drivers.launch_monitor.plausibility import PlausibleFigures
 from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord, RefusedRecord
 from sim.plant import PlantParameters, Site
 from tests.bench.conftest import BALL
@@ -31,7 +30,7 @@ def launch(time: float, speed: float = 52.0, **changes: Any) -> LaunchRecord:
 @pytest.fixture
 def book(robot: Any) -> LaunchBook:
     site = replace(Site(), ball_x=BALL[0], ball_y=BALL[1])
-    return LaunchBook(WINDOW, PlausibleFigures(), PlantParameters(robot=robot, site=site), FlightConditions())
+    return LaunchBook(WINDOW, PlantParameters(robot=robot, site=site), FlightConditions())
 
 
 @pytest.fixture

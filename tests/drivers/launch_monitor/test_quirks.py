@@ -11,7 +11,6 @@ import pytest
 
 from drivers.launch_monitor.conversation import Conversation
 from drivers.launch_monitor.open_connect import read_message
-from drivers.launch_monitor.plausibility import PlausibleFigures
 from drivers.launch_monitor.quirks import quirk_of, quirks
 from drivers.launch_monitor.record import LaunchRecord
 
@@ -29,7 +28,7 @@ def figure(record: LaunchRecord, name: str) -> float | None:
 @pytest.mark.parametrize("size", [1, 100, 100_000])
 def test_a_conversation_is_understood(name: str, size: int) -> None:
     talk: dict[str, Any] = CONVERSATIONS[name]
-    conversation = Conversation(PlausibleFigures(), 0.0)
+    conversation = Conversation(0.0)
     records, answers = [], b""
     data = "".join(talk["sends"]).encode()
     for start in range(0, len(data), size):
