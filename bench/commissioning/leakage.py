@@ -16,10 +16,9 @@ from bench.commissioning.moves import (
     MOVING,
     PRESSING,
     Side,
+    at_both_stops,
     beyond,
     centres,
-    fold,
-    move_to_stop,
     openings,
     require_within,
     slow_bounds,
@@ -51,16 +50,7 @@ class Leakage:
 
     def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
         """Fill, hold and empty the chambers of each joint at either stop."""
-        machine.vent()
-        fold(machine, known)
-        traces: dict[str, MotionTrace] = {}
-        for i in FOLD_ORDER[::-1]:
-            traces[f"{JOINTS[i]} lower"] = _fill_and_decay(machine, known, i, "lower")
-            move_to_stop(machine, known, i, "upper", FOLD_ORDER)
-            traces[f"{JOINTS[i]} upper"] = _fill_and_decay(machine, known, i, "upper")
-            move_to_stop(machine, known, i, "lower", FOLD_ORDER)
-        machine.vent()
-        return traces
+        return at_both_stops(machine, known, _fill_and_decay)
 
     def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
         """Return the air of all actuators."""

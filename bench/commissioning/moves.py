@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -149,6 +149,24 @@ def fold(machine: CommissionedMachine, known: KnownRobot) -> dict[str, StopMove]
     for n, joint in enumerate(FOLD_ORDER):
         done[f"{JOINTS[joint]} down"] = move_to_stop(machine, known, joint, "lower", FOLD_ORDER[:n])
     return done
+
+
+def at_both_stops(
+    machine: CommissionedMachine,
+    known: KnownRobot,
+    trace: Callable[[CommissionedMachine, KnownRobot, int, Side], MotionTrace],
+) -> dict[str, MotionTrace]:
+    """Return a `trace` of each joint at either stop by name; the machine is vented before and afterwards."""
+    machine.vent()
+    fold(machine, known)
+    traces: dict[str, MotionTrace] = {}
+    for joint in FOLD_ORDER[::-1]:
+        traces[f"{JOINTS[joint]} lower"] = trace(machine, known, joint, "lower")
+        move_to_stop(machine, known, joint, "upper", FOLD_ORDER)
+        traces[f"{JOINTS[joint]} upper"] = trace(machine, known, joint, "upper")
+        move_to_stop(machine, known, joint, "lower", FOLD_ORDER)
+    machine.vent()
+    return traces
 
 
 def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters) -> None:

@@ -14,10 +14,9 @@ from bench.commissioning.moves import (
     MOVING,
     PRESSING,
     Side,
+    at_both_stops,
     beyond,
     centres,
-    fold,
-    move_to_stop,
     openings,
     require_within,
     slow_bounds,
@@ -42,16 +41,7 @@ class ValveEdges:
 
     def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
         """Ramp each valve towards either stop, the joint standing there."""
-        machine.vent()
-        fold(machine, known)
-        traces: dict[str, MotionTrace] = {}
-        for i in FOLD_ORDER[::-1]:
-            traces[f"{JOINTS[i]} lower"] = _ramp(machine, known, i, "lower")
-            move_to_stop(machine, known, i, "upper", FOLD_ORDER)
-            traces[f"{JOINTS[i]} upper"] = _ramp(machine, known, i, "upper")
-            move_to_stop(machine, known, i, "lower", FOLD_ORDER)
-        machine.vent()
-        return traces
+        return at_both_stops(machine, known, _ramp)
 
     def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
         """Return centre and dead band of each valve."""
