@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import sys
+from collections.abc import Sequence
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +16,14 @@ from bench.commands.session import Json, Session, show_json
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
-    from bench.golfer import MeasuredSwing, Roles
+    from matplotlib.figure import Figure
+
+    from bench.config import Configuration
+    from bench.golfer import MeasuredSwing, MotionDeviation, Roles, SwingMotion
+    from sim.plant import PlantParameters
+
+_PIPED_WIDTH = 160
+"""Columns of the table in a file or pipe."""
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -44,9 +54,17 @@ Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the result.
 Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Also plot it: .png, .svg or .pdf.")]
 
 
+Swings = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="GOLFER SWING...", help="Reference and swings.", show_default="all built-in golfers"
+    ),
+]
+
+
 @app.callback()
 def golfer() -> None:
-    """Import measured swings of golfers."""
+    """Import measured swings of golfers, and compare swings with them."""
 
 
 @app.command("import")
@@ -68,7 +86,15 @@ def import_(
     Writes NAME.golfer.toml and its table. A recording without a club gives shoulders and arm only. Files of
     GEARS itself are not read: export C3D from GEARS. C3D needs `pip install 'golfbench[mocap]'`.
     """
-    from bench.golfer import ImportOptions, find_roles, measure, read_capture, save_golfer, summary
+    from bench.golfer import (
+        ImportOptions,
+        beyond_ranges,
+        find_roles,
+        measure,
+        read_capture,
+        save_golfer,
+        summary,
+    )
 
     options = ImportOptions(
         _choice("--lead", lead, ("left", "right")),
@@ -92,7 +118,7 @@ def import_(
     if plot is not None:
         _draw(plot, swing, f"{title}, {capture.path.name}")
     found = {"golfer": str(path), "source_sha256": capture.digest, **summary(swing)}
-    _show(swing, roles, _beyond(plant, swing), found if json_ else None)
+    _show(swing, roles, beyond_ranges(plant, swing.angle[swing.downswing]), found if json_ else None)
     if not json_:
         for label, written in (("Golfer", path), ("Picture", plot)):
             if written is not None:
@@ -103,20 +129,22 @@ def _draw(plot: Path, swing: MeasuredSwing, title: str) -> None:
     """Write the picture of `swing`."""
     from bench.golfer.golfer_plot import golfer_plot
 
+    _save(golfer_plot(swing, title), plot)
+
+
+def _save(figure: Figure, plot: Path) -> None:
     try:
-        golfer_plot(swing, title).savefig(plot, dpi=150)
+        figure.savefig(plot, dpi=150)
     except OSError as error:
         cure = "Name a file in a folder that exists."
         raise BenchError("--plot", error.strerror or str(error), "a file that can be written", cure) from None
 
 
-def _show(
-    swing: MeasuredSwing, roles: Roles, beyond: dict[str, float | None], found: dict[str, Any] | None
-) -> None:
+def _show(swing: MeasuredSwing, roles: Roles, beyond: Sequence[float], found: dict[str, Any] | None) -> None:
     """Print the import: the record `found` with the rest as JSON, or without one the tables."""
     if found is not None:
-        more = {"beyond_machine": beyond, "markers": roles.markers, "markers_left_out": roles.dropped}
-        show_json(found | more)
+        more = {"markers": roles.markers, "markers_left_out": roles.dropped}
+        show_json(found | {"beyond_machine": _beyond_record(beyond)} | more)
         return
     from bench.commands.golfer_tables import import_report
 
@@ -125,15 +153,108 @@ def _show(
         console.print(shown, highlight=False, soft_wrap=isinstance(shown, str))
 
 
-def _beyond(plant: Any, swing: MeasuredSwing) -> dict[str, float | None]:
+def _beyond_record(excess: Sequence[float]) -> dict[str, float | None]:
     """Return the excess beyond the machine's ranges by joint, None where not measured."""
-    from math import isnan
-
-    from bench.golfer import beyond_ranges
-
-    excess = beyond_ranges(plant, swing.angle[swing.downswing])
     keys = ("shoulder_rad", "right_arm_m", "wrist_rad")
-    return {key: None if isnan(value) else round(value, 4) for key, value in zip(keys, excess, strict=True)}
+    return {key: _or_none(value) for key, value in zip(keys, excess, strict=True)}
+
+
+def _or_none(value: float) -> float | None:
+    return None if isnan(value) else round(value, 5)
+
+
+@app.command()
+def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, json_: Json = False) -> None:
+    """Compare swings with the first one, which is a golfer's: deviation of each joint and of the head.
+
+    Swings are NAME.golfer.toml, model:NAME of a built-in golfer, or profiles by name or path. Without swings
+    each built-in golfer's model is compared with the profile that follows it.
+    """
+    from bench.commands.golfer_tables import beyond_text, comparison_table
+    from bench.golfer import beyond_ranges, compare_motions
+
+    _require_picture(plot)
+    configuration = context.ensure_object(Session).configuration()
+    plant = configuration.plant
+    if swings:
+        if len(swings) < 2:
+            cure = "Add profiles, NAME.golfer.toml or model:NAME."
+            raise BenchError("SWING", swings[0], "a golfer and at least one other swing", cure)
+        reference, *others = (_motion(plant, text) for text in swings)
+        pairs = [(reference, other) for other in others]
+    else:
+        pairs = _golfers_own(configuration)
+    rows = [compare_motions(*pair) for pair in pairs]
+    if plot is not None and rows:
+        from bench.golfer.golfer_plot import comparison_plot
+
+        _save(comparison_plot(rows), plot)
+    if json_:
+        show_json([_record(row) for row in rows])
+        return
+    console = Console(width=None if sys.stdout.isatty() else _PIPED_WIDTH)
+    console.print(comparison_table(rows), highlight=False)
+    for motion in {row.reference.name: row.reference for row in rows}.values():
+        excess = beyond_ranges(plant, motion.angle[motion.time >= -motion.downswing])
+        console.print(f"{motion.name}: {beyond_text(excess)}", highlight=False, soft_wrap=True)
+    if plot is not None and rows:
+        typer.echo(f"Picture: {plot}")
+
+
+def _motion(plant: PlantParameters, text: str) -> SwingMotion:
+    """Return the motion that `text` names."""
+    from bench.golfer import load_golfer, measured_motion, model_motion, robot_motion
+    from bench.swing.golfers import find_golfer
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    if text.endswith(".golfer.toml"):
+        return measured_motion(load_golfer(Path(text)))
+    if text.startswith("model:"):
+        return model_motion(plant, find_golfer(text.removeprefix("model:")))
+    return robot_motion(plant, load_profile(find_profile(text)))
+
+
+def _record(row: MotionDeviation) -> dict[str, Any]:
+    """Return `row` as a record: fractions of the reference's ranges, None where not measured."""
+    from bench.golfer import DEFINITION
+
+    joints = ("shoulder", "arm", "wrist", "head")
+    units = ("shoulder_rad", "arm_rad", "wrist_rad", "head_m")
+    found: dict[str, Any] = {
+        key: {
+            "name": motion.name,
+            "source": motion.source,
+            "head_speed_mps": _or_none(motion.head_speed),
+            "downswing_s": round(motion.downswing, 4),
+        }
+        for key, motion in (("reference", row.reference), ("swing", row.other))
+    }
+    found["deviation"] = {key: _or_none(value) for key, value in zip(joints, row.share, strict=True)}
+    found["rms"] = {key: _or_none(value) for key, value in zip(units, row.error, strict=True)}
+    return found | {"definition": DEFINITION}
+
+
+def _golfers_own(c: Configuration) -> list[tuple[SwingMotion, SwingMotion]]:
+    """Return each built-in golfer's model with the profile that follows it within the ranges of robot `c`.
+
+    NAME-full needs the ranges of the variant `golfers`, NAME those of the shipped robot.
+    """
+    from bench.design.validate import beyond_range
+    from bench.golfer import model_motion, robot_motion
+    from bench.swing.golfers import GOLFERS
+    from bench.swing.library import find_profile, profile_names
+    from bench.swing.profile import load_profile
+
+    known = profile_names()
+    found: list[tuple[SwingMotion, SwingMotion]] = []
+    for name, golfer in GOLFERS.items():
+        own = [load_profile(find_profile(n)) for n in (f"{name}-full", name) if n in known]
+        fitting = [swing for swing in own if not beyond_range(swing, c.plant, c.envelope)]
+        if own:
+            followed = robot_motion(c.plant, (fitting or own[-1:])[0])
+            found.append((model_motion(c.plant, golfer), followed))
+    return found
 
 
 def _choice(option: str, given: str | None, choices: tuple[str, ...]) -> str:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from math import degrees, isnan
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from bench.golfer import MeasuredSwing, Roles, summary
+from bench.golfer import DEFINITION, HUNT_WIENS, MeasuredSwing, MotionDeviation, Roles, summary
 
 _JOINTS = ("shoulders θ1", "lead arm θ2", "wrist θ3")
 
 
-def import_report(
-    swing: MeasuredSwing, roles: Roles, beyond: Mapping[str, float | None]
-) -> Iterator[Table | str]:
+def import_report(swing: MeasuredSwing, roles: Roles, beyond: Sequence[float]) -> Iterator[Table | str]:
     """Yield the tables and lines of an import."""
     found = summary(swing)
     yield f"Recording: {found['frames']} frames at {found['rate_hz']:g} Hz"
@@ -45,12 +44,7 @@ def import_report(
     )
     x, y = found["hub_travel_mm"]
     yield f"A planar robot cannot show: {off} mm off the plane (rms); shoulders travel {x:.0f} by {y:.0f} mm"
-    out = [
-        f"{key.rpartition('_')[0].replace('_', ' ')} {value:.2f} {key.rpartition('_')[2]}"
-        for key, value in beyond.items()
-        if value
-    ]
-    yield f"Beyond the machine's ranges: {', '.join(out) if out else 'nothing that was measured'}"
+    yield beyond_text(beyond)
     if swing.not_measured:
         yield f"Not measured: {'; '.join(swing.not_measured)}"
 
@@ -63,4 +57,34 @@ def _angles(found: Mapping[str, object]) -> Table:
     for joint, name in enumerate(_JOINTS):
         cells = [column[joint] for column in columns]  # type: ignore[index]  # lists of three
         table.add_row(name, *("not measured" if cell is None else f"{cell:.1f}" for cell in cells))
+    return table
+
+
+def beyond_text(excess: Sequence[float]) -> str:
+    """Return the text of the excess beyond the ranges of shoulder (rad), right arm (m) and wrist (rad)."""
+    parts = zip(("shoulder", "right arm", "wrist"), excess, ("rad", "m", "rad"), strict=True)
+    out = [f"{name} {value:.2f} {unit}" for name, value, unit in parts if value >= 0.005]
+    return f"Beyond the machine's ranges: {', '.join(out) if out else 'nothing that was measured'}"
+
+
+def comparison_table(rows: Sequence[MotionDeviation]) -> Table:
+    """Return a row per deviation: per cent with degrees and mm beside it, speeds and downswings."""
+    caption = (
+        f"{DEFINITION}; angles in °, head in mm. Hunt and Wiens report {100 * HUNT_WIENS:.1f} % undefined."
+    )
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, caption=caption, caption_justify="left")
+    for heading in ("reference", "swing"):
+        table.add_column(heading)
+    for heading in ("shoulder", "arm", "wrist", "head", "m/s", "downswing, s"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        sizes = [f"{degrees(error):.1f}°" for error in row.error[:3]] + [f"{1e3 * row.error[3]:.0f} mm"]
+        cells = [
+            "not measured" if isnan(share) else f"{100 * share:.1f} % {size}"
+            for share, size in zip(row.share, sizes, strict=True)
+        ]
+        pair = (row.reference, row.other)
+        speeds = " ".join("-" if isnan(one.head_speed) else f"{one.head_speed:.1f}" for one in pair)
+        lasting = " ".join(f"{one.downswing:.3f}" for one in pair)
+        table.add_row(*(f"{one.name}, {one.source}" for one in pair), *cells, speeds, lasting)
     return table

@@ -358,11 +358,14 @@ def design(
 
 
 def _show_deviations(plant: PlantParameters, golfer: Golfer, swing: Profile) -> None:
-    """Print how `swing` differs from `golfer`'s, and where the robot's ranges end."""
-    from bench.commands.golfers_table import deviations_table, golfer_row, reach_table
+    """Print the deviation of `swing` from the model of `golfer`, and the excess beyond the robot's ranges."""
+    from bench.commands.golfer_tables import beyond_text, comparison_table
+    from bench.golfer import beyond_ranges, compare_motions, model_motion, robot_motion
 
-    rows = [golfer_row(plant, golfer, swing)]
-    Console().print(deviations_table(rows), reach_table(rows, plant), highlight=False)
+    model = model_motion(plant, golfer)
+    console = Console()
+    console.print(comparison_table([compare_motions(model, robot_motion(plant, swing))]), highlight=False)
+    console.print(beyond_text(beyond_ranges(plant, model.angle)), highlight=False, soft_wrap=True)
 
 
 def _with_motion(
@@ -548,76 +551,6 @@ def address(
     save_profile(output, planned)
     pressures = ", ".join(f"{pressure / 1e5:.2f}" for pressure in planned.air)
     typer.echo(f"{output}: chambers at {pressures} bar absolute, supply {planned.air_supply / 1e5:.2f} bar.")
-
-
-@app.command()
-def golfers(
-    context: typer.Context,
-    profile: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="PROFILE", help="Name or path of a profile.", show_default="each golfer's own swing"
-        ),
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also plot them: .png, .svg or .pdf.")
-    ] = None,
-    json_: Json = False,
-) -> None:
-    """Compare the robot's downswings with golfers': root mean square over the human's range.
-
-    Their motion is Hunt's with a free wrist, scaled in time and amplitude to their tempo and head speed.
-    """
-    from bench.commands.golfers_table import (
-        deviations_table,
-        draw_golfers,
-        golfer_record,
-        golfer_row,
-        reach_table,
-    )
-    from bench.swing.golfers import GOLFERS
-    from bench.swing.library import find_profile
-    from bench.swing.profile import load_profile
-
-    _require_picture(plot)
-    configuration = context.ensure_object(Session).configuration()
-    plant = configuration.plant
-    if profile is None:
-        swings = _golfers_own(configuration)
-    else:
-        swings = dict.fromkeys(GOLFERS, load_profile(find_profile(profile)))
-    rows = [golfer_row(plant, GOLFERS[name], swing) for name, swing in swings.items()]
-    if plot is not None and rows:
-        draw_golfers(rows, plant, plot)
-    if json_:
-        show_json([golfer_record(plant, row) for row in rows])
-        return
-    console = Console()
-    if not rows:
-        console.print("No golfers' swings here yet.")
-        return
-    console.print(deviations_table(rows), reach_table(rows, plant), highlight=False)
-    if plot is not None and rows:
-        console.print(f"Picture: {plot}", highlight=False)
-
-
-def _golfers_own(c: Configuration) -> dict[str, Profile]:
-    """Return the swing of each golfer that comes with golfbench: one made for the ranges of robot `c`.
-
-    NAME-full asks for the longest ways of shoulder, right arm and wrist, NAME for those of the shipped robot.
-    """
-    from bench.design.validate import beyond_range
-    from bench.swing.golfers import GOLFERS
-    from bench.swing.library import find_profile, profile_names
-    from bench.swing.profile import load_profile
-
-    known, found = profile_names(), {}
-    for golfer in GOLFERS:
-        own = [load_profile(find_profile(n)) for n in (f"{golfer}-full", golfer) if n in known]
-        fitting = [swing for swing in own if not beyond_range(swing, c.plant, c.envelope)]
-        if own:
-            found[golfer] = (fitting or own[-1:])[0]
-    return found
 
 
 def _require_picture(plot: Path | None) -> None:

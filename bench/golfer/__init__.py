@@ -1,22 +1,40 @@
 """Measured golfers: recordings of markers in, swings as joint angles out."""
 
 from bench.golfer.capture import Capture, read_capture
+from bench.golfer.comparison import (
+    DEFINITION,
+    HUNT_WIENS,
+    MotionDeviation,
+    SwingMotion,
+    compare_motions,
+    measured_motion,
+    model_motion,
+    robot_motion,
+)
 from bench.golfer.golfer_file import GolferSwing, load_golfer, save_golfer, summary
 from bench.golfer.measured_swing import ImportOptions, MeasuredSwing, measure
 from bench.golfer.reach import beyond_ranges
 from bench.golfer.roles import Roles, find_roles
 
 __all__ = [
+    "DEFINITION",
+    "HUNT_WIENS",
     "Capture",
     "GolferSwing",
     "ImportOptions",
     "MeasuredSwing",
+    "MotionDeviation",
     "Roles",
+    "SwingMotion",
     "beyond_ranges",
+    "compare_motions",
     "find_roles",
     "load_golfer",
     "measure",
+    "measured_motion",
+    "model_motion",
     "read_capture",
+    "robot_motion",
     "save_golfer",
     "summary",
 ]

@@ -46,10 +46,10 @@ def check_exchanges(capture: Capture, raw: dict[str, Array], markers: Markers, i
     """Raise BenchError where the markers of two sides are exchanged from one frame to the next."""
     first, end = max(int(impact - _CHECKED * capture.rate), 2), int(impact) + 1
     for part in ("shoulder", "wrist", "hip"):
-        pair = [raw.get(f"{side}_{part}") for side in ("lead", "trail")]
-        if pair[0] is None or pair[1] is None:
+        pair = [raw[f"{side}_{part}"] for side in ("lead", "trail") if f"{side}_{part}" in raw]
+        if len(pair) < 2:
             continue
-        here = np.stack([pair[0], pair[1]])[:, first:end]
+        here = np.stack(pair)[:, first:end]
         ahead = np.stack([2.0 * path[first - 1 : end - 1] - path[first - 2 : end - 2] for path in pair])
         kept = np.linalg.norm(here - ahead, axis=2).sum(axis=0)
         exchanged = np.linalg.norm(here[::-1] - ahead, axis=2).sum(axis=0)

@@ -1,12 +1,15 @@
-"""Plot of a measured swing: angles, speeds and events over time, and the view onto the swing plane."""
+"""Plots of measured swings: angles, speeds, events and the swing plane; a swing against another."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bench.golfer.comparison import DEFINITION, MotionDeviation
 from bench.golfer.measured_swing import MeasuredSwing
 from bench.shot.plot_style import COLOURS, GREY, INK, STYLE, styled
 
@@ -40,6 +43,30 @@ def golfer_plot(swing: MeasuredSwing, title: str) -> Figure:
             _mark_events(axes, swing)
         _draw_plane(axes_of["plane"], swing)
         figure.suptitle(f"{title}\nGrey: top (dotted: the shaft turns back). Black: ball.", fontsize=8.5)
+    return figure
+
+
+def comparison_plot(rows: Sequence[MotionDeviation]) -> Figure:
+    """Return the figure of `rows`: downswing of each reference and of the swing compared with it."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11.0, 2.3 * len(rows) + 0.8), layout="constrained")
+        grid = figure.subplots(len(rows), 4, squeeze=False)
+        for across, row in zip(grid, rows, strict=True):
+            rows_of = row.reference.time >= -row.reference.downswing - 1e-9
+            since, angle = 1e3 * row.reference.time[rows_of], row.reference.angle[rows_of]
+            for joint in range(3):
+                across[joint].plot(since, np.degrees(angle[:, joint]), "--", color=COLOURS[1])
+                across[joint].plot(since, np.degrees(row.beside[:, joint]), color=COLOURS[0])
+                error = f"{100 * row.share[joint]:.1f} %, {np.degrees(row.error[joint]):.1f}°"
+                across[joint].set_title(f"{_NAMES[joint]}: {error}")
+            across[3].plot(*row.reference.head[rows_of].T, "--", color=COLOURS[1])
+            across[3].plot(*row.head_beside.T, color=COLOURS[0])
+            across[3].set_title(f"head: {100 * row.share[3]:.1f} %, {1e3 * row.error[3]:.0f} mm")
+            across[3].set_aspect("equal", adjustable="datalim")
+            across[0].set_ylabel(f"{row.other.name}\nagainst {row.reference.name}")
+        for axes in grid[-1, :3]:
+            axes.set_xlabel("ms before the ball")
+        figure.suptitle(f"Dashed: reference. Line: swing. {DEFINITION}.", fontsize=8)
     return figure
 
 

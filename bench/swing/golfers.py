@@ -5,10 +5,6 @@ wrist is free, so that its angle is the torque-free response of the club, within
 The other golfers are Hunt's, scaled in time to their tempo and in amplitude until the head has their speed
 where it passes the ball: no joint angles of theirs are public. Past their end the functions go on, the
 shoulder at its speed and the right arm at its length, until the head is there.
-
-Deviation, our definition: over the downswing, clocks laid together at the ball, the root mean square of robot
-less human, divided by the human's range; of each joint, and of the head as distance over the longest way
-across its path. Hunt and Wiens (2003, as quoted in the thesis) give 9.6 % without a public definition.
 """
 
 from __future__ import annotations
@@ -28,7 +24,6 @@ from bench.swing.hunt import (
     right_arm_length,
     shoulder_turn,
 )
-from bench.swing.profile import Profile
 from drivers.base.compiled import compiled
 from sim.kane import kane_terms
 from sim.kinematics import forward_kinematics, theta2_from_right_arm
@@ -36,7 +31,6 @@ from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
 
-HUNT_WIENS = 0.096
 _MPH = 0.44704
 _STEP = 2.5e-4
 _LONGEST = 1.6
@@ -101,7 +95,7 @@ def find_golfer(name: str) -> Golfer:
     """
     if name in GOLFERS:
         return GOLFERS[name]
-    cure = did_you_mean(name, GOLFERS, "`golfbench swing golfers` shows them.")
+    cure = did_you_mean(name, GOLFERS, "`golfbench golfer compare` shows them.")
     raise BenchError(f"golfer {name}", "no such golfer", f"one of {', '.join(GOLFERS)}", cure)
 
 
@@ -194,37 +188,4 @@ def _downswing(plant: PlantParameters, golfer: Golfer, amplitude: float) -> Huma
     rows = slice(0, end + 1)
     return HumanDownswing(
         time[rows], angle[rows], pose[rows, :2], float(np.hypot(*velocity)), amplitude, bool(len(passing))
-    )
-
-
-class Deviation(NamedTuple):
-    """Robot against human over the downswing; shares of the human's range."""
-
-    shoulder: float
-    arm: float
-    wrist: float
-    head: float
-
-
-def beside(profile: Profile, human: HumanDownswing) -> Array:
-    """Return the angles (n, 3) of `profile` at the instants of `human`, clocks laid together at the ball."""
-    samples = np.arange(len(profile.angle)) * profile.period
-    at = profile.impact_time - human.time[-1] + human.time
-    return np.column_stack([np.interp(at, samples, profile.angle[:, i]) for i in range(3)])
-
-
-def deviation(plant: PlantParameters, profile: Profile, human: HumanDownswing) -> Deviation:
-    """Return how far the motion of `profile` is from `human`, clocks laid together at the ball."""
-    robot = beside(profile, human)
-    joints = np.sqrt(np.mean((robot - human.angle) ** 2, axis=0)) / np.ptp(human.angle, axis=0)
-    head = forward_kinematics(plant.robot, robot)[:, :2] - human.head
-    across = max(
-        float(np.linalg.norm(human.head - point, axis=1).max())
-        for point in human.head[:: max(len(human.head) // 50, 1)]
-    )
-    return Deviation(
-        float(joints[0]),
-        float(joints[1]),
-        float(joints[2]),
-        float(np.sqrt(np.mean(np.sum(head**2, axis=1)))) / across,
     )

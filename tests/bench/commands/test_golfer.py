@@ -13,6 +13,7 @@ import pytest
 from bench.cli import main
 from bench.errors import BenchError
 from bench.golfer import load_golfer
+from bench.swing.golfers import GOLFERS
 from tests.bench.golfer.synthetic import BALL, MAP, Synthetic, angles, write
 
 BODY = "\n".join(line for line in MAP.splitlines() if not line.startswith(("grip", "head")))
@@ -143,3 +144,30 @@ def test_a_damaged_golfer_file_is_refused(
         load_golfer(path)
 
     assert "golfbench golfer import" in refused.value.cure
+
+
+def test_compare_names_definition_and_reference(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    golfer = _json(recording, capsys)["golfer"]
+    plot = recording.with_name("compared.png")
+
+    code, out, _ = _run(["golfer", "compare", golfer, golfer, "tour-male", "--plot", str(plot)], capsys)
+
+    assert code == 0
+    for text in ("swing, measured", "tour-male, robot", "0.0 % 0.0°", "9.6 %", "Root mean square", "Beyond"):
+        assert text in out
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    code, out, _ = _run(["golfer", "compare", golfer, "tour-male", "--json"], capsys)
+    (found,) = json.loads(out)
+    assert (found["reference"]["source"], found["swing"]["name"]) == ("measured", "tour-male")
+    assert set(found["deviation"]) == {"shoulder", "arm", "wrist", "head"}
+    assert found["rms"]["head_m"] > 0.0
+    assert "aligned at the ball" in found["definition"]
+
+
+def test_compare_without_swings_has_each_built_in_golfer(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = _run(["--config", "golfers", "golfer", "compare", "--json"], capsys)
+
+    assert code == 0
+    found = json.loads(out)
+    assert [row["reference"]["name"] for row in found] == list(GOLFERS)
+    assert {row["swing"]["name"] for row in found} == {f"{name}-full" for name in GOLFERS}

@@ -195,27 +195,15 @@ def test_names_come_before_paths_and_paths_work(run: Run, tmp_path: Path) -> Non
         find_profile("none.toml")
 
 
-@pytest.mark.slow
-def test_golfers_are_laid_beside_a_profile_and_drawn(run: Run, tmp_path: Path) -> None:
-    answer = run("swing", "golfers", "slow", "--plot", "beside.png")
-    assert answer.code == ExitCode.OK
-    for text in ("tour-male", "senior", "51.4", "50.7", "9.6 %", "beside.png"):
-        assert text in answer.out
-    assert (tmp_path / "beside.png").read_bytes().startswith(b"\x89PNG")
-    found = json.loads(run("swing", "golfers", "slow", "--json").out)
-    assert found[0]["golfer"] == "tour-male"
-    assert set(found[0]["deviation"]) == {"shoulder", "arm", "wrist", "head"}
-    assert found[0]["short_mps"] == pytest.approx(51.41 - 0.7, abs=0.01)
-    assert found[0]["robot_downswing_s"] == pytest.approx(0.5)
-    # Without a profile: each golfer's own, and there is none here.
-    assert json.loads(run("swing", "golfers", "--json").out) == []
-
-
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
         (["swing", "design", "new.toml", "--golfer", "senor"], "Did you mean senior?"),
-        (["swing", "golfers", "slow", "--plot", "beside.txt"], ".png"),
+        (["golfer", "compare", "model:senior", "slow", "--plot", "beside.txt"], ".png"),
+        (["golfer", "compare", "model:senor", "slow"], "Did you mean senior?"),
+        (["golfer", "compare", "model:senior"], "at least one other"),
+        (["golfer", "compare", "slow", "model:senior"], "Put the golfer first"),
+        (["golfer", "compare", "anna.golfer.toml", "slow"], "golfbench golfer import"),
     ],
 )
 def test_a_mistaken_golfer_or_picture_is_told(arguments: list[str], told: str, run: Run) -> None:

@@ -1,0 +1,121 @@
+"""Deviations are those of their definition."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist
+
+from bench.config import load_configuration
+from bench.errors import BenchError
+from bench.golfer import (
+    HUNT_WIENS,
+    SwingMotion,
+    beyond_ranges,
+    compare_motions,
+    find_roles,
+    load_golfer,
+    measure,
+    measured_motion,
+    model_motion,
+    read_capture,
+    robot_motion,
+    save_golfer,
+)
+from bench.golfer.measured_swing import ImportOptions
+from bench.swing.golfers import GOLFERS
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+from sim.plant import PlantParameters
+from tests.bench.golfer.synthetic import BALL, MAP, Synthetic, angles, write
+
+
+@pytest.fixture
+def motion(plant: PlantParameters, slow_swing: Profile) -> SwingMotion:
+    """A robot's swing in which each joint moves."""
+    found = robot_motion(plant, slow_swing)
+    return replace(found, angle=found.angle + 0.5 * found.time[:, None])
+
+
+def _as_golfer(motion: SwingMotion) -> SwingMotion:
+    return replace(motion, source="measured")
+
+
+def test_a_swing_does_not_deviate_from_itself(motion: SwingMotion) -> None:
+    found = compare_motions(_as_golfer(motion), motion)
+
+    assert found.error == pytest.approx((0.0, 0.0, 0.0, 0.0), abs=1e-9)
+    assert motion.time[-1] >= 0.0
+    assert motion.head[-1] == pytest.approx([0.0, 0.0], abs=0.05)
+
+
+def test_a_constant_shift_is_that_over_the_range(motion: SwingMotion) -> None:
+    shifted = replace(motion, angle=motion.angle + [0.1, 0.0, 2 * np.pi], head=motion.head + [0.03, 0.04])
+
+    found = compare_motions(_as_golfer(motion), shifted)
+
+    rows = motion.time >= -motion.downswing - 1e-9
+    down = motion.angle[rows]
+    assert found.error == pytest.approx((0.1, 0.0, 0.0, 0.05))
+    assert found.share[0] == pytest.approx(0.1 / np.ptp(down[:, 0]))
+    assert found.share[3] == pytest.approx(0.05 / pdist(motion.head[rows]).max(), rel=0.01)
+
+
+def test_clocks_are_aligned_at_the_ball(motion: SwingMotion) -> None:
+    late = replace(motion, time=motion.time - 0.010)
+
+    assert compare_motions(_as_golfer(motion), late).error[0] > 0.005
+
+
+def test_a_robot_is_no_reference(motion: SwingMotion) -> None:
+    with pytest.raises(BenchError, match="Put the golfer first"):
+        compare_motions(motion, motion)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001])
+def test_a_measured_golfer_deviates_little_from_the_same_swing(noise: float, tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text(MAP)
+    motions = []
+    for golfer in (Synthetic(), Synthetic(rate=360, noise=noise, up="y")):
+        path = write(tmp_path / f"at{golfer.rate:g}.csv", *golfer.recording(), golfer.rate)
+        capture = read_capture(path)
+        roles = find_roles(capture, tmp_path / "map.toml")
+        swing = measure(capture, roles, ImportOptions())
+        motions.append(measured_motion(load_golfer(save_golfer(tmp_path, path.stem, swing, capture, roles))))
+
+    found = compare_motions(*motions)
+
+    assert max(found.share) < 0.01
+    true = np.ptp(angles(BALL + np.arange(-motions[0].downswing, 0.0, 1e-3)), axis=0)
+    down = motions[0].angle[motions[0].time >= -motions[0].downswing]
+    assert np.ptp(down, axis=0) == pytest.approx(true, abs=0.02)
+
+
+def test_a_joint_that_was_not_measured_has_no_deviation(plant: PlantParameters, motion: SwingMotion) -> None:
+    body = _as_golfer(replace(motion, angle=motion.angle * [1.0, 1.0, np.nan], head=motion.head * np.nan))
+
+    found = compare_motions(body, motion)
+
+    assert found.share[:2] == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert np.isnan(found.share[2:]).all()
+    assert np.isnan(beyond_ranges(plant, body.angle)[2])
+
+
+def test_what_lies_beyond_the_ranges_has_its_excess(plant: PlantParameters) -> None:
+    middle = [(plant.shoulder.lower + plant.shoulder.upper) / 2, 4.2, plant.wrist.upper - 0.1]
+    within = np.array([middle, middle])
+    further = within + [[0.0, 0.0, 0.0], [0.0, 0.0, 0.3]]
+
+    assert beyond_ranges(plant, within) == (0.0, 0.0, 0.0)
+    assert beyond_ranges(plant, further) == pytest.approx((0.0, 0.0, 0.2))
+
+
+@pytest.mark.parametrize("golfer", GOLFERS)
+def test_the_golfers_variant_swings_as_its_page_says(golfer: str) -> None:
+    plant, profile = load_configuration(Path("golfers")).plant, load_profile(find_profile(f"{golfer}-full"))
+    away = compare_motions(model_motion(plant, GOLFERS[golfer]), robot_motion(plant, profile)).share
+    assert profile.delivery["head_speed_mps"] == pytest.approx(GOLFERS[golfer].head_speed, abs=0.05)
+    assert max(away) <= (0.12 if golfer == "two-handicap" else HUNT_WIENS)
