@@ -1,7 +1,8 @@
 """Deviation of a swing from another: of a robot's or a golfer's from a golfer's.
 
-Defined as the root mean square of the difference over the reference's downswing, clocks aligned at the ball;
-in per cent of the reference's range of each angle, for the head of the longest distance across its path.
+Defined as the root mean square of the difference over the reference's downswing, as far as both have a
+motion, clocks aligned at the ball; in per cent of the reference's range of each angle in its whole downswing,
+for the head of the longest distance across its path.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
 
 DEFINITION = (
-    "Root mean square over the reference's downswing, clocks aligned at the ball, in per cent of the "
-    "reference's range (head: of the longest distance across its path, measured from the ball)"
+    "Root mean square over the reference's downswing as far as both have a motion, clocks aligned at the "
+    "ball, in per cent of the reference's range (head: of the longest distance across its path, measured "
+    "from the ball)"
 )
 HUNT_WIENS = 0.096
 """Deviation that Hunt and Wiens (2003) report, without a definition."""
@@ -58,8 +60,10 @@ class MotionDeviation:
     """Root mean square of shoulder, arm, wrist (rad) and head (m), NaN where not measured."""
     share: tuple[float, float, float, float]
     """The same as a fraction of the reference's ranges."""
+    time: Array
+    """Instants (n,) of the reference's downswing at which `other` has a motion (s)."""
     beside: Array
-    """Angles (n, 3) of `other` at the instants of the reference's downswing (rad)."""
+    """Angles (n, 3) of `other` at these instants (rad)."""
     head_beside: Array
     """Head (n, 2) of `other` at these instants (m)."""
 
@@ -100,6 +104,8 @@ def compare_motions(reference: SwingMotion, other: SwingMotion) -> MotionDeviati
     if reference.source == "robot" or np.count_nonzero(rows) < 3:
         cure = "Put the golfer first: NAME.golfer.toml, or model:NAME of a built-in one."
         raise BenchError(f"reference {reference.name}", "a robot's swing", "a golfer's swing", cure)
+    whole, whole_head = reference.angle[rows], reference.head[rows]
+    rows &= reference.time >= other.time[0] - 1e-9  # a model has no backswing
     time, angle, head = reference.time[rows], reference.angle[rows], reference.head[rows]
     beside = _at(time, other.time, other.angle)
     turns = np.round((beside[-1] - angle[-1]) / (2 * np.pi))
@@ -107,9 +113,9 @@ def compare_motions(reference: SwingMotion, other: SwingMotion) -> MotionDeviati
     head_beside = _at(time, other.time, other.head)
     joints = np.sqrt(np.mean((beside - angle) ** 2, axis=0))
     away = float(np.sqrt(np.mean(np.sum((head_beside - head) ** 2, axis=1))))
-    some = head[:: max(len(head) // 50, 1)]
-    across = float(np.linalg.norm(some[:, None] - head[None], axis=2).max())
-    ranges = np.ptp(angle, axis=0)
+    some = whole_head[:: max(len(whole_head) // 50, 1)]
+    across = float(np.linalg.norm(some[:, None] - whole_head[None], axis=2).max())
+    ranges = np.ptp(whole, axis=0)
     shares = joints / np.where(ranges > _NO_RANGE, ranges, np.nan)
     return MotionDeviation(
         reference,
@@ -121,6 +127,7 @@ def compare_motions(reference: SwingMotion, other: SwingMotion) -> MotionDeviati
             float(shares[2]),
             away / across if across > _NO_RANGE else np.nan,
         ),
+        time,
         beside,
         head_beside,
     )

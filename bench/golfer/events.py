@@ -18,6 +18,8 @@ _BEGUN = 0.15
 """Fraction of the loss at which it has begun."""
 _STILL = 0.35
 """Max speed of a club that stands at the ball (m/s)."""
+_STILL_TIME = 0.050
+"""Time over which this speed is measured (s)."""
 _NEAR_BALL = 0.3
 """Max distance of the position at address from the path around the fastest frame (m)."""
 _SPREAD = 0.012
@@ -46,16 +48,18 @@ def find_impact(path: Array, rate: float, *, is_head: bool = True) -> Impact | N
     fastest = int(np.argmax(steady)) + 1
     before, after = (max(int(t * rate), 2) for t in (_HEAD_FASTEST if is_head else _HANDS_FASTEST))
     rows = range(max(fastest - before, 1), min(fastest + after, len(path) - 1))
-    place = _passing(path, speed, fastest, rows)
+    place = _passing(path, fastest, rows, rate)
     loss = _loss(speed, rows, rate) if is_head else None
     if loss is not None and (place is None or abs(loss - place) <= _SPREAD * rate):
         return Impact(loss, LOSS)
     return None if place is None else Impact(place, PLACE)
 
 
-def _passing(path: Array, speed: Array, fastest: int, rows: range) -> float | None:
+def _passing(path: Array, fastest: int, rows: range, rate: float) -> float | None:
     """Return the frame in which `path` passes its position at address on its way to the target."""
-    still = np.flatnonzero(speed[:fastest] < _STILL)
+    over = max(round(_STILL_TIME * rate), 1)
+    moved = np.linalg.norm(path[over:] - path[:-over], axis=1)
+    still = np.flatnonzero(moved[: max(fastest - over, 0)] < _STILL * _STILL_TIME)
     if not len(rows) or not len(still):
         return None
     # The top is a pause, too, but the way to the ball does not come near it.

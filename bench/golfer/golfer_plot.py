@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import matplotlib as mpl
 import numpy as np
@@ -56,7 +57,7 @@ def comparison_plot(rows: Sequence[MotionDeviation]) -> Figure:
             since, angle = 1e3 * row.reference.time[rows_of], row.reference.angle[rows_of]
             for joint in range(3):
                 across[joint].plot(since, np.degrees(angle[:, joint]), "--", color=COLOURS[1])
-                across[joint].plot(since, np.degrees(row.beside[:, joint]), color=COLOURS[0])
+                across[joint].plot(1e3 * row.time, np.degrees(row.beside[:, joint]), color=COLOURS[0])
                 error = f"{100 * row.share[joint]:.1f} %, {np.degrees(row.error[joint]):.1f}°"
                 across[joint].set_title(f"{_NAMES[joint]}: {error}")
             across[3].plot(*row.reference.head[rows_of].T, "--", color=COLOURS[1])
@@ -66,7 +67,7 @@ def comparison_plot(rows: Sequence[MotionDeviation]) -> Figure:
             across[0].set_ylabel(f"{row.other.name}\nagainst {row.reference.name}")
         for axes in grid[-1, :3]:
             axes.set_xlabel("ms before the ball")
-        figure.suptitle(f"Dashed: reference. Line: swing. {DEFINITION}.", fontsize=8)
+        figure.suptitle(fill(f"Dashed: reference. Line: swing. {DEFINITION}.", 150), fontsize=8)
     return figure
 
 

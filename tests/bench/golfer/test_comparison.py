@@ -64,6 +64,16 @@ def test_a_constant_shift_is_that_over_the_range(motion: SwingMotion) -> None:
     assert found.share[3] == pytest.approx(0.05 / pdist(motion.head[rows]).max(), rel=0.01)
 
 
+def test_instants_without_a_motion_do_not_count(motion: SwingMotion) -> None:
+    late = motion.time >= -motion.downswing / 2
+    begins_late = replace(motion, time=motion.time[late], angle=motion.angle[late], head=motion.head[late])
+
+    found = compare_motions(_as_golfer(motion), begins_late)
+
+    assert found.time[0] >= begins_late.time[0]
+    assert found.error == pytest.approx((0.0, 0.0, 0.0, 0.0), abs=1e-9)
+
+
 def test_clocks_are_aligned_at_the_ball(motion: SwingMotion) -> None:
     late = replace(motion, time=motion.time - 0.010)
 

@@ -59,6 +59,7 @@ CASES = {
     "360 Hz, noise of 3 mm": (Synthetic(rate=360, noise=0.003), ".csv"),
     "500 Hz, noise of 3 mm": (Synthetic(rate=500, noise=0.003), ".csv"),
     "ball of foam": (Synthetic(loss=0.0), ".csv"),
+    "ball of foam, noise of 3 mm": (Synthetic(rate=500, noise=0.003, loss=0.0), ".csv"),
 }
 
 
