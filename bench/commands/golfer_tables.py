@@ -74,7 +74,7 @@ def comparison_table(rows: Sequence[MotionDeviation]) -> Table:
     )
     table = Table(box=SIMPLE_HEAD, pad_edge=False, caption=caption, caption_justify="left")
     for heading in ("reference", "swing"):
-        table.add_column(heading)
+        table.add_column(heading, overflow="fold")
     for heading in ("shoulder", "arm", "wrist", "head", "m/s", "downswing, s"):
         table.add_column(heading, justify="right")
     for row in rows:

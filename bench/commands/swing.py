@@ -24,6 +24,7 @@ from bench.interrupt import deferred_interrupt
 if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.design.designer import SwingDemand
+    from bench.golfer import GolferSwing
     from bench.swing.golfers import Golfer
     from bench.swing.profile import Profile
     from sim.plant import PlantParameters
@@ -213,7 +214,10 @@ Output = Annotated[
         show_default="CLUB-SPEEDmps.toml",
     ),
 ]
-GolferName = Annotated[str | None, typer.Option(metavar="NAME", help="Golfer to imitate.")]
+GolferName = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Golfer to imitate: a built-in one or a measured NAME.golfer.toml."),
+]
 HeadSpeed = Annotated[
     float | None,
     typer.Option(
@@ -224,7 +228,16 @@ HeadSpeed = Annotated[
         show_default="45, or the golfer's",
     ),
 ]
-Attack = Annotated[float, typer.Option(metavar="DEG", min=-8.0, max=8.0, help="Attack angle, + up.")]
+Attack = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEG",
+        min=-8.0,
+        max=8.0,
+        help="Attack angle, + up.",
+        show_default="0, or that of a measured golfer",
+    ),
+]
 Lean = Annotated[
     float | None,
     typer.Option(
@@ -306,7 +319,7 @@ def design(
     golfer: GolferName = None,
     near: Near = None,
     speed: HeadSpeed = None,
-    attack: Attack = 0.0,
+    attack: Attack = None,
     lean: Lean = None,
     strike: Strike = 0.0,
     before_stop: BeforeStop = 1.2,
@@ -326,24 +339,24 @@ def design(
     """
     from bench.design.designer import DesignFailed, SwingDemand
     from bench.design.planned_openings import require_planned_openings
-    from bench.swing.golfers import find_golfer
 
     configuration = context.ensure_object(Session).configuration().with_club(club)
     require_planned_openings(configuration.control)
     plant = configuration.plant
-    whose = None if golfer is None else find_golfer(golfer)
+    whose = None if golfer is None else _golfer_named(golfer)
     demand = SwingDemand(
         head_speed=45.0 if speed is None else speed,
-        attack=math.radians(attack),
+        attack=math.radians(attack or 0.0),
         lean=None if lean is None else math.radians(lean),
         strike=strike / 1e3,
         before_stop=before_stop / 1e3,
         margin=margin / 100,
         nearest=nearest,
     )
-    demand = _with_motion(demand, plant, whose, near, speed, (backswing, downswing))
+    asked = speed, None if attack is None else math.radians(attack)
+    demand = _with_motion(demand, plant, whose, near, asked, (backswing, downswing))
     begin = None if start == "nothing" else start or near or configuration.swing.profile
-    path = output or Path(f"{golfer or plant.robot.club.name}-{demand.head_speed:g}mps.toml")
+    path = output or Path(f"{whose.name if whose else plant.robot.club.name}-{demand.head_speed:g}mps.toml")
     try:
         if highest:
             return _show_highest_speed(configuration, demand, begin, (processes, cluster))
@@ -357,38 +370,51 @@ def design(
     typer.echo(f"Next: golfbench swing check {path}" + (f" --club {club}" if club else ""))
 
 
-def _show_deviations(plant: PlantParameters, golfer: Golfer, swing: Profile) -> None:
-    """Print the deviation of `swing` from the model of `golfer`, and the excess beyond the robot's ranges."""
-    from bench.commands.golfer_tables import beyond_text, comparison_table
-    from bench.golfer import beyond_ranges, compare_motions, model_motion, robot_motion
+def _golfer_named(name: str) -> Golfer | GolferSwing:
+    """Return the built-in golfer `name`, or the measured one in the file of that name."""
+    from bench.golfer import load_golfer
+    from bench.swing.golfers import find_golfer
 
-    model = model_motion(plant, golfer)
+    return load_golfer(Path(name)) if name.endswith(".golfer.toml") else find_golfer(name)
+
+
+def _show_deviations(plant: PlantParameters, golfer: Golfer | GolferSwing, swing: Profile) -> None:
+    """Print the deviation of `swing` from that of `golfer`, and the excess beyond the robot's ranges."""
+    from bench.commands.golfer_tables import beyond_text, comparison_table
+    from bench.golfer import beyond_ranges, compare_motions, measured_motion, model_motion, robot_motion
+    from bench.swing.golfers import Golfer
+
+    model = model_motion(plant, golfer) if isinstance(golfer, Golfer) else measured_motion(golfer)
     console = Console()
     console.print(comparison_table([compare_motions(model, robot_motion(plant, swing))]), highlight=False)
-    console.print(beyond_text(beyond_ranges(plant, model.angle)), highlight=False, soft_wrap=True)
+    moving = model.angle[model.time >= -model.downswing]
+    console.print(beyond_text(beyond_ranges(plant, moving)), highlight=False, soft_wrap=True)
 
 
 def _with_motion(
     demand: SwingDemand,
     plant: PlantParameters,
-    golfer: Golfer | None,
+    golfer: Golfer | GolferSwing | None,
     near: str | None,
-    speed: float | None,
+    asked: tuple[float | None, float | None],
     times: tuple[float | None, float | None],
 ) -> SwingDemand:
     """Return `demand` as `golfer` would swing, or near the profile `near`.
 
-    `speed` (m/s) and the `times` of backswing and downswing (s) override those of golfer and profile.
+    The speed (m/s) and attack (rad) in `asked` and the `times` of backswing and downswing (s) override those
+    of golfer and profile.
     """
-    from bench.design.follow import demand_like, demand_near
-    from bench.swing.golfers import human_downswing
+    from bench.design.follow import demand_like, demand_measured, demand_near
+    from bench.swing.golfers import Golfer, human_downswing
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
     if golfer is not None and near is not None:
         raise Refused("swing design", "--golfer and --near", "one of them", "Leave one out.")
-    if golfer is not None:
-        demand = demand_like(plant, golfer, human_downswing(plant, golfer), demand, speed)
+    if isinstance(golfer, Golfer):
+        demand = demand_like(plant, golfer, human_downswing(plant, golfer), demand, asked[0])
+    elif golfer is not None:
+        demand = demand_measured(plant, golfer, demand, *asked)
     if near is not None:
         demand = demand_near(plant, load_profile(find_profile(near)), demand)
     backswing, downswing = times
@@ -445,7 +471,7 @@ def _save_design(
     demand: SwingDemand,
     begin: str | None,
     path: Path,
-    golfer: Golfer | None,
+    golfer: Golfer | GolferSwing | None,
 ) -> Profile:
     """Design a swing, save it at `path`, print its delivery and cushions, and return it."""
     from bench.design.designer import design_swing

@@ -7,6 +7,8 @@ has room behind the human's top, the robot begins there, `RUN_UP` earlier. A mot
 scaled; the deviation shows it. If the demand itself is out of reach, a nearest swing gives way, in the
 downswing's time and the path's rise first, in head speed last; `gave_way` says where and by how much.
 
+A measured golfer's downswing starts from rest and is followed as it is (`demand_measured`).
+
 A robot's swing is followed in the same way, more closely (`demand_near`). Without one to follow a plan takes
 the least opening of the valves, which leaves much of the head's speed to the wrist's release: what that
 delivers depends on its instant more than where the shoulder still drives.
@@ -21,6 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.design.designer import SwingDemand, downswing_rows, furthest_cock
+from bench.errors import BenchError
+from bench.golfer.golfer_file import GolferSwing
+from bench.golfer.measured_swing import STEP
 from bench.swing.golfers import Golfer, HumanDownswing
 from bench.swing.profile import Profile
 from sim.kinematics import right_arm_length, theta2_from_right_arm
@@ -37,6 +42,8 @@ _INSIDE = 0.15, 0.012
 """From the ends of shoulder (rad) and rod (m) at the top: the loop needs room. The wrist cocks no further
 than the demand's, where its lever still holds it."""
 
+_WRIST_INSIDE = 0.05
+"""Distance of the wrist at the top from the end of its range (rad)."""
 _NEAR = 0.2
 """Share of its ranges in which the deviation from a robot's swing is counted."""
 _ROWS = 41
@@ -77,6 +84,38 @@ def demand_like(
         top_shoulder=float(human.angle[0, 0]) - turning * run_up / 2,
         follow=rows,
     )
+
+
+def demand_measured(
+    plant: PlantParameters,
+    golfer: GolferSwing,
+    demand: SwingDemand,
+    speed: float | None = None,
+    attack: float | None = None,
+) -> SwingDemand:
+    """Return `demand` with the body motion and the tempo of a measured `golfer`.
+
+    `speed` (m/s) and `attack` (rad) are the golfer's where they are None. A measured downswing starts from
+    rest and needs no run-up. The wrist may cock nearly to the end of its range.
+
+    Raises:
+        BenchError: shaft and head were not measured.
+    """
+    angle = golfer.angle[golfer.top_row :]
+    if np.isnan(angle).any():
+        cure = "Import a recording with grip and head of the club."
+        raise BenchError(str(golfer.path), "a body without a club", "a measured club", cure)
+    furthest = plant.wrist.upper - plant.wrist.lower - _WRIST_INSIDE
+    demand = replace(
+        demand,
+        head_speed=golfer.head_speed if speed is None else speed,
+        attack=golfer.attack if attack is None else attack,
+        backswing_time=golfer.backswing or demand.backswing_time,
+        top_cock=min(plant.wrist.upper - float(angle[0, 2]), furthest),
+    )
+    rows = np.linspace(0, len(angle) - 1, _ROWS).round().astype(int)
+    lasting = (len(angle) - 1) * STEP
+    return _following(plant, demand, angle[rows], lasting, np.ptp(angle, axis=0))
 
 
 def demand_near(plant: PlantParameters, profile: Profile, demand: SwingDemand) -> SwingDemand:

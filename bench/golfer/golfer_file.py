@@ -22,7 +22,14 @@ from bench.telemetry.whole_file import whole_file
 SCHEMA = "golfbench.golfer/1"
 SUFFIX = ".golfer.toml"
 ANGLES = ("theta1_rad", "theta2_rad", "theta3_rad")
-_KEYS = {"schema": str, "name": str, "table": str, "table_sha256": str, "downswing_s": float, "lead": str}
+_KEYS = {
+    "schema": str,
+    "name": str,
+    "table": str,
+    "table_sha256": str,
+    "downswing_s": float,
+    "plane_deg": float,
+}
 _CURE = "Import the recording again with `golfbench golfer import FILE`."
 DEFINITIONS = {
     "plane": "least squares through the head's path from where the shaft is level to the ball, or without a "
@@ -50,8 +57,28 @@ class GolferSwing:
     """Head speed at the ball, NaN without a club (m/s)."""
     top_row: int
     """Row of the top."""
+    plane: float
+    """Inclination of the swing plane (rad)."""
     path: Path
     """File that it was read from."""
+
+    @property
+    def text(self) -> str:
+        """Source of the swing."""
+        return f"measured, {self.path.name}"
+
+    @property
+    def attack(self) -> float:
+        """Attack angle of the head at the ball, positive upwards (rad)."""
+        x, y = self.head[-1] - self.head[-3]
+        return float(np.arctan2(y * np.sin(self.plane), x))
+
+    @property
+    def backswing(self) -> float | None:
+        """Duration of the backswing (s), None where the recording starts within it."""
+        way = np.linalg.norm(np.diff(self.head[: self.top_row], axis=0), axis=1) / STEP
+        moving = np.flatnonzero(way > 0.1 * way.max(initial=0.0))
+        return float((self.top_row - moving[0]) * STEP) if len(moving) and moving[0] > 20 else None
 
 
 def degrees_or_none(angle: Array, *, wrapped: bool = True) -> list[float | None]:
@@ -204,4 +231,4 @@ def load_golfer(path: Path) -> GolferSwing:
         raise BenchError(
             f"{path}: downswing_s", f"{raw['downswing_s']:g} s", "a time within the table", _CURE
         )
-    return GolferSwing(raw["name"], time, angle, head, speed, row, path)
+    return GolferSwing(raw["name"], time, angle, head, speed, row, float(np.radians(raw["plane_deg"])), path)

@@ -1,0 +1,66 @@
+"""A measured golfer as a demand on the designer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.config import load_configuration
+from bench.design.designer import SwingDemand, furthest_cock, top_pose
+from bench.design.follow import demand_measured
+from bench.errors import BenchError
+from bench.golfer import GolferSwing
+from tests.bench.golfer.synthetic import BALL, TOP, Synthetic, angles
+
+
+@pytest.fixture
+def golfer() -> GolferSwing:
+    time = np.arange(-BALL, 1e-9, 1e-3)
+    angle = angles(BALL + time)
+    angle[:, 2] += 2 * np.pi
+    paths = Synthetic().joints(BALL + time)
+    head = (paths["HEAD"] - paths["HEAD"][-1])[:, :2]
+    row = round(TOP * 1e3)
+    return GolferSwing("Anna", time, angle, head, 43.8, row, np.radians(50.0), Path("anna.golfer.toml"))
+
+
+def test_a_demand_has_the_measured_speed_attack_and_tempo(golfer: GolferSwing) -> None:
+    plant = load_configuration(Path("golfers")).plant
+
+    demand = demand_measured(plant, golfer, SwingDemand())
+
+    assert demand.head_speed == 43.8
+    assert demand.attack == pytest.approx(golfer.attack)
+    assert abs(np.degrees(demand.attack)) < 8.0
+    assert demand.backswing_time == pytest.approx(TOP - 0.2, abs=0.1)
+    lasting = BALL - TOP
+    assert demand.downswing_time[0] < lasting < demand.downswing_time[1]
+    stated = demand_measured(plant, golfer, SwingDemand(), 40.0, 0.02)
+    assert (stated.head_speed, stated.attack) == (40.0, 0.02)
+
+
+def test_a_demand_follows_the_body_from_rest_with_the_whole_range_of_the_wrist(golfer: GolferSwing) -> None:
+    plant = load_configuration(Path("golfers")).plant
+    cocked = golfer.angle.copy()
+    cocked[:, 2] -= 0.03
+    deep = replace(golfer, angle=cocked)
+
+    demand = demand_measured(plant, deep, SwingDemand())
+
+    assert demand.follow is not None
+    assert np.isfinite(demand.follow).all()  # no run-up
+    assert demand.follow[-1] == pytest.approx(np.minimum(deep.angle[-1], plant.wrist.upper))
+    assert demand.top_cock is not None
+    assert demand.top_cock > furthest_cock(plant)
+    assert top_pose(plant, demand)[2] >= plant.wrist.lower
+    assert top_pose(plant, demand)[0] == pytest.approx(deep.angle[deep.top_row, 0])
+
+
+def test_a_body_without_a_club_is_no_demand(golfer: GolferSwing) -> None:
+    body = replace(golfer, angle=golfer.angle * [1.0, 1.0, np.nan])
+
+    with pytest.raises(BenchError, match="grip and head"):
+        demand_measured(load_configuration(Path("golfers")).plant, body, SwingDemand())
