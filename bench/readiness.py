@@ -28,6 +28,11 @@ from sim.robot import Club
 
 NO_MODEL_CHECK = "the model-based check is off (envelope.model.check): a stuck valve is found later"
 
+HALF_BLIND = (
+    "without a sensor in each chamber the model-based check finds stuck valves late: in simulation 7 of 99 "
+    "ended unsafe, the worst at 163 % of an absorber's rating; fit chamber sensors"
+)
+
 _ON_THE_BALL_ONLY = frozenset(
     {
         "name",
@@ -178,6 +183,8 @@ def assess(
         if real and not reason:
             found.append(_unwatched(c))
     else:
+        if not _chambers_have_sensors(c):
+            warnings.append(HALF_BLIND)
         used = c.limits_in_use(profile, file)
         c = replace(c, envelope=replace(c.envelope, model=used.settings))
         if used.stale and real:
@@ -191,6 +198,15 @@ def assess(
 
 def _is_rewired(values: Values, c: Configuration) -> bool:
     return isinstance(values, SeenInputs) and values.wiring != wiring_digest(c)
+
+
+def _chambers_have_sensors(c: Configuration) -> bool:
+    match c.driver.name:
+        case "canopen":
+            return all(c.canopen.valve_node.chamber_pressures)
+        case "daq":
+            return all(c.daq.chamber_pressures)
+    return c.plant.pressure_sensors
 
 
 def _unwatched(c: Configuration) -> BenchError:

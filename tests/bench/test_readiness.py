@@ -33,7 +33,7 @@ from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
 from bench.network.status_words import ARMING_BLOCKED
 from bench.page.state_words import state_view
-from bench.readiness import assess_bench
+from bench.readiness import HALF_BLIND, assess_bench
 from bench.store.database import open_database
 from tests.bench.fake_bench_service import FakeDesk
 
@@ -88,6 +88,14 @@ def test_assess_shipped_bench_nothing_blocks(configuration: Configuration) -> No
     found = assess_bench(configuration, NOW, running=True)
     assert (found.blocks(NOW), found.warnings) == ([], ())
     assert found.limits.endswith("default.limits.toml")
+
+
+def test_assess_bench_without_chamber_sensors_warns_of_what_is_found_late(
+    configuration: Configuration,
+) -> None:
+    blind = replace(configuration, plant=replace(configuration.plant, pressure_sensors=False))
+    assert HALF_BLIND in assess_bench(blind, NOW, running=True).warnings
+    assert HALF_BLIND not in assess_bench(configuration, NOW, running=True).warnings
 
 
 def test_assess_ball_calibrated_off_the_profile_blocks(
@@ -155,7 +163,7 @@ def test_assess_machine_whose_check_is_off_without_reason_blocks(machine: Machin
 
 def test_assess_machine_with_the_check_on_or_a_reason_arms(machine: Machine) -> None:
     found = assess_bench(machine('[envelope.model]\ncheck = "always"\n'), NOW, running=True)
-    assert (found.blocks(NOW), found.warnings) == ([], ())
+    assert (found.blocks(NOW), found.warnings) == ([], (HALF_BLIND,))  # it has no chamber sensors
     assert found.limits.endswith("default.limits.toml")
     assert codes(machine(UNWATCHED)) == []
 
