@@ -123,8 +123,9 @@ def _numbers(column: pa.ChunkedArray, name: str) -> Array:
     bits, words = array.buffers()  # read here: pyarrow would import pandas first
     within = slice(array.offset, array.offset + len(array))
     low = np.frombuffer(words, dtype=np.int64).reshape(-1, 2)[within, 0]
-    numbers = low / 10**column.type.scale
+    numbers: Array = low / 10**column.type.scale
     if bits is None:
         return numbers
     valid = np.unpackbits(np.frombuffer(bits, dtype=np.uint8), bitorder="little")[within]
-    return np.where(valid == 1, numbers, -0.0)
+    numbers[valid == 0] = -0.0
+    return numbers
