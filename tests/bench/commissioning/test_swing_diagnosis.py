@@ -13,7 +13,7 @@ from bench.commissioning.rising_swings import bench_of
 from bench.commissioning.short_predictions import RecordedSwing
 from bench.commissioning.swing_diagnosis import Diagnosis, diagnose
 from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.wrong_machine import PredictionFails, WrongMachine
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.errors import Refused
 from bench.lifecycle import Phase
@@ -110,5 +110,5 @@ def test_what_a_swing_does_not_explain_is_said_so(configuration: Configuration, 
     assert watched.explained(error) is error, "nothing has swung"
     watched.last = Diagnosis(None, (), 0.1, np.full(3, 0.02), np.full(3, 100.0), 1.0)
     assert "moves as measured (misfit 0.1" in watched.explained(error).found
-    prediction = Refused("prediction of the swing of 60 %", "stopped", "a swing", "Look.")
+    prediction = PredictionFails("prediction of the swing of 60 %", "stopped", "a swing", "Look.")
     assert watched.explained(prediction) is prediction

@@ -232,7 +232,7 @@ BALL: dict[str, Any] = {"x": 0.1, "y": -1.5, "uncertainty-mm": 2, "method": "tap
 
 def test_values_are_shown_and_entered(page: RunningPage, program: NotingProgram) -> None:
     shown = page.ask("GET", "/api/values").content
-    assert [one["kind"] for one in shown["entries"]] == ["encoders", "ball", "club", "valves"]
+    assert [one["kind"] for one in shown["entries"]] == ["encoders", "ball", "club", "valves", "inputs"]
     assert shown["air"] is None
     assert {one["name"] for one in shown["forms"]} == set(FORMS)
     status, content = entered(page, "/api/values/ball", **BALL)
