@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from bench.commands.picture import Plot, require_picture
 from bench.commands.session import Json, Session, show_json
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from bench.config import Configuration
-    from bench.golfer import MeasuredSwing, MotionDeviation, Roles, SwingMotion
+    from bench.golfer import MotionDeviation, SwingMotion
     from sim.plant import PlantParameters
 
 _PIPED_WIDTH = 160
@@ -51,7 +50,6 @@ Cutoff = Annotated[
     str, typer.Option(metavar="BODY,HEAD", help="Cut-offs of the filter (Hz); hands 5/3 of the body's.")
 ]
 Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the result.")]
-Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Also plot it: .png, .svg or .pdf.")]
 
 
 Swings = Annotated[
@@ -86,6 +84,7 @@ def import_(
     Writes NAME.golfer.toml and its table. A recording without a club gives shoulders and arm only. Files of
     GEARS itself are not read: export C3D from GEARS. C3D needs `pip install 'golfbench[mocap]'`.
     """
+    from bench.commands.golfer_tables import import_report
     from bench.golfer import (
         ImportOptions,
         beyond_ranges,
@@ -102,7 +101,7 @@ def import_(
         **_events(events),
         cutoff=_cutoff(cutoff),
     )
-    _require_picture(plot)
+    require_picture(plot)
     title = name if name is not None else file.stem
     if not _NAME.fullmatch(title):
         raise BenchError(
@@ -116,41 +115,21 @@ def import_(
     swing = measure(capture, roles, options)
     path = save_golfer(output, title, swing, capture, roles)
     if plot is not None:
-        _draw(plot, swing, f"{title}, {capture.path.name}")
-    found = {"golfer": str(path), "source_sha256": capture.digest, **summary(swing)}
-    _show(swing, roles, beyond_ranges(plant, swing.angle[swing.downswing]), found if json_ else None)
-    if not json_:
-        for label, written in (("Golfer", path), ("Picture", plot)):
-            if written is not None:
-                typer.echo(f"{label}: {written}")
+        from bench.golfer.golfer_plot import golfer_plot
 
-
-def _draw(plot: Path, swing: MeasuredSwing, title: str) -> None:
-    """Write the picture of `swing`."""
-    from bench.golfer.golfer_plot import golfer_plot
-
-    _save(golfer_plot(swing, title), plot)
-
-
-def _save(figure: Figure, plot: Path) -> None:
-    try:
-        figure.savefig(plot, dpi=150)
-    except OSError as error:
-        cure = "Name a file in a folder that exists."
-        raise BenchError("--plot", error.strerror or str(error), "a file that can be written", cure) from None
-
-
-def _show(swing: MeasuredSwing, roles: Roles, beyond: Sequence[float], found: dict[str, Any] | None) -> None:
-    """Print the import: the record `found` with the rest as JSON, or without one the tables."""
-    if found is not None:
-        more = {"markers": roles.markers, "markers_left_out": roles.dropped}
-        show_json(found | {"beyond_machine": _beyond_record(beyond)} | more)
+        golfer_plot(swing, f"{title}, {capture.path.name}").savefig(plot, dpi=150)
+    figures, beyond = summary(swing), beyond_ranges(plant, swing.angle[swing.downswing])
+    if json_:
+        source = {"golfer": str(path), "source_sha256": capture.digest}
+        marked = {"markers": roles.markers, "markers_left_out": roles.dropped}
+        show_json(source | figures | {"beyond_machine": _beyond_record(beyond)} | marked)
         return
-    from bench.commands.golfer_tables import import_report
-
     console = Console()
-    for shown in import_report(swing, roles, beyond):
+    for shown in import_report(figures, roles, beyond):
         console.print(shown, highlight=False, soft_wrap=isinstance(shown, str))
+    typer.echo(f"Golfer: {path}")
+    if plot is not None:
+        typer.echo(f"Picture: {plot}")
 
 
 def _beyond_record(excess: Sequence[float]) -> dict[str, float | None]:
@@ -173,7 +152,7 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
     from bench.commands.golfer_tables import beyond_text, comparison_table
     from bench.golfer import beyond_ranges, compare_motions
 
-    _require_picture(plot)
+    require_picture(plot)
     configuration = context.ensure_object(Session).configuration()
     plant = configuration.plant
     if swings:
@@ -188,14 +167,14 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
     if plot is not None and rows:
         from bench.golfer.golfer_plot import comparison_plot
 
-        _save(comparison_plot(rows), plot)
+        comparison_plot(rows).savefig(plot, dpi=150)
     if json_:
         show_json([_record(row) for row in rows])
         return
     console = Console(width=None if sys.stdout.isatty() else _PIPED_WIDTH)
     console.print(comparison_table(rows), highlight=False)
     for motion in {row.reference.name: row.reference for row in rows}.values():
-        excess = beyond_ranges(plant, motion.angle[motion.time >= -motion.downswing])
+        excess = beyond_ranges(plant, motion.angle[motion.in_downswing])
         console.print(f"{motion.name}: {beyond_text(excess)}", highlight=False, soft_wrap=True)
     if plot is not None and rows:
         typer.echo(f"Picture: {plot}")
@@ -203,12 +182,12 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
 
 def _motion(plant: PlantParameters, text: str) -> SwingMotion:
     """Return the motion that `text` names."""
-    from bench.golfer import load_golfer, measured_motion, model_motion, robot_motion
+    from bench.golfer import SUFFIX, load_golfer, measured_motion, model_motion, robot_motion
     from bench.swing.golfers import find_golfer
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
-    if text.endswith(".golfer.toml"):
+    if text.endswith(SUFFIX):
         return measured_motion(load_golfer(Path(text)))
     if text.startswith("model:"):
         return model_motion(plant, find_golfer(text.removeprefix("model:")))
@@ -287,8 +266,3 @@ def _cutoff(text: str) -> tuple[float, float]:
     if not (2.0 <= body <= 200.0 and 2.0 <= head <= 500.0):
         raise BenchError("--cutoff", text[:40], "2 to 200 and 2 to 500 Hz", "Correct --cutoff.")
     return body, head
-
-
-def _require_picture(plot: Path | None) -> None:
-    if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise BenchError("--plot", str(plot), "a name that ends in .png, .svg or .pdf", "Change its ending.")

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from math import degrees, isnan
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from bench.golfer import DEFINITION, HUNT_WIENS, MeasuredSwing, MotionDeviation, Roles, summary
+from bench.golfer import DEFINITION, HUNT_WIENS, MotionDeviation, Roles
 
 _JOINTS = ("shoulders θ1", "lead arm θ2", "wrist θ3")
 
 
-def import_report(swing: MeasuredSwing, roles: Roles, beyond: Sequence[float]) -> Iterator[Table | str]:
-    """Yield the tables and lines of an import."""
-    found = summary(swing)
+def import_report(found: Mapping[str, Any], roles: Roles, beyond: Sequence[float]) -> Iterator[Table | str]:
+    """Yield the tables and lines of an import; `found` is its summary."""
     yield f"Recording: {found['frames']} frames at {found['rate_hz']:g} Hz"
     yield f"  unit      {found['unit']}"
     yield f"  up        {found['up']}"
@@ -25,7 +25,7 @@ def import_report(swing: MeasuredSwing, roles: Roles, beyond: Sequence[float]) -
     yield f"  top       {found['top_s']:.3f} s, by {found['top_clue']}{turn}"
     yield f"  downswing {found['downswing_s']:.3f} s"
     yield f"  plane     {found['plane_deg']:.1f}° from the ground"
-    gaps = ", ".join(f"{role} {count}" for role, count in swing.gaps.items() if count)
+    gaps = ", ".join(f"{role} {count}" for role, count in found["gaps_filled"].items() if count)
     yield f"  gaps      {f'{gaps} frames filled' if gaps else 'none'}"
     if roles.dropped:
         yield f"  left out  {', '.join(roles.dropped)}: missing in too many frames"
@@ -45,17 +45,17 @@ def import_report(swing: MeasuredSwing, roles: Roles, beyond: Sequence[float]) -
     x, y = found["hub_travel_mm"]
     yield f"A planar robot cannot show: {off} mm off the plane (rms); shoulders travel {x:.0f} by {y:.0f} mm"
     yield beyond_text(beyond)
-    if swing.not_measured:
-        yield f"Not measured: {'; '.join(swing.not_measured)}"
+    if found["not_measured"]:
+        yield f"Not measured: {'; '.join(found['not_measured'])}"
 
 
-def _angles(found: Mapping[str, object]) -> Table:
+def _angles(found: Mapping[str, Any]) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for heading in ("joint", "top, °", "ball, °", "peak, rad/s"):
         table.add_column(heading, justify="left" if heading == "joint" else "right")
     columns = [found[key] for key in ("theta_top_deg", "theta_ball_deg", "peak_joint_speed_rad_per_s")]
     for joint, name in enumerate(_JOINTS):
-        cells = [column[joint] for column in columns]  # type: ignore[index]  # lists of three
+        cells = [column[joint] for column in columns]
         table.add_row(name, *("not measured" if cell is None else f"{cell:.1f}" for cell in cells))
     return table
 

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import TaskID
 
 from bench.commands.compare import compare
+from bench.commands.picture import Plot, require_picture
 from bench.commands.progress import progress_bar
 from bench.commands.session import ClubName, Json, ProfileName, Session, show_json
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
@@ -74,9 +75,7 @@ def list_profiles(json_: Json = False) -> None:
 def show(
     context: typer.Context,
     profile: Name,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also plot it: .png, .svg or .pdf.")
-    ] = None,
+    plot: Plot = None,
     table: Annotated[
         bool,
         typer.Option("--table", help="Print all of it as one TOML file with its tables, to read or edit."),
@@ -87,7 +86,7 @@ def show(
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, profile_text
 
-    _require_picture(plot)
+    require_picture(plot)
     path = find_profile(profile)
     swing = load_profile(path)
     if table:
@@ -372,10 +371,10 @@ def design(
 
 def _golfer_named(name: str) -> Golfer | GolferSwing:
     """Return the built-in golfer `name`, or the measured one in the file of that name."""
-    from bench.golfer import load_golfer
+    from bench.golfer import SUFFIX, load_golfer
     from bench.swing.golfers import find_golfer
 
-    return load_golfer(Path(name)) if name.endswith(".golfer.toml") else find_golfer(name)
+    return load_golfer(Path(name)) if name.endswith(SUFFIX) else find_golfer(name)
 
 
 def _show_deviations(plant: PlantParameters, golfer: Golfer | GolferSwing, swing: Profile) -> None:
@@ -387,7 +386,7 @@ def _show_deviations(plant: PlantParameters, golfer: Golfer | GolferSwing, swing
     model = model_motion(plant, golfer) if isinstance(golfer, Golfer) else measured_motion(golfer)
     console = Console()
     console.print(comparison_table([compare_motions(model, robot_motion(plant, swing))]), highlight=False)
-    moving = model.angle[model.time >= -model.downswing]
+    moving = model.angle[model.in_downswing]
     console.print(beyond_text(beyond_ranges(plant, moving)), highlight=False, soft_wrap=True)
 
 
@@ -577,9 +576,3 @@ def address(
     save_profile(output, planned)
     pressures = ", ".join(f"{pressure / 1e5:.2f}" for pressure in planned.air)
     typer.echo(f"{output}: chambers at {pressures} bar absolute, supply {planned.air_supply / 1e5:.2f} bar.")
-
-
-def _require_picture(plot: Path | None) -> None:
-
-    if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise BenchError("--plot", str(plot), "a name that ends in .png, .svg or .pdf", "Change its ending.")

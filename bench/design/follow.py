@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from bench.design.designer import SwingDemand, downswing_rows, furthest_cock
 from bench.errors import BenchError
-from bench.golfer.golfer_file import GolferSwing
-from bench.golfer.measured_swing import STEP
+from bench.golfer import GolferSwing
 from bench.swing.golfers import Golfer, HumanDownswing
 from bench.swing.profile import Profile
 from sim.kinematics import right_arm_length, theta2_from_right_arm
@@ -114,8 +113,7 @@ def demand_measured(
         top_cock=min(plant.wrist.upper - float(angle[0, 2]), furthest),
     )
     rows = np.linspace(0, len(angle) - 1, _ROWS).round().astype(int)
-    lasting = (len(angle) - 1) * STEP
-    return _following(plant, demand, angle[rows], lasting, np.ptp(angle, axis=0))
+    return _following(plant, demand, angle[rows], golfer.downswing_time, np.ptp(angle, axis=0))
 
 
 def demand_near(plant: PlantParameters, profile: Profile, demand: SwingDemand) -> SwingDemand:

@@ -1,6 +1,6 @@
 """Measured golfers: recordings of markers in, swings as joint angles out."""
 
-from bench.golfer.capture import Capture, read_capture
+from bench.golfer.capture import Capture
 from bench.golfer.comparison import (
     DEFINITION,
     HUNT_WIENS,
@@ -11,14 +11,17 @@ from bench.golfer.comparison import (
     model_motion,
     robot_motion,
 )
-from bench.golfer.golfer_file import GolferSwing, load_golfer, save_golfer, summary
-from bench.golfer.measured_swing import ImportOptions, MeasuredSwing, measure
+from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer, save_golfer, summary
+from bench.golfer.measured_swing import ImportOptions, MeasuredSwing
+from bench.golfer.measuring import measure
 from bench.golfer.reach import beyond_ranges
+from bench.golfer.recording import read_capture
 from bench.golfer.roles import Roles, find_roles
 
 __all__ = [
     "DEFINITION",
     "HUNT_WIENS",
+    "SUFFIX",
     "Capture",
     "GolferSwing",
     "ImportOptions",

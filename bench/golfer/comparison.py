@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.errors import BenchError
 from bench.golfer.capture import Array
@@ -49,6 +50,11 @@ class SwingMotion:
     head_speed: float
     """Head speed at the ball, NaN where not measured (m/s)."""
 
+    @property
+    def in_downswing(self) -> NDArray[np.bool_]:
+        """Whether each row belongs to the downswing (n,)."""
+        return self.time >= -self.downswing - 1e-9
+
 
 @dataclass(frozen=True)
 class MotionDeviation:
@@ -70,9 +76,8 @@ class MotionDeviation:
 
 def measured_motion(golfer: GolferSwing) -> SwingMotion:
     """Return the motion of a measured golfer."""
-    lasting = float(golfer.time[-1] - golfer.time[golfer.top_row])
-    path, speed = golfer.head, golfer.head_speed
-    return SwingMotion(golfer.name, "measured", golfer.time, golfer.angle, path, lasting, speed)
+    g = golfer
+    return SwingMotion(g.name, "measured", g.time, g.angle, g.head, g.downswing_time, g.head_speed)
 
 
 def model_motion(plant: PlantParameters, golfer: Golfer) -> SwingMotion:
@@ -100,7 +105,7 @@ def compare_motions(reference: SwingMotion, other: SwingMotion) -> MotionDeviati
     Raises:
         BenchError: the reference is a robot's swing, or has less than 3 rows of a downswing.
     """
-    rows = reference.time >= -reference.downswing - 1e-9
+    rows = reference.in_downswing
     if reference.source == "robot" or np.count_nonzero(rows) < 3:
         cure = "Put the golfer first: NAME.golfer.toml, or model:NAME of a built-in one."
         raise BenchError(f"reference {reference.name}", "a robot's swing", "a golfer's swing", cure)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from bench.golfer.capture import Array, Capture
+from bench.golfer.measured_swing import MeasuredSwing
 from bench.golfer.signals import MAX_GAP, missing_runs, second_differences
-
-if TYPE_CHECKING:
-    from bench.golfer.measured_swing import MeasuredSwing
 
 _JUMP = 0.050
 """Max jump of a marker in a frame (m)."""

@@ -15,7 +15,7 @@ import numpy as np
 from bench.errors import BenchError
 from bench.from_toml import read_toml
 from bench.golfer.capture import Array, Capture
-from bench.golfer.measured_swing import STEP, MeasuredSwing
+from bench.golfer.measured_swing import HANDS_CUTOFF, STEP, MeasuredSwing
 from bench.golfer.roles import Roles
 from bench.telemetry.whole_file import whole_file
 
@@ -66,6 +66,11 @@ class GolferSwing:
     def text(self) -> str:
         """Source of the swing."""
         return f"measured, {self.path.name}"
+
+    @property
+    def downswing_time(self) -> float:
+        """Duration of the downswing (s)."""
+        return float(self.time[-1] - self.time[self.top_row])
 
     @property
     def attack(self) -> float:
@@ -150,7 +155,7 @@ def save_golfer(folder: Path, name: str, swing: MeasuredSwing, capture: Capture,
         "source": capture.path.name,
         "source_sha256": capture.digest,
         "golfbench": version("golfbench"),
-        "cutoff_hz": {"body": body, "hands": round(body * 5 / 3, 3), "club": head},
+        "cutoff_hz": {"body": body, "hands": round(body * HANDS_CUTOFF, 3), "club": head},
         **summary(swing),
     }
     lines = [f"{key} = {_toml(value)}" for key, value in about.items() if value is not None]

@@ -53,7 +53,7 @@ def comparison_plot(rows: Sequence[MotionDeviation]) -> Figure:
         figure = Figure(figsize=(11.0, 2.3 * len(rows) + 0.8), layout="constrained")
         grid = figure.subplots(len(rows), 4, squeeze=False)
         for across, row in zip(grid, rows, strict=True):
-            rows_of = row.reference.time >= -row.reference.downswing - 1e-9
+            rows_of = row.reference.in_downswing
             since, angle = 1e3 * row.reference.time[rows_of], row.reference.angle[rows_of]
             for joint in range(3):
                 across[joint].plot(since, np.degrees(angle[:, joint]), "--", color=COLOURS[1])
