@@ -226,7 +226,7 @@ class LiveShots:
             except NoShot as none:
                 return self._untaken(step, number, sample, none)
             message = operator.message_about(record) if self._monitored else None
-        return self._taken(step, number, sample, record, message, tuple(self._events))
+        return self._taken(step, number, sample, record, message)
 
     # A person at the robot -------------------------------------------------------------------------
 
@@ -372,7 +372,6 @@ class LiveShots:
         sample: int,
         record: SwingRecord,
         message: ShotMessage | None,
-        events: Events,
     ) -> Taken:
         """Return the shot of the swing in `record`."""
         metadata, cycles = record.metadata, record.cycles
@@ -414,7 +413,7 @@ class LiveShots:
         )
         shot = replace(shot, **{**seen.figures, **carries})
         metadata |= {"record": record.path.name, **more}
-        return Taken(shot, cycles, metadata, struck, events, original=record.path)
+        return Taken(shot, cycles, metadata, struck, tuple(self._events), original=record.path)
 
     def _with_planned_club(self, plant: PlantParameters, name: str) -> PlantParameters:
         """Return `plant` with club `name` of the plan; the mounted one may differ in its face only.

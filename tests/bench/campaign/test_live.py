@@ -582,7 +582,7 @@ def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(
     for air in (None, c.air, Air(263.15)):
         bench = StandingBench()
         source = shots_of(of_carry(plan, "reference"), bench, simulated=False, monitored=True, air=air)
-        shot = source._taken(a_step(), 1, 1, swing, reported(launch, None), ()).shot
+        shot = source._taken(a_step(), 1, 1, swing, reported(launch, None)).shot
         assert shot.carry_m is not None
         carries.append(shot.carry_m)
         temperatures.append(shot.air_temperature_k)
@@ -599,14 +599,14 @@ def test_a_real_shot_has_no_carry_of_the_plans_ball(
     for drag in (1.0, 0.5):
         balls = {name: replace(ball, drag_factor=drag) for name, ball in plan.balls.items()}
         source = shots_of(replace(plan, balls=balls), StandingBench(), simulated=False, monitored=True)
-        shots.append(source._taken(a_step(), 1, 1, swing, reported(launch, 187.5), ()).shot)
+        shots.append(source._taken(a_step(), 1, 1, swing, reported(launch, 187.5)).shot)
     assert shots[0] == shots[1]
     (shot, _) = shots
     assert (shot.carry_m, shot.carry_monitor_m, shot.carry_source) == (187.5, 187.5, "monitor")
     assert shot.carry_reference_m is not None
     assert (shot.carry_measured_m, shot.total_m, shot.flight_source) == (None, None, "")
     source = shots_of(plan, StandingBench(), simulated=False, monitored=True)
-    silent = source._taken(a_step(), 1, 1, swing, reported(launch, None), ()).shot
+    silent = source._taken(a_step(), 1, 1, swing, reported(launch, None)).shot
     assert (silent.status, silent.reason) == (
         ShotStatus.EXCLUDED,
         "no carry: the launch monitor reported none",
