@@ -13,8 +13,8 @@ from pathlib import Path
 
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import Calibration, apply
-from bench.calibration.values import CalibrationKind, SeenInputs, Values
-from bench.calibration.wiring_digest import wiring_digest
+from bench.calibration.values import CalibrationKind
+from bench.calibration.wiring_digest import is_rewired
 from bench.config import Configuration, contradictions, unheard_phases
 from bench.control.model_limits import LimitsInUse
 from bench.design.validate import Check, check_profile, other_rate, rate_faults
@@ -168,7 +168,7 @@ def assess(
     limits = ""
     real, model = running and c.is_machine, c.envelope.model
     inputs = calibration.of(CalibrationKind.INPUTS)
-    if real and inputs is not None and _is_rewired(inputs.values, c):
+    if real and inputs is not None and is_rewired(inputs.values, c):
         found.append(
             BenchError(
                 inputs.name,
@@ -194,10 +194,6 @@ def assess(
         else:
             limits = used.source
     return Readiness(c, calibration, profile, file, tuple(found), tuple(checks), limits, tuple(warnings))
-
-
-def _is_rewired(values: Values, c: Configuration) -> bool:
-    return isinstance(values, SeenInputs) and values.wiring != wiring_digest(c)
 
 
 def _chambers_have_sensors(c: Configuration) -> bool:

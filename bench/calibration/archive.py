@@ -2,17 +2,39 @@
 
 from __future__ import annotations
 
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from sqlalchemy import Engine, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
 from bench.calibration.calibration import Calibration, Entry
-from bench.calibration.values import KINDS, CalibrationKind, Values, content_of, values_of
+from bench.calibration.values import KINDS, VALID_DAYS, CalibrationKind, Values, content_of, values_of
 from bench.config import Configuration, database_url
 from bench.errors import BenchError
 from bench.store.database import is_there, open_database
 from bench.store.tables import CalibrationRow
+
+
+def keep_calibration(
+    configuration: Configuration,
+    values: Values,
+    now: datetime,
+    *,
+    by: str,
+    method: str,
+    note: str = "",
+    days: int | None = None,
+) -> Entry:
+    """Store `values` for the bench of `configuration` from `now` on, for `days` or those of their kind.
+
+    Raises:
+        BenchError: as `add_calibration`, or the database cannot be opened.
+    """
+    bench, expires = configuration.bench, now + timedelta(days=days or VALID_DAYS[_kind_of(values)])
+    with open_database(database_url(bench.database, bench.data_dir), now) as database:
+        return add_calibration(
+            database, bench.id, values, date=now, expires=expires, by=by, method=method, note=note
+        )
 
 
 def add_calibration(

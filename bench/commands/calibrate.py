@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from math import degrees, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -299,32 +299,22 @@ def _add(
     json_: bool,
 ) -> None:
     """Check `content` against its ranges and this bench, store it, and say so."""
-    from bench.calibration.archive import add_calibration
+    from bench.calibration.archive import keep_calibration
     from bench.calibration.plausible import require_plausible
     from bench.calibration.value_words import in_words
-    from bench.calibration.values import VALID_DAYS, values_of
-    from bench.config import database_url
-    from bench.store.database import open_database
+    from bench.calibration.values import values_of
 
     values = values_of(kind, content, f"calibrate {kind}")
     configuration, now = context.ensure_object(Session).configuration(), _now()
     require_plausible(values, configuration)
-    bench = configuration.bench
-    with open_database(database_url(bench.database, bench.data_dir), now) as database:
-        entry = add_calibration(
-            database,
-            bench.id,
-            values,
-            date=now,
-            expires=now + timedelta(days=expires_days or VALID_DAYS[kind]),
-            by=user_name() if by is None else by,
-            method=method,
-            note=note,
-        )
+    by = user_name() if by is None else by
+    entry = keep_calibration(configuration, values, now, by=by, method=method, note=note, days=expires_days)
     if json_:
         show_json(entry.record())
     else:
-        typer.echo(f"{entry.name} of bench {bench.id}: {in_words(values)}; expires {entry.expires:%Y-%m-%d}")
+        typer.echo(
+            f"{entry.name} of bench {entry.bench}: {in_words(values)}; expires {entry.expires:%Y-%m-%d}"
+        )
         typer.echo("A running bench checks it at its next arming; values other than before need a restart.")
 
 

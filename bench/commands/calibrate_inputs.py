@@ -6,7 +6,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -59,15 +59,15 @@ def inputs_in_force(configuration: Configuration, now: datetime) -> str | None:
     """Return the name of the check in force, empty if it is due; None with a simulated robot."""
     from bench.calibration.archive import calibration_of
     from bench.calibration.values import CalibrationKind, SeenInputs
-    from bench.calibration.wiring_digest import wiring_digest
+    from bench.calibration.wiring_digest import is_rewired
 
     if configuration.driver.name == "sim":
         return None
     entry = calibration_of(configuration, now).of(CalibrationKind.INPUTS)
     if entry is None or entry.expired(now) or not isinstance(entry.values, SeenInputs):
         return ""
-    right = not entry.values.findings and entry.values.wiring == wiring_digest(configuration)
-    return entry.name if right else ""
+    wrong = entry.values.findings or is_rewired(entry.values, configuration)
+    return "" if wrong else entry.name
 
 
 def keep_inputs(configuration: Configuration, seen: SeenInputs, by: str) -> Entry:
@@ -76,22 +76,9 @@ def keep_inputs(configuration: Configuration, seen: SeenInputs, by: str) -> Entr
     Raises:
         BenchError: it cannot be stored.
     """
-    from bench.calibration.archive import add_calibration
-    from bench.calibration.values import VALID_DAYS, CalibrationKind
-    from bench.config import database_url
-    from bench.store.database import open_database
+    from bench.calibration.archive import keep_calibration
 
-    bench, now = configuration.bench, datetime.now(UTC)
-    with open_database(database_url(bench.database, bench.data_dir), now) as database:
-        return add_calibration(
-            database,
-            bench.id,
-            seen,
-            date=now,
-            expires=now + timedelta(days=VALID_DAYS[CalibrationKind.INPUTS]),
-            by=by,
-            method="each acted on by hand",
-        )
+    return keep_calibration(configuration, seen, datetime.now(UTC), by=by, method="each acted on by hand")
 
 
 def simulated_hands(machine: SimulatedMachine) -> Hands:
