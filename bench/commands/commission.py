@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from bench.commands.progress import progress_bar
+from bench.commands.progress import paused, progress_bar
 from bench.commands.session import Session, show_json
 from bench.errors import BenchError
 
@@ -304,28 +304,21 @@ def _hands_of_person(
     from bench.commissioning.regulator import by_person, by_program, turned_once
 
     def ask(text: str) -> None:
-        bar.stop()
-        try:
+        with paused(bar):
             ask_person(text)
-        finally:
-            bar.start()
 
     def ask_mark() -> tuple[float, float] | None:
-        bar.stop()
-        typer.echo("The guard is released: look at the ball's mark on the face, and wipe it off.", err=True)
-        try:
+        with paused(bar):
+            typer.echo(
+                "The guard is released: look at the ball's mark on the face, and wipe it off.", err=True
+            )
             mark = mark_from_person()
             ask_person("Leave and close the guard")
-        finally:
-            bar.start()
         return mark
 
     def ask_gauge() -> float:
-        bar.stop()
-        try:
+        with paused(bar):
             return gauge_from_person()
-        finally:
-            bar.start()
 
     supply = configuration.plant.supply
     turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else by_program(regulator)

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 from rich.table import Table
 
-from bench.commands.progress import progress_bar
+from bench.commands.progress import paused, progress_bar
 from bench.commands.session import ClubName, Json, Session, show_json
 from bench.errors import BenchError, ExitCode
 from bench.learning.source import Source
@@ -200,11 +200,8 @@ def _learn_live(
         bar.console.print(text, highlight=False)
 
     def ask_mark() -> tuple[float, float] | None:
-        bar.stop()
-        try:
+        with paused(bar):
             return mark_from_person()
-        finally:
-            bar.start()
 
     with progress_bar() as bar, BenchClient.connect(configuration) as client:
         require_bench(client.status(), bench.profile, source)

@@ -15,6 +15,8 @@ from bench.commands.session import Session
 from bench.errors import BenchError, ExitCode
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from bench.config import Configuration
     from bench.telemetry.zero_shift import CalibratedShifts
     from drivers.canopen.scan import ScannedNode
@@ -32,8 +34,8 @@ class UnfitNodes(BenchError):
     exit_code = ExitCode.REFUSED
 
 
-class NotTurned(BenchError):
-    """No hand is at the simulated nodes."""
+class NotActed(BenchError):
+    """A hand at simulated nodes does nothing."""
 
     exit_code = ExitCode.REFUSED
 
@@ -157,10 +159,9 @@ def turn_regulator(folder: Path | None, bar: str) -> None:
     """Turn the pressure regulator of the simulated nodes with their files in `folder` to `bar`, absolute.
 
     Raises:
-        NotTurned: no nodes are there, or `bar` is neither a pressure nor `service`.
+        NotActed: no nodes are there, or `bar` is neither a pressure nor `service`.
     """
     from bench.commissioning.regulator import SERVICE, of_simulation
-    from drivers.base.shared_record import SharedMemoryError
 
     place = f"nodes --turn-regulator {bar}"
     try:
@@ -168,34 +169,35 @@ def turn_regulator(folder: Path | None, bar: str) -> None:
     except ValueError:
         pressure = math.nan
     if not pressure > 0.0:
-        raise NotTurned(place, repr(bar), f"bar absolute above 0, or {SERVICE!r}", "Give one of them.")
-    if folder is None:
-        raise NotTurned(place, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
-    try:
-        of_simulation(folder)(pressure)
-    except SharedMemoryError as error:
-        raise NotTurned(place, str(error), "running nodes", f"Start them with --folder {folder}.") from error
+        raise NotActed(place, repr(bar), f"bar absolute above 0, or {SERVICE!r}", "Give one of them.")
+    _at_nodes(folder, place, lambda there: of_simulation(there)(pressure))
 
 
 def act_at(folder: Path | None, key: str) -> None:
     """Do at the inputs of the simulated nodes with their files in `folder` what a person does.
 
     Raises:
-        NotTurned: no nodes are there, or nothing is called `key`.
+        NotActed: no nodes are there, or nothing is called `key`.
     """
     from bench.commissioning.inputs import ACTS
     from bench.commissioning.regulator import act_in_simulation
-    from drivers.base.shared_record import SharedMemoryError
 
     place = f"nodes --act {key}"
     if key not in ACTS:
-        raise NotTurned(place, repr(key), f"one of {', '.join(ACTS)}", "Give one of them.")
+        raise NotActed(place, repr(key), f"one of {', '.join(ACTS)}", "Give one of them.")
+    _at_nodes(folder, place, lambda there: act_in_simulation(there)(ACTS[key]))
+
+
+def _at_nodes(folder: Path | None, place: str, act: Callable[[Path], None]) -> None:
+    """Do `act` at the simulated nodes with their files in `folder`; raises NotActed where none are."""
+    from drivers.base.shared_record import SharedMemoryError
+
     if folder is None:
-        raise NotTurned(place, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
+        raise NotActed(place, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
     try:
-        act_in_simulation(folder)(ACTS[key])
+        act(folder)
     except SharedMemoryError as error:
-        raise NotTurned(place, str(error), "running nodes", f"Start them with --folder {folder}.") from error
+        raise NotActed(place, str(error), "running nodes", f"Start them with --folder {folder}.") from error
 
 
 def show_scan(configuration: Configuration) -> None:

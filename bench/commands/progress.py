@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -21,3 +24,13 @@ def progress_bar() -> Progress:
         transient=True,
         disable=not console.is_terminal,
     )
+
+
+@contextmanager
+def paused(bar: Progress) -> Iterator[None]:
+    """Take `bar` off the screen while a person is asked."""
+    bar.stop()
+    try:
+        yield
+    finally:
+        bar.start()

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from math import isfinite, isnan
+from math import isfinite
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.clock import Clock, FreeClock
-from bench.commissioning.inputs import Act
+from bench.commissioning.inputs import Act, levels
 from bench.commissioning.machine import (
     Array,
     MotionBounds,
@@ -56,21 +56,13 @@ _READY = 3.0
 """s in which a device that was opened gives its first readings and the guard locks."""
 
 
-def _switches(readings: Readings) -> tuple[float, ...]:
-    """Return the levels of all inputs that are on or off; one that is not fitted is -1."""
-    r = readings
-    shown = (r.local_reset, r.ball_present, *r.vent_open, r.shut_off_open)
-    return (
-        r.emergency_stop_clear,
-        r.guard_closed,
-        r.guard_locked,
-        *(-1.0 if isnan(level) else level for level in shown),
-    )
+_RESUME = "continue with --resume."
+"""Cure of what ended a step of `golfbench commission`."""
 
 
-def stopped_by_operator() -> Refused:
+def stopped_by_operator(place: str = "commission", cure: str = _RESUME) -> Refused:
     """Return the error of a motion that was asked to end."""
-    return Refused("commission", "stopped by its operator", "to go on", "Continue with --resume.")
+    return Refused(place, "stopped by its operator", "to go on", cure[0].upper() + cure[1:])
 
 
 class _Trouble(NamedTuple):
@@ -112,6 +104,8 @@ class DriverMachine:
         self._atmosphere = believed.supply.atmosphere
         self._now = self._began = 0.0
         self._failed, self._trouble, self._inputs_only = 0, _Trouble(), inputs_only
+        self._place = "check of the inputs" if inputs_only else "commission"
+        self._again = "begin again." if inputs_only else _RESUME
         self._stall = self._stalled_at = 0.0
         """Duration and end of the last stall, s."""
         self._seen = deque[NDArray[np.int64]](maxlen=_SPEED_SPAN + 1)
@@ -191,7 +185,7 @@ class DriverMachine:
             WrongMachine: a joint moves with air on and the guard closed.
         """
         begun = changed = self._now
-        last, start = None if before is None else _switches(before), self._seen[-1]
+        last, start = None if before is None else levels(before), self._seen[-1]
         while True:
             self._applied, self._bounds = self._driver.write(command), None
             self._await_tick()
@@ -202,23 +196,22 @@ class DriverMachine:
                 self._refuse_to_go_on()
             if self._stop():
                 self.make_passive()
-                raise stopped_by_operator()
+                raise stopped_by_operator(self._place, self._again)
             readings = unpack_readings(self._readings)
             if command.supply_enable and readings.guard_closed:
                 self._require_rest(start)
             if isfinite(readings.supply_pressure) and readings.supply_pressure > air:
                 self.make_passive()
                 return readings
-            if (now := _switches(readings)) != last:
+            if (now := levels(readings)) != last:
                 last, changed = now, self._now
-            differs = before is None or now != _switches(before)
+            differs = before is None or now != levels(before)
             if (differs and self._now - changed >= settled) or self._now - begun >= patience:
                 return readings
 
     def _require_rest(self, start: NDArray[np.int64]) -> None:
         """Make the machine passive and raise WrongMachine if a joint has moved from counts `start`."""
-        half = self._counts // 2
-        way = np.abs((self._seen[-1] - start + half) % self._counts - half) * (2 * np.pi / self._counts)
+        way = np.abs(self._turned(start))
         if way.max() <= _STIRRED:
             return
         self.make_passive()
@@ -327,7 +320,7 @@ class DriverMachine:
             self._refuse_to_go_on()
         if self._stop():
             self.make_passive()
-            raise stopped_by_operator()
+            raise stopped_by_operator(self._place, self._again)
 
     def _await_tick(self) -> None:
         """Wait for the next tick, and note a stall before it."""
@@ -347,9 +340,13 @@ class DriverMachine:
 
     def _speed(self) -> Array:
         """Return the joints' speeds (3,) over the last ticks, rad/s."""
+        return self._turned(self._seen[0]) / (max(len(self._seen) - 1, 1) * self._tick)
+
+    def _turned(self, start: NDArray[np.int64]) -> Array:
+        """Return the turn (3,) of the joints since the counts `start`, rad, at most half a turn."""
         half = self._counts // 2
-        change = (self._seen[-1] - self._seen[0] + half) % self._counts - half
-        return np.asarray(change * (2 * np.pi / self._counts / (max(len(self._seen) - 1, 1) * self._tick)))
+        change = (self._seen[-1] - start + half) % self._counts - half
+        return np.asarray(change * (2 * np.pi / self._counts))
 
     def _refuse_to_go_on(self) -> None:
         """Make the machine passive.
@@ -362,16 +359,16 @@ class DriverMachine:
         if self._trouble.of_device and self._stall and self._now - self._stalled_at < _STALL_FELT:
             stall = f"this program stood still for {1e3 * self._stall:.0f} ms, a stall of the computer"
             text = f"{text}, after {stall}"
-            cure = "End other programs, see golfbench doctor, then continue with --resume."
-        raise Refused("commission", text, "a machine that reads and may move", cure)
+            cure = f"End other programs, see golfbench doctor, then {self._again}"
+        raise Refused(self._place, text, "a machine that reads and may move", cure)
 
     def _problem(self) -> _Trouble:
         """Return why the machine may not move."""
         r = self._readings[0]
         if not r["emergency_stop_clear"]:
-            return _Trouble("the emergency stop is pressed", "Clear it, then continue with --resume.", True)
+            return _Trouble("the emergency stop is pressed", f"Clear it, then {_RESUME}", True)
         if not (r["guard_closed"] and r["guard_locked"]):
-            return _Trouble("the guard is open", "Close it, then continue with --resume.", True)
+            return _Trouble("the guard is open", f"Close it, then {_RESUME}", True)
         return self._device_failure()
 
     def _device_failure(self) -> _Trouble:
@@ -381,7 +378,7 @@ class DriverMachine:
         if not self._driver.operational:
             trouble = getattr(self._driver, "trouble", "") or "its watchdog, or its link"
             problem, lasting, of_device = f"the device went passive: {trouble}", True, True
-            cure = "Check its link, then continue with --resume."
+            cure = f"Check its link, then {self._again}"
         elif not all(r["encoder_valid"]):
             lost = ", ".join(JOINTS[i] for i in range(3) if not r["encoder_valid"][i])
             problem, cure = f"no valid reading of the encoder of {lost}", "Check its plug and cable."

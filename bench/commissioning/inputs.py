@@ -80,6 +80,13 @@ INPUTS: Mapping[str, Input] = {
 }
 """Inputs by their names."""
 
+
+def levels(readings: Readings) -> tuple[float, ...]:
+    """Return the levels of all inputs, in the order of INPUTS; one that is not fitted is -1."""
+    shown = (one.level(readings) for one in INPUTS.values())
+    return tuple(-1.0 if isnan(level) else float(level) for level in shown)
+
+
 VENTS = ("vent 1", "vent 2")
 FEEDBACKS = (*VENTS, "shut-off")
 """Inputs that show what the stop contacts do."""

@@ -70,7 +70,7 @@ class LiveRobot:
     def __init__(self, child: Child, connection: Connection, hands: Hands) -> None:
         """Give orders to `child` by `connection`, with the `hands` of who stands beside the robot."""
         self._child, self._connection = child, connection
-        self._regulator, self._say, self._person, self._look = hands[:4]
+        self._hands = hands
         self._number, self._time = 0, 0.0
 
     # A CommissionedMachine -----------------------------------------------------------------------------
@@ -82,7 +82,7 @@ class LiveRobot:
 
     def set_supply(self, pressure: float) -> None:
         """Have the regulator turned to `pressure` (Pa absolute); infinite: as in service."""
-        self._regulator(pressure)
+        self._hands.regulator(pressure)
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
         """Run `segments`; afterwards the last openings stay in force."""
@@ -123,10 +123,10 @@ class LiveRobot:
 
         A person who reads it gets access to the club meanwhile.
         """
-        if self._person is None:
-            return self._look()
+        if self._hands.person is None:
+            return self._hands.look()
         self._order(LetIn())
-        mark = self._person()
+        mark = self._hands.person()
         self._order(LockGuard())
         return mark
 
@@ -170,7 +170,7 @@ class LiveRobot:
     def _hear(self) -> None:
         for event in self._child.take_events():
             if event["event"] == "say":
-                self._say(str(event.get("text", "")))
+                self._hands.say(str(event.get("text", "")))
 
 
 @contextmanager

@@ -17,8 +17,6 @@ from drivers.base import CHAMBERS, JOINTS, Triple
 
 Array = NDArray[np.float64]
 
-"""Begin of the text of a bound on a joint's way."""
-
 
 class Until(NamedTuple):
     """Condition that ends a segment before its time."""

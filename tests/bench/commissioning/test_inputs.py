@@ -21,7 +21,6 @@ from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.driver_machine import SimulatedMachine
 from bench.commissioning.inputs import INPUTS, InputFinding, fitted, judged, stages
 from bench.commissioning.inputs_check import PRESSURES, check_inputs
-from bench.commissioning.live_robot import Hands
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration
 from bench.errors import Refused
@@ -41,13 +40,10 @@ def wired(configuration: Configuration) -> Configuration:
     return replace(configuration, lifecycle=replace(configuration.lifecycle, local_reset=True))
 
 
-SLOW = pytest.mark.slow
-
-
-def checked(c: Configuration, *faults: Fault, hands: Hands | None = None) -> list[InputFinding]:
+def checked(c: Configuration, *faults: Fault) -> list[InputFinding]:
     with SimulatedMachine(c.plant, c.plant, faults, inputs_only=True) as machine:
-        own = simulated_hands(machine)._replace(patience=0.5)
-        findings = check_inputs(machine, hands or own, c)[1]
+        hands = simulated_hands(machine)._replace(patience=0.5)
+        findings = check_inputs(machine, hands, c)[1]
         assert not machine.driver.applied.supply_enable
         assert machine.loads.peak_head_speed < 0.05, "nothing moves"
     return findings
@@ -137,65 +133,29 @@ def test_an_input_that_changes_with_another_one_is_named_with_the_stage(name: st
     assert "emergency stop released" in finding.found
 
 
+FAULTS = (
+    (broken("guard closed", "stuck", 1.0), "guard closed", "'closed' all the time"),
+    (broken("emergency stop", "stuck", 1.0), "emergency stop", "'clear' all the time"),
+    (broken("guard closed", "off"), "guard closed", "'open' all the time"),
+    (broken("guard locked", "stuck", 1.0), "guard locked", "'locked' all the time"),
+    (broken("local reset", "stuck", 1.0), "local reset", "'pressed' all the time"),
+    (broken("emergency stop", "swapped", 1.0), "emergency stop and guard closed", "exchanged"),
+    (broken("guard closed", "swapped", 2.0), "guard closed and guard locked", "exchanged"),
+    (broken("vent 1 feedback", "swapped", 7.0), "vent 1 and shut-off", "exchanged"),
+    (broken("safety relay", "stuck", 1.0), "stop contacts", "welded"),
+    (broken("safety relay", "stuck", 0.0), "vent 1", "'open' all the time"),
+    (broken("vent 1", "stuck", 1.0), "vent 1", "'shut' all the time"),
+    (broken("shut-off", "stuck", 1.0), "shut-off", "'open' all the time"),
+    (broken("supply sensor", "scale", 0.8), "supply sensor", "0.81 bar absolute, vented"),
+    (broken("wrist cylinder B sensor", "scale", 0.8), "wrist cylinder B sensor", "0.81 bar"),
+)
+EVERYDAY = (FAULTS[0], FAULTS[5], FAULTS[8])
+"""Bridged, exchanged, welded."""
+
+
 @pytest.mark.parametrize(
     ("fault", "place", "words"),
-    [
-        (broken("guard closed", "stuck", 1.0), "guard closed", "'closed' all the time"),
-        pytest.param(
-            broken("emergency stop", "stuck", 1.0),
-            "emergency stop",
-            "'clear' all the time",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            broken("guard closed", "off"), "guard closed", "'open' all the time", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            broken("guard locked", "stuck", 1.0),
-            "guard locked",
-            "'locked' all the time",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            broken("local reset", "stuck", 1.0),
-            "local reset",
-            "'pressed' all the time",
-            marks=pytest.mark.slow,
-        ),
-        (broken("emergency stop", "swapped", 1.0), "emergency stop and guard closed", "exchanged"),
-        pytest.param(
-            broken("guard closed", "swapped", 2.0),
-            "guard closed and guard locked",
-            "exchanged",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            broken("vent 1 feedback", "swapped", 7.0),
-            "vent 1 and shut-off",
-            "exchanged",
-            marks=pytest.mark.slow,
-        ),
-        (broken("safety relay", "stuck", 1.0), "stop contacts", "welded"),
-        pytest.param(
-            broken("safety relay", "stuck", 0.0), "vent 1", "'open' all the time", marks=pytest.mark.slow
-        ),
-        pytest.param(broken("vent 1", "stuck", 1.0), "vent 1", "'shut' all the time", marks=SLOW),
-        pytest.param(
-            broken("shut-off", "stuck", 1.0), "shut-off", "'open' all the time", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            broken("supply sensor", "scale", 0.8),
-            "supply sensor",
-            "0.81 bar absolute, vented",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            broken("wrist cylinder B sensor", "scale", 0.8),
-            "wrist cylinder B sensor",
-            "0.81 bar",
-            marks=pytest.mark.slow,
-        ),
-    ],
+    [pytest.param(*case, marks=() if case in EVERYDAY else pytest.mark.slow) for case in FAULTS],
     ids=lambda value: f"{value.name} {value.value:g}" if isinstance(value, Fault) else "",
 )
 def test_a_fault_of_an_input_is_found(wired: Configuration, fault: Fault, place: str, words: str) -> None:
@@ -260,6 +220,15 @@ def test_a_gauge_without_air_proves_no_span(wired: Configuration) -> None:
         atmosphere = wired.plant.supply.atmosphere
         with pytest.raises(Refused, match="turn the regulator up"):
             check_inputs(machine, own._replace(regulator=lambda p: own.regulator(atmosphere)), wired)
+
+
+def test_who_stopped_the_check_begins_it_again(wired: Configuration) -> None:
+    with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
+        hands = simulated_hands(machine)
+        machine._stop = lambda: True
+        with pytest.raises(Refused) as refused:
+            check_inputs(machine, hands, wired)
+    assert (refused.value.place, refused.value.cure) == ("check of the inputs", "Begin again.")
 
 
 def test_without_a_person_nothing_is_checked(wired: Configuration) -> None:
