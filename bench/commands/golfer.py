@@ -18,7 +18,7 @@ from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.golfer import MotionDeviation, SwingMotion
+    from bench.golfer import ImportOptions, MotionDeviation, SwingMotion
     from sim.plant import PlantParameters
 
 _PIPED_WIDTH = 160
@@ -85,30 +85,12 @@ def import_(
     GEARS itself are not read: export C3D from GEARS. C3D needs `pip install 'golfbench[mocap]'`.
     """
     from bench.commands.golfer_tables import import_report
-    from bench.golfer import (
-        ImportOptions,
-        beyond_ranges,
-        find_roles,
-        measure,
-        read_capture,
-        save_golfer,
-        summary,
-    )
+    from bench.golfer import beyond_ranges, find_roles, measure, read_capture, save_golfer, summary
 
-    options = ImportOptions(
-        _choice("--lead", lead, ("left", "right")),
-        _choice("--up", up, ("x", "y", "z", "-x", "-y", "-z")),
-        **_events(events),
-        cutoff=_cutoff(cutoff),
-    )
+    options = _import_options(lead, up, events, cutoff)
     require_picture(plot)
-    title = name if name is not None else file.stem
-    if not _NAME.fullmatch(title):
-        raise BenchError(
-            "--name", title[:60], "letters, digits, blanks, dots, dashes", "Give another --name."
-        )
-    if not output.is_dir():
-        raise BenchError("--output", str(output), "a folder that exists", "Make the folder, or name another.")
+    title = file.stem if name is None else name
+    _require_destination(title, output)
     plant = context.ensure_object(Session).configuration().plant
     capture = read_capture(file)
     roles = find_roles(capture, markers)
@@ -234,6 +216,26 @@ def _golfers_own(c: Configuration) -> list[tuple[SwingMotion, SwingMotion]]:
             followed = robot_motion(c.plant, (fitting or own[-1:])[0])
             found.append((model_motion(c.plant, golfer), followed))
     return found
+
+
+def _require_destination(name: str, folder: Path) -> None:
+    """Refuse a name that is no file's, or a folder that does not exist."""
+    if not _NAME.fullmatch(name):
+        raise BenchError("--name", name[:60], "letters, digits, blanks, dots, dashes", "Give another --name.")
+    if not folder.is_dir():
+        raise BenchError("--output", str(folder), "a folder that exists", "Make the folder, or name another.")
+
+
+def _import_options(lead: str | None, up: str | None, events: str | None, cutoff: str) -> ImportOptions:
+    """Return the checked options of an import."""
+    from bench.golfer import ImportOptions
+
+    return ImportOptions(
+        _choice("--lead", lead, ("left", "right")),
+        _choice("--up", up, ("x", "y", "z", "-x", "-y", "-z")),
+        **_events(events),
+        cutoff=_cutoff(cutoff),
+    )
 
 
 def _choice(option: str, given: str | None, choices: tuple[str, ...]) -> str:
