@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from math import isfinite
+from math import inf, isfinite
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -51,7 +51,11 @@ _LOST = 5
 _STALL, _STALL_FELT = 5.0, 0.5
 """Ticks without one that are a stall, and the time after one for which it explains lost readings (s)."""
 _STIRRED = 0.05
-"""rad by which a joint moves at most while the spools are centred with air on."""
+"""rad by which a joint of a measured robot moves at most while the spools are centred with air on."""
+_DRIFT = 1.5
+"""rad/s of a joint whose spool is off its centre; its club's head then moves at 1 to 2 m/s."""
+_ADRIFT = MotionBounds((_DRIFT,) * 3, (inf,) * 3, inf)
+"""Bounds of a robot whose spools may be off their centres."""
 _READY = 3.0
 """s in which a device that was opened gives its first readings and the guard locks."""
 
@@ -182,12 +186,14 @@ class DriverMachine:
 
         Raises:
             Refused: the device fails, or it was stopped.
-            WrongMachine: a joint moves with air on and the guard closed.
+            WrongMachine: a joint moves with air on and the guard closed; one of a robot that is to be
+                measured, whose spools may be off their centres, faster than its cushion allows.
         """
         begun = changed = self._now
         last, start = None if before is None else levels(before), self._seen[-1]
         while True:
-            self._applied, self._bounds = self._driver.write(command), None
+            self._applied = self._driver.write(command)
+            self._bounds = _ADRIFT if command.supply_enable else None
             self._await_tick()
             self._read()
             self._trouble = self._device_failure()
@@ -199,7 +205,7 @@ class DriverMachine:
                 raise stopped_by_operator(self._place, self._again)
             readings = unpack_readings(self._readings)
             if command.supply_enable and readings.guard_closed:
-                self._require_rest(start)
+                self._require_spools_centred(start)
             if isfinite(readings.supply_pressure) and readings.supply_pressure > air:
                 self.make_passive()
                 return readings
@@ -209,18 +215,19 @@ class DriverMachine:
             if (differs and self._now - changed >= settled) or self._now - begun >= patience:
                 return readings
 
-    def _require_rest(self, start: NDArray[np.int64]) -> None:
-        """Make the machine passive and raise WrongMachine if a joint has moved from counts `start`."""
-        way = np.abs(self._turned(start))
-        if way.max() <= _STIRRED:
+    def _require_spools_centred(self, start: NDArray[np.int64]) -> None:
+        """Make the machine passive and raise WrongMachine if a joint moves, from counts `start`."""
+        way, speed = np.abs(self._turned(start)), self._speed()
+        joint = JOINTS[int(np.argmax(way))]
+        found = f"the joint moves by {way.max():.2f} rad" if way.max() > _STIRRED else ""
+        if not self._inputs_only:
+            passed = bound_passed(_ADRIFT, speed, np.zeros(3), self._pressure())
+            found = passed.text if passed else ""
+        if not found:
             return
         self.make_passive()
-        raise WrongMachine(
-            f"{JOINTS[int(np.argmax(way))]} valve",
-            f"the joint moves by {way.max():.2f} rad with the spools centred",
-            "rest",
-            "Adjust its centre by the maker's manual, or look for a stuck spool.",
-        )
+        cure = "Adjust its centre by the maker's manual, or look for a stuck spool."
+        raise WrongMachine(f"{joint} valve", f"{found} with the spools centred", "rest", cure)
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
         """Run `segments` with the supply on; afterwards the last openings stay in force."""

@@ -1,8 +1,8 @@
 """Step 0 of commissioning, and the check of each day: inputs are believed after they were seen to change.
 
-Nothing moves: spools are centred, and the switches are tried with the regulator turned down to nothing. Only
-then air comes into the manifold, behind a closed guard with open vents, for the supply's sensor to be
-compared with a gauge at two pressures.
+Spools are centred, and the switches are tried with the regulator turned down to nothing. Only then air comes
+into the manifold, behind a closed guard with open vents, for the supply's sensor to be compared with a gauge
+at two pressures. A measured robot rests meanwhile; of another one a spool may be off its centre.
 """
 
 from __future__ import annotations
@@ -81,8 +81,9 @@ class InputsStep:
     name = "inputs"
     title = "Interlocks, buttons and switches, one by one; pressure beside the gauge"
     bounds_text = (
-        "nothing moves; no air for the switches, then "
-        f"{' and '.join(f'{1e-5 * p:.1f}' for p in PRESSURES)} bar absolute in the manifold, vents open"
+        "no air for the switches, then "
+        f"{' and '.join(f'{1e-5 * p:.1f}' for p in PRESSURES)} bar absolute in the manifold, vents open, "
+        "spools centred; a joint whose spool is off its centre drifts, at 1.5 rad/s at most"
     )
 
 

@@ -28,6 +28,8 @@ from bench.lifecycle import Block
 from bench.store.database import open_database
 from drivers.base import Readings
 from sim.faults import SWITCHES, Fault, Kind
+from tests.bench.commissioning.drawn_robots import drawn_robot
+from tests.sampling import release_except
 
 NOW = datetime(2026, 5, 1, 8, 0, tzinfo=UTC)
 ALL = tuple(INPUTS)
@@ -196,14 +198,27 @@ def test_no_air_comes_behind_a_guard_that_is_not_proven(wired: Configuration) ->
 
 
 @pytest.mark.slow
-def test_a_joint_that_moves_ends_the_check(wired: Configuration) -> None:
+@pytest.mark.parametrize(("measured", "words"), [(True, "the joint moves"), (False, "rad/s")])
+def test_a_spool_that_is_stuck_open_ends_the_check(wired: Configuration, measured: bool, words: str) -> None:
+    stuck = broken("shoulder valve", "stuck", 0.5)
     with (
-        SimulatedMachine(wired.plant, wired.plant, (broken("shoulder valve", "stuck", 0.5),)) as machine,
-        pytest.raises(WrongMachine, match="the joint moves"),
+        SimulatedMachine(wired.plant, wired.plant, (stuck,), inputs_only=measured) as machine,
+        pytest.raises(WrongMachine, match=f"{words}.* with the spools centred"),
     ):
         check_inputs(machine, simulated_hands(machine), wired)
     assert not machine.driver.applied.supply_enable
-    assert machine.loads.peak_head_speed < 2.0
+    assert machine.loads.peak_head_speed < 2.5
+
+
+@pytest.mark.parametrize("seed", release_except((31,), (31, *range(400, 440))))
+def test_spools_off_their_centres_are_left_to_the_steps_that_measure(wired: Configuration, seed: int) -> None:
+    robot = drawn_robot(seed, wired.plant)
+    with SimulatedMachine(robot, wired.plant) as machine:
+        findings = check_inputs(machine, simulated_hands(machine), wired)[1]
+        loads = machine.loads
+    assert findings == []
+    assert loads.stop_share < 0.6
+    assert loads.lowest_clearance > 0.0
 
 
 def test_air_that_is_on_ends_the_check_of_the_switches(wired: Configuration) -> None:
