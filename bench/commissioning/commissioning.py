@@ -29,9 +29,16 @@ from bench.commissioning.leakage import Leakage
 from bench.commissioning.learned_swing import LearnedSwing
 from bench.commissioning.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
 from bench.commissioning.response_times import ResponseTimes
-from bench.commissioning.rising_swings import SWING_FILE, RisingSwings
+from bench.commissioning.rising_swings import RisingSwings
 from bench.commissioning.slow_moves import SlowMoves
-from bench.commissioning.steps import CommissioningStep, NamedStep, StepResult, SwingingStep, Traces
+from bench.commissioning.steps import (
+    SWING_FILE,
+    CommissioningStep,
+    NamedStep,
+    StepResult,
+    SwingingStep,
+    Traces,
+)
 from bench.commissioning.swung_robot import SwungRobot
 from bench.commissioning.valve_edges import ValveEdges
 from bench.commissioning.wiring import Wiring
@@ -319,9 +326,12 @@ def commission_swings(
 
 
 def known_with_swing(known: Configuration, folder: Path) -> Configuration:
-    """Return `known` with following limits for the swing in `folder`; before it is designed unchanged."""
+    """Return `known` with the limits for the swing in `folder`; before it is designed unchanged."""
     file = folder / SWING_FILE
-    return with_following_limits(known, load_profile(file)) if file.exists() else known
+    if not file.exists():
+        return known
+    profile = load_profile(file)
+    return with_following_limits(known, profile).for_profile(profile, file)
 
 
 @contextmanager

@@ -5,15 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.commissioning.learned_swing import LEARNED_FILE
-from bench.commissioning.steps import StepResult
+from bench.commissioning.steps import LEARNED_FILE, StepResult
 from bench.commissioning.swung_robot import SwungRobot
 from bench.config import Configuration
 from bench.control.model_limits import limits_path, save_limits
 from bench.design.model_limits import DRAWS, make_limits
 from bench.simulation.local_engine import local_engine
 from bench.simulation.series import Bench
-from bench.swing.profile import load_profile
+from bench.swing.profile import Profile, load_profile
+
+
+def make_healthy_limits(
+    known: Configuration, profile: Profile, file: Path, progress: Callable[[str], None]
+) -> Configuration:
+    """Return `known` with limits for `profile`, from robots around it; store them beside `file`.
+
+    Raises:
+        Refused: robots without a fault are stopped by the envelope.
+    """
+
+    def show(part: float) -> None:
+        progress(f"limits: {100 * part:.0f} % of the swings of drawn robots")
+
+    bench = Bench(known.plant, profile, known.control, known.envelope, known.estimator)
+    save_limits(limits_path(file), make_limits(bench, DRAWS, show, local_engine()))
+    return known.for_profile(profile, file)
 
 
 class HealthyLimits:
@@ -30,13 +46,8 @@ class HealthyLimits:
         Raises:
             Refused: robots without a fault are stopped by the envelope.
         """
-        file, c = folder / LEARNED_FILE, known
-        bench = Bench(c.plant, load_profile(file), c.control, c.envelope, c.estimator)
-
-        def show(part: float) -> None:
-            progress(f"limits: {100 * part:.0f} % of the swings of drawn robots")
-
-        save_limits(limits_path(file), make_limits(bench, DRAWS, show, local_engine()))
+        file = folder / LEARNED_FILE
+        make_healthy_limits(known, load_profile(file), file, progress)
         return StepResult(
             (), (f"limits from {DRAWS} robots around the measured one, {DRAWS // 2} to learn on",)
         )

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.commissioning.rising_swings import SWING_FILE, bench_of, require_safe
-from bench.commissioning.steps import StepResult
+from bench.commissioning.rising_swings import bench_of, require_safe
+from bench.commissioning.steps import LEARNED_FILE, SWING_FILE, StepResult
 from bench.commissioning.swung_robot import SwingSeries, SwungRobot
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration
@@ -26,8 +26,6 @@ from bench.learning.measured import delivery_from_encoders, strike_from_mark
 from bench.simulation.series import SeriesSwing
 from bench.swing.profile import load_profile, save_profile
 
-LEARNED_FILE = "learned.toml"
-"""The profile with the learned correction."""
 _SWINGS = 20
 """Max learning swings."""
 _FARTHEST = 0.010

@@ -18,7 +18,6 @@ from bench.control.settings import (
     HomingSettings,
     LifecycleSettings,
     build_controller,
-    for_learning,
     with_tables_of,
 )
 from bench.errors import Refused
@@ -87,7 +86,7 @@ class LiveSeries:
         )
         cycle = Cycle(
             driver,
-            for_learning(made, bench.envelope.model),
+            bench.with_its_limits(made),
             lambda _: None,
             name=name,
             note_truth=getattr(driver, "note_truth", None),

@@ -15,8 +15,9 @@ import numpy as np
 
 from bench.commissioning.fastest_swing import design_at, fastest_swing
 from bench.commissioning.following import with_following_limits
+from bench.commissioning.healthy_limits import make_healthy_limits
 from bench.commissioning.slowed_swing import slowed
-from bench.commissioning.steps import StepResult
+from bench.commissioning.steps import SWING_FILE, StepResult
 from bench.commissioning.swung_robot import SwungRobot
 from bench.commissioning.wrong_machine import (
     PredictionFails,
@@ -44,8 +45,6 @@ _MORE = (0.0, 0.1, 0.2)
 """Shares of the full speed that are added where a slow swing of the share itself is not found."""
 RESERVE = 0.95
 """Share of the fastest designed swing's speed that is swung: a robot is not quite as it was measured."""
-SWING_FILE = "swing.toml"
-"""Profile of 100 %."""
 _MOST_SPEED, _MOST_PATH = 0.08, (0.15, 0.12, 0.25)
 """Max deviation from the prediction: of the head's highest speed, a share of the full swing's, which counts
 at the cushions; of a joint up to the ball, rad."""
@@ -115,8 +114,11 @@ class RisingSwings:
             progress(f"swing of {100 * share:.0f} %")
             notes += swung_slowly(robot, known, full, share, highest, folder)
         for share, designed in zip(DESIGNED_SHARES, (next_fastest, full), strict=True):
+            limited = with_following_limits(known, designed)
+            if designed is full:  # before the club comes at its full speed
+                limited = make_healthy_limits(limited, full, folder / SWING_FILE, progress)
             progress(f"swing of {100 * share:.0f} %")
-            bench = bench_of(with_following_limits(known, designed), designed)
+            bench = bench_of(limited, designed)._replace(as_known=designed is full)
             notes.append(_swung(robot, bench, share, folder))
         save_profile(folder / SWING_FILE, full)
         return StepResult((), tuple(notes))

@@ -11,6 +11,9 @@ from bench.commissioning.machine import CommissionedMachine, MotionTrace
 from bench.commissioning.swung_robot import SwungRobot
 from bench.config import Configuration
 
+SWING_FILE, LEARNED_FILE = "swing.toml", "learned.toml"
+"""The profile of 100 %, and with its learned correction."""
+
 Traces = Mapping[str, MotionTrace]
 """Traces of a step by the name of what was done."""
 

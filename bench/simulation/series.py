@@ -80,14 +80,17 @@ class Bench(NamedTuple):
     control: ControlSettings = ControlSettings()
     envelope: EnvelopeSettings = EnvelopeSettings()
     estimator: EstimatorSettings = EstimatorSettings()
+    as_known: bool = False
+    """Whether the robot is the model within its tolerances, swung as planned: limits of known robots hold."""
 
     def controller(self) -> ControlParameters:
-        """Return the records that the control step takes.
-
-        With the limits of learning: the plant that is swung differs from the model by intent.
-        """
+        """Return the records that the control step takes."""
         made = build_controller(self.model, self.profile, self.control, self.envelope, self.estimator)
-        return for_learning(made, self.envelope.model)
+        return self.with_its_limits(made)
+
+    def with_its_limits(self, made: ControlParameters) -> ControlParameters:
+        """Return the controller `made` with the limits of learning, unless the robot is as known."""
+        return made if self.as_known else for_learning(made, self.envelope.model)
 
 
 class Series:

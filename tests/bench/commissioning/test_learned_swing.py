@@ -8,8 +8,9 @@ from pathlib import Path
 import numba
 import pytest
 
-from bench.commissioning.learned_swing import LEARNED_FILE, LearnedSwing
-from bench.commissioning.rising_swings import SWING_FILE, bench_of
+from bench.commissioning.learned_swing import LearnedSwing
+from bench.commissioning.rising_swings import bench_of
+from bench.commissioning.steps import LEARNED_FILE, SWING_FILE
 from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries, SwingSeries, read_mark
 from bench.config import Configuration
 from bench.simulation.series import Bench, Series

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from bench.commissioning import rising_swings
+from bench.commissioning.fastest_swing import FastestSwing
 from bench.commissioning.rising_swings import (
     PredictionSpread,
+    RisingSwings,
     SwingDeviation,
     bench_of,
     deviation,
@@ -25,6 +27,7 @@ from bench.commissioning.slowed_swing import slowed
 from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration, load_configuration, shipped_configuration
+from bench.control.settings import ModelSettings
 from bench.design.designer import DesignFailed
 from bench.lifecycle import Cause
 from bench.simulation.loads import Loads
@@ -198,6 +201,40 @@ class _Stumbling:
 
 @compiled_only
 @pytest.mark.timeout(600)
+def test_a_full_swing_has_limits_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
+) -> None:
+    made = list[str]()
+    slower, watched = replace(default, name="slower"), ModelSettings(air={"swing": (1e5, 1e5, 1e5)})
+
+    def make(known: Configuration, profile: Profile, file: Path, progress: object) -> Configuration:
+        made.append(f"limits of {profile.name}")
+        assert file == tmp_path / "swing.toml"
+        return replace(known, envelope=replace(known.envelope, model=watched))
+
+    def swung(robot: object, bench: Bench, share: float, folder: Path) -> str:
+        own = bench.envelope.model.air == watched.air
+        made.append(f"{bench.profile.name} {own} {bench.as_known}")
+        return ""
+
+    def design(known: Configuration, speed: float, name: str, start: Profile) -> Profile:
+        return default if name == "commissioned" else slower
+
+    found = FastestSwing(default, 45.0, "stops")
+    for name, stand_in in {
+        "fastest_swing": lambda known, progress: found,
+        "design_at": design,
+        "swung_slowly": lambda *_: ["slow"],
+        "with_following_limits": lambda known, profile: known,
+        "make_healthy_limits": make,
+        "_swung": swung,
+    }.items():
+        monkeypatch.setattr(rising_swings, name, stand_in)
+    robot = SimulatedRobot(configuration.plant)
+    RisingSwings().swing(robot, configuration, tmp_path, lambda what: None)
+    assert made == ["slower False False", "limits of default", "default True True"]
+
+
 def test_a_slow_swing_that_the_robot_stops_is_designed_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
 ) -> None:

@@ -6,6 +6,7 @@ import numba
 import pytest
 
 from bench.config import load_configuration, shipped_configuration
+from bench.control.model import LEARNING
 from bench.errors import Refused
 from bench.lifecycle import Cause, Request
 from bench.simulation.series import ADDRESS_TRIES, Bench, Series
@@ -49,3 +50,10 @@ def test_one_that_is_stopped_there_each_time_is_given_up(series: StoppedAtTheAdd
     series.stops = ADDRESS_TRIES
     with pytest.raises(Refused, match="does not come to rest"):
         series.swing(series.bench.profile)
+
+
+def test_a_robot_as_known_has_the_limits_of_known_robots(series: StoppedAtTheAddress) -> None:
+    c, file = load_configuration(shipped_configuration()), find_profile("default")
+    limited = series.bench._replace(envelope=c.for_profile(series.bench.profile, file).envelope)
+    rows = [int(one.controller().model["first_row"][0]) for one in (limited, limited._replace(as_known=True))]
+    assert rows == [LEARNING, 0]
