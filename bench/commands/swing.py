@@ -217,6 +217,13 @@ GolferName = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Golfer to imitate: a built-in one or a measured NAME.golfer.toml."),
 ]
+Follow = Annotated[
+    str,
+    typer.Option(
+        metavar="body|club",
+        help="Of a measured golfer: angles of shoulders, arm and club, or the club alone, ball on ball.",
+    ),
+]
 HeadSpeed = Annotated[
     float | None,
     typer.Option(
@@ -316,6 +323,7 @@ def design(
     output: Output = None,
     club: ClubName = None,
     golfer: GolferName = None,
+    follow: Follow = "body",
     near: Near = None,
     speed: HeadSpeed = None,
     attack: Attack = None,
@@ -342,7 +350,7 @@ def design(
     configuration = context.ensure_object(Session).configuration().with_club(club)
     require_planned_openings(configuration.control)
     plant = configuration.plant
-    whose = None if golfer is None else _golfer_named(golfer)
+    whose = _golfer_followed(plant, golfer, follow)
     demand = SwingDemand(
         head_speed=45.0 if speed is None else speed,
         attack=math.radians(attack or 0.0),
@@ -367,6 +375,21 @@ def design(
     if whose is not None:
         _show_deviations(plant, whose, swing)
     typer.echo(f"Next: golfbench swing check {path}" + (f" --club {club}" if club else ""))
+
+
+def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> Golfer | GolferSwing | None:
+    """Return the golfer called `name` with the angles that are followed; None without a name."""
+    from bench.golfer import GolferSwing, with_club_held
+
+    if follow not in ("body", "club"):
+        raise BenchError("--follow", follow[:40], "body or club", "Correct --follow.")
+    golfer = None if name is None else _golfer_named(name)
+    if follow == "body":
+        return golfer
+    if not isinstance(golfer, GolferSwing):
+        cure = "Name a file of golfbench golfer import, or leave --follow out."
+        raise BenchError("--follow", "club", "--golfer NAME.golfer.toml beside it", cure)
+    return with_club_held(plant, golfer)
 
 
 def _golfer_named(name: str) -> Golfer | GolferSwing:

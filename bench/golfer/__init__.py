@@ -14,7 +14,7 @@ from bench.golfer.comparison import (
 from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer, save_golfer, summary
 from bench.golfer.measured_swing import ImportOptions, MeasuredSwing
 from bench.golfer.measuring import measure
-from bench.golfer.reach import beyond_ranges
+from bench.golfer.reach import beyond_ranges, with_club_held
 from bench.golfer.recording import read_capture
 from bench.golfer.roles import Roles, find_roles
 
@@ -40,4 +40,5 @@ __all__ = [
     "robot_motion",
     "save_golfer",
     "summary",
+    "with_club_held",
 ]

@@ -1,12 +1,19 @@
-"""How far a motion goes beyond the ranges of a machine."""
+"""Reach of a machine: excess of a motion beyond its ranges, and the angles that hold the club as a golfer."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.kinematics import right_arm_length
+from bench.errors import BenchError
+from bench.golfer.golfer_file import GolferSwing
+from sim.kinematics import inverse_kinematics, right_arm_length
 from sim.plant import PlantParameters
+
+_FAR = 0.02
+"""Distance (m) by which the arm may miss the wrist of the club: it then goes as near as it can."""
 
 
 def beyond_ranges(plant: PlantParameters, angle: NDArray[np.float64]) -> tuple[float, float, float]:
@@ -21,3 +28,36 @@ def beyond_ranges(plant: PlantParameters, angle: NDArray[np.float64]) -> tuple[f
         for actuator, place in zip(plant.actuators, places, strict=True)
     )
     return shoulder, arm, wrist
+
+
+def with_club_held(plant: PlantParameters, golfer: GolferSwing) -> GolferSwing:
+    """Return `golfer` with the angles, from the top on, at which the robot of `plant` holds its club alike.
+
+    The face is where the measured head is, as seen from the ball, and the shafts are parallel.
+
+    Raises:
+        BenchError: shaft and head were not measured, or the arm does not reach the club.
+    """
+    robot, site, down = plant.robot, plant.site, slice(golfer.top_row, None)
+    theta_t, head = golfer.angle.sum(axis=1)[down], golfer.head[down] + (site.ball_x, site.ball_y)
+    if not np.isfinite(theta_t + head.sum(axis=1)).all():
+        cure = "Import a recording with grip and head of the club, or use --follow body."
+        raise BenchError(str(golfer.path), "a body without a club", "a measured club", cure)
+    shaft = robot.club.length_to_face * np.stack([np.cos(theta_t), np.sin(theta_t)], axis=1)
+    wrist = head - shaft
+    distance = np.linalg.norm(wrist, axis=1)
+    reached = np.clip(distance, abs(robot.l12 - robot.l23) + 1e-9, robot.l12 + robot.l23 - 1e-9)
+    row = int(np.argmax(np.abs(distance - reached)))
+    if abs(distance[row] - reached[row]) > _FAR:
+        raise BenchError(
+            f"{golfer.path}, {-1e3 * golfer.time[down][row]:.0f} ms before the ball",
+            f"the wrist {distance[row]:.3f} m from the shoulder's axis, to hold this club so",
+            f"{abs(robot.l12 - robot.l23):.3f} to {robot.l12 + robot.l23:.3f} m, where the arm reaches",
+            "Use --follow body, mount a club of the golfer's length, or size a machine with golfbench size.",
+        )
+    wrist *= (reached / distance)[:, None]
+    held = inverse_kinematics(robot, np.column_stack([wrist + shaft, theta_t]))
+    held[:, 2] += 2 * np.pi * np.round((golfer.angle[down, 2] - held[:, 2]) / (2 * np.pi))
+    angle = np.full_like(golfer.angle, np.nan)
+    angle[down] = held
+    return replace(golfer, name=f"{golfer.name}-club", angle=angle)

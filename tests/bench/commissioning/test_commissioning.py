@@ -403,8 +403,8 @@ def test_a_robot_of_the_range_learns_its_swing(tmp_path: Path, configuration: Co
     state, learned = read_state(day), load_profile(day / "learned.toml")
     assert [step.name for step in state.done] == [step.name for step in ALL_STEPS]
     assert "All 9 steps done" in (day / "report.html").read_text()
-    for file in ("swing.limits.toml", "learned.limits.toml"):
-        assert load_limits(day / file).draws == DRAWS
+    for limits in ("swing.limits.toml", "learned.limits.toml"):
+        assert load_limits(day / limits).draws == DRAWS
     # The learned swing, on the robot itself, as the plant knows it.
     known = load_configuration(day / "robot.toml")
     bench = bench_of(known, learned)

@@ -157,7 +157,7 @@ EVERYDAY = (FAULTS[0], FAULTS[5], FAULTS[8])
 
 @pytest.mark.parametrize(
     ("fault", "place", "words"),
-    [pytest.param(*case, marks=() if case in EVERYDAY else pytest.mark.slow) for case in FAULTS],
+    [pytest.param(*case, marks=() if case in EVERYDAY else pytest.mark.release) for case in FAULTS],
     ids=lambda value: f"{value.name} {value.value:g}" if isinstance(value, Fault) else "",
 )
 def test_a_fault_of_an_input_is_found(wired: Configuration, fault: Fault, place: str, words: str) -> None:

@@ -1,0 +1,74 @@
+"""Angles at which a robot holds its club as a golfer does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bench.errors import BenchError
+from bench.golfer import GolferSwing, with_club_held
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from sim.kinematics import forward_kinematics
+from sim.plant import PlantParameters
+
+PLANT = PlantParameters()
+TOP = 200
+
+
+def swing() -> NDArray[np.float64]:
+    """Return angles (n, 3) of the default swing, from before its top to the ball (rad)."""
+    profile = load_profile(find_profile("default"))
+    return profile.angle[profile.begins[3] - TOP : profile.begins[5]]
+
+
+@pytest.fixture
+def golfer() -> GolferSwing:
+    """A golfer whose club moves as the robot's does in its default swing, and whose body does not."""
+    angle = swing()
+    pose = forward_kinematics(PLANT.robot, angle)
+    time = np.arange(1.0 - len(angle), 0.5) / 1e3
+    body = angle + [0.3, -0.2, -0.1]
+    return GolferSwing("Ann", time, body, pose[:, :2] - pose[-1, :2], 43.0, TOP, 0.9, Path("ann.golfer.toml"))
+
+
+@pytest.fixture
+def plant() -> PlantParameters:
+    """The robot whose ball is where that swing ends."""
+    x, y = forward_kinematics(PLANT.robot, swing()[-1])[:2].tolist()
+    return replace(PLANT, site=replace(PLANT.site, ball_x=x, ball_y=y))
+
+
+def test_the_club_of_a_robot_is_held_at_its_own_angles(golfer: GolferSwing, plant: PlantParameters) -> None:
+    held = with_club_held(plant, golfer)
+    assert held.name == "Ann-club"
+    assert np.isnan(held.angle[:TOP]).all()
+    assert held.angle[TOP:] == pytest.approx(swing()[TOP:], abs=1e-9)
+
+
+def test_a_club_that_the_arm_hardly_reaches_is_held_as_near_as_it_can(
+    golfer: GolferSwing, plant: PlantParameters
+) -> None:
+    robot, row, head = plant.robot, TOP + 20, golfer.head.copy()
+    wrist = forward_kinematics(replace(robot, club=replace(robot.club, length_to_face=0.0)), swing()[row])[:2]
+    reached, away = np.linalg.norm(wrist), 0.01
+    head[row] += wrist / reached * (robot.l12 + robot.l23 + away - reached)
+    held = with_club_held(plant, replace(golfer, head=head)).angle[row]
+    missed = forward_kinematics(robot, held)[:2] - head[row] - (plant.site.ball_x, plant.site.ball_y)
+    assert np.linalg.norm(missed) == pytest.approx(away, abs=0.002)
+
+
+def test_a_club_out_of_reach_is_refused_with_the_instant(golfer: GolferSwing, plant: PlantParameters) -> None:
+    head = golfer.head.copy()
+    head[TOP + 30] += (1.5, 0.0)
+    with pytest.raises(BenchError, match=r"ms before the ball(?s:.)*where the arm reaches"):
+        with_club_held(plant, replace(golfer, head=head))
+
+
+def test_a_body_without_a_club_holds_none(golfer: GolferSwing, plant: PlantParameters) -> None:
+    with pytest.raises(BenchError, match="grip and head"):
+        with_club_held(plant, replace(golfer, head=np.full_like(golfer.head, np.nan)))
