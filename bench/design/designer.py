@@ -361,7 +361,7 @@ def _problem(
         stop_speed=envelope.stop_speed,
         stop_deceleration=envelope.stop_deceleration,
         committed=demand.no_return_time + BEFORE_CONTACT * parameters.tick,
-        wrist=_wrist_range(parameters, demand),
+        wrist=wrist_range(parameters, demand),
         speed_limits=(0.96 * speeds[0], 0.96 * speeds[1], 0.96 * speeds[2]),
         before_stop=demand.before_stop,
         cushions=(_BROUGHT[0] * parameters.right_arm.stop.energy, _BROUGHT[1] * parameters.wrist.stop.energy),
@@ -373,7 +373,7 @@ def _problem(
     )
 
 
-def _wrist_range(parameters: PlantParameters, demand: SwingDemand) -> tuple[float, float]:
+def wrist_range(parameters: PlantParameters, demand: SwingDemand) -> tuple[float, float]:
     """Return the range of theta3 (rad) in which the wrist's lever has the demanded share of its length."""
     dead, mounted = asin(demand.least_lever), parameters.wrist_lever_angle
     lowest, highest = 1.5 * pi + dead - mounted, 2.5 * pi - dead - mounted
@@ -477,6 +477,11 @@ def design_downswing(
     parameters = bench.plant
     state = _model_state(begun)
     problem = _problem(parameters, demand, bench.envelope, state)
+    if state[2] < problem.wrist[0]:
+        comes, held = degrees(state[2]), degrees(problem.wrist[0])
+        raise DesignFailed(
+            f"the wrist comes to {comes:.1f} deg at the top, held by its lever from {held:.1f}"
+        )
     shooter = _shooter(bench, begun)
     time, guess = _initial_guess(parameters, problem, demand, start, progress)
     best: tuple[tuple[float, float], Downswing] | None = None

@@ -22,7 +22,7 @@ from math import degrees, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.design.designer import SwingDemand, downswing_rows, furthest_cock
+from bench.design.designer import SwingDemand, downswing_rows, furthest_cock, wrist_range
 from bench.errors import BenchError
 from bench.golfer import GolferSwing
 from bench.swing.golfers import Golfer, HumanDownswing
@@ -41,8 +41,8 @@ _INSIDE = 0.15, 0.012
 """From the ends of shoulder (rad) and rod (m) at the top: the loop needs room. The wrist cocks no further
 than the demand's, where its lever still holds it."""
 
-_WRIST_INSIDE = 0.05
-"""Distance of the wrist at the top from the end of its range (rad)."""
+_WRIST_INSIDE = 0.1
+"""Distance of the wrist at the top from where its lever holds it (rad): the swing up ends up to 0.06 off."""
 _NEAR = 0.2
 """Share of its ranges in which the deviation from a robot's swing is counted."""
 _ROWS = 41
@@ -104,7 +104,7 @@ def demand_measured(
     if np.isnan(angle).any():
         cure = "Import a recording with grip and head of the club."
         raise BenchError(str(golfer.path), "a body without a club", "a measured club", cure)
-    furthest = plant.wrist.upper - plant.wrist.lower - _WRIST_INSIDE
+    furthest = plant.wrist.upper - wrist_range(plant, demand)[0] - _WRIST_INSIDE
     demand = replace(
         demand,
         head_speed=golfer.head_speed if speed is None else speed,
