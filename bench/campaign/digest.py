@@ -9,7 +9,7 @@ from datetime import datetime
 from hashlib import sha256
 from typing import Any
 
-from bench.shot.shot import COLUMNS, Shot
+from bench.shot.shot import Shot
 from bench.store.records import CampaignEntry, Event, Prompt, ShotExclusion, ShotNote
 
 SHOT_DIGITS = 8
@@ -20,8 +20,7 @@ NO_DATA = frozenset({"look", "issue"})
 
 def shot_digests(shots: Iterable[Shot]) -> list[str]:
     """Return the digest of each shot, all its columns; 64 hex digits."""
-    names = [column.name for column in COLUMNS]
-    return [_digest([getattr(shot, name) for name in names]) for shot in shots]
+    return [_digest([*vars(shot).values()]) for shot in shots]
 
 
 def parts_digests(

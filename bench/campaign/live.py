@@ -42,7 +42,7 @@ from bench.shot.ball_struck import ball_struck
 from bench.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_matcher import told_figures
-from bench.shot.shot_message import ShotMessage, launch_to_json
+from bench.shot.shot_message import ShotPublication, launch_from_json
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 from drivers.base import Launch
@@ -371,7 +371,7 @@ class LiveShots:
         number: int,
         sample: int,
         record: SwingRecord,
-        message: ShotMessage | None,
+        message: ShotPublication | None,
     ) -> Taken:
         """Return the shot of the swing in `record`."""
         metadata, cycles = record.metadata, record.cycles
@@ -455,14 +455,14 @@ class _SeenLaunch(NamedTuple):
     metadata: dict[str, Any]
 
 
-def _reported(message: ShotMessage | None) -> _SeenLaunch:
+def _reported(message: ShotPublication | None) -> _SeenLaunch:
     """Return the launch that the launch monitor's process reported; doubtful without a `message`."""
     if message is None:
         return _SeenLaunch(None, NO_WORD, {}, {})
-    if message.launch is None:
-        return _SeenLaunch(None, message.reason, {}, {})
-    metadata = {"launch": launch_to_json(message.launch)}
-    return _SeenLaunch(message.launch.launch, message.reason, told_figures(message.launch), metadata)
+    if (told := message["launch"]) is None:
+        return _SeenLaunch(None, message["reason"], {}, {})
+    launch = launch_from_json(told)
+    return _SeenLaunch(launch.launch, message["reason"], told_figures(launch), {"launch": told})
 
 
 def _air_columns(air: Air | None) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
@@ -24,6 +24,7 @@ from bench.campaign.refreshing import Drift, Drifts
 from bench.campaign.sequence import Role
 from bench.campaign.simulated import Taken
 from bench.errors import BenchError
+from bench.shot.recorded_shot import shot_to_json
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import DatabaseLocked
@@ -632,8 +633,8 @@ class Runner:
         if taken.cycles is None:
             return StoredShot(shot)
         path = self._folder / f"{shot.shot:06d}.parquet"
-        row = asdict(shot) | {"time_utc": shot.time_utc.isoformat()}
-        write_swing(path, taken.cycles, {**taken.metadata, "campaign": self._entry.id, "shot": row})
+        facts = {"campaign": self._entry.id, "shot": shot_to_json(shot)}
+        write_swing(path, taken.cycles, {**taken.metadata, **facts})
         return StoredShot(shot, str(path.relative_to(self._data_dir)), path.stat().st_size)
 
     def _note(self, shot: Shot) -> None:

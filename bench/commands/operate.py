@@ -157,7 +157,7 @@ def swing_when_armed(context: typer.Context, wait: bool, timeout: float) -> None
         message = bench.swing_through(timeout=timeout, watch=watch)
         typer.echo("\n".join(shot_lines(message)))
         _tell(bench)
-    if message.cause not in ("", "NONE"):
+    if message["cause"] not in (None, "NONE"):
         raise typer.Exit(ExitCode.REFUSED)
 
 

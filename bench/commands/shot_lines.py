@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bench.shot.shot_message import ShotMessage
+from bench.shot.shot_message import ShotPublication
 
 _MPH, _YARD = 0.44704, 0.9144
 
 
-def shot_lines(message: ShotMessage) -> list[str]:
+def shot_lines(message: ShotPublication) -> list[str]:
     """Return the figures of the shot in `message`, a line each for club, ball and what was wrong."""
-    shot = message.shot or {}
-    head = "swing" if message.number is None else f"swing {message.number}"
+    shot, number = message["shot"] or {}, message["number"]
+    head = "swing" if number is None else f"swing {number}"
     club = _joined(
         _speed(shot, "club_speed_mps", "at the ball"),
         _figure(shot, "attack_angle_deg", "attack {:+.2f}°"),
@@ -26,7 +26,7 @@ def shot_lines(message: ShotMessage) -> list[str]:
         _figure(shot, "spin_rpm", "spin {:.0f} rpm"),
         _carry(shot),
     )
-    reason = message.reason or str(shot.get("reason") or "")
+    reason = message["reason"] or str(shot.get("reason") or "")
     lines = [f"{head}: {club or 'no delivery'}"]
     if ball:
         lines.append(f"ball: {ball}")

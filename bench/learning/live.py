@@ -25,6 +25,7 @@ from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
 from bench.network.status_words import launch_monitor_text
 from bench.shot.recorded_shot import plant_of
+from bench.shot.shot_message import launch_from_json
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 
@@ -131,10 +132,10 @@ class LiveSwinger:
 
     def _monitored(self, record: SwingRecord) -> MonitorFigures:
         shot = self._operator.message_about(record)
-        if shot is None or shot.launch is None:
+        if shot is None or shot["launch"] is None:
             self._say("no launch monitor data for this swing: encoder data are used")
             return MonitorFigures()
-        club = shot.launch.club
+        club = launch_from_json(shot["launch"]).club
         attack = None if club.attack_angle is None else float(np.degrees(club.attack_angle))
         silent = [
             name for name, value in (("speed", club.speed), ("angle of attack", attack)) if value is None

@@ -18,7 +18,7 @@ from bench.errors import Refused
 from bench.lifecycle import Refusal
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
-from bench.shot.shot_message import ShotMessage
+from bench.shot.shot_message import ShotPublication
 from bench.telemetry.recorder import read_swing
 from drivers.launch_monitor.matching import MatchOutcome
 
@@ -84,7 +84,7 @@ class BenchOperator:
         self._aborted, self._interrupted = aborted, interrupted
         self._stack, self._lease = ExitStack(), ExitStack()
         self._held, self._resets = False, 0
-        self._outcomes: dict[str, ShotMessage] = {}
+        self._outcomes: dict[str, ShotPublication] = {}
         """What became of the shots since the last `begin_swing`, by shot ID."""
 
     def __enter__(self) -> Self:
@@ -171,12 +171,13 @@ class BenchOperator:
         deadline = time.monotonic() + _STORED
         while time.monotonic() < deadline:
             message = self._hear()
-            if message is None or message.record is None or message.outcome is not None:
+            if message is None or message["record"] is None or message["outcome"] is not None:
                 continue
-            cycles, metadata = read_swing(message.record)
+            path = Path(message["record"])
+            cycles, metadata = read_swing(path)
             states = metadata.get("outcome", {}).get("states", [])
             if any(name == "SWINGING" and at >= tick for at, name in states):
-                return SwingRecord(message.record, cycles, metadata)
+                return SwingRecord(path, cycles, metadata)
         raise self._no_shot(f"no record of it within {_STORED:g} s", swung=True)
 
     def begin_swing(self, prepare: Callable[[BenchStatus], bool], *, ball: bool) -> int:
@@ -213,7 +214,7 @@ class BenchOperator:
                 raise self.refused(f"swing still running after {_SWING:g} s", "its end", "Check the robot.")
             time.sleep(_LOOK)
 
-    def message_about(self, record: SwingRecord) -> ShotMessage | None:
+    def message_about(self, record: SwingRecord) -> ShotPublication | None:
         """Return the launch monitor's message about the swing of `record`; None after a time-out."""
         shot, link = record.metadata.get("shot_id"), self.client.status()["launch_monitor"]
         deadline = time.monotonic() + _STORED + (0.0 if link is None else link["settled_s"])
@@ -270,13 +271,16 @@ class BenchOperator:
         refused.swung = swung
         return refused
 
-    def _hear(self) -> ShotMessage | None:
+    def _hear(self) -> ShotPublication | None:
         """Return the next message about a shot, None if there is none yet."""
         message = self._next_message()
         if message is None:
             time.sleep(_LOOK)
-        elif message.shot_id and message.outcome in (MatchOutcome.MATCHED, MatchOutcome.NO_LAUNCH):
-            self._outcomes[message.shot_id] = message
+        elif (shot := message["shot_id"]) and message["outcome"] in (
+            MatchOutcome.MATCHED,
+            MatchOutcome.NO_LAUNCH,
+        ):
+            self._outcomes[shot] = message
         return message
 
 

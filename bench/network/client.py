@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 import zenoh
 
 from bench.errors import BenchError, Refused
+from bench.json_schema import json_object
 from bench.lifecycle import ACCEPTED_IN, PASSING, Refusal, State
 from bench.network import status_words
 from bench.network.bench_service import STATUS_VERSION, BenchStatus
@@ -38,7 +39,7 @@ from bench.network.zenoh_session import NoAnswer, close_session, open_client
 
 if TYPE_CHECKING:
     from bench.address import Addressed, NetworkSettings
-    from bench.shot.shot_message import ShotMessage
+    from bench.shot.shot_message import ShotPublication
 
 TIMEOUT = 2.0
 """Time-out of an answer, s: longer than a request may wait in the bench for its turn and for the loop."""
@@ -187,7 +188,8 @@ class BenchClient:
             while True:
                 sample, now = subscriber.try_recv(), time.monotonic()
                 if sample is not None:
-                    yield ReceivedState(_read_status(sample.payload.to_bytes()), now)
+                    payload = sample.payload.to_bytes()
+                    yield ReceivedState(checked_status(json_object(payload) or payload[:40]), now)
                 elif now >= due:
                     yield None
                 else:
@@ -198,7 +200,7 @@ class BenchClient:
             subscriber.undeclare()
 
     @contextmanager
-    def shots(self) -> Iterator[Callable[[], ShotMessage | None]]:
+    def shots(self) -> Iterator[Callable[[], ShotPublication | None]]:
         """Yield a function that returns the next message about a shot, None before the first.
 
         Paths of records are those of the bench's machine. The function raises BenchError where it does not
@@ -209,7 +211,7 @@ class BenchClient:
         channel: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(64)
         subscriber = self._session.declare_subscriber(f"{self._root}/shot", channel)
 
-        def following() -> ShotMessage | None:
+        def following() -> ShotPublication | None:
             sample = subscriber.try_recv()
             return None if sample is None else read_shot_message(sample.payload.to_bytes())
 
@@ -248,11 +250,7 @@ class BenchClient:
         for reply in self._session.get(f"{self._root}/campaign/*", timeout=self._timeout):
             if reply.ok is None or not (content := reply.ok.payload.to_bytes()):
                 continue
-            try:
-                message = json.loads(content)
-            except ValueError:
-                message = None
-            if not isinstance(message, dict):
+            if (message := json_object(content)) is None:
                 place = f"bench {self.bench}, {reply.ok.key_expr}"
                 raise BenchError(
                     place, "no JSON object", "the state of a campaign", "Update golfbench there."
@@ -415,7 +413,7 @@ class BenchClient:
 
     def swing_through(
         self, *, patience: float = LONGEST_AIR, timeout: float = 60.0, watch: Watch | None = None
-    ) -> ShotMessage:
+    ) -> ShotPublication:
         """Swing, and return the shot within `timeout` s: once its record is stored and the ball is measured.
 
         Raises:
@@ -433,12 +431,10 @@ class BenchClient:
                         looked = now
                         watch(self.status())
                     time.sleep(0.01)
-                elif stored is not None and (message.shot_id, message.outcome is not None) == (
-                    stored.shot_id,
-                    True,
-                ):
-                    return message
-                elif message.outcome is None and message.tick is not None and message.tick >= before["tick"]:
+                elif message["outcome"] is not None:
+                    if stored is not None and message["shot_id"] == stored["shot_id"]:
+                        return message
+                elif (tick := message["tick"]) is not None and tick >= before["tick"]:
                     stored = message
                     if monitor is None:
                         return stored
@@ -538,14 +534,6 @@ def cure_of(status: BenchStatus) -> str:
     cause = status["cause"]
     cure = status_words.sentence(cause["cure"]) if cause else ""
     return f"{cure or status_words.next_step(status)} Next: {status_words.next_command(status)}."
-
-
-def _read_status(payload: bytes) -> BenchStatus:
-    try:
-        read = json.loads(payload)
-    except (ValueError, RecursionError):
-        raise _not_understood(payload[:40]) from None
-    return checked_status(read)
 
 
 def checked_status(read: Any) -> BenchStatus:

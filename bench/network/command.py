@@ -8,13 +8,13 @@ objects too (`encode_answer`, `parse_answer`); an invalid message gets an error 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Mapping
 from enum import StrEnum
 from math import isfinite
 from typing import Annotated, Any, NamedTuple, NoReturn, NotRequired, TypedDict
 
 from bench.errors import BenchError
+from bench.json_schema import json_object, misfits, shown
 from bench.lifecycle import Cause, Refusal, Request, State
 from bench.network.bench_service import ArmingBlock
 from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_holder
@@ -132,35 +132,6 @@ class _Value(NamedTuple):
     secret: bool = False
 
 
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _is_number(value: Any) -> bool:
-    return _is_whole(value) or isinstance(value, float)
-
-
-_KINDS: Mapping[str, Callable[[Any], bool]] = {
-    "integer": _is_whole,
-    "number": _is_number,
-    "string": lambda value: isinstance(value, str),
-    "array": lambda value: isinstance(value, list),
-}
-
-
-def _fits(value: Any, schema: Mapping[str, Any]) -> bool:
-    """Return whether `value` is what `schema` says, with the words of it that `_VALUES` uses."""
-    if not _KINDS[schema["type"]](value):
-        return False
-    match schema["type"]:
-        case "string":
-            length = schema.get("minLength", 0) <= len(value) <= schema.get("maxLength", LONGEST_MESSAGE)
-            return length and re.fullmatch(schema.get("pattern", "(?s:.*)"), value) is not None
-        case "array":
-            return len(value) <= schema["maxItems"] and all(_fits(item, schema["items"]) for item in value)
-    return bool(schema["minimum"] <= value <= schema["maximum"])
-
-
 _VALUES: Mapping[str, _Value] = {
     "version": _Value(
         f"{VERSION}, a whole number", {"type": "integer", "minimum": VERSION, "maximum": VERSION}
@@ -196,17 +167,24 @@ _VALUES: Mapping[str, _Value] = {
     ),
 }
 
-_PLAIN_FORM = (("version",), ())
-_KEYED_FORM = (("version", "key", "sequence"), ())
-FORMS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    **{verb.value: _PLAIN_FORM for verb in Verb if verb in PLAIN},
-    **{verb.value: _KEYED_FORM for verb in REQUESTS if verb not in PLAIN},
-    "correct": (("version", "key", "sequence", "profile", "weights"), ()),
-    "lease take": (("version", "action", "holder"), ("seconds",)),
-    "lease renew": (("version", "action", "key", "sequence"), ("seconds",)),
-    "lease release": (("version", "action", "key", "sequence"), ()),
+_KINDS: Mapping[str, type[Command]] = {
+    **{verb.value: Plain for verb in Verb if verb in PLAIN},
+    **{verb.value: Keyed for verb in REQUESTS if verb not in PLAIN},
+    "correct": Correct,
+    "lease take": TakeLease,
+    "lease renew": RenewLease,
+    "lease release": ReleaseLease,
 }
-"""Keys that a message must have and those it may have, by verb; for the lease by verb and action."""
+"""Kind of a message by verb; for the lease by verb and action."""
+
+
+def _keys(form: str, kind: type[Command]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    names = [name for name in kind._fields if name != "verb" and name not in kind._field_defaults]
+    return ("version", *["action"] * (" " in form), *names), tuple(kind._field_defaults)
+
+
+FORMS = {form: _keys(form, kind) for form, kind in _KINDS.items()}
+"""Keys that a message must have and those it may have, by form."""
 
 
 def form_schema(form: str) -> dict[str, Any]:
@@ -230,31 +208,22 @@ def parse_command(verb: str, payload: bytes) -> Command:
     """
     if verb not in Verb.__members__.values():
         known = ", ".join(Verb)
-        raise _fault(f"command {_shown(verb)}", "an unknown verb", f"one of {known}", "Correct the verb.")
+        raise BenchError(f"command {shown(verb)}", "an unknown verb", f"one of {known}", "Correct the verb.")
     place = f"command {verb}"
     message = _read_object(place, payload)
     form = verb
     if verb == Verb.LEASE:
         action = message.get("action")
         if action not in ("take", "renew", "release"):
-            found = "missing" if "action" not in message else _shown(action)
-            raise _fault(f"{place}: action", found, '"take", "renew" or "release"', "Correct it.")
+            found = "missing" if "action" not in message else shown(action)
+            raise BenchError(f"{place}: action", found, '"take", "renew" or "release"', "Correct it.")
         form = f"{verb} {action}"
     _check_keys(place, message, *FORMS[form])
     values = {name: value for name, value in message.items() if name not in ("version", "action")}
-    match form:
-        case "lease take":
-            return TakeLease(**values)
-        case "lease renew":
-            return RenewLease(**values)
-        case "lease release":
-            return ReleaseLease(**values)
-        case "correct":
-            return Correct(**{**values, "weights": tuple(map(float, values["weights"]))})
-        case _ if verb in PLAIN:
-            return Plain(Verb(verb))
-        case _:
-            return Keyed(Verb(verb), **values)
+    if "weights" in values:
+        values["weights"] = tuple(map(float, values["weights"]))
+    kind: Callable[..., Command] = _KINDS[form]
+    return kind(**values, **({"verb": Verb(verb)} if verb in (*PLAIN, *REQUESTS) else {}))
 
 
 def encode_command(verb: Verb, **values: Any) -> bytes:
@@ -268,17 +237,17 @@ def _check_keys(
     known = ", ".join((*needed, *(f"{name} (optional)" for name in allowed)))
     for name in message:
         if name not in needed and name not in allowed:
-            raise _fault(f"{place}: {_shown(name)}", "an unknown key", known, "Remove or correct it.")
+            raise BenchError(f"{place}: {shown(name)}", "an unknown key", known, "Remove or correct it.")
     for name in needed:
         if name not in message:
-            raise _fault(f"{place}: {name}", "missing", known, "Add it.")
+            raise BenchError(f"{place}: {name}", "missing", known, "Add it.")
     for name, value in message.items():
         if name == "action":
             continue
         wanted = _VALUES[name]
-        if not (_fits(value, wanted.schema) and wanted.holds(value)):
-            found = "something else, not repeated here" if wanted.secret else _shown(value)
-            raise _fault(f"{place}: {name}", found, wanted.expected, "Correct it.")
+        if any(misfits(value, wanted.schema, name)) or not wanted.holds(value):
+            found = "something else, not repeated here" if wanted.secret else shown(value)
+            raise BenchError(f"{place}: {name}", found, wanted.expected, "Correct it.")
 
 
 def _read_object(place: str, payload: bytes) -> dict[str, Any]:
@@ -287,7 +256,7 @@ def _read_object(place: str, payload: bytes) -> dict[str, Any]:
         raise too_long(place, len(payload))
 
     def no_number(text: str) -> NoReturn:
-        raise _fault(place, f"the number {text[:20]}", "numbers that JSON has and a double holds", cure)
+        raise BenchError(place, f"the number {text[:20]}", "numbers that JSON has and a double holds", cure)
 
     def finite(text: str) -> float:
         number = float(text)
@@ -297,7 +266,7 @@ def _read_object(place: str, payload: bytes) -> dict[str, Any]:
         read: dict[str, Any] = {}
         for name, value in pairs:
             if name in read:
-                raise _fault(f"{place}: {_shown(name)}", "given twice", "each key once", "Remove one.")
+                raise BenchError(f"{place}: {shown(name)}", "given twice", "each key once", "Remove one.")
             read[name] = value
         return read
 
@@ -306,29 +275,19 @@ def _read_object(place: str, payload: bytes) -> dict[str, Any]:
             payload.decode("utf-8"), object_pairs_hook=unique, parse_constant=no_number, parse_float=finite
         )
     except UnicodeDecodeError as error:
-        raise _fault(place, f"a byte at {error.start} that is no UTF-8", expected, cure) from None
+        raise BenchError(place, f"a byte at {error.start} that is no UTF-8", expected, cure) from None
     except json.JSONDecodeError as error:
-        raise _fault(place, f"no JSON: {error.msg} at character {error.pos}", expected, cure) from None
+        raise BenchError(place, f"no JSON: {error.msg} at character {error.pos}", expected, cure) from None
     except RecursionError:
-        raise _fault(place, "values nested too deep", "one flat JSON object", cure) from None
+        raise BenchError(place, "values nested too deep", "one flat JSON object", cure) from None
     if not isinstance(message, dict):
-        raise _fault(place, _shown(message), expected, cure)
+        raise BenchError(place, shown(message), expected, cure)
     return message
 
 
 def too_long(place: str, length: int) -> BenchError:
     """Return the error for a message of `length` bytes."""
-    return _fault(place, f"{length} bytes", f"at most {LONGEST_MESSAGE} bytes", "Send less.")
-
-
-def _fault(place: str, found: str, expected: str, cure: str) -> BenchError:
-    return BenchError(place, found, expected, cure)
-
-
-def _shown(value: Any) -> str:
-    """Return `value` as JSON, in ASCII so that it disturbs no terminal, cut if long."""
-    text = json.dumps(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return BenchError(place, f"{length} bytes", f"at most {LONGEST_MESSAGE} bytes", "Send less.")
 
 
 # Answers ---------------------------------------------------------------------------------------------
@@ -400,38 +359,33 @@ def parse_answer(payload: bytes) -> CommandAnswer:
     Raises:
         BenchError: it is no answer of this version.
     """
-    try:
-        match json.loads(payload):
-            case {
-                "version": 1,
-                "accepted": bool(accepted),
-                "state": str(state),
-                "refusal": str(refusal),
-                "cause": str(cause),
-                "reason": str(reason),
-                "cure": str(cure),
-                "note": str(note),
-                "content": dict(content),
-            } if state in State.__members__ and refusal in Refusal.__members__ and cause in Cause.__members__:
-                return CommandAnswer(accepted, state, refusal, cause, reason, cure, note, content)
-    except (ValueError, RecursionError):
-        pass
+    match json_object(payload):
+        case {
+            "version": 1,
+            "accepted": bool(accepted),
+            "state": str(state),
+            "refusal": str(refusal),
+            "cause": str(cause),
+            "reason": str(reason),
+            "cure": str(cure),
+            "note": str(note),
+            "content": dict(content),
+        } if state in State.__members__ and refusal in Refusal.__members__ and cause in Cause.__members__:
+            return CommandAnswer(accepted, state, refusal, cause, reason, cure, note, content)
     raise _other_version(payload)
 
 
 def parse_error(payload: bytes) -> BenchError:
     """Return the error in `payload`, or an error about its version."""
-    try:
-        match json.loads(payload):
-            case {"version": 1, "error": {**parts}}:
-                match parts:
-                    case {"place": str(a), "found": str(b), "expected": str(c), "cure": str(d)}:
-                        return BenchError(a, b, c, d)
-    except (ValueError, RecursionError):
-        pass
+    match json_object(payload):
+        case {
+            "version": 1,
+            "error": {"place": str(place), "found": str(found), "expected": str(expected), "cure": str(cure)},
+        }:
+            return BenchError(place, found, expected, cure)
     return _other_version(payload)
 
 
 def _other_version(payload: bytes) -> BenchError:
     expected, cure = f"JSON of version {VERSION}", "Use the same golfbench for bench and command line."
-    return BenchError("answer of the bench", _shown(payload[:40].decode("utf-8", "replace")), expected, cure)
+    return BenchError("answer of the bench", shown(payload[:40].decode("utf-8", "replace")), expected, cure)

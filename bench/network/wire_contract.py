@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.json_schema import Schema, names_of, schema_of
 from bench.lifecycle import ACCEPTED_IN
 from bench.network.bench_service import STATUS_VERSION, BenchStatus
 from bench.network.command import (
@@ -24,7 +25,6 @@ from bench.network.command import (
     Verb,
     form_schema,
 )
-from bench.network.json_schema import Schema, names_of, schema_of
 from bench.network.lease import DEFAULT, LONGEST, SHORTEST
 from bench.network.messages import (
     CAMPAIGN_VERSION,

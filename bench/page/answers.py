@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bench.errors import BenchError
+from bench.json_schema import json_object
 from bench.network.client import CommandRefused
 from bench.network.status_words import sentence
 from bench.network.zenoh_session import NoAnswer
@@ -87,11 +88,7 @@ async def body_of(request: Request) -> dict[str, Any]:
     Raises:
         InvalidBody: it is no object.
     """
-    try:
-        read = json.loads(await request.body())
-    except (ValueError, RecursionError):
-        read = None
-    if not isinstance(read, dict):
+    if (read := json_object(await request.body())) is None:
         raise InvalidBody("no JSON object")
     return read
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from math import pi, radians
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 
 from bench.errors import BenchError
 from bench.from_toml import Builder, as_tree, laid_over
+from bench.json_schema import require_fit
 from bench.lifecycle import CAUSE_TEXT, Cause
 from bench.shot.ball_struck import ball_struck
 from bench.shot.head_path import path_to_ball
@@ -123,41 +124,18 @@ def shot_from_json(given: Any, place: str) -> Shot:
         BenchError: a column is missing or of another type, or the shot is invalid.
     """
     cure = "Restore it, or use the version of golfbench that wrote it."
-    if not isinstance(given, Mapping):
-        raise BenchError(place, repr(given)[:60], "an object with the columns of a shot", cure)
-    values: dict[str, Any] = {}
-    defaults = {field.name for field in fields(Shot) if field.default is not MISSING}
-    for column in COLUMNS:
-        if column.name not in given and column.name in defaults:
-            continue  # a record older than the column
-        value = given.get(column.name)
-        try:
-            if value is None:
-                if not column.optional:
-                    raise ValueError
-            elif column.kind is datetime:
-                value = datetime.fromisoformat(value)
-            elif column.kind is ShotStatus:
-                value = ShotStatus(value)
-            elif column.kind is float and isinstance(value, int | float) and not isinstance(value, bool):
-                value = float(value)
-            elif type(value) is not column.kind:
-                raise ValueError
-        except (TypeError, ValueError):
-            raise BenchError(
-                f"{place}.{column.name}", repr(value)[:60], f"a value of type {column.kind.__name__}", cure
-            ) from None
-        values[column.name] = value
+    require_fit(given, Shot, place, cure)
+    values = {name: given[name] for name in COLUMNS}
     try:
-        return Shot(**values)
+        time = datetime.fromisoformat(given["time_utc"])
+        return Shot(**values | {"status": ShotStatus(given["status"]), "time_utc": time})
     except ValueError as error:
         raise BenchError(place, str(error), "a shot", cure) from None
 
 
 def shot_to_json(shot: Shot) -> dict[str, Any]:
     """Return `shot` as the JSON object that `shot_from_json` takes."""
-    values = {field.name: getattr(shot, field.name) for field in fields(shot)}
-    return values | {"status": str(shot.status), "time_utc": shot.time_utc.isoformat()}
+    return vars(shot) | {"status": str(shot.status), "time_utc": shot.time_utc.isoformat()}
 
 
 def flight_of(shot: Shot, plant: PlantParameters, around: FlightConditions) -> Flight | None:

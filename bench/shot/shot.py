@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import types
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from enum import StrEnum
 from math import degrees, isfinite, pi
-from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from drivers.base import Launch
@@ -158,27 +157,5 @@ class Shot:
             raise ValueError(f"status {self.status} with reason {self.reason!r}: only valid shots have none")
 
 
-@dataclass(frozen=True)
-class ShotColumn:
-    """One column of the shot table."""
-
-    name: str
-    kind: type
-    """int, float, str, Status or datetime."""
-    optional: bool
-    """The figure may be absent (None)."""
-
-
-def _columns() -> tuple[ShotColumn, ...]:
-    """Derive the columns from the fields of Shot."""
-    hints: dict[str, Any] = get_type_hints(Shot)
-    found = []
-    for field in fields(Shot):
-        hint = hints[field.name]
-        optional = get_origin(hint) in (types.UnionType,) and type(None) in get_args(hint)
-        found.append(ShotColumn(field.name, get_args(hint)[0] if optional else hint, optional))
-    return tuple(found)
-
-
-COLUMNS = _columns()
-"""The columns of the shot table, in order; the export format of a campaign."""
+COLUMNS = tuple(field.name for field in fields(Shot))
+"""Names of the columns of the shot table, in order; the export format of a campaign."""

@@ -30,8 +30,8 @@ def shot_table_text(shots: Sequence[Shot]) -> str:
     """Return the table as text."""
     text = io.StringIO(newline="")
     table = csv.writer(text)
-    table.writerow([column.name for column in COLUMNS])
-    table.writerows([_to_cell(getattr(shot, column.name)) for column in COLUMNS] for shot in shots)
+    table.writerow(COLUMNS)
+    table.writerows(map(_to_cell, vars(shot).values()) for shot in shots)
     return text.getvalue()
 
 

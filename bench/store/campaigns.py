@@ -168,11 +168,10 @@ class CampaignStore:
     def shots(self, campaign: str) -> list[StoredShot]:
         """Return its shots in order."""
         query = select(SHOTS).where(SHOTS.c.campaign == campaign).order_by(SHOTS.c.shot)
-        names = [column.name for column in COLUMNS]
         with self._reading() as connection:
             return [
                 StoredShot(
-                    Shot(**{name: row[name] for name in names} | {"status": ShotStatus(row["status"])}),
+                    Shot(**{name: row[name] for name in COLUMNS} | {"status": ShotStatus(row["status"])}),
                     row["file"],
                     row["bytes"],
                     bool(row["set_aside"]),
@@ -311,10 +310,8 @@ class CampaignStore:
         Raises:
             Refused: one of these shots is there already: another runner has this campaign.
         """
-        names = [column.name for column in COLUMNS]
         rows = [
-            {"campaign": entry.id, "file": stored.file, "bytes": stored.bytes}
-            | {name: getattr(stored.shot, name) for name in names}
+            {"campaign": entry.id, "file": stored.file, "bytes": stored.bytes} | vars(stored.shot)
             for stored in shots
         ]
         found = [{"campaign": entry.id, **event._asdict()} for event in events]

@@ -7,7 +7,6 @@ counts from 1 again was restarted, which is not a loss.
 
 from __future__ import annotations
 
-import json
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -16,6 +15,7 @@ from typing import Any, NamedTuple, Self
 import zenoh
 
 from bench.errors import BenchError
+from bench.json_schema import json_object
 from bench.network.zenoh_session import close_session, open_client
 from bench.telemetry.batches import Batch, decode_batch
 
@@ -121,14 +121,10 @@ class Feed:
         messages = []
         while self._others:
             topic, payload = self._others.popleft()
-            try:
-                read = json.loads(payload)
-                if not isinstance(read, dict):
-                    raise ValueError("no object")
-            except (ValueError, RecursionError) as error:
-                self._count_invalid(error)
-                continue
-            messages.append((topic, read))
+            if (read := json_object(payload)) is None:
+                self.count_invalid(f"{topic}: no JSON object")
+            else:
+                messages.append((topic, read))
         return News(batches, messages)
 
     def close(self) -> None:

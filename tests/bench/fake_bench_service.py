@@ -27,6 +27,8 @@ from bench.network.bench_service import (
 from bench.network.command_plane import CommandPlane
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_daemon
+from bench.shot.recorded_shot import shot_to_json
+from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_message import ShotPublication, shot_publication
 
 NEXT = {
@@ -186,18 +188,23 @@ class FakeDesk:
 
 def a_shot(number: int) -> ShotPublication:
     """Return the message about a swing whose ball was struck."""
-    row = {
-        "club_speed_mps": 43.05,
-        "attack_angle_deg": 1.94,
-        "strike_x_mm": 0.1,
-        "strike_y_mm": -0.14,
-        "ball_speed_mps": 64.15,
-        "launch_angle_deg": 12.4,
-        "spin_rpm": 2406.0,
-        "carry_m": 208.0,
-        "carry_source": "model",
-        "reason": "",
-    }
+    row = Shot(
+        number,
+        1,
+        1,
+        "driver",
+        "default",
+        ShotStatus.VALID,
+        club_speed_mps=43.05,
+        attack_angle_deg=1.94,
+        strike_x_mm=0.1,
+        strike_y_mm=-0.14,
+        ball_speed_mps=64.15,
+        launch_angle_deg=12.4,
+        spin_rpm=2406.0,
+        carry_m=208.0,
+        carry_source="model",
+    )
     return shot_publication(
         shot_id=f"run-{number}",
         record=f"/data/{number}.parquet",
@@ -207,7 +214,7 @@ def a_shot(number: int) -> ShotPublication:
         complete=True,
         replayable=True,
         cause=Cause.NONE.name,
-        shot=row,
+        shot=shot_to_json(row),
     )
 
 

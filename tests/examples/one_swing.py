@@ -12,10 +12,10 @@ from pathlib import Path
 
 from bench.address import load_address
 from bench.network.client import BenchClient
-from bench.shot.shot_message import ShotMessage
+from bench.shot.shot_message import ShotPublication
 
 
-def swing_once(configuration: Path | None) -> ShotMessage:
+def swing_once(configuration: Path | None) -> ShotPublication:
     """Bring the bench to its address, swing at a ball and return the shot."""
     with BenchClient.connect(load_address(configuration)) as bench, bench.lease("example"):
         while not bench.status()["support_ready"]:  # recorder and publisher start after the loop
@@ -35,8 +35,8 @@ def swing_once(configuration: Path | None) -> ShotMessage:
 
 if __name__ == "__main__":
     message = swing_once(Path(sys.argv[1]) if len(sys.argv) > 1 else None)
-    shot = message.shot or {}
-    print(f"record     {message.record}")
+    shot = message["shot"] or {}
+    print(f"record     {message['record']}")
     print(f"club speed {shot.get('club_speed_mps') or 0:.2f} m/s")
     print(f"ball speed {shot.get('ball_speed_mps') or 0:.2f} m/s")
     print(f"carry      {shot.get('carry_m') or 0:.1f} m, {shot.get('carry_source')}")

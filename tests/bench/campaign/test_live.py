@@ -44,7 +44,7 @@ from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
 from bench.processes.status import NO_LAUNCH_MONITOR
 from bench.shot.shot import ShotStatus
-from bench.shot.shot_message import ShotMessage
+from bench.shot.shot_message import ShotPublication, launch_to_json, shot_publication
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
@@ -563,10 +563,10 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[SwingRecord, Launc
     return SwingRecord(path, swing.cycles, json.loads(json.dumps(metadata))), swing.launch
 
 
-def reported(launch: Launch, carry: float | None) -> ShotMessage:
+def reported(launch: Launch, carry: float | None) -> ShotPublication:
     """Return what the bench's launch monitor says of a ball."""
     told = LaunchRecord(1.0, "monitor", 1, **launch._asdict(), carry=carry)
-    return ShotMessage("1", None, None, None, "", None, MatchOutcome.MATCHED, told, "")
+    return shot_publication(shot_id="1", outcome=MatchOutcome.MATCHED, launch=launch_to_json(told))
 
 
 def of_carry(plan: CampaignPlan, carry: Any) -> CampaignPlan:

@@ -17,7 +17,7 @@ import zenoh
 
 from bench.network.client import CommandRefused
 from bench.network.free_port import free_port
-from bench.shot.shot_message import ShotMessage, read_shot_message
+from bench.shot.shot_message import ShotPublication, read_shot_message
 from bench.telemetry.recorder import read_swing
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchOutcome
@@ -98,12 +98,12 @@ def test_the_simulated_monitor_tells_what_the_plants_ball_did(tmp_path: Path) ->
             bench.client.tee()
             bench.swing()
             told = following()
-            read: ShotMessage = read_shot_message(json.dumps(told).encode())
-            assert (read.outcome, read.reason) == (MatchOutcome.MATCHED, "")
+            read: ShotPublication = read_shot_message(json.dumps(told).encode())
+            assert (read["outcome"], read["reason"]) == (MatchOutcome.MATCHED, "")
             cycles, metadata = read_swing(Path(told["record"]))
             assert metadata["shot_id"] == told["shot_id"]
-            assert read.launch is not None
-            assert read.launch.device == "simulated monitor"
+            assert read["launch"] is not None
+            assert read["launch"]["device"] == "simulated monitor"
             # Delivery and ball agree, though the one was seen by encoders and the other by the monitor.
             shot = told["shot"]
             assert shot["launch_source"] == "launch monitor"

@@ -18,7 +18,7 @@ from bench.errors import ExitCode
 from bench.learning.measured import strike_from_mark
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
-from bench.shot.shot_message import ShotMessage
+from bench.shot.shot_message import ShotPublication, launch_from_json
 from bench.telemetry.recorder import read_swing
 from tests.running_bench import BenchProcess, running_bench, simulated_monitor, write_configuration
 
@@ -48,7 +48,7 @@ def learned_swings(file: Path, source: str, marks: str = "") -> tuple[list[dict[
     return swings, ended.stderr
 
 
-def hear_shots(bench: BenchProcess, ended: threading.Event, into: list[ShotMessage]) -> None:
+def hear_shots(bench: BenchProcess, ended: threading.Event, into: list[ShotPublication]) -> None:
     """Collect what is told of shots."""
     with BenchClient.connect(bench.configuration) as client, client.shots() as following:
         while not ended.is_set():
@@ -65,7 +65,7 @@ def test_club_data_come_from_the_launch_monitor_and_else_from_the_encoders(
 ) -> None:
     more = f"[launch_monitor]\nenabled = true\nport = {free_port()}\n[launch_monitor.window]\nlatest = 8.0\n"
     file = write_configuration(tmp_path, "monitored-lesson", more)
-    heard: list[ShotMessage] = []
+    heard: list[ShotPublication] = []
     ended = threading.Event()
     with running_bench(file) as bench, simulated_monitor(file, "--club", "--drop", "2"):
         deadline = time.monotonic() + 60.0
@@ -80,7 +80,7 @@ def test_club_data_come_from_the_launch_monitor_and_else_from_the_encoders(
             ended.set()
             ear.join()
         fastest = read_swing(bench.records[-1])[0]["plant_head_speed"].max()
-    (launch,) = [message.launch for message in heard if message.launch is not None]
+    (launch,) = [launch_from_json(told) for message in heard if (told := message["launch"]) is not None]
     assert launch.club.speed is not None
     assert launch.club.attack_angle is not None
     assert swings[0]["head_speed_mps"] == launch.club.speed

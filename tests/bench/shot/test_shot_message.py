@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,7 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.errors import BenchError
-from bench.shot.shot_message import ShotMessage, launch_from_json, launch_to_json, read_shot_message
+from bench.shot.shot_message import (
+    launch_from_json,
+    launch_to_json,
+    read_shot_message,
+    shot_publication,
+)
 from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import ClubFigures, LaunchRecord
 
@@ -29,49 +33,60 @@ FULL = LaunchRecord(
 )
 
 
-def message(**changes: Any) -> bytes:
-    return json.dumps(
-        {
-            "version": 1,
-            "shot_id": "r-1",
-            "record": "/data/a.parquet",
-            "shot": None,
-            "outcome": "matched",
-            "launch": launch_to_json(FULL),
-            "reason": "",
-            **changes,
-        }
-    ).encode()
+MESSAGE = shot_publication(
+    shot_id="r-1", record="/data/a.parquet", outcome=MatchOutcome.MATCHED, launch=launch_to_json(FULL)
+)
 
 
 def test_what_is_sent_is_read_again() -> None:
-    read = read_shot_message(message())
-    assert read == ShotMessage(
-        "r-1", Path("/data/a.parquet"), None, None, "", None, MatchOutcome.MATCHED, FULL, ""
-    )
-    few = read_shot_message(b'{"version": 1, "record": "x"}')  # of a bench without a launch monitor
-    assert few == ShotMessage("", Path("x"), None, None, "", None, None, None, "")
+    read = read_shot_message(json.dumps(MESSAGE).encode())
+    assert read == MESSAGE
+    assert read["launch"] is not None
+    assert launch_from_json(read["launch"]) == FULL
+
+
+LAUNCH = launch_to_json(FULL)
 
 
 @pytest.mark.parametrize(
-    "changes",
+    ("changes", "place", "found"),
     [
-        {"version": 2},
-        {"outcome": "won"},
-        {"record": 3},
-        {"shot_id": 5},
-        {"launch": []},
-        {"launch": {**launch_to_json(FULL), "speed": "60"}},
-        {"launch": {**launch_to_json(FULL), "speed": float("nan")}},
-        {"launch": {**launch_to_json(FULL), "number": 1.5}},
-        {"launch": {**launch_to_json(FULL), "club": {"colour": 1.0}}},
-        {"launch": {**launch_to_json(FULL), "absent": [["spin"]]}},
-        {"launch": {name: v for name, v in launch_to_json(FULL).items() if name != "spin"}},
+        ({"version": 2}, "", "b'"),
+        ({"outcome": "won"}, ".outcome", '"won"'),
+        ({"record": 3}, ".record", "3"),
+        ({"shot_id": 5}, ".shot_id", "5"),
+        ({"tick": True}, ".tick", "true"),
+        ({"cause": "BOREDOM"}, ".cause", '"BOREDOM"'),
+        ({"shot": {}}, ".shot.shot", "nothing"),
+        ({"launch": []}, ".launch", "[]"),
+        ({"launch": {**LAUNCH, "speed": "60"}}, ".launch.speed", '"60"'),
+        ({"launch": {**LAUNCH, "speed": float("nan")}}, ".launch.speed", "NaN"),
+        ({"launch": {**LAUNCH, "number": 1.5}}, ".launch.number", "1.5"),
+        ({"launch": {**LAUNCH, "club": {"colour": 1.0}}}, ".launch.club.speed", "nothing"),
+        ({"launch": {**LAUNCH, "absent": [["spin"]]}}, ".launch.absent[0]", '["spin"]'),
+        ({"launch": {**LAUNCH, "doubts": "x"}}, ".launch.doubts", '"x"'),
+        ({"launch": {name: v for name, v in LAUNCH.items() if name != "spin"}}, ".launch.spin", "nothing"),
     ],
 )
-def test_what_is_no_shot_is_refused(changes: dict[str, Any]) -> None:
-    with pytest.raises(BenchError, match="shot"):
-        read_shot_message(message(**changes))
+def test_what_is_no_shot_is_refused_at_its_place(changes: dict[str, Any], place: str, found: str) -> None:
+    with pytest.raises(BenchError) as refused:
+        read_shot_message(json.dumps({**MESSAGE, **changes}).encode())
+    assert refused.value.place == f"shot message{place}"
+    assert refused.value.found.startswith(found)
+
+
+def test_a_shot_message_without_a_key_is_refused() -> None:
+    for name in MESSAGE.keys() - {"version"}:
+        fewer = {key: value for key, value in MESSAGE.items() if key != name}
+        with pytest.raises(BenchError, match=name):
+            read_shot_message(json.dumps(fewer).encode())
+
+
+def test_a_launch_nested_about_as_deep_as_python_reads_is_refused() -> None:
+    for depth in range(960, 1010):
+        nested = "[" * depth + "]" * depth
+        with pytest.raises(BenchError, match="shot message"):
+            read_shot_message(json.dumps({**MESSAGE, "launch": 0}).replace(": 0", f": {nested}").encode())
 
 
 @given(st.binary(max_size=200) | st.text(max_size=100).map(str.encode))
@@ -84,4 +99,4 @@ def test_long_reasons_are_cut_a_pipe_takes_no_more() -> None:
     long = LaunchRecord(1.0, "d" * 64, 1, doubts=("x" * 5000,), absent=(("speed", "y" * 5000),))
     told = launch_to_json(long)
     assert len(json.dumps(told)) < 1500
-    assert launch_from_json(told, "here").doubts[0].endswith("…")
+    assert launch_from_json(told).doubts[0].endswith("…")

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.shot.shot import COLUMNS, Shot, ShotStatus
+from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_table import write_shot_table
-from tests.bench.shot.read_shots import read_shot_table
+from tests.bench.shot.read_shots import KINDS, read_shot_table
 
 HEADER = (
     "shot,block,position,club,ball,status,reason,club_speed_mps,attack_angle_deg,club_path_deg,"
@@ -26,17 +26,17 @@ SHOT = Shot(1, 1, 1, "driver", "A", ShotStatus.VALID, time_utc=datetime(2026, 11
 _text = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=20)
 
 
-def _value(column: Any) -> st.SearchStrategy[Any]:
+def _value(kind: type, optional: bool) -> st.SearchStrategy[Any]:
     kinds = {
         int: st.integers(0, 10**6),
         float: st.floats(allow_nan=False, allow_infinity=False),
         str: _text,
         datetime: st.datetimes(timezones=st.sampled_from([UTC, timezone(timedelta(hours=2))])),
     }
-    return st.none() | kinds[column.kind] if column.optional else kinds[column.kind]
+    return st.none() | kinds[kind] if optional else kinds[kind]
 
 
-_OTHERS = {c.name: _value(c) for c in COLUMNS if c.name not in ("status", "reason")}
+_OTHERS = {name: _value(*kind) for name, kind in KINDS.items() if name not in ("status", "reason")}
 _FATES = st.just((ShotStatus.VALID, "")) | st.tuples(
     st.sampled_from([ShotStatus.EXCLUDED, ShotStatus.FAILED]), _text.filter(bool)
 )

@@ -443,4 +443,4 @@ def open_later(url: Any) -> Iterator[CampaignStore]:
 
 def test_the_table_of_shots_has_every_column_of_the_export() -> None:
     columns = set(SHOTS.columns.keys())
-    assert columns == {column.name for column in COLUMNS} | {"campaign", "file", "bytes", "set_aside"}
+    assert columns == {*COLUMNS} | {"campaign", "file", "bytes", "set_aside"}

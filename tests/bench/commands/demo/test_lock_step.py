@@ -42,7 +42,7 @@ def _names(folder: Path) -> set[str]:
 
 
 def _figures(shots: list[Shot]) -> list[tuple[object, ...]]:
-    return [tuple(getattr(s, c.name) for c in COLUMNS if c.name != "time_utc") for s in shots]
+    return [tuple(getattr(s, name) for name in COLUMNS if name != "time_utc") for s in shots]
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_a_demo_leaves_report_recording_table_database_and_swings(folder: Path) 
 
 def test_the_table_has_the_exported_columns_and_two_balls_in_turn(folder: Path) -> None:
     header = (folder / "shots.csv").read_text().splitlines()[0]
-    assert header.split(",") == [column.name for column in COLUMNS]
+    assert header.split(",") == [*COLUMNS]
     shots = read_shot_table(folder / "shots.csv")
     assert [(s.shot, s.block, s.position) for s in shots] == [(1, 1, 1), (2, 1, 2)]
     assert {s.ball for s in shots} == {"tour", "range"}

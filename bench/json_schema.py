@@ -1,4 +1,4 @@
-"""JSON Schema of a type: the messages' types are their only definition.
+"""JSON Schema of a type, and what a message has that is against it: types are the messages' only definition.
 
 A field's docstring becomes its description. `Annotated` refines where JSON has less than Python:
 `Annotated[str, State]` is a name of that enumeration, `Annotated[dict[str, Any], Shot]` an object with the
@@ -8,16 +8,19 @@ fields of that class, and `Count` gives lengths.
 from __future__ import annotations
 
 import inspect
+import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from datetime import datetime
 from enum import Enum, StrEnum
-from functools import reduce
+from functools import cache, reduce
+from sys import float_info
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints
 
-from bench.config.field_docs import field_docs
+from bench.errors import BenchError
+from bench.field_docs import field_docs
 from drivers.base.ranges import Count
 
 Schema = dict[str, Any]
@@ -31,6 +34,17 @@ _PLAIN: Mapping[Any, Schema] = {
     datetime: {"type": "string", "format": "date-time"},
     Any: {},
 }
+
+_IS: Mapping[str, Callable[[Any], bool]] = {
+    "boolean": lambda value: isinstance(value, bool),
+    "integer": lambda value: type(value) is int,
+    "number": lambda value: type(value) in (int, float) and abs(value) <= float_info.max,
+    "string": lambda value: isinstance(value, str),
+    "null": lambda value: value is None,
+    "array": lambda value: isinstance(value, list),
+    "object": lambda value: isinstance(value, dict),
+}
+"""Whether a value is of a type of JSON."""
 
 
 def schema_of(kind: Any) -> Schema:
@@ -106,3 +120,78 @@ def _one_of(parts: list[Schema]) -> Schema:
         if other.keys() == {"type"}:
             return {"type": [other["type"], "null"]}
     return {"anyOf": parts}
+
+
+def json_object(payload: bytes) -> dict[str, Any] | None:
+    """Return the JSON object in `payload`; None for anything else."""
+    try:
+        read = json.loads(payload)
+    except (ValueError, RecursionError):
+        return None
+    return read if isinstance(read, dict) else None
+
+
+def require_fit(value: Any, kind: Any, place: str, cure: str) -> None:
+    """Refuse a `value` that is not of `kind`.
+
+    Raises:
+        BenchError: with the place of its first part that is not as the schema of `kind` says.
+    """
+    for misfit in misfits(value, _schema(kind), place):
+        raise BenchError(*misfit, cure)
+
+
+_schema = cache(schema_of)
+
+
+def misfits(value: Any, schema: Mapping[str, Any], place: str) -> Iterator[tuple[str, str, str]]:
+    """Yield place, found and expected of each part of `value` that is not as `schema` says."""
+    if "anyOf" in schema:
+        found = [list(misfits(value, one, place)) for one in schema["anyOf"]]
+        yield from found[0] if all(found) else ()
+    elif not _is_of(value, schema):
+        kinds = (kind if kind == "null" else f"a{'n' * (kind[0] in 'aio')} {kind}" for kind in _types(schema))
+        choices = schema.get("enum", ())
+        names = ", ".join(choices) if len(choices) < 10 else f"the {len(choices)} names in `golfbench schema`"
+        yield place, shown(value), f"one of {names}" if choices else " or ".join(kinds)
+    elif isinstance(value, list):
+        parts = schema.get("prefixItems", [schema.get("items", {})] * len(value))
+        for index, (item, part) in enumerate(zip(value, parts, strict=True)):
+            yield from misfits(item, part, f"{place}[{index}]")
+    elif isinstance(value, dict):
+        parts, more = schema.get("properties", {}), schema.get("additionalProperties", {})
+        for name in schema.get("required", ()):
+            if name not in value:
+                yield f"{place}.{name}", "nothing", "this key"
+        for name, item in value.items():
+            yield from misfits(item, parts.get(name, more), f"{place}.{name}")
+
+
+def _is_of(value: Any, schema: Mapping[str, Any]) -> bool:
+    """Return whether `value`, whatever is in it, is what `schema` says."""
+    kinds = _types(schema)
+    if (kinds and not any(_IS[kind](value) for kind in kinds)) or value not in schema.get("enum", [value]):
+        return False
+    match value:
+        case str():
+            length = bool(schema.get("minLength", 0) <= len(value) <= schema.get("maxLength", len(value)))
+            return length and bool(re.fullmatch(schema.get("pattern", "(?s:.*)"), value))
+        case list():
+            return bool(schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)))
+        case int() | float():
+            return bool(schema.get("minimum", value) <= value <= schema.get("maximum", value))
+    return True
+
+
+def _types(schema: Mapping[str, Any]) -> Sequence[str]:
+    kinds: Sequence[str] = schema.get("type", ())
+    return (kinds,) if isinstance(kinds, str) else kinds
+
+
+def shown(value: Any) -> str:
+    """Return `value` as JSON, in ASCII so that it disturbs no terminal, cut if long."""
+    try:
+        text = json.dumps(value)
+    except RecursionError:  # it was just not too deep to be read
+        return "values nested too deep"
+    return text if len(text) <= 60 else text[:57] + "..."
