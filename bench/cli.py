@@ -21,9 +21,9 @@ from typer.core import TyperGroup
 from typer.models import CommandInfo, TyperInfo
 
 from bench.commands.any_terminal import accept_any_text
-from bench.commands.plain_help import show_plainly
-from bench.commands.plain_values import pass_plain_values
-from bench.commands.session import Session
+from bench.commands.options import Json, argument, flag, option
+from bench.commands.plain_command import make_plain
+from bench.commands.session import Session, exit_unless, show_json
 from bench.errors import FOR_PROGRAMS, BenchError, ExitCode
 from bench.interrupt import Terminated, leave
 
@@ -114,8 +114,7 @@ def _command(found: typer.Typer | Callable[..., Any], name: str) -> Any:
 
 
 def _prepared(command: _Command) -> _Command:
-    show_plainly(command)
-    pass_plain_values(command)
+    make_plain(command)
     below = getattr(command, "commands", {})
     for one in below.values() if isinstance(below, dict) else ():  # of the others when they are loaded
         _prepared(one)
@@ -159,7 +158,7 @@ def options(
             help="Configuration, a TOML file or a variant's name.",
         ),
     ] = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Print the traceback of an error.")] = False,
+    debug: Annotated[bool, flag("--debug", "Print the traceback of an error.")] = False,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
@@ -171,10 +170,9 @@ def options(
 
 def doctor(
     context: typer.Context,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+    json_: Json = False,
     data_dir: Annotated[
-        Path | None,
-        typer.Option(metavar="PATH", help="Folder of records.", show_default="data_dir of the configuration"),
+        Path | None, option("Folder of records.", "PATH", shown="data_dir of the configuration")
     ] = None,
 ) -> None:
     """Check this machine: packages, real time, memory, CAN, tools.
@@ -196,28 +194,22 @@ def doctor(
             findings.append(finding)
             progress.update(task, advance=1, description=f"examining {following.group}")
     if json_:
-        typer.echo(json.dumps(report(findings), indent=2))
+        show_json(report(findings))
     else:
         Console().print(table(findings))
-    if not usable(findings):
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(usable(findings))
 
 
 def demo(
     context: typer.Context,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="New or empty folder for the files.", show_default="DATA_DIR/demo-TIME"
-        ),
+        Path | None, option("New or empty folder for the files.", "DIR", shown="DATA_DIR/demo-TIME")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the shot-to-shot scatter.")] = 1,
-    swings: Annotated[int, typer.Option(min=1, max=200, help="Number of swings.")] = 10,
+    seed: Annotated[int, option("Seed of the shot-to-shot scatter.", low=0)] = 1,
+    swings: Annotated[int, option("Number of swings.", low=1, high=200)] = 10,
     engine: Annotated[
         Literal["bench", "compiled"],
-        typer.Option(
-            help="bench: a running bench in real time; compiled: lock-step in this process, within seconds."
-        ),
+        option("bench: a running bench in real time; compiled: lock-step in this process, within seconds."),
     ] = "bench",
 ) -> None:
     """Compare two balls on the simulated robot: table, report and records.
@@ -227,21 +219,14 @@ def demo(
     from bench.commands.demo.demo import run_demo
 
     configuration = context.ensure_object(Session).configuration()
-    if not run_demo(configuration, output, swings, seed, live=engine == "bench"):
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(run_demo(configuration, output, swings, seed, live=engine == "bench"))
 
 
 def check(
     context: typer.Context,
-    profile: Annotated[
-        str | None,
-        typer.Argument(metavar="PROFILE", help="Name or path.", show_default="the configuration's"),
-    ] = None,
+    profile: Annotated[str | None, argument("PROFILE", "Name or path.", shown="the configuration's")] = None,
     defaults: Annotated[
-        bool,
-        typer.Option(
-            "--defaults", help="Print the shipped configuration with every key, its meaning and bounds."
-        ),
+        bool, flag("--defaults", "Print the shipped configuration with every key, its meaning and bounds.")
     ] = False,
 ) -> None:
     """Check configuration and swing before anything moves; print the checks.
@@ -259,11 +244,11 @@ def check(
 
 
 def replay(
-    record: Annotated[Path, typer.Argument(metavar="RECORD", help="Record of a swing, .parquet.")],
+    record: Annotated[Path, argument("RECORD", "Record of a swing, .parquet.")],
     tolerance: Annotated[
-        float, typer.Option(min=0.0, help="Absolute and relative tolerance; codes must be equal.")
+        float, option("Absolute and relative tolerance; codes must be equal.", low=0.0)
     ] = 1e-9,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")] = False,
+    json_: Json = False,
 ) -> None:
     """Replay a record's readings through the present controller and compare all fields.
 
@@ -271,8 +256,7 @@ def replay(
     """
     from bench.commands.replay import replay_command
 
-    if not replay_command(record, tolerance, json_):
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(replay_command(record, tolerance, json_))
 
 
 def command_line() -> TyperGroup:

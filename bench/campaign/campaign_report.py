@@ -30,7 +30,7 @@ from bench.campaign.plan import levels
 from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
 from bench.campaign.reader_units import DisplayUnit, UnitSystem, display_unit, number_text, two_digits
 from bench.campaign.ruling import DECISION_RULE
-from bench.campaign.signature import STATEMENT, calibration_table, item_table, overdue, particulars
+from bench.campaign.signature import STATEMENT, calibration_table, item_table, particulars
 from bench.campaign.verdicts import confidence_words, quantity_name
 from bench.shot.plot_style import marker_svg
 from bench.shot.shot import Shot, ShotStatus
@@ -131,7 +131,7 @@ def _signed_part(record: CampaignRecord, found: Findings, units: UnitSystem) -> 
         "issued": bool(record.issues),
         "particulars": particulars(record, whole_digest(parts)),
         "particular_tables": (item_table(record), calibrations),
-        "overdue": overdue(calibrations),
+        "overdue": calibrations.overdue,
         "statement": STATEMENT,
         "budgets": budgets,
         "contributions": _contributions(budgets),

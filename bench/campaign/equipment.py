@@ -33,6 +33,8 @@ class EquipmentTable(NamedTuple):
     caption: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    overdue: tuple[str, ...] = ()
+    """First cells of the rows whose calibration was overdue at the tests."""
 
 
 def ball_table(

@@ -5,7 +5,7 @@ What was left out is printed as "not stated": a person who signs sees the gap.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import UTC, date, datetime
 
 from bench.campaign.campaign_record import ISSUE, CampaignRecord
@@ -99,26 +99,32 @@ def item_table(record: CampaignRecord) -> EquipmentTable:
 def calibration_table(record: CampaignRecord) -> EquipmentTable:
     """Return the calibrations in force during the tests, and what has none."""
     rows = tuple(_calibrations(record))
+    last = max(shot.time_utc for shot in record.shots).date()
     caption = "Calibrations in force when the campaign began."
     if record.entry.simulated:
         caption = "Calibrations. Robot, ball and launch monitor are simulated: no instrument measured."
-    return EquipmentTable(caption, ("what", "source", "date", "due", "state at the tests"), rows)
+    head = ("what", "source", "date", "due", "state at the tests")
+    late = tuple(what for what, *_, due in rows if isinstance(due, date) and due < last)
+    states = (_state(due, last) if isinstance(due, date) else due for *_, due in rows)
+    shown = tuple((*row[:-1], state) for row, state in zip(rows, states, strict=True))
+    return EquipmentTable(caption, head, shown, late)
 
 
-def _calibrations(record: CampaignRecord) -> Iterator[tuple[str, ...]]:
-    entry, last = record.entry, max(shot.time_utc for shot in record.shots)
+def _calibrations(record: CampaignRecord) -> Iterator[tuple[str, str, str, str, date | str]]:
+    """Yield the cells of each row; in place of the last the date due, or the state of what has none."""
+    entry = record.entry
     bench = entry.calibrations.get("bench", {})
     for one in bench.get("in_force", ()):
         what = " ".join(filter(None, ("bench", str(one["kind"]), str(one["subject"]))))
         source = f"version {one['version']}, {one['method']}, by {one['by']}"
         due = datetime.fromisoformat(one["expires"])
-        yield what, source, str(one["date"])[:10], f"{due:%Y-%m-%d}", _state(due.date(), last.date())
+        yield what, source, str(one["date"])[:10], f"{due:%Y-%m-%d}", due.date()
     for name in bench.get("nominal", ()):
         yield f"bench {name}", "none", "–", "–", "nominal: never calibrated"
     for stated in record.plan.calibrations.values():
-        due_words = _state(date.fromisoformat(stated.due), last.date()) if stated.due else "no date due"
+        until = date.fromisoformat(stated.due) if stated.due else "no date due"
         words = ", ".join(filter(None, (stated.instrument, stated.identity)))
-        yield words, stated.source or NOT_STATED, stated.date or "–", stated.due or "–", due_words
+        yield words, stated.source or NOT_STATED, stated.date or "–", stated.due or "–", until
     for ball, found in measured_of(entry.calibrations, f"campaign {entry.id}").items():
         source = f"version {found.version}, {found.source}, by {found.by}"
         yield f"aerodynamics of {ball}", source, f"{found.date:%Y-%m-%d}", "–", "used"
@@ -149,8 +155,3 @@ def issue_report(store: CampaignStore, record: CampaignRecord, by: str, reason: 
     event = Event(now.astimezone(UTC), len(record.shots) + 1, ISSUE, text)
     store.note_event(record.entry.id, event)
     return event
-
-
-def overdue(table: EquipmentTable) -> Sequence[str]:
-    """Return what was overdue at the tests."""
-    return [row[0] for row in table.rows if row[-1].startswith("OVERDUE")]

@@ -12,8 +12,9 @@ from rich.console import Console
 
 from bench.commands.calibrate_aerodynamics import aerodynamics, user_name
 from bench.commands.calibrate_inputs import inputs
-from bench.commands.session import Json, Session, show_json
-from bench.errors import BenchError, ExitCode, Refused
+from bench.commands.options import Json, argument, flag, option
+from bench.commands.session import Session, exit_unless, show_json
+from bench.errors import BenchError, Refused
 
 if TYPE_CHECKING:
     from bench.calibration.values import CalibrationKind
@@ -28,46 +29,35 @@ Three = tuple[float, float, float]
 
 Days = Annotated[
     int | None,
-    typer.Option(
-        "--expires-days",
-        min=1,
-        max=3650,
-        help="Days until it expires.",
-        show_default="encoders 365, ball 30, club 90, valves 180",
+    option(
+        "Days until it expires.",
+        low=1,
+        high=3650,
+        shown="encoders 365, ball 30, club 90, valves 180",
+        names="--expires-days",
     ),
 ]
-By = Annotated[str | None, typer.Option(metavar="NAME", help="Who measured.", show_default="the user's name")]
-Method = Annotated[str, typer.Option(metavar="TEXT", help="Method and tool of the measurement.")]
-Note = Annotated[str, typer.Option(metavar="TEXT", help="Remark.")]
+By = Annotated[str | None, option("Who measured.", "NAME", shown="the user's name")]
+Method = Annotated[str, option("Method and tool of the measurement.", "TEXT")]
+Note = Annotated[str, option("Remark.", "TEXT")]
 
 
-AngleUncertainty = Annotated[
-    float, typer.Option(metavar="DEG", help="Standard uncertainty of each angle zero.")
-]
-ZeroCounts = Annotated[
-    Three | None, typer.Option(metavar="SHOULDER ARM WRIST", help="Counts at joint angle zero.")
-]
+AngleUncertainty = Annotated[float, option("Standard uncertainty of each angle zero.", "DEG")]
+ZeroCounts = Annotated[Three | None, option("Counts at joint angle zero.", "SHOULDER ARM WRIST")]
 LockedPose = Annotated[
     Three | None,
-    typer.Option(
-        metavar="SHOULDER ARM WRIST",
-        help="Angles (deg) at which the robot is locked, at its mechanical reference.",
-    ),
+    option("Angles (deg) at which the robot is locked, at its mechanical reference.", "SHOULDER ARM WRIST"),
 ]
 Counts = Annotated[
     tuple[int, int, int] | None,
-    typer.Option(
-        metavar="SHOULDER ARM WRIST",
-        help="Encoder counts at that pose.",
-        show_default="read from the running bench",
-    ),
+    option("Encoder counts at that pose.", "SHOULDER ARM WRIST", shown="read from the running bench"),
 ]
 Signs = Annotated[
     tuple[int, int, int] | None,
-    typer.Option(
-        metavar="SHOULDER ARM WRIST",
-        help="Sign of each encoder: -1 if its count falls as the angle rises.",
-        show_default="as in force",
+    option(
+        "Sign of each encoder: -1 if its count falls as the angle rises.",
+        "SHOULDER ARM WRIST",
+        shown="as in force",
     ),
 ]
 
@@ -125,9 +115,9 @@ def encoders(
 @app.command()
 def ball(
     context: typer.Context,
-    x: Annotated[float, typer.Option(metavar="M", help="Ball's centre towards the target, from R1.")],
-    y: Annotated[float, typer.Option(metavar="M", help="Ball's centre up the swing plane, from R1.")],
-    uncertainty_mm: Annotated[float, typer.Option(metavar="MM", help="Standard uncertainty of both.")],
+    x: Annotated[float, option("Ball's centre towards the target, from R1.", "M")],
+    y: Annotated[float, option("Ball's centre up the swing plane, from R1.", "M")],
+    uncertainty_mm: Annotated[float, option("Standard uncertainty of both.", "MM")],
     method: Method = "position entered",
     by: By = None,
     expires_days: Days = None,
@@ -144,18 +134,13 @@ def ball(
 @app.command()
 def club(
     context: typer.Context,
-    length: Annotated[float, typer.Option(metavar="M", help="Wrist axis R3 to the centre of the face.")],
-    loft_deg: Annotated[float, typer.Option(metavar="DEG", help="Loft in the mount.")],
-    lie_deg: Annotated[float, typer.Option(metavar="DEG", help="Lie in the mount.")],
-    length_uncertainty_mm: Annotated[
-        float, typer.Option(metavar="MM", help="Standard uncertainty of the length.")
-    ],
-    angle_uncertainty_deg: Annotated[
-        float, typer.Option(metavar="DEG", help="Standard uncertainty of the angles.")
-    ],
+    length: Annotated[float, option("Wrist axis R3 to the centre of the face.", "M")],
+    loft_deg: Annotated[float, option("Loft in the mount.", "DEG")],
+    lie_deg: Annotated[float, option("Lie in the mount.", "DEG")],
+    length_uncertainty_mm: Annotated[float, option("Standard uncertainty of the length.", "MM")],
+    angle_uncertainty_deg: Annotated[float, option("Standard uncertainty of the angles.", "DEG")],
     name: Annotated[
-        str | None,
-        typer.Argument(metavar="CLUB", help="Club of the configuration.", show_default="the mounted one"),
+        str | None, argument("CLUB", "Club of the configuration.", shown="the mounted one")
     ] = None,
     method: Method = "values entered",
     by: By = None,
@@ -181,17 +166,14 @@ def club(
 def valves(
     context: typer.Context,
     centre: Annotated[
-        Three | None,
-        typer.Option(metavar="SHOULDER ARM WRIST", help="Commands (-1 to 1) that centre the spools."),
+        Three | None, option("Commands (-1 to 1) that centre the spools.", "SHOULDER ARM WRIST")
     ] = None,
     dead_band: Annotated[
-        Three | None, typer.Option(metavar="SHOULDER ARM WRIST", help="Overlap to either side of the centre.")
+        Three | None, option("Overlap to either side of the centre.", "SHOULDER ARM WRIST")
     ] = None,
-    uncertainty: Annotated[
-        float | None, typer.Option(metavar="OPENING", help="Standard uncertainty of both.")
-    ] = None,
+    uncertainty: Annotated[float | None, option("Standard uncertainty of both.", "OPENING")] = None,
     measure: Annotated[
-        bool, typer.Option("--measure", help="Find them by a slow ramp of each valve of the simulated plant.")
+        bool, flag("--measure", "Find them by a slow ramp of each valve of the simulated plant.")
     ] = False,
     method: Method = "",
     by: By = None,
@@ -229,7 +211,7 @@ def list_all(context: typer.Context, json_: Json = False) -> None:
     from bench.config import database_url
     from bench.store.database import is_there, open_database
 
-    configuration, now = context.ensure_object(Session).configuration(), _now()
+    configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)
     bench = configuration.bench
     entries, balls = list[Entry](), list[AerodynamicsEntry]()
     if is_there(url := database_url(bench.database, bench.data_dir)):
@@ -239,8 +221,7 @@ def list_all(context: typer.Context, json_: Json = False) -> None:
     if json_:
         records = [entry.record() for entry in entries]
         records += [{"kind": "aerodynamics", "subject": e.values.ball, **e.record()} for e in balls]
-        show_json(records)
-        return
+        return show_json(records)
     if entries:
         Console().print(listing(entries, calibration_of(configuration, now), now))
     else:
@@ -260,7 +241,7 @@ def show(context: typer.Context, json_: Json = False) -> None:
     from bench.calibration.archive import calibration_of
     from bench.commands.calibration_tables import overview
 
-    configuration, now = context.ensure_object(Session).configuration(), _now()
+    configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)
     calibration = calibration_of(configuration, now)
     problems = calibration.problems(now)
     if json_:
@@ -271,13 +252,7 @@ def show(context: typer.Context, json_: Json = False) -> None:
         console.print(overview(calibration, now))
         for problem in problems:
             console.print(f"arming blocked: {problem.text}", style="red", highlight=False, soft_wrap=True)
-    if problems:
-        raise typer.Exit(ExitCode.REFUSED)
-
-
-def _now() -> datetime:
-
-    return datetime.now(UTC)
+    exit_unless(not problems)
 
 
 def _calibrated(context: typer.Context) -> Configuration:
@@ -285,7 +260,7 @@ def _calibrated(context: typer.Context) -> Configuration:
     from bench.calibration.calibration import apply
 
     configuration = context.ensure_object(Session).configuration()
-    return apply(calibration_of(configuration, _now()), configuration)
+    return apply(calibration_of(configuration, datetime.now(UTC)), configuration)
 
 
 def _add(
@@ -305,7 +280,7 @@ def _add(
     from bench.calibration.values import values_of
 
     values = values_of(kind, content, f"calibrate {kind}")
-    configuration, now = context.ensure_object(Session).configuration(), _now()
+    configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)
     require_plausible(values, configuration)
     by = user_name() if by is None else by
     entry = keep_calibration(configuration, values, now, by=by, method=method, note=note, days=expires_days)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.commands.session import Json, Session, show_json
+from bench.commands.options import Json, argument, flag, option
+from bench.commands.session import Session, show_json
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
@@ -25,29 +26,26 @@ def _shared(metavar: str, figure: str) -> Any:
     return typer.Option(min=0.0, metavar=metavar, help=f"{figure}: standard uncertainty of its calibration.")
 
 
-BallName = Annotated[str, typer.Argument(metavar="BALL", help="Ball model, as plans name it.")]
+BallName = Annotated[str, argument("BALL", "Ball model, as plans name it.")]
 FlightTable = Annotated[
     Path,
-    typer.Argument(
-        metavar="FLIGHTS",
-        help="CSV, one row per flight, or an export of TrackMan or Foresight: ball_speed_mps (_mph, _kmh), "
+    argument(
+        "FLIGHTS",
+        "CSV, one row per flight, or an export of TrackMan or Foresight: ball_speed_mps (_mph, _kmh), "
         "launch_angle_deg, spin_rpm, and of carry_m (_yd, _ft), apex_m (_yd, _ft), time_s what was measured; "
         "optional direction_deg, spin_axis_deg, air_temperature_k (_c, _f), air_pressure_pa (_hpa), "
         "relative_humidity, wind_mps, cross_wind_mps.",
     ),
 ]
-Source = Annotated[
-    str, typer.Option(metavar="TEXT", help="Device and place: full-flight monitor, indoor range.")
-]
+Source = Annotated[str, option("Device and place: full-flight monitor, indoor range.", "TEXT")]
 PointTable = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="CSV of trajectories: flight, time_s, distance_m, height_m; FLIGHTS has a column flight, too.",
+    option(
+        "CSV of trajectories: flight, time_s, distance_m, height_m; FLIGHTS has a column flight, too.", "FILE"
     ),
 ]
-Mass = Annotated[float, typer.Option(metavar="G", help="Mass of the ball.")]
-Diameter = Annotated[float, typer.Option(metavar="MM", help="Diameter of the ball.")]
+Mass = Annotated[float, option("Mass of the ball.", "G")]
+Diameter = Annotated[float, option("Diameter of the ball.", "MM")]
 SpeedScatter = Annotated[float, _spread("M/S", "Ball speed")]
 AngleScatter = Annotated[float, _spread("DEG", "Launch angle")]
 SpinScatter = Annotated[float, _spread("RPM", "Spin")]
@@ -62,13 +60,9 @@ CarryError = Annotated[float, _shared("M", "Carry")]
 ApexError = Annotated[float, _shared("M", "Apex")]
 TimeError = Annotated[float, _shared("S", "Flight time")]
 PointError = Annotated[float, _shared("M", "Coordinates of points")]
-Day = Annotated[
-    str | None, typer.Option(metavar="DATE", help="Day of the measurement, YYYY-MM-DD.", show_default="today")
-]
-Measurer = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Who measured.", show_default="the user's name")
-]
-Store = Annotated[bool, typer.Option("--store/--no-store", help="Store the result, or only print it.")]
+Day = Annotated[str | None, option("Day of the measurement, YYYY-MM-DD.", "DATE", shown="today")]
+Measurer = Annotated[str | None, option("Who measured.", "NAME", shown="the user's name")]
+Store = Annotated[bool, flag("--store/--no-store", "Store the result, or only print it.")]
 
 
 def aerodynamics(
@@ -162,8 +156,7 @@ def _keep(
         with open_database(url, datetime.now(UTC)) as database:
             entry = add_aerodynamics(database, bench.id, values, date=date, source=source, by=by)
     if json_:
-        show_json(entry.record())
-        return
+        return show_json(entry.record())
     typer.echo(f"{values.ball}: {entry.text}{'' if store else '; not stored'}")
     if values.chi_square > 2.0:
         typer.echo(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bench.commands.calibrate_aerodynamics import user_name
+from bench.commands.options import flag, option
 from bench.commands.session import Session
 from bench.errors import BenchError
 
@@ -29,12 +30,8 @@ SIMULATED_PATIENCE = 2.0
 
 def inputs(
     context: typer.Context,
-    sim: Annotated[
-        bool, typer.Option("--sim", help="Simulate robot and hands in lock-step; nothing is stored.")
-    ] = False,
-    by: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Who checks.", show_default="the user's name")
-    ] = None,
+    sim: Annotated[bool, flag("--sim", "Simulate robot and hands in lock-step; nothing is stored.")] = False,
+    by: Annotated[str | None, option("Who checks.", "NAME", shown="the user's name")] = None,
 ) -> None:
     """Check each interlock, button and switch, and the supply's sensor beside its gauge.
 

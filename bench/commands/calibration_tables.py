@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from bench.calibration.calibration import Calibration, Entry
 from bench.calibration.value_words import in_words
 from bench.calibration.values import CalibrationKind
+from bench.commands.output import plain_table
 
 
 def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> Table:
@@ -35,9 +35,7 @@ def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> T
 
 def overview(in_force: Calibration, now: datetime) -> Table:
     """Return a table of what is in force, kind by kind."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in ("kind", "version", "date (UTC)", "expires", "values", ""):
-        table.add_column(column, overflow="fold")
+    table = plain_table("kind", "version", "date (UTC)", "expires", "values", "")
     for kind in CalibrationKind:
         entry = in_force.of(kind)
         if entry is None:

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import typer
 from rich.console import Console
 
-from bench.commands.session import Json, Session, show_json, user_name
-from bench.errors import BenchError, ExitCode, Refused
+from bench.commands.options import Json, argument, flag, option
+from bench.commands.session import Session, exit_unless, show_json, user_name
+from bench.errors import BenchError, Refused
 from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
@@ -32,29 +33,19 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Campaigns (test series): plan, run, evaluate and store them.", no_args_is_help=True)
 
-File = Annotated[
-    Path, typer.Argument(metavar="FILE", help="Plan, a TOML file, or the name of a shipped plan.")
-]
-Id = Annotated[str, typer.Argument(metavar="ID", help="Campaign id, or its unambiguous beginning.")]
+File = Annotated[Path, argument("FILE", "Plan, a TOML file, or the name of a shipped plan.")]
+Id = Annotated[str, argument("ID", "Campaign id, or its unambiguous beginning.")]
 Ask = Annotated[
-    bool,
-    typer.Option("--ask", help="Also ask for club changes and feeder refills if the bench is simulated."),
+    bool, flag("--ask", "Also ask for club changes and feeder refills if the bench is simulated.")
 ]
-Junit = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Also write the shots as JUnit XML, for CI.")
-]
-ReportTo = Annotated[
-    Path | None, typer.Option("--report", metavar="FILE", help="Also write the report, HTML.")
-]
+Junit = Annotated[Path | None, option("Also write the shots as JUnit XML, for CI.", "FILE")]
+ReportTo = Annotated[Path | None, option("Also write the report, HTML.", "FILE", names="--report")]
 Check = Annotated[
-    Path | None,
-    typer.Option("--check", metavar="BASELINE", help="Compare figures with the bands in this TOML file."),
+    Path | None, option("Compare figures with the bands in this TOML file.", "BASELINE", names="--check")
 ]
-StartedBy = Annotated[
-    str, typer.Option("--by", metavar="NAME", help="Person who starts it.", show_default="user@host")
-]
+StartedBy = Annotated[str, option("Person who starts it.", "NAME", shown="user@host", names="--by")]
 Units = Annotated[
-    Literal["us", "si"], typer.Option("--units", help="Units of the report: yd and mph, or m and m/s.")
+    Literal["us", "si"], option("Units of the report: yd and mph, or m and m/s.", names="--units")
 ]
 
 
@@ -68,11 +59,20 @@ class Outputs(NamedTuple):
     units: UnitSystem
 
 
+def _outputs(
+    json_: bool, junit: Path | None, report_to: Path | None, check: Path | None, units: Literal["us", "si"]
+) -> Outputs:
+    from bench.campaign.reader_units import UnitSystem
+    from bench.commands.campaign_baseline import read_baseline
+
+    return Outputs(json_, junit, report_to, read_baseline(check) if check else [], UnitSystem(units))
+
+
 @app.command()
 def check(
     context: typer.Context,
     file: File,
-    everything: Annotated[bool, typer.Option("--all", help="Print every block.")] = False,
+    everything: Annotated[bool, flag("--all", "Print every block.")] = False,
     json_: Json = False,
 ) -> None:
     """Check plan and bench before anything moves; print shot order, load lists and resolution.
@@ -155,9 +155,7 @@ def _hits_before(configuration: Configuration) -> Counter[Hit]:
 def run(
     context: typer.Context,
     file: File,
-    sim: Annotated[
-        bool, typer.Option("--sim", help="Simulate the bench in lock-step, in this process.")
-    ] = False,
+    sim: Annotated[bool, flag("--sim", "Simulate the bench in lock-step, in this process.")] = False,
     json_: Json = False,
     junit: Junit = None,
     report_to: ReportTo = None,
@@ -165,9 +163,7 @@ def run(
     units: Units = "si",
     ask: Ask = False,
     by: StartedBy = "",
-    expect: Annotated[
-        str, typer.Option(metavar="DIGEST", help="Digest of the plan as checked; another plan is refused.")
-    ] = "",
+    expect: Annotated[str, option("Digest of the plan as checked; another plan is refused.", "DIGEST")] = "",
 ) -> None:
     """Run a campaign on the running bench, or simulated with --sim.
 
@@ -175,13 +171,11 @@ def run(
     143 after SIGTERM.
     """
     from bench.campaign.operate import measured_balls, new_entry
-    from bench.campaign.reader_units import UnitSystem
-    from bench.commands.campaign_baseline import read_baseline
 
     plan, configuration, _ = _checked(context, file)
     if expect not in ("", plan.digest):
         raise Refused(str(file), f"digest {plan.digest}", f"{expect}, as checked", "Check it again.")
-    bands = read_baseline(check_) if check_ else []
+    outputs = _outputs(json_, junit, report_to, check_, units)
     with _store(configuration) as store:
         measured = measured_balls(plan, store, configuration.bench.id)
         facts = {} if sim else _bench_facts(plan, configuration, measured, store)
@@ -196,15 +190,7 @@ def run(
             calibrated=_calibrations(plan, configuration, store, now, sim=sim),
         )
         store.begin(entry)
-        _run(
-            store,
-            entry,
-            configuration,
-            Outputs(json_, junit, report_to, bands, UnitSystem(units)),
-            facts,
-            ask=ask,
-            by=by,
-        )
+        _run(store, entry, configuration, outputs, facts, ask=ask, by=by)
 
 
 def _calibrations(
@@ -221,9 +207,7 @@ def _calibrations(
 def resume(
     context: typer.Context,
     campaign: Id,
-    file: Annotated[
-        Path | None, typer.Argument(metavar="FILE", help="Plan, to check that it is unchanged.")
-    ] = None,
+    file: Annotated[Path | None, argument("FILE", "Plan, to check that it is unchanged.")] = None,
     json_: Json = False,
     junit: Junit = None,
     report_to: ReportTo = None,
@@ -240,32 +224,20 @@ def resume(
     from bench.campaign.carry import measured_of
     from bench.campaign.operate import ask, is_running, require_resumable
     from bench.campaign.plan_file import plan_from_record
-    from bench.campaign.reader_units import UnitSystem
-    from bench.commands.campaign_baseline import read_baseline
 
     configuration = context.ensure_object(Session).configuration()
     plan = _checked(context, file)[0] if file else None
-    bands = read_baseline(check_) if check_ else []
+    outputs = _outputs(json_, junit, report_to, check_, units)
     with _found(context, campaign) as (store, entry):
         require_resumable(entry, store.standing(entry.id).state, configuration, plan)
         if is_running(configuration.bench.data_dir, entry.id):
             typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '', by)}")
             return
-        facts = {}
+        facts, place = {}, f"campaign {entry.id}"
         if entry.real_time:
-            begun = plan_from_record(entry.plan, f"campaign {entry.id}")
-            facts = _bench_facts(
-                begun, configuration, measured_of(entry.calibrations, f"campaign {entry.id}"), store
-            )
-        _run(
-            store,
-            entry,
-            configuration,
-            Outputs(json_, junit, report_to, bands, UnitSystem(units)),
-            facts,
-            ask=ask_,
-            by=by,
-        )
+            begun, measured = plan_from_record(entry.plan, place), measured_of(entry.calibrations, place)
+            facts = _bench_facts(begun, configuration, measured, store)
+        _run(store, entry, configuration, outputs, facts, ask=ask_, by=by)
 
 
 def _bench_facts(
@@ -323,8 +295,7 @@ def _run(
         show_json({"campaign": entry.id, **outcome._asdict(), "baseline": held, "findings": figures})
     else:
         _tell(outcome, found, checks, outputs.units)
-    if outcome.state is not CampaignState.FINISHED or not all(check.holds for check in checks):
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(outcome.state is CampaignState.FINISHED and all(check.holds for check in checks))
 
 
 def _take(
@@ -388,19 +359,14 @@ def report(
     context: typer.Context,
     campaign: Id,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="File to write.", show_default="report.html beside the campaign's records"
-        ),
+        Path | None, option("File to write.", "FILE", shown="report.html beside the campaign's records")
     ] = None,
     units: Units = "si",
-    issue: Annotated[
-        bool, typer.Option("--issue", help="Issue the report: number, date and name are stored.")
-    ] = False,
-    by: Annotated[str, typer.Option(metavar="NAME", help="Who issues it.", show_default="user@host")] = "",
-    reason: Annotated[str, typer.Option(metavar="TEXT", help="Why a report is issued again.")] = "",
+    issue: Annotated[bool, flag("--issue", "Issue the report: number, date and name are stored.")] = False,
+    by: Annotated[str, option("Who issues it.", "NAME", shown="user@host")] = "",
+    reason: Annotated[str, option("Why a report is issued again.", "TEXT")] = "",
     json_: Annotated[
-        bool, typer.Option("--json", help="Print the same figures as JSON instead of writing the page.")
+        bool, flag("--json", "Print the same figures as JSON instead of writing the page.")
     ] = False,
 ) -> None:
     """Write the report of a campaign: one HTML file, verdict first.
@@ -425,8 +391,7 @@ def report(
         looks = note_look(store, record, "report")
     found = findings(record.plan, record.shots, looks, UnitSystem(units))
     if json_:
-        show_json({"campaign": entry.id, "findings": findings_record(found)})
-        return
+        return show_json({"campaign": entry.id, "findings": findings_record(found)})
     data_dir = context.ensure_object(Session).configuration().bench.data_dir
     record = replace(record, standing=standing_now(data_dir, entry.id, record.standing))
     path = output or data_dir / "campaigns" / entry.id / "report.html"
@@ -440,9 +405,7 @@ def verify(
     campaign: Id,
     page: Annotated[
         Path | None,
-        typer.Option(
-            "--report", metavar="FILE", help="Page to verify.", show_default="report.html beside the records"
-        ),
+        option("Page to verify.", "FILE", shown="report.html beside the records", names="--report"),
     ] = None,
 ) -> None:
     """Verify a report: compute its digest and every figure again from the records.
@@ -477,8 +440,7 @@ def verify(
     typer.echo(
         f"{'verified' if held else 'NOT VERIFIED'}: {result.figures} figures computed again{page_words}"
     )
-    if not held:
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(held)
 
 
 def _request(context: typer.Context, campaign: str, request: str) -> None:
@@ -493,7 +455,7 @@ def _request(context: typer.Context, campaign: str, request: str) -> None:
 def watch(
     context: typer.Context,
     campaign: Annotated[
-        str, typer.Argument(metavar="ID", help="Campaign id or its beginning; without it the running one.")
+        str, argument("ID", "Campaign id or its beginning; without it the running one.")
     ] = "",
     json_: Json = False,
 ) -> None:
@@ -517,8 +479,7 @@ def watch(
             place = f"campaign {campaign}" if campaign else f"bench {configuration.bench.id}"
             raise Refused(place, "no runner publishes it", "a running campaign", "golfbench campaign list")
         if json_:
-            show_json(message)
-            return
+            return show_json(message)
         screen, event, stood, last = ProgressScreen(bar), None, None, message
         bar.console.print(f"campaign {message['campaign']}", highlight=False, markup=False, soft_wrap=True)
         with ExitStack() as stack:
@@ -560,11 +521,9 @@ def _local_store(stack: ExitStack, configuration: Configuration, campaign: str) 
 def mark(
     context: typer.Context,
     campaign: Id,
-    comment: Annotated[str, typer.Argument(metavar="COMMENT", help="What was seen.")] = "",
-    shot: Annotated[
-        int | None, typer.Option(metavar="NUMBER", help="Shot.", show_default="the last one")
-    ] = None,
-    by: Annotated[str, typer.Option(metavar="NAME", help="Who saw it.", show_default="user@host")] = "",
+    comment: Annotated[str, argument("COMMENT", "What was seen.")] = "",
+    shot: Annotated[int | None, option("Shot.", "NUMBER", shown="the last one")] = None,
+    by: Annotated[str, option("Who saw it.", "NAME", shown="user@host")] = "",
 ) -> None:
     """Mark a shot, with a comment; it counts as before. The report shows marks and comments."""
     from bench.store.records import ShotNote
@@ -579,10 +538,10 @@ def mark(
 def exclude(
     context: typer.Context,
     campaign: Id,
-    shot: Annotated[int, typer.Argument(metavar="SHOT", help="Number of the shot.")],
-    reason: Annotated[str, typer.Option(metavar="TEXT", help="Why.")],
-    by: Annotated[str, typer.Option(metavar="NAME", help="Who decides.", show_default="user@host")] = "",
-    undo: Annotated[bool, typer.Option("--undo", help="Let an excluded shot count again.")] = False,
+    shot: Annotated[int, argument("SHOT", "Number of the shot.")],
+    reason: Annotated[str, option("Why.", "TEXT")],
+    by: Annotated[str, option("Who decides.", "NAME", shown="user@host")] = "",
+    undo: Annotated[bool, flag("--undo", "Let an excluded shot count again.")] = False,
 ) -> None:
     """Exclude a shot from the results, with the reason. Nothing is deleted; the report lists it.
 
@@ -599,12 +558,9 @@ def exclude(
 def answer(
     context: typer.Context,
     campaign: Id,
-    by: Annotated[
-        str, typer.Option(metavar="NAME", help="Person who did it.", show_default="user@host")
-    ] = "",
+    by: Annotated[str, option("Person who did it.", "NAME", shown="user@host")] = "",
     balls: Annotated[
-        int | None,
-        typer.Option(metavar="COUNT", min=0, help="Number of balls loaded, compared with the load list."),
+        int | None, option("Number of balls loaded, compared with the load list.", "COUNT", low=0)
     ] = None,
 ) -> None:
     """Confirm a campaign's prompt: the club is mounted, the feeder is filled."""
@@ -633,7 +589,7 @@ def stop(context: typer.Context, campaign: Id) -> None:
 def abort(
     context: typer.Context,
     campaign: Id,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    yes: Annotated[bool, option("Do not ask for confirmation.", names=("--yes", "-y"))] = False,
 ) -> None:
     """Abort a campaign at once, after a confirmation. It cannot be resumed."""
     with _found(context, campaign) as (store, entry):
@@ -653,14 +609,10 @@ def abort(
 @app.command()
 def air(
     context: typer.Context,
-    temperature: Annotated[float | None, typer.Option(metavar="C", help="Temperature, deg C.")] = None,
-    pressure: Annotated[
-        float | None, typer.Option(metavar="HPA", help="Station pressure, not reduced to sea level.")
-    ] = None,
-    humidity: Annotated[float | None, typer.Option(metavar="PERCENT", help="Relative humidity.")] = None,
-    by: Annotated[
-        str, typer.Option(metavar="NAME", help="Person or instrument that read it.", show_default="user@host")
-    ] = "",
+    temperature: Annotated[float | None, option("Temperature, deg C.", "C")] = None,
+    pressure: Annotated[float | None, option("Station pressure, not reduced to sea level.", "HPA")] = None,
+    humidity: Annotated[float | None, option("Relative humidity.", "PERCENT")] = None,
+    by: Annotated[str, option("Person or instrument that read it.", "NAME", shown="user@host")] = "",
 ) -> None:
     """Enter a reading of the air at the bench, or show the newest one.
 
@@ -701,8 +653,7 @@ def air(
 def list_campaigns(
     context: typer.Context,
     bench: Annotated[
-        str | None,
-        typer.Option(metavar="ID", help="Campaigns of this bench only.", show_default="all in the database"),
+        str | None, option("Campaigns of this bench only.", "ID", shown="all in the database")
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -733,10 +684,8 @@ def list_campaigns(
 def export(
     context: typer.Context,
     campaign: Id,
-    format_: Annotated[Literal["csv"], typer.Option("--format", help="Output format.")] = "csv",
-    output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="standard output")
-    ] = None,
+    format_: Annotated[Literal["csv"], option("Output format.", names="--format")] = "csv",
+    output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
 ) -> None:
     """Export a campaign's shots, one row each."""
     from bench.campaign.exclusions import with_exclusions

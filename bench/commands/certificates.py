@@ -8,23 +8,18 @@ from typing import Annotated
 
 import typer
 
+from bench.commands.options import argument, option
 from bench.errors import BenchError
 
 
 def certificates(
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder of the certificates, created if absent.")
-    ],
-    names: Annotated[
-        list[str], typer.Argument(metavar="NAME...", help="Names of people, benches and routers.")
-    ],
+    folder: Annotated[Path, argument("DIR", "Folder of the certificates, created if absent.")],
+    names: Annotated[list[str], argument("NAME...", "Names of people, benches and routers.")],
     addresses: Annotated[
         list[str] | None,
-        typer.Option(
-            "--address", metavar="HOST", help="IP address or host name where NAME listens; may be repeated."
-        ),
+        option("IP address or host name where NAME listens; may be repeated.", "HOST", names="--address"),
     ] = None,
-    days: Annotated[float, typer.Option(min=0.01, max=3650.0, help="Days of validity.")] = 365.0,
+    days: Annotated[float, option("Days of validity.", low=0.01, high=3650.0)] = 365.0,
 ) -> None:
     """Make a certificate for each NAME, to reach the bench from other machines.
 

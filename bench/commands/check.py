@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from bench.commands.output import plain_table
 from bench.commands.session import Session
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.config.text import configuration_text
@@ -66,9 +66,7 @@ def _summary(c: Configuration) -> str:
 
 
 def _table(checks: Sequence[Check]) -> Table:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in ("", "checked", "found", "allowed"):
-        table.add_column(column, overflow="fold")
+    table = plain_table("", "checked", "found", "allowed")
     for check in checks:
         mark = Text("wrong", "bold red") if check.faults else Text("ok", "green")
         table.add_row(mark, *map(Text, (check.name, check.found, check.allowed)))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.commands.options import option
 from bench.commands.session import Session
 from bench.errors import BenchError
 
@@ -37,14 +38,10 @@ _CONFIGURATION = {
 
 def cluster(
     context: typer.Context,
-    host: Annotated[str, typer.Option(metavar="ADDRESS", help="IP address to listen at.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the scheduler; 0: any.")] = 8786,
-    workers: Annotated[
-        int | None, typer.Option(min=0, help="Number of workers.", show_default="one per core")
-    ] = None,
-    join: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Scheduler that the workers join, in place of one here.")
-    ] = "",
+    host: Annotated[str, option("IP address to listen at.", "ADDRESS")] = "127.0.0.1",
+    port: Annotated[int, option("Port of the scheduler; 0: any.", low=0, high=65535)] = 8786,
+    workers: Annotated[int | None, option("Number of workers.", low=0, shown="one per core")] = None,
+    join: Annotated[str, option("Scheduler that the workers join, in place of one here.", "ADDRESS")] = "",
 ) -> None:
     """Start a scheduler and workers for `--cluster`, until Ctrl-C.
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
+from bench.commands.options import flag, option
+from bench.commands.output import plain_table
 from bench.commands.progress import paused, progress_bar
 from bench.commands.session import Session, show_json
 from bench.errors import BenchError
@@ -34,29 +34,26 @@ if TYPE_CHECKING:
     from sim.live.contact_watch import ContactWatch
     from sim.plant import PlantParameters
 
-Simulated = Annotated[bool, typer.Option("--sim", help="Simulate the robot in lock-step.")]
+Simulated = Annotated[bool, flag("--sim", "Simulate the robot in lock-step.")]
 Robot = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Configuration of the robot that really moves, with its faults; the bench assumes --config.",
+    option(
+        "Configuration of the robot that really moves, with its faults; the bench assumes --config.", "FILE"
     ),
 ]
-Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder of state, records, robot.toml and report.")]
+Output = Annotated[Path, option("Folder of state, records, robot.toml and report.", "DIR")]
 Turn = Annotated[
     str | None,
-    typer.Option(
-        "--regulator",
-        metavar="PROGRAM",
-        help="Program that turns the pressure regulator, called with bar absolute or 'service'.",
-        show_default="a person is asked",
+    option(
+        "Program that turns the pressure regulator, called with bar absolute or 'service'.",
+        "PROGRAM",
+        shown="a person is asked",
+        names="--regulator",
     ),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue after the last step done in DIR.")]
-Check = Annotated[
-    bool, typer.Option("--check", help="Move nothing: check the files, and say what each step does.")
-]
-Json = Annotated[bool, typer.Option("--json", help="With --check: print JSON for a program to read.")]
+Resume = Annotated[bool, flag("--resume", "Continue after the last step done in DIR.")]
+Check = Annotated[bool, flag("--check", "Move nothing: check the files, and say what each step does.")]
+Json = Annotated[bool, flag("--json", "With --check: print JSON for a program to read.")]
 
 
 def commission(
@@ -346,8 +343,7 @@ def _show_steps(state: Commissioning, *, json_: bool) -> None:
             for step in ALL_STEPS
         ]
         found = {"folder": str(state.folder), "robot": state.robot, "simulated": state.simulated}
-        show_json(found | {"steps": steps})
-        return
+        return show_json(found | {"steps": steps})
     console = Console()
     console.print(
         f"Robot{', simulated' if state.simulated else ''}: {state.robot or 'as configured'}. "
@@ -383,10 +379,8 @@ def _write_report(state: Commissioning, nominal: PlantParameters, made: datetime
 
 def _show(state: Commissioning) -> None:
     """Print what was found."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title="Commissioned robot")
-    for column in ("step", "value", "found", "standard error", "unit"):
-        right = column in ("found", "standard error")
-        table.add_column(column, justify="right" if right else "left", overflow="fold")
+    figures = ("found", "standard error")
+    table = plain_table("step", "value", *figures, "unit", right=figures, title="Commissioned robot")
     for value in {value.key: value for value in state.values}.values():
         table.add_row(value.step, value.key, f"{value.value:.6g}", f"{value.error:.2g}", value.unit)
     console = Console()

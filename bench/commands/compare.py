@@ -7,12 +7,13 @@ from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from bench.commands.options import ClubName, Json, ProfileName, option
+from bench.commands.output import finite, plain_table
 from bench.commands.progress import progress_bar
-from bench.commands.session import ClubName, Json, ProfileName, Session, show_json
+from bench.commands.session import Session, show_json
 from bench.lifecycle import CAUSE_TEXT
 
 if TYPE_CHECKING:
@@ -24,19 +25,17 @@ if TYPE_CHECKING:
 
 RobotName = Annotated[
     Literal["nominal", "worn", "both"],
-    typer.Option(
-        help="The configured robot; or a worn one: friction +40 %, valve flow -8 %, supply -4 %, head "
+    option(
+        "The configured robot; or a worn one: friction +40 %, valve flow -8 %, supply -4 %, head "
         "+10 g, vane +3 %, encoders 1 ms later."
     ),
 ]
 Draw = Annotated[
     int | None,
-    typer.Option(
-        metavar="SEED", min=0, help="Seed of a random robot within 10 % of the configured one, used instead."
-    ),
+    option("Seed of a random robot within 10 % of the configured one, used instead.", "SEED", low=0),
 ]
-Swings = Annotated[int, typer.Option(min=1, max=100, help="Swings with each controller.")]
-Learning = Annotated[bool, typer.Option(help="Also compare with learned openings.")]
+Swings = Annotated[int, option("Swings with each controller.", low=1, high=100)]
+Learning = Annotated[bool, option("Also compare with learned openings.")]
 
 
 def compare(
@@ -74,8 +73,7 @@ def compare(
     if json_:
         records = {name: [compared_record(row) for row in found] for name, found in rows.items()}
         record = {"profile": swing.name, "swings": swings, "planned": planned.shown, "robots": records}
-        show_json(record)
-        return
+        return show_json(record)
     console = Console()
     for name, found in rows.items():
         console.print(compared_table(f"{swing.name} on the {name} robot, mean of {swings} swings", found))
@@ -121,22 +119,19 @@ def compared_record(row: Compared) -> dict[str, Any]:
     from bench.learning.compare import LITRES
     from drivers.base import JOINTS
 
-    def known(value: float) -> float | None:
-        return float(value) if isfinite(value) else None
-
     error = row.error.shown
-    error["head_speed_share"] = known(row.error.speed)
+    error["head_speed_share"] = finite(row.error.speed)
     del error["head_speed_mps"]
     joints = zip(JOINTS, row.tracking, strict=True)
     return {
         "controller": row.controller,
         "delivery": row.figures.shown,
         "delivery_error": error,
-        "tracking_rad": {joint: known(value) for joint, value in joints},
-        "head_path_error_m": known(row.path),
-        "saturated_share": known(row.saturated),
-        "air_kg": known(row.air),
-        "air_litres_anr": known(row.air * LITRES),
+        "tracking_rad": {joint: finite(float(value)) for joint, value in joints},
+        "head_path_error_m": finite(row.path),
+        "saturated_share": finite(row.saturated),
+        "air_kg": finite(row.air),
+        "air_litres_anr": finite(row.air * LITRES),
         "stopped_by": row.cause.name if row.cause else None,
         "following_error": None if row.strayed is None else [JOINTS[row.strayed[0]], row.strayed[1].name],
     }
@@ -146,7 +141,7 @@ def compared_table(title: str, rows: list[Compared]) -> Table:
     """Return the table of `rows`."""
     from bench.learning.compare import LITRES
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), title=title, title_justify="left")
+    table = plain_table(title=title, padding=(0, 1, 0, 0), title_justify="left")
     table.add_column("controller", no_wrap=True)
     names = ("tracking", "head", "strike", "speed", "lean", "attack", "sat.", "air")
     units = ("mrad", "mm", "mm", "%", "°", "°", "%", "l")

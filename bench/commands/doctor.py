@@ -24,11 +24,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from packaging.requirements import Requirement
-from rich import box
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
+from bench.commands.output import plain_table
 from bench.processes.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK
 
 SCHEMA_VERSION = 1
@@ -130,9 +129,7 @@ def report(findings: Sequence[Finding]) -> dict[str, Any]:
 
 def table(findings: Sequence[Finding]) -> Group:
     """Return the findings as a table for a terminal, closed by one line that sums them up."""
-    rows = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in ("", "status", "found", "what to do"):
-        rows.add_column(column, overflow="fold")
+    rows = plain_table("", "status", "found", "what to do")
     for group, members in itertools.groupby(findings, key=lambda finding: finding.group):
         rows.add_row(Text(group, "bold"))
         for finding in members:

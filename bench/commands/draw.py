@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from bench.commands.options import option
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
@@ -27,17 +28,12 @@ class DrawingFormat(StrEnum):
 
 def draw(
     context: typer.Context,
-    output: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for the files; made if it is missing.")
-    ] = Path("drawing"),
+    output: Annotated[Path, option("Folder for the files; made if it is missing.", "DIR")] = Path("drawing"),
     format_: Annotated[
         DrawingFormat | None,
-        typer.Option("--format", help="One format.", show_default="all; step only with the extra cad"),
+        option("One format.", shown="all; step only with the extra cad", names="--format"),
     ] = None,
-    club: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Club in the mount.", show_default="the configuration's"),
-    ] = None,
+    club: Annotated[str | None, option("Club in the mount.", "NAME", shown="the configuration's")] = None,
 ) -> None:
     """Draw the configured robot with stand, drive, tee and guard, and compare its masses.
 

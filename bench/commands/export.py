@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.commands.options import argument, flag, option
 from bench.commands.progress import progress_bar
 from bench.errors import BenchError, Refused
 
@@ -28,18 +29,12 @@ class Format(StrEnum):
 
 
 def export(
-    records: Annotated[
-        list[Path],
-        typer.Argument(metavar="RECORD...", help="Records of swings, .parquet, or folders of them."),
-    ],
-    format_: Annotated[Format, typer.Option("--format", help="Output format.")],
+    records: Annotated[list[Path], argument("RECORD...", "Records of swings, .parquet, or folders of them.")],
+    format_: Annotated[Format, option("Output format.", names="--format")],
     output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PATH", help="File for one record, folder for several.", show_default="beside each"
-        ),
+        Path | None, option("File for one record, folder for several.", "PATH", shown="beside each")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
+    force: Annotated[bool, flag("--force", "Replace files that exist.")] = False,
 ) -> None:
     """Write records of swings for other programs, with the unit of every column.
 

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
-from bench.commands.progress import progress_bar
-from bench.commands.session import Json, ProfileName, Session
+from bench.commands.options import Json, ProfileName, argument, flag, option
+from bench.commands.output import console_of, write_text
+from bench.commands.progress import progress_of
+from bench.commands.session import Session, exit_unless
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
-from bench.errors import BenchError, ExitCode
+from bench.errors import BenchError
 from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
@@ -35,30 +36,21 @@ def faults() -> None:
     """Inject faults into every signal and part in every phase on the simulated robot; judge the outcomes."""
 
 
-Output = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Folder of results.", show_default="DATA_DIR/faults")
-]
-Signals = Annotated[
-    list[str] | None, typer.Option(metavar="TEXT", help="Only faults whose name contains this; repeatable.")
-]
-Phases = Annotated[
-    list[str] | None, typer.Option(metavar="PHASE", help="Only faults in this phase; repeatable.")
-]
-ModelCheck = Annotated[
-    bool, typer.Option("--model-check/--no-model-check", help="Run with the model-based check.")
-]
+Output = Annotated[Path | None, option("Folder of results.", "DIR", shown="DATA_DIR/faults")]
+Signals = Annotated[list[str] | None, option("Only faults whose name contains this; repeatable.", "TEXT")]
+Phases = Annotated[list[str] | None, option("Only faults in this phase; repeatable.", "PHASE")]
+ModelCheck = Annotated[bool, flag("--model-check/--no-model-check", "Run with the model-based check.")]
 Compare = Annotated[
-    bool, typer.Option("--compare", help="Repeat faults of encoders, valves and supply without that check.")
+    bool, flag("--compare", "Repeat faults of encoders, valves and supply without that check.")
 ]
 Families = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="FAMILY",
-        help="Only 'one fault', 'during a stop', 'from the start', 'latent pair', 'access'; repeatable.",
+    option(
+        "Only 'one fault', 'during a stop', 'from the start', 'latent pair', 'access'; repeatable.", "FAMILY"
     ),
 ]
-Every = Annotated[int, typer.Option(metavar="N", min=1, help="A sample: one case of N.")]
-Quick = Annotated[bool, typer.Option("--quick", help="One instant per phase only.")]
+Every = Annotated[int, option("A sample: one case of N.", "N", low=1)]
+Quick = Annotated[bool, flag("--quick", "One instant per phase only.")]
 
 
 @app.command()
@@ -108,15 +100,12 @@ def run(
     if json_:
         typer.echo(summary_text(summary), nl=False)
     else:
-        console = Console()
-        if not console.is_terminal:
-            console = Console(width=_PIPED_WIDTH)
+        console = console_of(_PIPED_WIDTH)
         console.print(matrix_table(summary))
         if unsafe:
             console.print(reasons_table(summary))
         console.print(f"{folder / 'matrix.html'}", highlight=False)
-    if unsafe:
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(not unsafe)
 
 
 def _write(folder: Path, summary: dict[str, Any]) -> None:
@@ -180,52 +169,34 @@ def _outcomes(
     from bench.faults.matrix import matrix_store, run_matrix
 
     store = matrix_store(path, study)
-    with deferred_interrupt() as asked, progress_bar() as bar:
-        text = f"breaking {study.profile.name}" + ("" if study.model_check else ", no model check")
-        task = bar.add_task(text, total=len(plan.cases))
-
-        def show(done: int) -> None:
-            bar.update(task, completed=done)
-
+    text = f"breaking {study.profile.name}" + ("" if study.model_check else ", no model check")
+    with deferred_interrupt() as asked, progress_of(text, len(plan.cases)) as show:
         outcomes = run_matrix(plan, study, store, engine, progress=show, stop=asked.is_made)
     return outcomes, store.seconds
 
 
 @app.command()
 def table(
-    matrix: Annotated[Path, typer.Argument(metavar="MATRIX", help="Result of faults run, matrix.json.")],
-    output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="standard output")
-    ] = None,
+    matrix: Annotated[Path, argument("MATRIX", "Result of faults run, matrix.json.")],
+    output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
 ) -> None:
     """Write the hazard table of a fault matrix, as in sim/FAULTS.md."""
     from bench.faults.hazards import hazard_table
 
-    text = _from_matrix(matrix, hazard_table)
-    if output is None:
-        typer.echo(text, nl=False)
-    else:
-        output.write_text(text)
+    write_text(_from_matrix(matrix, hazard_table), output)
 
 
 @app.command("file")
 def hazard_file_of(
-    matrix: Annotated[Path, typer.Argument(metavar="MATRIX", help="Result of faults run, matrix.json.")],
-    output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="standard output")
-    ] = None,
-    judgement: Annotated[
-        Path | None, typer.Option(metavar="TOML", help="The judgement.", show_default="golfbench's own")
-    ] = None,
+    matrix: Annotated[Path, argument("MATRIX", "Result of faults run, matrix.json.")],
+    output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
+    judgement: Annotated[Path | None, option("The judgement.", "TOML", shown="golfbench's own")] = None,
 ) -> None:
     """Write the hazard file: failure modes, safety functions and hazards to people, as in sim/HAZARDS.md."""
     from bench.faults.hazard_file import FILE, hazard_file, load_judgement
 
-    text = _from_matrix(matrix, lambda summary: hazard_file(summary, load_judgement(judgement or FILE)))
-    if output is None:
-        typer.echo(text, nl=False)
-    else:
-        output.write_text(text)
+    judged = load_judgement(judgement or FILE)
+    write_text(_from_matrix(matrix, lambda summary: hazard_file(summary, judged)), output)
 
 
 def _from_matrix(matrix: Path, document: Callable[[dict[str, Any]], str]) -> str:

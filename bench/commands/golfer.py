@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Sequence
-from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
-from bench.commands.picture import Plot, require_picture
-from bench.commands.session import Json, Session, show_json
+from bench.commands.options import Json, Plot, argument, option, require_picture
+from bench.commands.output import console_of, finite
+from bench.commands.session import Session, show_json
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
@@ -29,34 +28,18 @@ app = typer.Typer(no_args_is_help=True)
 _NAME = re.compile(r"[\w][\w .-]{0,99}")
 
 
-Recording = Annotated[Path, typer.Argument(metavar="FILE", help="Recording: .c3d, .trc, .csv or .bvh.")]
-Markers = Annotated[
-    Path | None, typer.Option(metavar="MAP", help="TOML from roles to markers.", show_default="built-in maps")
-]
-Name = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Name of the result.", show_default="the file's")
-]
-Lead = Annotated[
-    str | None, typer.Option(metavar="left|right", help="Lead side, to be verified.", show_default="found")
-]
-Up = Annotated[
-    str | None, typer.Option(metavar="x|y|z", help="Up axis, -z for z down.", show_default="found")
-]
-Events = Annotated[
-    str | None,
-    typer.Option(metavar="top=S,impact=S", help="Events (s) in the file's time.", show_default="found"),
-]
-Cutoff = Annotated[
-    str, typer.Option(metavar="BODY,HEAD", help="Cut-offs of the filter (Hz); hands 5/3 of the body's.")
-]
-Output = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the result.")]
+Recording = Annotated[Path, argument("FILE", "Recording: .c3d, .trc, .csv or .bvh.")]
+Markers = Annotated[Path | None, option("TOML from roles to markers.", "MAP", shown="built-in maps")]
+Name = Annotated[str | None, option("Name of the result.", "NAME", shown="the file's")]
+Lead = Annotated[str | None, option("Lead side, to be verified.", "left|right", shown="found")]
+Up = Annotated[str | None, option("Up axis, -z for z down.", "x|y|z", shown="found")]
+Events = Annotated[str | None, option("Events (s) in the file's time.", "top=S,impact=S", shown="found")]
+Cutoff = Annotated[str, option("Cut-offs of the filter (Hz); hands 5/3 of the body's.", "BODY,HEAD")]
+Output = Annotated[Path, option("Folder of the result.", "DIR")]
 
 
 Swings = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="GOLFER SWING...", help="Reference and swings.", show_default="all built-in golfers"
-    ),
+    list[str] | None, argument("GOLFER SWING...", "Reference and swings.", shown="all built-in golfers")
 ]
 
 
@@ -104,8 +87,7 @@ def import_(
     if json_:
         source = {"golfer": str(path), "source_sha256": capture.digest}
         marked = {"markers": roles.markers, "markers_left_out": roles.dropped}
-        show_json(source | figures | {"beyond_machine": _beyond_record(beyond)} | marked)
-        return
+        return show_json(source | figures | {"beyond_machine": _beyond_record(beyond)} | marked)
     console = Console()
     for shown in import_report(figures, roles, beyond):
         console.print(shown, highlight=False, soft_wrap=isinstance(shown, str))
@@ -117,11 +99,7 @@ def import_(
 def _beyond_record(excess: Sequence[float]) -> dict[str, float | None]:
     """Return the excess beyond the machine's ranges by joint, None where not measured."""
     keys = ("shoulder_rad", "right_arm_m", "wrist_rad")
-    return {key: _or_none(value) for key, value in zip(keys, excess, strict=True)}
-
-
-def _or_none(value: float) -> float | None:
-    return None if isnan(value) else round(value, 5)
+    return {key: finite(round(value, 5)) for key, value in zip(keys, excess, strict=True)}
 
 
 @app.command()
@@ -151,9 +129,8 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
 
         comparison_plot(rows).savefig(plot, dpi=150)
     if json_:
-        show_json([_record(row) for row in rows])
-        return
-    console = Console(width=None if sys.stdout.isatty() else _PIPED_WIDTH)
+        return show_json([_record(row) for row in rows])
+    console = console_of(_PIPED_WIDTH)
     console.print(comparison_table(rows), highlight=False)
     for motion in {row.reference.name: row.reference for row in rows}.values():
         excess = beyond_ranges(plant, motion.angle[motion.in_downswing])
@@ -164,15 +141,12 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
 
 def _motion(plant: PlantParameters, text: str) -> SwingMotion:
     """Return the motion that `text` names."""
-    from bench.golfer import SUFFIX, load_golfer, measured_motion, model_motion, robot_motion
-    from bench.swing.golfers import find_golfer
+    from bench.golfer import SUFFIX, golfer_motion, golfer_named, robot_motion
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
-    if text.endswith(SUFFIX):
-        return measured_motion(load_golfer(Path(text)))
-    if text.startswith("model:"):
-        return model_motion(plant, find_golfer(text.removeprefix("model:")))
+    if text.startswith("model:") or text.endswith(SUFFIX):
+        return golfer_motion(plant, golfer_named(text.removeprefix("model:")))
     return robot_motion(plant, load_profile(find_profile(text)))
 
 
@@ -186,13 +160,13 @@ def _record(row: MotionDeviation) -> dict[str, Any]:
         key: {
             "name": motion.name,
             "source": motion.source,
-            "head_speed_mps": _or_none(motion.head_speed),
+            "head_speed_mps": finite(round(motion.head_speed, 5)),
             "downswing_s": round(motion.downswing, 4),
         }
         for key, motion in (("reference", row.reference), ("swing", row.other))
     }
-    found["deviation"] = {key: _or_none(value) for key, value in zip(joints, row.share, strict=True)}
-    found["rms"] = {key: _or_none(value) for key, value in zip(units, row.error, strict=True)}
+    for key, names, values in (("deviation", joints, row.share), ("rms", units, row.error)):
+        found[key] = {name: finite(round(value, 5)) for name, value in zip(names, values, strict=True)}
     return found | {"definition": DEFINITION}
 
 
@@ -202,7 +176,7 @@ def _golfers_own(c: Configuration) -> list[tuple[SwingMotion, SwingMotion]]:
     NAME-full needs the ranges of the variant `golfers`, NAME those of the shipped robot.
     """
     from bench.design.validate import beyond_range
-    from bench.golfer import model_motion, robot_motion
+    from bench.golfer import golfer_motion, robot_motion
     from bench.swing.golfers import GOLFERS
     from bench.swing.library import find_profile, profile_names
     from bench.swing.profile import load_profile
@@ -214,7 +188,7 @@ def _golfers_own(c: Configuration) -> list[tuple[SwingMotion, SwingMotion]]:
         fitting = [swing for swing in own if not beyond_range(swing, c.plant, c.envelope)]
         if own:
             followed = robot_motion(c.plant, (fitting or own[-1:])[0])
-            found.append((model_motion(c.plant, golfer), followed))
+            found.append((golfer_motion(c.plant, golfer), followed))
     return found
 
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import degrees, isnan
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from bench.commands.output import plain_table
 from bench.golfer import DEFINITION, HUNT_WIENS, MotionDeviation, Roles
 
 _JOINTS = ("shoulders θ1", "lead arm θ2", "wrist θ3")
@@ -50,9 +50,8 @@ def import_report(found: Mapping[str, Any], roles: Roles, beyond: Sequence[float
 
 
 def _angles(found: Mapping[str, Any]) -> Table:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in ("joint", "top, °", "ball, °", "peak, rad/s"):
-        table.add_column(heading, justify="left" if heading == "joint" else "right")
+    figures = ("top, °", "ball, °", "peak, rad/s")
+    table = plain_table("joint", *figures, right=figures)
     columns = [found[key] for key in ("theta_top_deg", "theta_ball_deg", "peak_joint_speed_rad_per_s")]
     for joint, name in enumerate(_JOINTS):
         cells = [column[joint] for column in columns]
@@ -72,11 +71,9 @@ def comparison_table(rows: Sequence[MotionDeviation]) -> Table:
     caption = (
         f"{DEFINITION}; angles in °, head in mm. Hunt and Wiens report {100 * HUNT_WIENS:.1f} % undefined."
     )
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, caption=caption, caption_justify="left")
-    for heading in ("reference", "swing"):
-        table.add_column(heading, overflow="fold")
-    for heading in ("shoulder", "arm", "wrist", "head", "m/s", "downswing, s"):
-        table.add_column(heading, justify="right")
+    figures = ("shoulder", "arm", "wrist", "head", "m/s", "downswing, s")
+    table = plain_table("reference", "swing", *figures, right=figures, caption=caption)
+    table.caption_justify = "left"
     for row in rows:
         sizes = [f"{degrees(error):.1f}°" for error in row.error[:3]] + [f"{1e3 * row.error[3]:.0f} mm"]
         cells = [

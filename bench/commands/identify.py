@@ -6,24 +6,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from bench.commands.progress import progress_bar
-from bench.commands.session import Json, Session, show_json
+from bench.commands.options import Json, argument, option
+from bench.commands.output import plain_table
+from bench.commands.progress import progress_of
+from bench.commands.session import Session, show_json
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.learning.identify import Identified
 
 
-Records = Annotated[
-    list[Path], typer.Argument(metavar="RECORD...", help="Parquet files of swings of one profile.")
-]
-Output = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write the identified robot as a configuration, .toml.")
-]
+Records = Annotated[list[Path], argument("RECORD...", "Parquet files of swings of one profile.")]
+Output = Annotated[Path | None, option("Write the identified robot as a configuration, .toml.", "FILE")]
 
 
 def identify(context: typer.Context, records: Records, output: Output = None, json_: Json = False) -> None:
@@ -40,27 +37,15 @@ def identify(context: typer.Context, records: Records, output: Output = None, js
     recorded = read_recorded(records)
     if not recorded:
         raise BenchError("identify", "no record", "at least one", "Name some.")
-    bench = Bench(
-        configuration.plant,
-        recorded[0].profile,
-        configuration.control,
-        configuration.envelope,
-        configuration.estimator,
-    )
-    with progress_bar() as bar:
-        task = bar.add_task("simulated robots", total=1.0)
-        found = identified(
-            bench,
-            [swing.cycles for swing in recorded],
-            progress=lambda part: bar.update(task, completed=part),
-        )
-        bar.update(task, completed=1.0)
+    c = configuration
+    bench = Bench(c.plant, recorded[0].profile, c.control, c.envelope, c.estimator)
+    with progress_of("simulated robots") as show:
+        found = identified(bench, [swing.cycles for swing in recorded], progress=show)
     if output is not None:
         robot = found.variation(bench).applied_to(bench.model)
         write_plant_file(output, plant_file(robot, found, configuration))
     if json_:
-        show_json(_record(found))
-        return
+        return show_json(_record(found))
     console = Console()
     console.print(_table(found, f"identified from {len(recorded)} swings"))
     console.print(
@@ -83,9 +68,8 @@ def _table(found: Identified, title: str) -> Table:
 
     from bench.learning.identify import NAMES
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=title)
-    for column in ("parameter", "value", "standard error", ""):
-        table.add_column(column, justify="left" if column in ("parameter", "") else "right")
+    figures = ("value", "standard error")
+    table = plain_table("parameter", *figures, "", right=figures, title=title)
     for name, value, error, known in zip(NAMES, found.values, found.error, found.known, strict=True):
         unit = ("{:+.2f} ms", "{:.2f} ms") if name == NAMES[-1] else ("{:.3f}", "{:.3f}")
         note = "" if known else "not identified"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.commands.options import flag, option
 from bench.commands.session import Session
 from bench.errors import BenchError, ExitCode
 from bench.interrupt import stop_on_signals
@@ -35,30 +36,22 @@ class NoPlant(BenchError):
     exit_code = ExitCode.DEVICE
 
 
-Seed = Annotated[int, typer.Option(min=0, help="Seed of noise and faults.")]
-Drop = Annotated[
-    list[int] | None, typer.Option(min=1, metavar="N", help="Drop the message of the N-th ball; repeatable.")
-]
+Seed = Annotated[int, option("Seed of noise and faults.", low=0)]
+Drop = Annotated[list[int] | None, option("Drop the message of the N-th ball; repeatable.", "N", low=1)]
 Missing = Annotated[float, _share("balls without a message")]
 Misread = Annotated[float, _share("balls with one wrong value")]
 Double = Annotated[float, _share("balls measured and sent twice")]
 Repeated = Annotated[float, _share("messages sent again")]
 NoSpin = Annotated[float, _share("balls without spin")]
 Ghost = Annotated[float, _share("balls followed by a ghost ball")]
-Club = Annotated[bool, typer.Option("--club", help="Also send club speed and attack angle.")]
-Noise = Annotated[
-    float, typer.Option(min=0.0, max=10.0, metavar="FACTOR", help="Noise relative to the default; 0: none.")
-]
-Delay = Annotated[float, typer.Option(min=0.0, max=30.0, metavar="S", help="Delay from impact to message.")]
-Pieces = Annotated[bool, typer.Option("--pieces", help="Send messages in pieces.")]
-TextNumbers = Annotated[bool, typer.Option("--text", help="Send numbers as text, and spin as components.")]
+Club = Annotated[bool, flag("--club", "Also send club speed and attack angle.")]
+Noise = Annotated[float, option("Noise relative to the default; 0: none.", "FACTOR", low=0.0, high=10.0)]
+Delay = Annotated[float, option("Delay from impact to message.", "S", low=0.0, high=30.0)]
+Pieces = Annotated[bool, flag("--pieces", "Send messages in pieces.")]
+TextNumbers = Annotated[bool, flag("--text", "Send numbers as text, and spin as components.")]
 Folder = Annotated[
     Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="Folder of the plant's shared records (golfbench nodes --folder).",
-        show_default="the bench's",
-    ),
+    option("Folder of the plant's shared records (golfbench nodes --folder).", "DIR", shown="the bench's"),
 ]
 
 

@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import Progress, TaskID
 from rich.table import Table
 
+from bench.commands.options import ClubName, Json, argument, flag, option
+from bench.commands.output import plain_table
 from bench.commands.progress import paused, progress_bar
-from bench.commands.session import ClubName, Json, Session, show_json
-from bench.errors import BenchError, ExitCode
+from bench.commands.session import Session, exit_unless, show_json
+from bench.errors import BenchError
 from bench.learning.source import Source
 from bench.lifecycle import CAUSE_TEXT
 
@@ -32,43 +33,29 @@ _FACE = 60.0
 _LEARNING = "learning swings"
 """Text of the bar."""
 
-SwingName = Annotated[str, typer.Argument(metavar="SWING", help="Name or path of a profile.")]
-Simulated = Annotated[
-    bool, typer.Option("--sim", help="Simulate the robot in lock-step, without a running bench.")
-]
+SwingName = Annotated[str, argument("SWING", "Name or path of a profile.")]
+Simulated = Annotated[bool, flag("--sim", "Simulate the robot in lock-step, without a running bench.")]
 Robot = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Configuration of the robot that really swings; the bench still assumes --config.",
-    ),
+    option("Configuration of the robot that really swings; the bench still assumes --config.", "FILE"),
 ]
 Draw = Annotated[
-    int | None,
-    typer.Option(metavar="SEED", min=0, help="Or seed of a random robot within 10 % of the configured one."),
+    int | None, option("Or seed of a random robot within 10 % of the configured one.", "SEED", low=0)
 ]
 IdentifiedRobot = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Output of golfbench identify: start from what was learned on that robot in simulation.",
-    ),
+    option("Output of golfbench identify: start from what was learned on that robot in simulation.", "FILE"),
 ]
 Records = Annotated[
     list[Path] | None,
-    typer.Option(
-        metavar="RECORD",
-        help="Record it was identified from, repeatable: corrects what identification missed.",
-    ),
+    option("Record it was identified from, repeatable: corrects what identification missed.", "RECORD"),
 ]
 DeliverySource = Annotated[
-    Source | None,
-    typer.Option(help="Source of the delivery on a running bench.", show_default="encoders+model"),
+    Source | None, option("Source of the delivery on a running bench.", shown="encoders+model")
 ]
-Swings = Annotated[int, typer.Option(min=1, max=100, help="Max number of swings.")]
+Swings = Annotated[int, option("Max number of swings.", low=1, high=100)]
 Output = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Also write the corrected profile, .toml, with its table beside it."),
+    Path | None, option("Also write the corrected profile, .toml, with its table beside it.", "FILE")
 ]
 
 
@@ -124,15 +111,13 @@ def learn(
     if output is not None:
         save_profile(output, result.correction.applied_to(swing))
     _show(result, entry, version, json_)
-    if not result.within:
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(result.within)
 
 
 def _show(result: LearningResult, entry: Learned, version: int, json_: bool) -> None:
     """Print the learning swings, stored as `version`."""
     if json_:
-        show_json(entry.record | {"version": version})
-        return
+        return show_json(entry.record | {"version": version})
     console = Console()
     console.print(_table(result, entry.profile))
     console.print(_verdict(result, entry, version), highlight=False)
@@ -140,13 +125,10 @@ def _show(result: LearningResult, entry: Learned, version: int, json_: bool) -> 
 
 def _require_usable(options: Mapping[str, object], sim: bool) -> None:
     """Refuse any of `options` that is given: they belong to the other kind of bench than `sim`."""
-    for option in (name for name, value in options.items() if value is not None):
-        raise BenchError(
-            "learn",
-            option,
-            f"{'with' if not sim else 'without'} --sim only",
-            "Leave it out: a bench is " + ("the robot it is." if not sim else "read by its encoders here."),
-        )
+    for given in (name for name, value in options.items() if value is not None):
+        expected = f"{'with' if not sim else 'without'} --sim only"
+        cure = "Leave it out: a bench is " + ("the robot it is." if not sim else "read by its encoders here.")
+        raise BenchError("learn", given, expected, cure)
 
 
 def _require_identified(records: list[Path] | None, identified: Path | None) -> None:
@@ -263,7 +245,7 @@ def mark_from_person() -> tuple[float, float] | None:
 
 def _table(result: LearningResult, name: str) -> Table:
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=f"{name}: what each swing delivered")
+    table = plain_table(title=f"{name}: what each swing delivered")
     units = ("strike mm", "head m/s", "lean °", "attack °", "path mrad", "at limit %")
     for column in ("swing", *units, ""):
         table.add_column(column, justify="right" if column != "" else "left", no_wrap=True)

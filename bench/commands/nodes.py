@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.commands.options import flag, option
 from bench.commands.session import Session
 from bench.errors import BenchError, ExitCode
 
@@ -89,35 +90,24 @@ def _family(name: str, role: str) -> Personality | None:
 def nodes(
     context: typer.Context,
     folder: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the plant's shared records.", show_default="temporary"),
+        Path | None, option("Folder of the plant's shared records.", "DIR", shown="temporary")
     ] = None,
-    dbc: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a DBC file of all bus frames and exit.")
-    ] = None,
-    encoder: Annotated[
-        str,
-        typer.Option(metavar="FAMILY", help="Device family that the encoders play.", show_default="plain"),
-    ] = "",
-    io: Annotated[
-        str,
-        typer.Option(metavar="FAMILY", help="Device family that the valve node plays.", show_default="plain"),
-    ] = "",
+    dbc: Annotated[Path | None, option("Write a DBC file of all bus frames and exit.", "FILE")] = None,
+    encoder: Annotated[str, option("Device family that the encoders play.", "FAMILY", shown="plain")] = "",
+    io: Annotated[str, option("Device family that the valve node plays.", "FAMILY", shown="plain")] = "",
     look: Annotated[
-        bool,
-        typer.Option("--scan", help="List the nodes on the bus and whether they would be taken, and exit."),
+        bool, flag("--scan", "List the nodes on the bus and whether they would be taken, and exit.")
     ] = False,
     turn: Annotated[
         str | None,
-        typer.Option(
-            "--turn-regulator",
-            metavar="BAR",
-            help="Turn the regulator of the nodes in --folder to bar absolute, or to 'service', and exit.",
+        option(
+            "Turn the regulator of the nodes in --folder to bar absolute, or to 'service', and exit.",
+            "BAR",
+            names="--turn-regulator",
         ),
     ] = None,
     act: Annotated[
-        str | None,
-        typer.Option("--act", metavar="ACT", help="Act at the inputs of the nodes in --folder and exit."),
+        str | None, option("Act at the inputs of the nodes in --folder and exit.", "ACT", names="--act")
     ] = None,
 ) -> None:
     """Run the simulated nodes on the CAN bus, with the simulated robot behind them, until stopped.

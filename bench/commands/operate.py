@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bench.commands.session import Json, Session, show_json, user_name
+from bench.commands.options import Json, flag, option
+from bench.commands.session import Session, exit_unless, show_json, user_name
 
 if TYPE_CHECKING:
     from bench.network.bench_service import BenchStatus
@@ -28,10 +29,8 @@ lease_app = typer.Typer(
 )
 app.add_typer(lease_app, name="lease", rich_help_panel=PANEL)
 
-Wait = Annotated[bool, typer.Option("--wait", help="Wait until it is done; the lease is renewed meanwhile.")]
-Timeout = Annotated[
-    float, typer.Option(metavar="S", min=1.0, max=600.0, help="Longest time to wait with --wait.")
-]
+Wait = Annotated[bool, flag("--wait", "Wait until it is done; the lease is renewed meanwhile.")]
+Timeout = Annotated[float, option("Longest time to wait with --wait.", "S", low=1.0, high=600.0)]
 
 LONGEST_SWAY = 10.0
 """s for which a command without --wait asks again while the robot sways or chambers vent."""
@@ -43,7 +42,7 @@ _SPARE = 1000
 @app.command(rich_help_panel=PANEL)
 def status(
     context: typer.Context,
-    watch: Annotated[bool, typer.Option("--watch", help="Keep watching until Ctrl-C.")] = False,
+    watch: Annotated[bool, flag("--watch", "Keep watching until Ctrl-C.")] = False,
     json_: Json = False,
 ) -> None:
     """Show the state of the bench: once, or live.
@@ -106,7 +105,7 @@ def disarm(context: typer.Context) -> None:
 @app.command(rich_help_panel=PANEL)
 def access(
     context: typer.Context,
-    end: Annotated[bool, typer.Option("--end", help="End the access: lock the guard.")] = False,
+    end: Annotated[bool, flag("--end", "End the access: lock the guard.")] = False,
 ) -> None:
     """Unlock the guard of a vented bench, to change club or ball; needs the lease."""
     _ask_as_holder(context, lambda bench: bench.secure() if end else bench.access())
@@ -142,7 +141,7 @@ def reset(context: typer.Context) -> None:
 def swing_when_armed(context: typer.Context, wait: bool, timeout: float) -> None:
     """Swing, if the bench is ARMED and this user holds its lease: `golfbench swing`."""
     from bench.commands.shot_lines import shot_lines
-    from bench.errors import ExitCode, Refused
+    from bench.errors import Refused
     from bench.network.client import cure_of
 
     with _holding(context) as bench, _waiting(bench) as watch:
@@ -157,26 +156,20 @@ def swing_when_armed(context: typer.Context, wait: bool, timeout: float) -> None
         message = bench.swing_through(timeout=timeout, watch=watch)
         typer.echo("\n".join(shot_lines(message)))
         _tell(bench)
-    if message["cause"] not in (None, "NONE"):
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(message["cause"] in (None, "NONE"))
 
 
 # The lease -------------------------------------------------------------------------------------------
 
 Seconds = Annotated[
-    float | None,
-    typer.Option(
-        metavar="N", min=5.0, max=600.0, help="Duration of the lease, s.", show_default="30, or as before"
-    ),
+    float | None, option("Duration of the lease, s.", "N", low=5.0, high=600.0, shown="30, or as before")
 ]
 
 
 @lease_app.command("take")
 def take_lease(
     context: typer.Context,
-    holder: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Name of the holder.", show_default="user@host")
-    ] = None,
+    holder: Annotated[str | None, option("Name of the holder.", "NAME", shown="user@host")] = None,
     seconds: Seconds = None,
 ) -> None:
     """Take the lease; the commands that follow use and renew it."""

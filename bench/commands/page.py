@@ -9,20 +9,19 @@ from typing import Annotated
 
 import typer
 
+from bench.commands.options import option
 from bench.commands.session import Session
 
 
 def page(
     context: typer.Context,
     host: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="IP address to listen at; 0.0.0.0: all of this machine.")
+        str, option("IP address to listen at; 0.0.0.0: all of this machine.", "ADDRESS")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8600,
-    identity: Annotated[
-        str, typer.Option(metavar="PATH", help="Certificate and key for TLS, without ending.")
-    ] = "",
+    port: Annotated[int, option("Port to listen at.", low=1, high=65535)] = 8600,
+    identity: Annotated[str, option("Certificate and key for TLS, without ending.", "PATH")] = "",
     tokens: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Tokens to sign in with, one a line: operator TOKEN.")
+        Path | None, option("Tokens to sign in with, one a line: operator TOKEN.", "FILE")
     ] = None,
 ) -> None:
     """Serve the bench's page: its state, and its commands, in a browser.

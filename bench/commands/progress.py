@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 
 def progress_bar() -> Progress:
@@ -34,3 +34,26 @@ def paused(bar: Progress) -> Iterator[None]:
         yield
     finally:
         bar.start()
+
+
+@contextmanager
+def progress_of(text: str, total: float = 1.0) -> Iterator[Callable[[float], None]]:
+    """Yield a function that shows how much of `text` is done."""
+    with progress_bar() as bar:
+        task = bar.add_task(text, total=total)
+        yield lambda done: bar.update(task, completed=done)
+        bar.update(task, completed=total)
+
+
+@contextmanager
+def progress_of_steps() -> Iterator[Callable[..., None]]:
+    """Yield a function of a step's text, how much of it is done, and its total, by default 1."""
+    with progress_bar() as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def show(step: str, done: float, total: float = 1.0) -> None:
+            if step not in tasks:
+                tasks[step] = bar.add_task(step, total=total)
+            bar.update(tasks[step], completed=done)
+
+        yield show

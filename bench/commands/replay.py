@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bench.commands.progress import progress_bar
+from bench.commands.output import finite, plain_table
+from bench.commands.progress import progress_of
+from bench.commands.session import show_json
 from bench.errors import BenchError
 from bench.simulation.replay import INPUTS, MEASURED, TOLERANCE, Difference, Replay, replay_cycles
 from bench.telemetry.enumerations import ENUMERATIONS
@@ -31,15 +31,12 @@ def replay_command(path: Path, tolerance: float, json_: bool) -> bool:
         cure = f"Leave it out for {TOLERANCE:g}."
         raise BenchError("replay: --tolerance", f"{tolerance}", "a finite number of at least 0", cure)
     cycles, metadata = read_swing(path)
-    with progress_bar() as bar:
-        task = bar.add_task(f"replaying {path.name}", total=len(cycles))
-        replay = replay_cycles(
-            cycles, metadata, str(path), lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    with progress_of(f"replaying {path.name}", len(cycles)) as show:
+        replay = replay_cycles(cycles, metadata, str(path), lambda done, total: show(done))
     differences = replay.differences(tolerance)
     equal = not any(difference.ticks for difference in differences)
     if json_:
-        print(json.dumps(replay_json(replay, differences, metadata, tolerance), indent=2))
+        show_json(replay_json(replay, differences, metadata, tolerance))
         return equal
     console = Console()
     same = [d.field for d in differences if d.greatest == 0.0]
@@ -58,9 +55,8 @@ def replay_command(path: Path, tolerance: float, json_: bool) -> bool:
 
 def replay_table(differences: Sequence[Difference]) -> Table:
     """Return a table of the fields that are not the same bit for bit; those within the tolerance are dim."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in ("field", "greatest", "ticks", "from tick", "recorded", "replayed"):
-        table.add_column(column, justify="left" if column == "field" else "right", overflow="fold")
+    figures = ("greatest", "ticks", "from tick", "recorded", "replayed")
+    table = plain_table("field", *figures, right=figures)
     for d in differences:
         if d.greatest == 0.0:
             continue
@@ -112,9 +108,9 @@ def replay_json(
         "last_tick": int(ticks[-1]),
         "tolerance": tolerance,
         "fields": [
-            {key: _finite(value) for key, value in d._asdict().items()}
+            {key: finite(value) for key, value in d._asdict().items()}
             if d.ticks
-            else {"field": d.field, "greatest": _finite(d.greatest), "ticks": 0}
+            else {"field": d.field, "greatest": finite(d.greatest), "ticks": 0}
             for d in differences
         ],
         "inputs": sorted(INPUTS),
@@ -127,7 +123,3 @@ def replay_json(
 def _shown(field: str, value: float) -> str:
     names = ENUMERATIONS.get(field)
     return names.get(str(int(value)), str(int(value))) if names and isfinite(value) else f"{value:.6g}"
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not isfinite(value) else value

@@ -8,33 +8,30 @@ from typing import Annotated, Literal
 
 import typer
 
+from bench.commands.options import flag, option
 from bench.commands.session import Session
 
 
 def run(
     context: typer.Context,
-    driver: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Driver of the robot.", show_default="the configuration's"),
-    ] = None,
+    driver: Annotated[str | None, option("Driver of the robot.", "NAME", shown="the configuration's")] = None,
     time: Annotated[
         Literal["wall", "paced"] | None,
-        typer.Option(help="Clock of the simulated plant: wall clock, or in step with the loop's ticks."),
+        option("Clock of the simulated plant: wall clock, or in step with the loop's ticks."),
     ] = None,
     profile: Annotated[
-        str | None,
-        typer.Option(metavar="PROFILE", help="Profile to swing.", show_default="the configuration's"),
+        str | None, option("Profile to swing.", "PROFILE", shown="the configuration's")
     ] = None,
     series: Annotated[
         bool,
-        typer.Option(
+        flag(
             "--series",
-            help="After a swing hold the address for the next one, as campaigns need it; without it the "
+            "After a swing hold the address for the next one, as campaigns need it; without it the "
             "bench vents.",
         ),
     ] = False,
     read_only: Annotated[
-        bool, typer.Option("--read-only", help="Observe only: send nothing but the passive command.")
+        bool, flag("--read-only", "Observe only: send nothing but the passive command.")
     ] = False,
 ) -> None:
     """Run the bench until Ctrl-C or SIGTERM: loop, recorder, publisher, and commands over the network.

@@ -7,33 +7,26 @@ import json
 import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+from bench.errors import ExitCode
 
 if TYPE_CHECKING:
     from bench.address import BenchAddress
     from bench.config import Configuration
 
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for a program to read.")]
-
-ClubName = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Club of the configuration.", show_default="the mounted one"),
-]
-"""Option of a command that simulates: this club on its site instead of the mounted one."""
-
-
-ProfileName = Annotated[
-    str | None,
-    typer.Argument(metavar="PROFILE", help="Name or path of a profile.", show_default="the configuration's"),
-]
-"""Argument of a command that tries a swing: this profile instead of the configuration's."""
-
 
 def user_name() -> str:
     """Return the default name of who commands, user@host."""
     return f"{getpass.getuser()}@{socket.gethostname()}"
+
+
+def exit_unless(holds: object) -> None:
+    """End the command with REFUSED unless what was asked `holds`; its output has said why."""
+    if not holds:
+        raise typer.Exit(ExitCode.REFUSED)
 
 
 def show_json(content: Any) -> None:

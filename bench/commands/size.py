@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import degrees, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import TaskID
 from rich.table import Table
 
-from bench.commands.progress import progress_bar
+from bench.commands.options import option
+from bench.commands.output import console_of
+from bench.commands.progress import progress_of_steps
 from bench.commands.session import Session
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 from bench.errors import BenchError
@@ -31,41 +30,23 @@ if TYPE_CHECKING:
 _PIPED_WIDTH = 190
 """Columns of the table in a file or pipe."""
 
-Output = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Folder of results.", show_default="DATA_DIR/sizing")
-]
-Speed = Annotated[float, typer.Option(metavar="M_PER_S", min=5.0, max=80.0, help="Head speed at the ball.")]
-Attack = Annotated[float, typer.Option(metavar="DEG", min=-8.0, max=8.0, help="Attack angle, + up.")]
-ClubName = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Club to swing.", show_default="the configuration's")
-]
-PartsFile = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Catalogue of parts, TOML.", show_default="golfbench's own"),
-]
-Names = Annotated[list[str] | None, typer.Option(metavar="NAME", help="Part of the grid; repeatable.")]
+Output = Annotated[Path | None, option("Folder of results.", "DIR", shown="DATA_DIR/sizing")]
+Speed = Annotated[float, option("Head speed at the ball.", "M_PER_S", low=5.0, high=80.0)]
+Attack = Annotated[float, option("Attack angle, + up.", "DEG", low=-8.0, high=8.0)]
+ClubName = Annotated[str | None, option("Club to swing.", "NAME", shown="the configuration's")]
+PartsFile = Annotated[Path | None, option("Catalogue of parts, TOML.", "FILE", shown="golfbench's own")]
+Names = Annotated[list[str] | None, option("Part of the grid; repeatable.", "NAME")]
 NamesOrNone = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="NAME", help='Part of the grid, or "none"; repeatable.', show_default="none, as shipped"
-    ),
+    list[str] | None, option('Part of the grid, or "none"; repeatable.', "NAME", shown="none, as shipped")
 ]
-Absorbers = Annotated[
-    list[str] | None, typer.Option(metavar="ARM,WRIST", help="Pair of absorbers of the grid; repeatable.")
-]
-Pressures = Annotated[
-    list[float] | None, typer.Option(metavar="BAR", help="Regulated pressure, bar absolute; repeatable.")
-]
-Levers = Annotated[list[float] | None, typer.Option(metavar="MM", help="Wrist's lever; repeatable.")]
-Angles = Annotated[
-    list[float] | None, typer.Option(metavar="DEG", help="Mounting angle of that lever; repeatable.")
-]
-Rounds = Annotated[int, typer.Option(min=0, help="Rounds of cheaper parts around the cheapest that will do.")]
-Swings = Annotated[
-    int, typer.Option(min=0, help="Candidates whose whole swing is designed at the demanded speed.")
-]
+Absorbers = Annotated[list[str] | None, option("Pair of absorbers of the grid; repeatable.", "ARM,WRIST")]
+Pressures = Annotated[list[float] | None, option("Regulated pressure, bar absolute; repeatable.", "BAR")]
+Levers = Annotated[list[float] | None, option("Wrist's lever; repeatable.", "MM")]
+Angles = Annotated[list[float] | None, option("Mounting angle of that lever; repeatable.", "DEG")]
+Rounds = Annotated[int, option("Rounds of cheaper parts around the cheapest that will do.", low=0)]
+Swings = Annotated[int, option("Candidates whose whole swing is designed at the demanded speed.", low=0)]
 FaultSpacing = Annotated[
-    int, typer.Option("--faults", metavar="TICKS", min=0, help="Ticks between tried faults; 0: none.")
+    int, option("Ticks between tried faults; 0: none.", "TICKS", low=0, names="--faults")
 ]
 
 
@@ -114,7 +95,7 @@ def size(
     with (
         sweep_engine(configuration, processes, cluster, len(search.grid.candidates(known))) as engine,
         deferred_interrupt() as asked,
-        _shown() as show,
+        progress_of_steps() as show,
     ):
         run = SizingRun(known, demand, folder, engine, show, asked.is_made)
         points = run.points(search)
@@ -173,20 +154,6 @@ def _pair(text: str) -> tuple[str, str]:
     return arm, wrist
 
 
-@contextmanager
-def _shown() -> Iterator[Callable[[str, int, int], None]]:
-    """Yield a function that shows how many cases of a step are done."""
-    with progress_bar() as bar:
-        tasks: dict[str, TaskID] = {}
-
-        def show(step: str, done: int, total: int) -> None:
-            if step not in tasks:
-                tasks[step] = bar.add_task(step, total=total)
-            bar.update(tasks[step], completed=done)
-
-        yield show
-
-
 def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
     """Print the table, and write the picture, the figures and a configuration for each point of the front."""
     from bench.config import load_configuration
@@ -201,9 +168,7 @@ def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
         file.write_text(candidate_text(run.catalogue, point.hardware, shipped, run.demand), encoding="utf-8")
     (folder / "points.json").write_text(json.dumps([asdict(point) for point in points], indent=2) + "\n")
     draw_front(points, run.demand.speed, folder / "front.png")
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=_PIPED_WIDTH)
+    console = console_of(_PIPED_WIDTH)
     console.print(front_table(points, front))
     console.print(
         f"{len(points)} candidates, {len(front)} on the front; the plans took {run.seconds / 60:.1f} min. "

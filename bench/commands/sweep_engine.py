@@ -6,21 +6,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from bench.commands.options import option
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.simulation.sweep import Engine
 
-Processes = Annotated[int, typer.Option(min=0, help="Number of processes; 0: one per core.")]
+Processes = Annotated[int, option("Number of processes; 0: one per core.", low=0)]
 ClusterAddress = Annotated[
     str,
-    typer.Option(
-        "--cluster",
-        metavar="ADDRESS",
-        help="Scheduler of a cluster that runs it instead, tcp://HOST:PORT or tls://HOST:PORT.",
+    option(
+        "Scheduler of a cluster that runs it instead, tcp://HOST:PORT or tls://HOST:PORT.",
+        "ADDRESS",
+        names="--cluster",
     ),
 ]
 

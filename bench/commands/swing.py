@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,14 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import TaskID
 
 from bench.commands.compare import compare
-from bench.commands.picture import Plot, require_picture
-from bench.commands.progress import progress_bar
-from bench.commands.session import ClubName, Json, ProfileName, Session, show_json
+from bench.commands.options import ClubName, Json, Plot, ProfileName, argument, flag, option, require_picture
+from bench.commands.progress import progress_bar, progress_of, progress_of_steps
+from bench.commands.session import Session, exit_unless, show_json
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
-from bench.errors import BenchError, ExitCode, Refused
+from bench.errors import BenchError, Refused
 from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
@@ -33,17 +31,17 @@ if TYPE_CHECKING:
 app = typer.Typer(invoke_without_command=True)
 app.command()(compare)
 
-Name = Annotated[str, typer.Argument(metavar="PROFILE", help="Name or path of a profile.")]
+Name = Annotated[str, argument("PROFILE", "Name or path of a profile.")]
 
 
 @app.callback()
 def swing(
     context: typer.Context,
     no_wait: Annotated[
-        bool, typer.Option("--no-wait", help="Return once the swing has begun, without its delivery.")
+        bool, flag("--no-wait", "Return once the swing has begun, without its delivery.")
     ] = False,
     timeout: Annotated[
-        float, typer.Option(metavar="S", min=1.0, max=600.0, help="Longest time to wait for its record.")
+        float, option("Longest time to wait for its record.", "S", low=1.0, high=600.0)
     ] = 60.0,
 ) -> None:
     """Swing, if the bench is ARMED, and print the delivery; or show, simulate, check and design profiles."""
@@ -64,8 +62,7 @@ def list_profiles(json_: Json = False) -> None:
     if json_:
         keys = ("text", "golfer", "club", "period", "impact_time", "duration", "delivery", "limits")
         found = [{"name": name} | {key: getattr(profile, key) for key in keys} for name, profile in profiles]
-        show_json(found)
-        return
+        return show_json(found)
     console = Console()
     console.print(listing(profiles) if profiles else "No profiles here yet.")
     console.print(f"Also: golfbench swing simulate {THESIS}, the thesis' own experiment.", highlight=False)
@@ -77,8 +74,7 @@ def show(
     profile: Name,
     plot: Plot = None,
     table: Annotated[
-        bool,
-        typer.Option("--table", help="Print all of it as one TOML file with its tables, to read or edit."),
+        bool, flag("--table", "Print all of it as one TOML file with its tables, to read or edit.")
     ] = False,
 ) -> None:
     """Show a profile: phases and times, planned delivery, limits."""
@@ -104,19 +100,13 @@ def show(
 def simulate(
     context: typer.Context,
     profile: Annotated[
-        str,
-        typer.Argument(
-            metavar="PROFILE", help='Name or path of a profile, or "thesis" for the thesis experiment.'
-        ),
+        str, argument("PROFILE", 'Name or path of a profile, or "thesis" for the thesis experiment.')
     ],
     output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder for pictures and records.", show_default="DATA_DIR/simulations/NAME"
-        ),
+        Path | None, option("Folder for pictures and records.", "DIR", shown="DATA_DIR/simulations/NAME")
     ] = None,
     club: ClubName = None,
-    ball: Annotated[str | None, typer.Option(metavar="NAME", help="Ball of the configuration.")] = None,
+    ball: Annotated[str | None, option("Ball of the configuration.", "NAME")] = None,
     json_: Json = False,
 ) -> None:
     """Simulate one swing and show the result.
@@ -164,8 +154,7 @@ def _simulate(
     else:
         console.print(outcome_table(result, plant, record))
         console.print("Files: " + ", ".join(map(str, files)), highlight=False)
-    if result.reason:
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(not result.reason)
 
 
 @app.command()
@@ -173,7 +162,7 @@ def check(
     context: typer.Context,
     profile: ProfileName = None,
     club: ClubName = None,
-    spacing: Annotated[int, typer.Option(min=1, help="Ticks between tested instants.")] = 20,
+    spacing: Annotated[int, option("Ticks between tested instants.", low=1)] = 20,
     json_: Json = False,
 ) -> None:
     """Check on the simulated plant how every stop ends, from every instant of a swing.
@@ -192,120 +181,85 @@ def check(
     bench = SwingCheck(
         configuration.plant, swing, configuration.control, configuration.envelope, configuration.estimator
     )
-    with progress_bar() as bar:
-        task = bar.add_task(f"checking {swing.name}", total=1.0)
-        outcomes = bench.outcomes(spacing=spacing, progress=lambda part: bar.update(task, completed=part))
-        bar.update(task, completed=1.0)
+    with progress_of(f"checking {swing.name}") as part:
+        outcomes = bench.outcomes(spacing=spacing, progress=part)
     summaries = summarise(outcomes)
     if json_:
         show_json(check_record(swing.name, outcomes, summaries))
     else:
         Console().print(check_table(swing.name, outcomes, summaries))
-    if any(summary.unsafe for summary in summaries):
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(not any(summary.unsafe for summary in summaries))
 
 
 Output = Annotated[
     Path | None,
-    typer.Argument(
-        metavar="FILE",
-        help="Profile to write, .toml, with its table beside it.",
-        show_default="CLUB-SPEEDmps.toml",
-    ),
+    argument("FILE", "Profile to write, .toml, with its table beside it.", shown="CLUB-SPEEDmps.toml"),
 ]
 GolferName = Annotated[
-    str | None,
-    typer.Option(metavar="NAME", help="Golfer to imitate: a built-in one or a measured NAME.golfer.toml."),
+    str | None, option("Golfer to imitate: a built-in one or a measured NAME.golfer.toml.", "NAME")
 ]
 Follow = Annotated[
     str,
-    typer.Option(
-        metavar="body|club",
-        help="Of a measured golfer: angles of shoulders, arm and club, or the club alone, ball on ball.",
+    option(
+        "Of a measured golfer: angles of shoulders, arm and club, or the club alone, ball on ball.",
+        "body|club",
     ),
 ]
 HeadSpeed = Annotated[
     float | None,
-    typer.Option(
-        metavar="M_PER_S",
-        min=5.0,
-        max=60.0,
-        help="Head speed at the ball.",
-        show_default="45, or the golfer's",
-    ),
+    option("Head speed at the ball.", "M_PER_S", low=5.0, high=60.0, shown="45, or the golfer's"),
 ]
 Attack = Annotated[
     float | None,
-    typer.Option(
-        metavar="DEG",
-        min=-8.0,
-        max=8.0,
-        help="Attack angle, + up.",
-        show_default="0, or that of a measured golfer",
-    ),
+    option("Attack angle, + up.", "DEG", low=-8.0, high=8.0, shown="0, or that of a measured golfer"),
 ]
 Lean = Annotated[
     float | None,
-    typer.Option(
-        metavar="DEG",
-        min=-12.0,
-        max=3.0,
-        help="Shaft lean at the ball, in the swing plane; negative with leading hands.",
-        show_default="the easiest within 1.5 deg; on turf up to 10 deg of leading hands",
+    option(
+        "Shaft lean at the ball, in the swing plane; negative with leading hands.",
+        "DEG",
+        low=-12.0,
+        high=3.0,
+        shown="the easiest within 1.5 deg; on turf up to 10 deg of leading hands",
     ),
 ]
-Strike = Annotated[
-    float, typer.Option(metavar="MM", min=-20.0, max=20.0, help="Ball off the face's centre, + up the plane.")
-]
+Strike = Annotated[float, option("Ball off the face's centre, + up the plane.", "MM", low=-20.0, high=20.0)]
 BeforeStop = Annotated[
-    float,
-    typer.Option(
-        metavar="MS", min=0.0, max=5.0, help="Least time from the ball to where the wrist meets its stop."
-    ),
+    float, option("Least time from the ball to where the wrist meets its stop.", "MS", low=0.0, high=5.0)
 ]
-Margin = Annotated[
-    float,
-    typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Share of each valve reserved for feedback."),
-]
+Margin = Annotated[float, option("Share of each valve reserved for feedback.", "PERCENT", low=0.0, high=50.0)]
 Backswing = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S", min=0.5, max=3.0, help="Duration of the backswing.", show_default="0.85, or the golfer's"
-    ),
+    float | None, option("Duration of the backswing.", "S", low=0.5, high=3.0, shown="0.85, or the golfer's")
 ]
 Downswing = Annotated[
     float | None,
-    typer.Option(
-        metavar="S",
-        min=0.15,
-        max=0.5,
-        help="Duration of the downswing up to the ball, within 5 ms.",
-        show_default="0.15 to 0.25, or about that of the swing that is followed",
+    option(
+        "Duration of the downswing up to the ball, within 5 ms.",
+        "S",
+        low=0.15,
+        high=0.5,
+        shown="0.15 to 0.25, or about that of the swing that is followed",
     ),
 ]
-Highest = Annotated[
-    bool, typer.Option("--highest", help="Only show the highest head speed and what limits it.")
-]
+Highest = Annotated[bool, flag("--highest", "Only show the highest head speed and what limits it.")]
 Nearest = Annotated[
     bool,
-    typer.Option(
+    flag(
         "--nearest",
-        help="If out of reach, design the nearest swing and show the deviations: downswing time, "
+        "If out of reach, design the nearest swing and show the deviations: downswing time, "
         "attack angle, head speed.",
     ),
 ]
 Start = Annotated[
     str | None,
-    typer.Option(
-        "--from",
-        metavar="PROFILE",
-        help='Swing to start the optimization from, or "nothing".',
-        show_default="the configuration's",
+    option(
+        'Swing to start the optimization from, or "nothing".',
+        "PROFILE",
+        shown="the configuration's",
+        names="--from",
     ),
 ]
-Near = Annotated[
-    str | None, typer.Option("--near", metavar="PROFILE", help="Keep near the downswing of this swing.")
-]
+Near = Annotated[str | None, option("Keep near the downswing of this swing.", "PROFILE", names="--near")]
 
 
 _TEMPO = 0.004
@@ -379,11 +333,11 @@ def design(
 
 def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> Golfer | GolferSwing | None:
     """Return the golfer called `name` with the angles that are followed; None without a name."""
-    from bench.golfer import GolferSwing, with_club_held
+    from bench.golfer import GolferSwing, golfer_named, with_club_held
 
     if follow not in ("body", "club"):
         raise BenchError("--follow", follow[:40], "body or club", "Correct --follow.")
-    golfer = None if name is None else _golfer_named(name)
+    golfer = None if name is None else golfer_named(name)
     if follow == "body":
         return golfer
     if not isinstance(golfer, GolferSwing):
@@ -392,21 +346,12 @@ def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> G
     return with_club_held(plant, golfer)
 
 
-def _golfer_named(name: str) -> Golfer | GolferSwing:
-    """Return the built-in golfer `name`, or the measured one in the file of that name."""
-    from bench.golfer import SUFFIX, load_golfer
-    from bench.swing.golfers import find_golfer
-
-    return load_golfer(Path(name)) if name.endswith(SUFFIX) else find_golfer(name)
-
-
 def _show_deviations(plant: PlantParameters, golfer: Golfer | GolferSwing, swing: Profile) -> None:
     """Print the deviation of `swing` from that of `golfer`, and the excess beyond the robot's ranges."""
     from bench.commands.golfer_tables import beyond_text, comparison_table
-    from bench.golfer import beyond_ranges, compare_motions, measured_motion, model_motion, robot_motion
-    from bench.swing.golfers import Golfer
+    from bench.golfer import beyond_ranges, compare_motions, golfer_motion, robot_motion
 
-    model = model_motion(plant, golfer) if isinstance(golfer, Golfer) else measured_motion(golfer)
+    model = golfer_motion(plant, golfer)
     console = Console()
     console.print(comparison_table([compare_motions(model, robot_motion(plant, swing))]), highlight=False)
     moving = model.angle[model.in_downswing]
@@ -452,20 +397,6 @@ def _profile_named(name: str | None) -> Profile | None:
     return None if name is None else load_profile(find_profile(name))
 
 
-@contextmanager
-def _design_progress() -> Iterator[Callable[[str, float], None]]:
-    """Yield a function that shows the finished part (0 to 1) of a step of the design."""
-    with progress_bar() as bar:
-        tasks: dict[str, TaskID] = {}
-
-        def show(step: str, part: float) -> None:
-            if step not in tasks:
-                tasks[step] = bar.add_task(step, total=1.0)
-            bar.update(tasks[step], completed=part)
-
-        yield show
-
-
 def _show_highest_speed(
     configuration: Configuration,
     demand: SwingDemand,
@@ -501,7 +432,7 @@ def _save_design(
     from bench.swing.profile import save_profile
 
     start = _profile_named(begin)
-    with _design_progress() as progress:
+    with progress_of_steps() as progress:
         made = design_swing(
             configuration,
             demand,
@@ -536,14 +467,14 @@ def limits(
     profile: Name,
     output: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="File to write.",
-            show_default="beside the profile; of one that comes with golfbench DATA_DIR/limits",
+        option(
+            "File to write.",
+            "FILE",
+            shown="beside the profile; of one that comes with golfbench DATA_DIR/limits",
         ),
     ] = None,
     club: ClubName = None,
-    draws: Annotated[int, typer.Option(min=30, help="Robots drawn; half as many more to learn on.")] = 300,
+    draws: Annotated[int, option("Robots drawn; half as many more to learn on.", low=30)] = 300,
     processes: Processes = 0,
     cluster: ClusterAddress = "",
 ) -> None:
@@ -564,10 +495,9 @@ def limits(
     swing, path, plant = ready.profile, ready.file, ready.configuration.plant
     beside, stored = c.limits_files(path)
     file = output or (stored if path.parent == PROFILES else beside)
-    with sweep_engine(c, processes, cluster, draws) as engine, progress_bar() as bar:
-        task = bar.add_task(f"swinging {swing.name}", total=1.0)
-        bench = Bench(plant, swing, c.control, c.envelope, c.estimator)
-        made = make_limits(bench, draws, lambda part: bar.update(task, completed=part), engine)
+    bench = Bench(plant, swing, c.control, c.envelope, c.estimator)
+    with sweep_engine(c, processes, cluster, draws) as engine, progress_of(f"swinging {swing.name}") as part:
+        made = make_limits(bench, draws, part, engine)
     file.parent.mkdir(parents=True, exist_ok=True)
     save_limits(file, made)
     Console().print(f"{file}: limits from {draws} known robots", highlight=False)
@@ -577,7 +507,7 @@ def limits(
 def address(
     context: typer.Context,
     profile: Name,
-    output: Annotated[Path, typer.Option(metavar="FILE", help="Profile to write; its table goes beside it.")],
+    output: Annotated[Path, option("Profile to write; its table goes beside it.", "FILE")],
     club: ClubName = None,
 ) -> None:
     """Plan the chamber pressures at the address of a profile, for the configured plant.

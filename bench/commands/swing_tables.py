@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from bench.commands.output import plain_table
 from bench.swing.motion import Motion, phase_times
 from bench.swing.profile import Profile
 from drivers.base import ACTUATORS
@@ -27,23 +27,16 @@ def listing(profiles: list[tuple[str, Profile]]) -> Table:
 
     One line each, whatever the width: `golfbench swing show NAME` prints the whole text.
     """
-    rows = [
-        (
-            name,
-            profile.club,
-            _figure(profile, "head_speed_mps", ".1f"),
-            _figure(profile, "attack_angle_deg", "+.1f"),
-        )
-        for name, profile in profiles
-    ]
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, expand=True)
+    table = plain_table(expand=True)
     table.add_column("name", no_wrap=True)
     table.add_column("club", no_wrap=True)
     table.add_column("m/s", no_wrap=True, justify="right")
     table.add_column("attack °", no_wrap=True, justify="right")
     table.add_column("what it is", no_wrap=True, overflow="ellipsis", ratio=1)  # it alone gives way
-    for row, (_, profile) in zip(rows, profiles, strict=True):
-        table.add_row(*map(Text, (*row, profile.text)))
+    for name, profile in profiles:
+        speed = _figure(profile, "head_speed_mps", ".1f")
+        attack = _figure(profile, "attack_angle_deg", "+.1f")
+        table.add_row(*map(Text, (name, profile.club, speed, attack, profile.text)))
     return table
 
 
@@ -71,9 +64,7 @@ def details(profile: Profile, path: Path, plant: PlantParameters) -> Group:
 
 
 def _table(*columns: str, title: str) -> Table:
-    table = Table(
-        title=title or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
-    )
+    table = plain_table(title=title or None, title_justify="left", title_style="bold")
     for i, column in enumerate(columns):
         table.add_column(column, justify="right" if i and column else "left", no_wrap=True)
     table.show_header = any(columns)

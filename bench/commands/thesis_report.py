@@ -13,12 +13,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.padding import Padding
-from rich.table import Table as Grid
 from rich.text import Text
 
+from bench.commands.output import plain_table
 from bench.swing.tables import ADDRESS_ROD, thesis_swing
 from bench.swing.thesis_experiment import (
     DERIVATIVE,
@@ -72,8 +71,7 @@ def simulate_thesis(output_folder: Path | str, as_json: bool = False) -> None:
         print(text)
         return
     console = Console()
-    grid = Grid(title="The thesis' experiment, run again", title_justify="left", title_style="bold")
-    grid.box, grid.pad_edge = SIMPLE_HEAD, False
+    grid = plain_table(title="The thesis' experiment, run again", title_justify="left", title_style="bold")
     for column in ("", "thesis", "found", "remark"):
         grid.add_column(column, no_wrap=column in ("", "thesis"))
     for row in statements(experiment, others):

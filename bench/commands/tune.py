@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from math import degrees, isfinite, pi
 from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from bench.commands.options import Json, ProfileName
+from bench.commands.output import finite, plain_table
 from bench.commands.progress import progress_bar
-from bench.commands.session import Json, ProfileName, Session, show_json
-from bench.errors import ExitCode
+from bench.commands.session import Session, exit_unless, show_json
 
 if TYPE_CHECKING:
     from bench.control.linear_loop import Estimator
@@ -60,10 +61,9 @@ def tune(
         worst = _worst(judge(judging, estimator, gains_along(bench), plant.tick))
         for line in _story(proofs, worst, machine):
             console.print(line, highlight=False)
-    if proofs["nominal"].failure:
-        if not json_:
+        if proofs["nominal"].failure:
             typer.echo("The configured robot does not swing with these gains.")
-        raise typer.Exit(ExitCode.REFUSED)
+    exit_unless(not proofs["nominal"].failure)
 
 
 def _linearised(bench: Bench) -> tuple[list[Frozen], Estimator]:
@@ -105,11 +105,9 @@ def _proofs(bench: Bench, bar: Progress) -> dict[str, Proof]:
 
 def margins_table(title: str, judged: Judged) -> Table:
     """Return the table of the loops' margins, one row an instant and joint."""
-    from math import degrees, isfinite, pi
-
     from drivers.base import JOINTS
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), title=title, title_justify="left")
+    table = plain_table(title=title, padding=(0, 1, 0, 0), title_justify="left")
     table.add_column("instant\n", no_wrap=True)
     table.add_column("joint\n", no_wrap=True)
     names = ("gain", "phase", "delay", "1 + L", "cross", "damping")
@@ -155,8 +153,6 @@ def _story(proofs: dict[str, Proof], worst: str, machine: MachineGains | None) -
 
 def _by_pose(machine: MachineGains) -> list[str]:
     """Return what gains by pose reach over the whole working range, and what limits them."""
-    from math import degrees
-
     from bench.control.machine_gains import RequiredMargins
     from drivers.base import JOINTS
 
@@ -182,8 +178,6 @@ def _by_pose(machine: MachineGains) -> list[str]:
 
 def _worst(judged: Judged) -> str:
     """Return the worst margins of all loops in words."""
-    from math import degrees
-
     margins = [loop.margins for loop in judged.loops]
     gain, phase = min(m.gain for m in margins), degrees(min(m.phase for m in margins))
     delay, ratio = 1e3 * min(m.delay for m in margins), min(judged.damping_ratio.values())
@@ -198,23 +192,18 @@ def _milli(values: Any) -> str:
 def _record(
     bench: Bench, judged: Judged, proofs: dict[str, Proof], machine: MachineGains | None
 ) -> dict[str, Any]:
-    from math import isfinite
-
     from bench.control.gain_table import gains_at
     from drivers.base import JOINTS
 
-    def known(value: float) -> float | None:
-        return float(value) if isfinite(value) else None
-
     loops = [
         {"instant": loop.point, "joint": JOINTS[loop.joint]}
-        | {name: known(value) for name, value in loop.margins._asdict().items()}
+        | {name: finite(value) for name, value in loop.margins._asdict().items()}
         for loop in judged.loops
     ]
     swings = {
         robot: {
-            "backswing_rms_rad": [known(v) for v in proof.backswing],
-            "downswing_rms_rad": [known(v) for v in proof.downswing],
+            "backswing_rms_rad": [finite(float(v)) for v in proof.backswing],
+            "downswing_rms_rad": [finite(float(v)) for v in proof.downswing],
             "failure": proof.failure or None,
         }
         for robot, proof in proofs.items()

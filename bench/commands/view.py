@@ -6,10 +6,11 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from bench.commands.options import flag, option
 from bench.commands.progress import progress_bar
 from bench.commands.session import Session
 from bench.errors import BenchError
@@ -29,25 +30,18 @@ _TURN = 0.2
 
 def view(
     context: typer.Context,
-    shot: Annotated[
-        Path | None, typer.Option(metavar="RECORD", help="Show a swing's record, .parquet.")
-    ] = None,
+    shot: Annotated[Path | None, option("Show a swing's record, .parquet.", "RECORD")] = None,
     campaign: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="PATH", help="Show a series: a folder of records, or a record; repeatable."),
+        list[Path] | None, option("Show a series: a folder of records, or a record; repeatable.", "PATH")
     ] = None,
-    save: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a Rerun file, .rrd; no window unless --web.")
-    ] = None,
-    web: Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")] = False,
-    connect: Annotated[
-        str | None, typer.Option(metavar="URL", help="Send to a running Rerun viewer.")
-    ] = None,
+    save: Annotated[Path | None, option("Write a Rerun file, .rrd; no window unless --web.", "FILE")] = None,
+    web: Annotated[bool, flag("--web", "Show it in a browser on this machine.")] = False,
+    connect: Annotated[str | None, option("Send to a running Rerun viewer.", "URL")] = None,
     port: Annotated[
-        int | None, typer.Option(min=1024, max=65535, help="Port of the web page.", show_default="a free one")
+        int | None, option("Port of the web page.", low=1024, high=65535, shown="a free one")
     ] = None,
     memory_limit: Annotated[
-        str, typer.Option(metavar="SIZE", help="Memory of the viewer; beyond it the oldest data are dropped.")
+        str, option("Memory of the viewer; beyond it the oldest data are dropped.", "SIZE")
     ] = "2GB",
 ) -> None:
     """Show a running bench, a past swing or a series in Rerun, on this machine only.
@@ -56,26 +50,30 @@ def view(
     """
     from bench.viewer.window import checked_memory
 
-    _check(shot, campaign, save, web, connect, port)
+    if shot is not None and campaign:
+        raise BenchError("--shot and --campaign", "both", "one of the two", "Leave one out.")
+    where = _Where(save, web, connect, port, memory_limit)
+    _check(*where[:4])
     checked_memory(memory_limit)
     with ExitStack() as stack:
         if shot is not None or campaign:
-            _view_records(stack, shot, campaign or [], save, web, connect, port, memory_limit)
+            _view_records(stack, shot, campaign or [], where)
         else:
-            _view_bench(stack, context.ensure_object(Session), save, web, connect, port, memory_limit)
+            _view_bench(stack, context.ensure_object(Session), where)
 
 
-def _check(
-    shot: Path | None,
-    campaign: list[Path] | None,
-    save: Path | None,
-    web: bool,
-    connect: str | None,
-    port: int | None,
-) -> None:
+class _Where(NamedTuple):
+    """Options that say where it is shown."""
+
+    save: Path | None
+    web: bool
+    connect: str | None
+    port: int | None
+    memory_limit: str
+
+
+def _check(save: Path | None, web: bool, connect: str | None, port: int | None) -> None:
     """Refuse options that contradict each other."""
-    if shot is not None and campaign:
-        raise BenchError("--shot and --campaign", "both", "one of the two", "Leave one out.")
     if web and connect is not None:
         raise BenchError("--web and --connect", "both", "one of the two", "Leave one out.")
     if port is not None and not web:
@@ -87,27 +85,18 @@ def _check(
 # Records ---------------------------------------------------------------------------------------------
 
 
-def _view_records(
-    stack: ExitStack,
-    shot: Path | None,
-    campaign: Sequence[Path],
-    save: Path | None,
-    web: bool,
-    connect: str | None,
-    port: int | None,
-    memory_limit: str,
-) -> None:
+def _view_records(stack: ExitStack, shot: Path | None, campaign: Sequence[Path], where: _Where) -> None:
     from bench.viewer.recording import layout_for, log_shots, write_recording
 
     with progress_bar() as progress:
         records, plant, name = _read(shot, campaign, progress)
-        if save is not None:
-            write_recording(save, records, plant, name)
-            typer.echo(f"written: {save}")
-            if not web and connect is None:
+        if where.save is not None:
+            write_recording(where.save, records, plant, name)
+            typer.echo(f"written: {where.save}")
+            if not where.web and where.connect is None:
                 return
-        window = _window(stack, web, connect, port, memory_limit)
-        recording = _recording(stack, name, [_sink(window, connect)], layout_for(records))
+        window = _window(stack, where)
+        recording = _recording(stack, name, [_sink(window, where.connect)], layout_for(records))
         task = progress.add_task("showing", total=len(records))
         log_shots(recording, records, plant, lambda: progress.advance(task))
         recording.flush(timeout_sec=60.0)
@@ -138,15 +127,7 @@ def _read(
 # A running bench -------------------------------------------------------------------------------------
 
 
-def _view_bench(
-    stack: ExitStack,
-    options: Session,
-    save: Path | None,
-    web: bool,
-    connect: str | None,
-    port: int | None,
-    memory_limit: str,
-) -> None:
+def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
 
     import rerun as rr
 
@@ -156,14 +137,14 @@ def _view_bench(
     from bench.viewer.recording import live_layout
     from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
 
-    c = options.configuration()
+    c, (save, web, connect, _, _) = options.configuration(), where
     session = open_client(c.network, c.bench.id)  # first: nobody waits half a minute for "no answer"
     stack.callback(close_session, session)
     around = FlightConditions(c.air, c.wind, c.turf)
     warm_up(c.plant, around)
     feed = stack.enter_context(Feed(session, c.bench.id, time.time))
     wish = stack.enter_context(stop_on_signals())
-    window = _window(stack, web, connect, port, memory_limit) if web or connect or save is None else None
+    window = _window(stack, where) if web or connect or save is None else None
     sinks = [] if window is None and connect is None else [_sink(window, connect)]
     if save is not None:
         # No table of contents at its end: that would be kept in memory, and a file cut short is readable so.
@@ -207,14 +188,13 @@ def _writable(path: Path) -> Path:
 # Where it is shown -----------------------------------------------------------------------------------
 
 
-def _window(
-    stack: ExitStack, web: bool, connect: str | None, port: int | None, memory_limit: str
-) -> RerunWindow | None:
+def _window(stack: ExitStack, where: _Where) -> RerunWindow | None:
     from bench.viewer.window import RerunWindow
 
-    if connect is not None:
+    if where.connect is not None:
         return None
-    return stack.enter_context(RerunWindow("web" if web else "window", memory_limit, web_port=port))
+    window = RerunWindow("web" if where.web else "window", where.memory_limit, web_port=where.port)
+    return stack.enter_context(window)
 
 
 def _sink(window: RerunWindow | None, connect: str | None) -> Any:

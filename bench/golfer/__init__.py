@@ -7,8 +7,8 @@ from bench.golfer.comparison import (
     MotionDeviation,
     SwingMotion,
     compare_motions,
-    measured_motion,
-    model_motion,
+    golfer_motion,
+    golfer_named,
     robot_motion,
 )
 from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer, save_golfer, summary
@@ -32,10 +32,10 @@ __all__ = [
     "beyond_ranges",
     "compare_motions",
     "find_roles",
+    "golfer_motion",
+    "golfer_named",
     "load_golfer",
     "measure",
-    "measured_motion",
-    "model_motion",
     "read_capture",
     "robot_motion",
     "save_golfer",

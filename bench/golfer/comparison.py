@@ -8,14 +8,15 @@ for the head of the longest distance across its path.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
 from bench.golfer.capture import Array
-from bench.golfer.golfer_file import GolferSwing
-from bench.swing.golfers import Golfer, human_downswing
+from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer
+from bench.swing.golfers import Golfer, find_golfer, human_downswing
 from bench.swing.profile import Profile
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
@@ -74,14 +75,20 @@ class MotionDeviation:
     """Head (n, 2) of `other` at these instants (m)."""
 
 
-def measured_motion(golfer: GolferSwing) -> SwingMotion:
-    """Return the motion of a measured golfer."""
-    g = golfer
-    return SwingMotion(g.name, "measured", g.time, g.angle, g.head, g.downswing_time, g.head_speed)
+def golfer_named(name: str) -> Golfer | GolferSwing:
+    """Return the measured golfer in the file `name`, or the built-in one of that name.
+
+    Raises:
+        BenchError: no golfer has that name, or the file cannot be read.
+    """
+    return load_golfer(Path(name)) if name.endswith(SUFFIX) else find_golfer(name)
 
 
-def model_motion(plant: PlantParameters, golfer: Golfer) -> SwingMotion:
-    """Return the motion of a built-in golfer's model on the site of `plant`."""
+def golfer_motion(plant: PlantParameters, golfer: Golfer | GolferSwing) -> SwingMotion:
+    """Return the motion of a measured golfer, or of a built-in one's model on the site of `plant`."""
+    if not isinstance(golfer, Golfer):
+        g = golfer
+        return SwingMotion(g.name, "measured", g.time, g.angle, g.head, g.downswing_time, g.head_speed)
     human = human_downswing(plant, golfer)
     time, lasting = human.time - human.time[-1], float(human.time[-1])
     head = human.head - [plant.site.ball_x, plant.site.ball_y]

@@ -14,7 +14,7 @@ from bench.campaign.findings import findings
 from bench.campaign.operate import new_entry
 from bench.campaign.plan import ItemParticulars, StatedCalibration
 from bench.campaign.plan_file import load_plan, plan_from_record
-from bench.campaign.signature import calibration_table, issue_report, item_table, overdue, particulars
+from bench.campaign.signature import calibration_table, issue_report, item_table, particulars
 from bench.config import database_url, load_configuration
 from bench.errors import BenchError, Refused
 from bench.store.campaigns import CampaignStore, StoredShot
@@ -139,7 +139,7 @@ def test_calibrations_in_force_overdue_and_missing(record: CampaignRecord) -> No
         ("bench valves", "none", "–", "–", "nominal: never calibrated"),
         ("launch monitor, no. 77", "certificate 1", "–", "2025-12-31", "OVERDUE since 2025-12-31"),
     )
-    assert overdue(table) == ["launch monitor, no. 77"]
+    assert table.overdue == ("launch monitor, no. 77",)
     page = render_campaign_report(replace(record, entry=begun), findings(record.plan, record.shots))
     assert "Overdue at the tests: launch monitor, no. 77." in page
 

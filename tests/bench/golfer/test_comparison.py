@@ -17,10 +17,9 @@ from bench.golfer import (
     beyond_ranges,
     compare_motions,
     find_roles,
+    golfer_motion,
     load_golfer,
     measure,
-    measured_motion,
-    model_motion,
     read_capture,
     robot_motion,
     save_golfer,
@@ -88,13 +87,14 @@ def test_a_robot_is_no_reference(motion: SwingMotion) -> None:
 @pytest.mark.parametrize("noise", [0.0, 0.001])
 def test_a_measured_golfer_deviates_little_from_the_same_swing(noise: float, tmp_path: Path) -> None:
     (tmp_path / "map.toml").write_text(MAP)
-    motions = []
+    plant, motions = load_configuration(None).plant, []
     for golfer in (Synthetic(), Synthetic(rate=360, noise=noise, up="y")):
         path = write(tmp_path / f"at{golfer.rate:g}.csv", *golfer.recording(), golfer.rate)
         capture = read_capture(path)
         roles = find_roles(capture, tmp_path / "map.toml")
         swing = measure(capture, roles, ImportOptions())
-        motions.append(measured_motion(load_golfer(save_golfer(tmp_path, path.stem, swing, capture, roles))))
+        saved = save_golfer(tmp_path, path.stem, swing, capture, roles)
+        motions.append(golfer_motion(plant, load_golfer(saved)))
 
     found = compare_motions(*motions)
 
@@ -126,6 +126,6 @@ def test_what_lies_beyond_the_ranges_has_its_excess(plant: PlantParameters) -> N
 @pytest.mark.parametrize("golfer", GOLFERS)
 def test_the_golfers_variant_swings_as_its_page_says(golfer: str) -> None:
     plant, profile = load_configuration(Path("golfers")).plant, load_profile(find_profile(f"{golfer}-full"))
-    away = compare_motions(model_motion(plant, GOLFERS[golfer]), robot_motion(plant, profile)).share
+    away = compare_motions(golfer_motion(plant, GOLFERS[golfer]), robot_motion(plant, profile)).share
     assert profile.delivery["head_speed_mps"] == pytest.approx(GOLFERS[golfer].head_speed, abs=0.05)
     assert max(away) <= (0.12 if golfer == "two-handicap" else HUNT_WIENS)

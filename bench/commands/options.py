@@ -1,0 +1,53 @@
+"""Options and arguments, and those that several commands have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from bench.errors import BenchError
+
+
+def option(
+    text: str,
+    metavar: str | None = None,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    shown: str | bool = True,
+    names: str | tuple[str, ...] = (),
+) -> Any:
+    """Return an option with a value from `low` to `high`; `shown` stands for its default in the help.
+
+    `names` are those of the parameter unless given.
+    """
+    given = (names,) if isinstance(names, str) else names
+    return typer.Option(*given, metavar=metavar, help=text, min=low, max=high, show_default=shown)
+
+
+def flag(name: str, text: str) -> Any:
+    """Return an option without a value."""
+    return typer.Option(name, help=text)
+
+
+def argument(metavar: str, text: str, *, shown: str | bool = True) -> Any:
+    """Return an argument; `shown` stands for its default in the help."""
+    return typer.Argument(metavar=metavar, help=text, show_default=shown)
+
+
+Json = Annotated[bool, flag("--json", "Print JSON for a program to read.")]
+ClubName = Annotated[str | None, option("Club of the configuration.", "NAME", shown="the mounted one")]
+"""Option of a command that simulates: this club on its site instead of the mounted one."""
+ProfileName = Annotated[
+    str | None, argument("PROFILE", "Name or path of a profile.", shown="the configuration's")
+]
+"""Argument of a command that tries a swing: this profile instead of the configuration's."""
+Plot = Annotated[Path | None, option("Also plot it: .png, .svg or .pdf.", "FILE")]
+
+
+def require_picture(plot: Path | None) -> None:
+    """Raise BenchError unless the suffix of `plot` is that of a picture."""
+    if plot is not None and plot.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise BenchError("--plot", str(plot), "a name that ends in .png, .svg or .pdf", "Change its ending.")
