@@ -23,19 +23,20 @@ demo: $(VENV)/.runtime  ## ten swings of the simulated robot in real time at two
 
 # Bytecode is kept, or collecting the tests takes twice as long.
 unexport PYTHONDONTWRITEBYTECODE
-# Files stay whole: their module-wide fixtures are made once.
-PARALLEL := -n 2 --dist loadfile --max-worker-restart 0
+# Fast tests wait for processes and sockets a third of their time: three on two processors. Their files stay whole, as
+# their module-wide fixtures are made once; slow tests have none, and a file of many would come last and alone.
+PARALLEL := -n 3 --dist loadfile --max-worker-restart 0
+SPREAD := -n 2 --dist worksteal --max-worker-restart 0
 
 test: $(VENV)/.dev  ## lint, types, import contracts, branches of the safety code, fast tests (twenty minutes)
 	@$(MAKE) --no-print-directory -j3 lint fast
 
-# Files in their order: those with few tests take longest, and would else come last and alone.
 test-all: $(VENV)/.dev  ## slow and paced tests in parallel, then live ones alone (ARGS for pytest)
-	@failed=0; $(BIN)/python -m pytest -m '((slow and not live) or paced) and not release' $(PARALLEL) --no-loadscope-reorder --durations 10 $(ARGS) || failed=$$?; \
+	@failed=0; $(BIN)/python -m pytest -m '((slow and not live) or paced) and not release' $(SPREAD) --durations 10 $(ARGS) || failed=$$?; \
 	$(BIN)/python -m pytest -m 'live and not paced and not release' --durations 10 $(ARGS) || failed=$$?; exit $$failed
 
 test-release: $(VENV)/.benchmark  ## before a release: repeated tests, mutation, fault matrix, soak, virtual machine (hours)
-	@failed=0; $(BIN)/python -m pytest -m 'release and (paced or not live)' $(PARALLEL) --durations 10 || failed=$$?; \
+	@failed=0; $(BIN)/python -m pytest -m 'release and (paced or not live)' $(SPREAD) --durations 10 || failed=$$?; \
 	$(BIN)/python -m pytest -m 'release and live and not paced' --durations 10 || failed=$$?; \
 	for part in mutation faults; do $(MAKE) --no-print-directory $$part || failed=$$?; done; \
 	$(BIN)/python -m tests.benchmarks soak --minutes 60 || failed=$$?; \
