@@ -56,8 +56,8 @@ lint: $(VENV)/.dev  ## ruff, strict types and import contracts
 	@$(BIN)/mypy
 
 # Counted without compilation: compiled code leaves no trace of the lines it ran.
-SAFETY_TESTS := tests/bench/control/test_envelope.py tests/bench/control/test_requests.py \
-  tests/bench/control/test_refusals.py tests/bench/control/test_states.py tests/bench/control/test_doubts_and_stops.py tests/bench/test_lifecycle.py
+SAFETY_TESTS := tests/bench/control/test_envelope.py tests/bench/control/test_answers.py \
+  tests/bench/control/test_states.py tests/bench/test_lifecycle.py
 
 coverage: $(VENV)/.dev  ## every branch of envelope, answers to requests, state changes and their tables is tested
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --quiet --no-header --tb=short \

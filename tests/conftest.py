@@ -28,11 +28,14 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import hypothesis
 import psutil
 import pytest
+
+if TYPE_CHECKING:
+    from bench.config import Configuration
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - watched, never written
 GRACE = 2.0
@@ -125,6 +128,14 @@ def _require(item: pytest.Item, name: str) -> str:
 def tool(request: pytest.FixtureRequest) -> Callable[[str], str]:
     """Return `tool(name) -> path`, which skips or fails the test when the tool is absent."""
     return lambda name: _require(request.node, name)
+
+
+@pytest.fixture(scope="session")
+def configuration() -> Configuration:
+    """Return the shipped configuration."""
+    from bench.config import load_configuration, shipped_configuration
+
+    return load_configuration(shipped_configuration())
 
 
 # Leaks -----------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from bench.campaign.operate import new_entry
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.verdicts import quantity_name
-from bench.config import Configuration, load_configuration
+from bench.config import Configuration
 from bench.errors import BenchError, Refused
 from bench.shot.recorded_shot import FlightConditions
 from bench.store.records import CampaignState, Hit, Standing
@@ -43,11 +43,6 @@ NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
 VALUES = BallAerodynamics(
     "a", 0.04593, 0.021335, "LIBGOLF", 1.05, 0.97, 0.004, 0.006, 0.4, 20, 58.0, 70.0, 230.0, 340.0, 1.1
 )
-
-
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(Path("shipped"))
 
 
 def _ten(configuration: Configuration, carry: str) -> CampaignPlan:

@@ -39,11 +39,6 @@ VARIANTS = {"bag": "bag", "wedge": "bag"}
 """Configurations of the shipped campaigns; of the others the shipped one."""
 
 
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(Path("shipped"))
-
-
 def _plan(folder: Path, configuration: Configuration, text: str) -> CampaignPlan:
     file = folder / "plan.toml"
     file.write_text(text)

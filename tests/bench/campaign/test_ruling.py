@@ -17,7 +17,7 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.reader_units import UnitSystem
 from bench.campaign.rules import control_ball_speed, rule_names, rule_on, rule_sets
 from bench.campaign.ruling import Decision, RuleFinding, decide_by_limit, judge_rules
-from bench.config import Configuration, load_configuration
+from bench.config import Configuration
 from bench.shot.shot import Shot, ShotStatus
 from sim.air import Air
 from sim.ball import Ball
@@ -30,11 +30,6 @@ ODS = (78.679, 10.0, 2520.0)
 ROBOT = (63.0, 13.0, 2700.0)
 TEST_AIR = Air(297.04, 101_592.0, 0.5)
 """75 deg F, 30.00 inches of mercury."""
-
-
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(Path("shipped"))
 
 
 @pytest.fixture

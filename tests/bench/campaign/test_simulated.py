@@ -15,16 +15,11 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.sequence import all_trials
 from bench.campaign.simulated import SimulatedShots, Taken
 from bench.campaign.swings import require_swings
-from bench.config import Configuration, load_configuration
+from bench.config import Configuration
 from bench.shot.shot import ShotStatus
 from bench.simulation.swing_operator import never
 from bench.telemetry.cycle_record import CYCLE
 from tests.bench.campaign.as_designed import AsDesigned
-
-
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(Path("shipped"))
 
 
 @pytest.fixture(scope="module")

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
-
-
-@pytest.fixture(scope="session")
-def configuration() -> Configuration:
-    return load_configuration(shipped_configuration())
 
 
 @pytest.fixture(scope="session")

@@ -144,6 +144,13 @@ def press(puppet: Puppet) -> None:
         puppet.give(local_reset=pressed).tick()
 
 
+def timed(puppet: Puppet, **seconds: float) -> Puppet:
+    """Return `puppet` with other times (s) of its lifecycle; its way to its state is not gone again."""
+    for name, value in seconds.items():
+        puppet.parameters.control[name] = value
+    return puppet
+
+
 def on_the_way(**settings: Any) -> Puppet:
     """Return a bench that moves to its address with air on."""
     puppet = reach(State.READY, **settings)

@@ -299,7 +299,7 @@ def test_a_joint_that_slips_far_past_the_end_of_its_move_forgets_its_integral(
 def test_a_dead_band_is_made_up_for_once(*, planned: bool) -> None:
     """Swung spools and openings for the dead band together drove a soft shoulder past its return's limit."""
     profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5) if planned else STILL
-    puppet = Puppet(profile).enter(Phase.RETURN)
+    puppet = Puppet(profile, replace(QUICK, gains="machine")).enter(Phase.RETURN)
     control, parameters = puppet.control, puppet.parameters.control[0]
     control["move_from"][:] = puppet.parameters.angle[0] - 0.2
     control["move_start"], control["move_time"] = puppet.time, 2.0

@@ -11,9 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.control.air_watch import SENSORS
 from bench.control.records import ControlParameters, ControlState
-from bench.control.requests import near_address, note_local_reset, refusal_of, take_request
-from bench.lifecycle import NEEDS_LEASE, Answer, Cause, Phase, Reaction, Refusal, Request, State
+from bench.control.requests import (
+    STOP_HOLDS,
+    manifold_is_full,
+    near_address,
+    note_local_reset,
+    refusal_of,
+    take_request,
+)
+from bench.lifecycle import ACCEPTED_IN, NEEDS_LEASE, Answer, Cause, Phase, Reaction, Refusal, Request, State
 from tests.bench.control.puppet import Puppet
 
 FROM = {
@@ -89,11 +97,16 @@ class Condition:
         record = {
             "control": situation.state.control,
             "parameters": situation.parameters.control,
+            "profile": situation.parameters.profile,
             "readings": situation.readings,
             "estimator": situation.state.estimator,
         }[self.where]
         for name, value in self.values.items():
             record[name] = value
+
+
+def one_dead(sensor: int) -> tuple[int, ...]:
+    return tuple(int(k == sensor) for k in range(SENSORS))
 
 
 def only(*requests: Request) -> frozenset[Request]:
@@ -136,6 +149,26 @@ CONDITIONS = (
     ),
     Condition("readings", Refusal.READINGS, MOVES_OR_RESETS, "control", {"lost": Cause.ARM_ENCODER}),
     Condition("supervisor", Refusal.SUPERVISOR, MOVES_OR_RESETS, "control", {"supervisor_alive": False}),
+    Condition("lock", Refusal.LOCK, MOVES_OR_RESETS, "control", {"lock_wrong": True}),
+    Condition("manifold's sensor", Refusal.SENSOR, MOVES_OR_RESETS, "control", {"sensor_dead": one_dead(0)}),
+    Condition("first vent", Refusal.VENT, MOVES_OR_RESETS, "control", {"vent_wrong": (1, 0)}),
+    Condition("second vent", Refusal.VENT, MOVES_OR_RESETS, "control", {"vent_wrong": (0, 1)}),
+    Condition("shut-off valve", Refusal.VENT, MOVES_OR_RESETS, "control", {"shut_off_wrong": True}),
+    Condition("supply valve", Refusal.MANIFOLD, MOVES_OR_RESETS, "control", {"supply_wrong": True}),
+    Condition(
+        "manifold that fell too fast",
+        Refusal.SENSOR,
+        only(Request.ARM, Request.SWING, Request.HOME, Request.ACCESS),
+        "control",
+        {"supply_unproven": True},
+    ),
+    Condition(
+        "stopped just now",
+        Refusal.STOPPED,
+        only(Request.ARM, Request.SWING, Request.HOME),
+        "control",
+        {"stopped_at": NOW - 1.0},
+    ),
     Condition(
         "moving",
         Refusal.MOVING,
@@ -143,11 +176,13 @@ CONDITIONS = (
         "control",
         {"moved_at": NOW - 2.0**-5},
     ),
+    Condition("air in a chamber", Refusal.NOT_VENTED, only(Request.ARM), "control", {"sensor_shown": 9e5}),
     Condition(
         "support", Refusal.SUPPORT, only(Request.ARM, Request.SWING), "control", {"support_ready": False}
     ),
     Condition("on the way", Refusal.NOT_AT_ADDRESS, only(Request.SWING), "control", {"phase": Phase.RETURN}),
     Condition("swinging", Refusal.NOT_AT_ADDRESS, only(Request.SWING), "control", {"swinging": True}),
+    Condition("air not as planned", Refusal.AIR, only(Request.SWING), "profile", {"air_planned": True}),
     Condition(
         "off the address", Refusal.NOT_AT_ADDRESS, only(Request.SWING), "estimator", {"angle": (0, 0, 1.0)}
     ),
@@ -231,6 +266,79 @@ def test_a_stop_is_under_way_while_it_moves(good: Make, values: dict[str, int], 
     for name, value in values.items():
         situation.state.control[name] = value
     assert situation.refusal(Request.TEE) is (Refusal.STOPPING if stopping else Refusal.NONE)
+
+
+@pytest.mark.parametrize("state", State, ids=lambda state: state.name)
+def test_in_each_state_all_other_requests_are_refused_by_the_state(good: Make, state: State) -> None:
+    for request in FROM:
+        if state not in ACCEPTED_IN[request]:
+            situation = good(request)
+            situation.state.control["state"] = state
+            assert situation.refusal(request) is Refusal.STATE, request
+
+
+@pytest.mark.parametrize("sensor", range(1, SENSORS))
+def test_a_chamber_without_sensor_bars_what_moves_and_sends_a_person_to_the_gauge(
+    good: Make, sensor: int
+) -> None:
+    refusals = dict.fromkeys(sorted(MOVES_OR_RESETS), Refusal.SENSOR) | {Request.ACCESS: Refusal.GAUGE}
+    for request, refusal in refusals.items():
+        situation = good(request)
+        situation.state.control["sensor_dead"] = one_dead(sensor)
+        assert situation.refusal(request) is refusal
+
+
+@pytest.mark.parametrize(
+    ("found", "refusal"),
+    [
+        ({"shut_off_wrong": True}, Refusal.VENT),
+        ({"sensor_dead": one_dead(2)}, Refusal.SENSOR),
+        ({}, Refusal.NOT_VENTED),
+    ],
+)
+def test_access_names_what_proves_no_empty_chambers(
+    good: Make, found: dict[str, Any], refusal: Refusal
+) -> None:
+    situation = good(Request.ACCESS)
+    for name, value in (found | {"vented": False}).items():
+        situation.state.control[name] = value
+    assert situation.refusal(Request.ACCESS) is refusal
+
+
+def test_a_manifold_is_full_above_the_pressure_of_empty_chambers(good: Make) -> None:
+    situation = good(Request.ARM)
+    bound = situation.parameters.control["vented_pressure"][0]
+    for pressure, full in ((bound, False), (np.nextafter(bound, inf), True), (nan, False)):
+        situation.readings["supply_pressure"] = pressure
+        assert manifold_is_full(situation.parameters.control[0], situation.readings) is full
+
+
+def test_access_names_a_manifold_that_is_full(good: Make) -> None:
+    situation = good(Request.ACCESS)
+    situation.state.control["vented"], situation.readings["supply_pressure"] = False, 8e5
+    assert situation.refusal(Request.ACCESS) is Refusal.MANIFOLD
+
+
+@pytest.mark.parametrize(
+    ("since", "refusal"), [(STOP_HOLDS - 2.0**-40, Refusal.STOPPED), (STOP_HOLDS, Refusal.NONE)]
+)
+def test_what_was_in_flight_when_a_stop_came_is_refused(good: Make, since: float, refusal: Refusal) -> None:
+    situation = good(Request.ARM)
+    situation.state.control["stopped_at"] = NOW - since
+    assert situation.refusal(Request.ARM) is refusal
+
+
+def test_a_swing_begins_once_its_planned_air_is_ready(good: Make) -> None:
+    situation = good(Request.SWING)
+    situation.parameters.profile["air_planned"] = situation.state.control["air_ready"] = True
+    assert situation.refusal(Request.SWING) is Refusal.NONE
+
+
+@pytest.mark.parametrize("entered", [False, True])
+def test_a_latched_bench_locks_the_guard_only_after_somebody_went_in(good: Make, entered: bool) -> None:
+    situation = good(Request.SECURE)
+    situation.state.control["state"], situation.state.control["entered"] = State.FAULT, entered
+    assert situation.refusal(Request.SECURE) is (Refusal.NONE if entered else Refusal.STATE)
 
 
 def test_access_does_not_ask_for_a_closed_guard(good: Make) -> None:
@@ -342,6 +450,7 @@ def test_a_stop_past_the_numbers_leaves_the_last_answer(good: Make, stop: Reques
     assert told(situation) == (5, Answer.REFUSED, Refusal.STATE, stop, Request.NONE)
     assert taken(situation, stop, 6) == stop
     assert told(situation) == (6, Answer.ACCEPTED, Refusal.NONE, stop, Request.NONE)
+    assert situation.state.control["stopped_at"] == NOW
 
 
 def test_a_stop_before_any_number_is_answered(good: Make) -> None:

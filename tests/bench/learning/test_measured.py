@@ -41,11 +41,6 @@ class Motion(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def plant() -> PlantParameters:
-    return PlantParameters()
-
-
-@pytest.fixture(scope="module")
 def motion(plant: PlantParameters) -> Motion:
     """That of the shipped swing, with face and ball in contact at time 0."""
     profile = load_profile(find_profile("default"))

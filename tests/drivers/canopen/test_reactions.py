@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bench.config import Configuration, load_configuration
+from bench.config import Configuration
 from bench.lifecycle import Phase, Reaction
 from tests.benchmarks.canopen_reactions import FAULTS, run_case
 from tests.sampling import release_except
@@ -17,11 +17,6 @@ CASES = {
     "bus-off": (Phase.IMPACT, Reaction.PASSIVE),
     "the bench silent": (Phase.COMMITTED, Reaction.PASSIVE),
 }
-
-
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(None)
 
 
 @pytest.mark.parametrize(

@@ -8,15 +8,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from bench.config import Configuration, load_configuration
+from bench.config import Configuration
 from bench.lifecycle import Cause, Phase
 from sim.truth import Contact, contact_in
 from tests.drivers.canopen.swing_in_step import SwingBench, on_canopen, on_plant
-
-
-@pytest.fixture(scope="module")
-def configuration() -> Configuration:
-    return load_configuration(None)
 
 
 @pytest.fixture(scope="module")
