@@ -24,6 +24,7 @@ from scipy import special
 
 from bench.campaign.block_model import Array, BlockFit, Codes, Contrast, fit_blocks, holm
 from bench.campaign.common_errors import common_errors
+from bench.campaign.gate import OUTSIDE
 from bench.campaign.looks import Look, look_now
 from bench.campaign.plan import CampaignPlan, controls_per_block, levels
 from bench.campaign.power import power_of_shift, same_power_of_error
@@ -469,7 +470,7 @@ def mean_error(values: Array, codes: Codes) -> MeanError:
 
 def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
     by = Counter(shot.status for shot in shots)
-    reasons = Counter(_kind(shot.reason) for shot in shots if shot.reason)
+    reasons = Counter(OUTSIDE.get(shot.gate_figure, shot.reason) for shot in shots if shot.reason)
     kept, values = values_of(plan, shots)
     return Level(
         name,
@@ -480,16 +481,6 @@ def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
         dict(reasons.most_common()),
         spread(values, independent_codes(plan, kept), plan.analysis.confidence),
     )
-
-
-def _kind(reason: str) -> str:
-    """Return a reason without its figures, so that like ones are counted together."""
-    head = reason.split(";", maxsplit=1)[0]
-    for mark in (", outside", " not measured"):
-        if mark in head:
-            words = head.split(mark)[0].split()
-            return " ".join(w for w in words if not any(c.isdigit() for c in w)).rstrip(" m/s°") + " outside"
-    return head
 
 
 def _outliers(fit: _Fit | None) -> tuple[tuple[int, float], ...]:

@@ -60,14 +60,18 @@ def planned_delivery(profile: Profile, lie: float) -> Centre:
     return Centre(plan.get("head_speed_mps"), attack, None, 0.0, 0.0)
 
 
-def outside(shot: Shot, club: Club, centre: Centre, gate: Gate) -> str:
-    """Return why the delivery of `shot` is not valid; empty if it is."""
+OUTSIDE = {figure: f"{words[0]} outside" for figure, words in zip(Centre._fields, _WORDS, strict=True)}
+"""What is counted together in reports, by `Shot.gate_figure`."""
+
+
+def outside(shot: Shot, club: Club, centre: Centre, gate: Gate) -> tuple[str, str]:
+    """Return the first figure that makes the delivery of `shot` invalid, and why; both empty if valid."""
     if shot.delivery_source not in gate.sources:
-        return f"delivery from {shot.delivery_source or 'no source'}, which the plan does not accept"
+        return "", f"delivery from {shot.delivery_source or 'no source'}, which the plan does not accept"
     half = (gate.club_speed, gate.attack_angle, gate.shaft_lean, gate.strike_x, gate.strike_y)
-    found = []
-    for value, middle, width, words in zip(delivered(shot, club), centre, half, _WORDS, strict=True):
-        name, unit, digits, scale = words
+    found, first = [], ""
+    rows = zip(OUTSIDE, delivered(shot, club), centre, half, _WORDS, strict=True)
+    for figure, value, middle, width, (name, unit, digits, scale) in rows:
         if not width or middle is None:
             continue
         if value is None:
@@ -77,4 +81,5 @@ def outside(shot: Shot, club: Club, centre: Centre, gate: Gate) -> str:
                 f"{name} {scale * value:.{digits}f} {unit}, outside {scale * middle:.{digits}f} ± "
                 f"{scale * width:.{digits}f} {unit} ({shot.delivery_source})"
             )
-    return "; ".join(found)
+        first = first or (figure if found else "")
+    return first, "; ".join(found)

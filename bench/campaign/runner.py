@@ -624,8 +624,9 @@ class Runner:
         shot = taken.shot
         if shot.status is ShotStatus.VALID:
             club = self._plan.clubs[step.trial.arm.club]
-            if reason := outside(shot, club, step.centre, self._plan.gate):
-                return replace(shot, status=ShotStatus.EXCLUDED, reason=reason)
+            figure, reason = outside(shot, club, step.centre, self._plan.gate)
+            if reason:
+                return replace(shot, status=ShotStatus.EXCLUDED, reason=reason, gate_figure=figure)
         return shot
 
     def _written(self, shot: Shot, taken: Taken) -> StoredShot:

@@ -88,6 +88,8 @@ class Shot:
     """Standard uncertainty of `carry_measured_m` from its coefficients, common to all shots of the ball."""
     flight_source: str = ""
     """Source of total, apex, landing angle and side; empty: that of `carry_m`."""
+    gate_figure: str = ""
+    """First figure outside a campaign's gate: a field of `bench.campaign.gate.Centre`; "" if none is."""
 
     @classmethod
     def from_measurements(

@@ -174,9 +174,8 @@ def test_shots_that_do_not_count_are_counted_with_their_reasons(plan: CampaignPl
     bad = [i for i, shot in enumerate(shots) if shot.ball == "pole"][:5]
     reason = "club speed 40.00 m/s, outside 43.00 ± 1.00 m/s (simulated)"
     for i in bad[:3]:
-        shots[i] = replace(
-            shots[i], status=ShotStatus.EXCLUDED, reason=reason.replace("40.00", f"40.{i:02d}")
-        )
+        why = reason.replace("40.00", f"40.{i:02d}")
+        shots[i] = replace(shots[i], status=ShotStatus.EXCLUDED, reason=why, gate_figure="club_speed")
     for i in bad[3:]:
         shots[i] = replace(shots[i], status=ShotStatus.FAILED, reason="no ball on the tee", carry_m=None)
     level = analyse(plan, shots, 1, "").levels[0]

@@ -19,7 +19,8 @@ HEADER = (
     "face_angle_deg,dynamic_loft_deg,strike_x_mm,strike_y_mm,ball_speed_mps,launch_angle_deg,direction_deg,"
     "spin_rpm,spin_axis_deg,carry_m,total_m,apex_m,landing_angle_deg,delivery_source,launch_source,"
     "carry_source,time_utc,carry_side_m,swing,role,section,attempt,sample,air_temperature_k,air_pressure_pa,"
-    "relative_humidity,carry_reference_m,carry_monitor_m,carry_measured_m,carry_measured_error_m,flight_source"
+    "relative_humidity,carry_reference_m,carry_monitor_m,carry_measured_m,carry_measured_error_m,flight_source,"
+    "gate_figure"
 )
 SHOT = Shot(1, 1, 1, "driver", "A", ShotStatus.VALID, time_utc=datetime(2026, 11, 1, 9, 30, tzinfo=UTC))
 
