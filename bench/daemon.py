@@ -398,7 +398,7 @@ class Daemon:
             air=c.air,
             wind=c.wind,
             turf=c.turf,
-            club=c.launch_monitor.player.club or club_code(c.swing.club),
+            club=c.launch_monitor.club or club_code(c.swing.club),
             wall=self.wall,
         )
         return Child.start("launch monitor", "bench.processes.launch_monitor", plan)

@@ -74,11 +74,11 @@ class LaunchMonitorService:
             self._stack.callback(self._ring.close)
             self._server = LaunchMonitorServer(settings)
             self._stack.callback(self._server.close)
-            self._player = plan.club, "RH" if settings.player.right_handed else "LH", settings.player.distance
-            self._server.announce_player(*self._player)
+            self._club = plan.club
+            self._server.announce_player(self._club)
             self._client: SimulatorClient | None = None
             if settings.simulator.enabled:
-                self._client = SimulatorClient(settings.simulator, settings.device)
+                self._client = SimulatorClient(settings.simulator)
                 self._client.open()
                 self._stack.callback(self._client.close)
         except BaseException:
@@ -88,7 +88,7 @@ class LaunchMonitorService:
         self._window = settings.window
         self._watch = SwingWatch(plan.run, wall=plan.wall)
         self._book = LaunchBook(settings.window, plan.plant, around)
-        self._per_shot, self._presence = settings.presence == "per_shot", ShotPresence(settings.seen_within)
+        self._per_shot, self._presence = settings.presence == "per_shot", ShotPresence()
         self._lost = 0
         self._arming = ArmingWatch()
         self._trouble = "not listening yet"
@@ -113,7 +113,7 @@ class LaunchMonitorService:
             if swing.struck and swing.impact is not None:
                 self._presence.note_struck(swing.impact)
         if self._arming.take(cycles):
-            self._server.announce_player(*self._player)
+            self._server.announce_player(self._club)
         self._book.note_launches(self._server.take())
         self._book.note_asides(self._server.take_asides())
         for told in self._book.settle(now):

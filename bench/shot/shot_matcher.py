@@ -109,7 +109,7 @@ class LaunchBook:
         while len(self._launches) > _MOST_OPEN:  # nobody swings that often: they are nobody's
             self._tell(Match(MatchOutcome.NO_SWING, "", self._launches[0]), None)
             self._launches = self._launches[1:]
-        launches, self._clubs = join_clubs(self._launches, self._clubs, self._window)
+        launches, self._clubs = join_clubs(self._launches, self._clubs)
         found = match(self._open, launches, now, self._window)
         ordered = sorted(self._open, key=lambda swing: swing.time)
         self._open, self._launches = found.swings, found.launches

@@ -145,8 +145,6 @@ class CanopenSettings:
     """Time-out of a tick for the encoders' answers to SYNC, s."""
     service_time: Annotated[float, Above(0.0), AtMost(2.0)] = 0.1
     """SDO time-out, s."""
-    store_time: Annotated[float, Above(0.0), AtMost(60.0)] = 10.0
-    """Time-out of storing the settings in a node (1010h), s; common devices take 2 s to 5 s."""
     heartbeat: Annotated[float, AtLeast(0.005), AtMost(1.0)] = 0.05
     """Heartbeat period of a node, s; a node is lost after three missing heartbeats."""
     interlock_period: Annotated[float, AtLeast(0.005), AtMost(1.0)] = 0.02

@@ -25,6 +25,8 @@ _PREDEFINED_PDOS = 4
 _MAX_PDOS = 512
 _MAX_MAPPED = 64
 _ON_EVENT = 255
+STORE_TIME = 10.0
+"""Time-out of storing the settings in a node (1010h), s; common devices take 2 s to 5 s."""
 ERROR_BEHAVIOUR = 0x1029, 0x67FE
 """Objects of the behaviour on a communication error: CiA 301, and older devices of CiA 401."""
 OUTPUT_ERRORS = (0x6206, 0x6207), (0x6306, 0x6307)
@@ -123,7 +125,7 @@ def _set_fallback(node: Node, settings: CanopenSettings) -> None:
         new |= _set_output_errors(node)
     node.set(0x6200, 1, 0, 1, "outputs")
     new |= _set_error_behaviour(node)
-    check_stored(node, inverted, new and _store(node, settings.store_time))
+    check_stored(node, inverted, new and _store(node, STORE_TIME))
 
 
 @contextmanager

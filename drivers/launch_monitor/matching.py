@@ -11,38 +11,39 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, NamedTuple
 
-from drivers.base.ranges import Above, AtLeast, AtMost
+from drivers.base.ranges import Above, AtMost
 from drivers.launch_monitor.record import NO_CLUB, ClubRecord, LaunchRecord
+
+EARLIEST = 0.1
+"""Begin of a window before the impact, s: the two times are taken in different processes."""
+CLUB_DELAY = 3.0
+"""Maximum time between the messages of ball and club of one shot, s: monitors that send two take about one
+second for the second, and the robot needs six from one swing to the next."""
 
 
 @dataclass(frozen=True)
 class MatchWindow:
     """Time window around the impact for a launch; it ends at the latest where the next swing's begins."""
 
-    earliest: Annotated[float, AtLeast(0.0), AtMost(1.0)] = 0.1
-    """Begin of the window before the impact, s: the two times are taken in different processes."""
     latest: Annotated[float, Above(0.0), AtMost(60.0)] = 8.0
     """End of the window after the impact, s; the slowest monitors process images for some seconds."""
     patience: Annotated[float, Above(0.0), AtMost(120.0)] = 15.0
     """Time for which a launch waits for its swing, s; a swing is reported when the robot stands again."""
-    club_delay: Annotated[float, Above(0.0), AtMost(30.0)] = 3.0
-    """Maximum time between the messages of ball and club of one shot, s: monitors that send two take about
-    one second for the second, and the robot needs six from one swing to the next."""
 
 
 def join_clubs(
-    launches: Sequence[LaunchRecord], clubs: Iterable[ClubRecord], window: MatchWindow
+    launches: Sequence[LaunchRecord], clubs: Iterable[ClubRecord]
 ) -> tuple[list[LaunchRecord], list[ClubRecord]]:
     """Return `launches` with the figures of `clubs`, and the clubs that belong to none of them.
 
-    A club belongs to the nearest launch of its device within `club_delay`, before those that have a club.
+    A club belongs to the nearest launch of its device within CLUB_DELAY, before those that have a club.
     """
     joined, alone = list(launches), list[ClubRecord]()
     for club in clubs:
         near = [
             (one.club != NO_CLUB, abs(one.time - club.time), n)
             for n, one in enumerate(joined)
-            if one.device == club.device and abs(one.time - club.time) <= window.club_delay
+            if one.device == club.device and abs(one.time - club.time) <= CLUB_DELAY
         ]
         if near:
             n = min(near)[2]
@@ -130,12 +131,12 @@ def match(
 def _end(n: int, ordered: Sequence[SwingImpact], window: MatchWindow) -> float:
     """Return the end of the window of swing `n`."""
     end = ordered[n].time + window.latest
-    return end if n + 1 == len(ordered) else min(end, ordered[n + 1].time - window.earliest)
+    return end if n + 1 == len(ordered) else min(end, ordered[n + 1].time - EARLIEST)
 
 
 def owner_of(time: float, ordered: Sequence[SwingImpact], window: MatchWindow) -> SwingImpact | None:
     """Return the swing of `ordered`, by time, whose window contains `time`, else None."""
-    before = [swing for swing in ordered if swing.time - window.earliest <= time]
+    before = [swing for swing in ordered if swing.time - EARLIEST <= time]
     return before[-1] if before and time <= before[-1].time + window.latest else None
 
 

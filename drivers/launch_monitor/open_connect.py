@@ -317,9 +317,9 @@ def write_answer(code: int, text: str) -> bytes:
     return json.dumps({"Code": code, "Message": text}).encode()
 
 
-def write_player(club: str, handed: str = "RH", distance: float = 0.0) -> bytes:
-    """Return the player message; `distance` to the target in m."""
-    player = {"Handed": handed, "Club": club, "DistanceToTarget": round(distance / YARD, 1)}
+def write_player(club: str) -> bytes:
+    """Return the player message: right-handed, as the robot is, 230 m from the target."""
+    player = {"Handed": "RH", "Club": club, "DistanceToTarget": round(230.0 / YARD, 1)}
     return json.dumps({"Code": PLAYER, "Message": "GSPro Player Information", "Player": player}).encode()
 
 

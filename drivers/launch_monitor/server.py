@@ -188,14 +188,14 @@ class LaunchMonitorServer:
                 self._refusal,
             )
 
-    def announce_player(self, club: str, handed: str = "RH", distance: float = 0.0) -> None:
+    def announce_player(self, club: str) -> None:
         """Send player and readiness to all connected and later monitors: several do not arm before.
 
-        `club` is a code (DR, W3, H4, I7, PW, PT ...), `distance` (m) that to the target. Call it again
-        whenever shots are awaited, as when the bench is armed.
+        `club` is a code (DR, W3, H4, I7, PW, PT ...). Call it again whenever shots are awaited, as when the
+        bench is armed.
         """
         with self._lock:
-            self._player = write_player(club, handed, distance) + write_ready()
+            self._player = write_player(club) + write_ready()
             for client in self._clients.values():
                 client.unread += self._player
         self._wake()

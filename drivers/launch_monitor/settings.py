@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from ipaddress import ip_address
 from typing import Annotated, Literal
 
-from drivers.base.ranges import Above, AtLeast, AtMost
+from drivers.base.ranges import AtLeast, AtMost
 from drivers.launch_monitor.matching import MatchWindow
 from drivers.launch_monitor.open_connect import CLUB_CODE
 
@@ -23,31 +23,10 @@ class SimulatorSettings:
     """Address where the simulator listens."""
     port: Port = 921
     """Port; 921 is the Open Connect standard."""
-    longest_wait: Annotated[float, Above(0.0), AtMost(600.0)] = 10.0
-    """Time after which a shot that could not be forwarded is dropped, s."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if `address` is invalid."""
         _check_address("address", self.address)
-
-
-@dataclass(frozen=True)
-class PlayerSettings:
-    """Player in the message to monitors; several do not arm without it."""
-
-    club: str = ""
-    """Club code (DR, W3, H4, I7, PW, PT ...); empty to derive it from `swing.club`."""
-    right_handed: bool = True
-    """Whether the player is right-handed, as the robot is."""
-    distance: Annotated[float, AtLeast(0.0), AtMost(500.0)] = 230.0
-    """Distance to the target, m."""
-
-    def __post_init__(self) -> None:
-        """Raise ValueError if `club` is no code."""
-        if self.club and not CLUB_CODE.fullmatch(self.club):
-            raise ValueError(
-                f"club: one of DR, W2 to W7, H2 to H7, I1 to I9, PW, GW, SW, LW, PT, not {self.club}"
-            )
 
 
 @dataclass(frozen=True)
@@ -64,18 +43,19 @@ class LaunchMonitorSettings:
     """Addresses that may connect; if empty, only this machine."""
     presence: Literal["connected", "per_shot"] = "connected"
     """When a monitor counts as present: while it is connected, or while it reports the struck balls."""
-    seen_within: Annotated[float, AtLeast(10.0), AtMost(3600.0)] = 120.0
-    """Time after a struck ball within which a monitor that connects per shot must have sent something, s."""
     silence: Annotated[float, AtLeast(1.0), AtMost(3600.0)] = 30.0
     """Time-out of a monitor that sends heartbeats, s."""
-    device: str = "golfbench"
-    """Device name sent to simulators."""
+    club: str = ""
+    """Code of the club sent to monitors (DR, W3, I7, PT ...); empty to derive it from `swing.club`."""
     window: MatchWindow = field(default_factory=MatchWindow)
-    player: PlayerSettings = field(default_factory=PlayerSettings)
     simulator: SimulatorSettings = field(default_factory=SimulatorSettings)
 
     def __post_init__(self) -> None:
-        """Raise ValueError if an address is invalid, or open to other machines without `clients`."""
+        """Raise ValueError if `club` is no code, or an address invalid or open to all without `clients`."""
+        if self.club and not CLUB_CODE.fullmatch(self.club):
+            raise ValueError(
+                f"club: one of DR, W2 to W7, H2 to H7, I1 to I9, PW, GW, SW, LW, PT, not {self.club}"
+            )
         _check_address("address", self.address)
         for client in self.clients:
             _check_address("clients", client)

@@ -19,7 +19,7 @@ from sim.plant import PlantParameters, Site
 from tests.bench.conftest import BALL
 
 NOW = datetime(2026, 11, 21, 19, 0, tzinfo=UTC)
-WINDOW = MatchWindow(earliest=0.1, latest=4.0, patience=10.0)
+WINDOW = MatchWindow(latest=4.0, patience=10.0)
 
 
 def launch(time: float, speed: float = 52.0, **changes: Any) -> LaunchRecord:

@@ -185,12 +185,13 @@ def test_node_without_any_one_object_is_taken_or_refused_by_the_driver(role: str
             run(driver)
 
 
-def test_storing_may_take_its_time_and_no_longer() -> None:
+def test_storing_may_take_its_time_and_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
     driver, wire = bus(io=NODES["wago-750"])
     driver.open()
     assert 2.5 < wire.now < 3.0
     driver.close()
-    driver, _ = bus(io=NODES["wago-750"], settings=replace(SETTINGS, store_time=2.0))
+    driver, _ = bus(io=NODES["wago-750"], settings=SETTINGS)
+    monkeypatch.setattr("drivers.canopen.setup.STORE_TIME", 2.0)
     with pytest.raises(DriverError, match=r"object 1010h:1 \(store parameters\).*no answer within 2 s"):
         driver.open()
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, join_clubs, match
 from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord
 
-WINDOW = MatchWindow(earliest=0.1, latest=5.0, patience=10.0)
+WINDOW = MatchWindow(latest=5.0, patience=10.0)
 
 
 def told(time: float, number: int = 1, speed: float = 60.0) -> LaunchRecord:
@@ -70,7 +70,7 @@ CLUB = ClubFigures(speed=43.0, path=0.01)
 @pytest.mark.parametrize("delay", [-3.0, 0.4, 3.0])
 def test_a_club_joins_the_launch_of_its_device(delay: float) -> None:
     club = ClubRecord(101.0 + delay, "monitor", CLUB, (("club.attack_angle", "no AngleOfAttack"),))
-    (joined,), alone = join_clubs([told(101.0)], [club], WINDOW)
+    (joined,), alone = join_clubs([told(101.0)], [club])
     assert (joined.club, joined.absent, alone) == (CLUB, club.absent, [])
     assert (joined.time, joined.speed) == (101.0, 60.0)
 
@@ -78,18 +78,18 @@ def test_a_club_joins_the_launch_of_its_device(delay: float) -> None:
 @pytest.mark.parametrize(("delay", "device"), [(3.01, "monitor"), (-3.01, "monitor"), (0.1, "another")])
 def test_a_club_of_another_time_or_device_stays_alone(delay: float, device: str) -> None:
     club = ClubRecord(101.0 + delay, device, CLUB)
-    assert join_clubs([told(101.0)], [club], WINDOW) == ([told(101.0)], [club])
+    assert join_clubs([told(101.0)], [club]) == ([told(101.0)], [club])
 
 
 def test_a_club_joins_the_nearest_launch_without_one() -> None:
     clubs = [ClubRecord(104.1, "monitor", CLUB), ClubRecord(102.0, "monitor", CLUB._replace(speed=44.0))]
-    joined, alone = join_clubs([told(101.0), told(104.0, 2)], clubs, WINDOW)
+    joined, alone = join_clubs([told(101.0), told(104.0, 2)], clubs)
     assert ([one.club.speed for one in joined], alone) == ([44.0, 43.0], [])
 
 
 def test_a_launch_keeps_its_own_club_figures() -> None:
     own = replace(told(101.0), club=ClubFigures(speed=44.0))
-    (joined,), _ = join_clubs([own], [ClubRecord(101.1, "monitor", CLUB)], WINDOW)
+    (joined,), _ = join_clubs([own], [ClubRecord(101.1, "monitor", CLUB)])
     assert joined.club == ClubFigures(speed=44.0, path=0.01)
 
 

@@ -347,9 +347,9 @@ def test_heartbeat_and_answers_read_back() -> None:
     answer = read_answer(write_answer(200, "Shot received successfully"))
     assert answer is not None
     assert (answer.code, answer.text) == (200, "Shot received successfully")
-    player = read_answer(write_player("PT", "LH"))
+    player = read_answer(write_player("PT"))
     assert player is not None
-    assert (player.code, player.club, player.handed) == (201, "PT", "LH")
+    assert (player.code, player.club, player.handed) == (201, "PT", "RH")
     for bad in (b"{}", b"nonsense", b"[1]", b'{"Code": "x"}', b'{"Code": 5e9}', b'{"Code": true}'):
         assert read_answer(bad) is None
 

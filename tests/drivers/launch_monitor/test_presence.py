@@ -4,13 +4,13 @@ from drivers.launch_monitor.presence import ShotPresence
 
 
 def test_a_monitor_is_present_while_no_ball_is_struck() -> None:
-    presence = ShotPresence(120.0)
+    presence = ShotPresence()
     assert presence.is_present(None, 1e6)
     assert presence.is_present(10.0, 1e6)
 
 
 def test_a_monitor_that_leaves_balls_unanswered_is_absent_until_it_is_seen() -> None:
-    presence = ShotPresence(120.0)
+    presence = ShotPresence()
     for impact in (100.0, 110.0, 215.0):
         presence.note_struck(impact)
         assert presence.is_present(90.0, impact + 5.0)
@@ -21,7 +21,7 @@ def test_a_monitor_that_leaves_balls_unanswered_is_absent_until_it_is_seen() -> 
 
 
 def test_an_answered_ball_starts_the_time_again() -> None:
-    presence = ShotPresence(120.0)
+    presence = ShotPresence()
     presence.note_struck(100.0)
     assert presence.is_present(101.0, 105.0)
     presence.note_struck(300.0)

@@ -225,20 +225,20 @@ def test_the_player_is_told_to_who_is_there_and_who_comes(
 ) -> None:
     before = connect()
     wait_for(lambda: server.link().connected)
-    server.announce_player("I7", "LH")
+    server.announce_player("I7")
     assert b'"Club": "I7"' in receive(before, 1)
-    assert b'"Handed": "LH"' in receive(connect(), 1)
+    assert b'"Club": "I7"' in receive(connect(), 1)
 
 
 def test_player_and_readiness_come_on_connecting_and_again_and_the_end_on_closing(
     server: LaunchMonitorServer, connect: Connect
 ) -> None:
-    server.announce_player("DR", distance=228.6)
+    server.announce_player("DR")
     connection = connect()
     wait_for(lambda: server.link().connected)
     greeting = receive(connection, 2)
     first, end = json.JSONDecoder().raw_decode(greeting.decode())
-    assert first["Player"] == {"Handed": "RH", "Club": "DR", "DistanceToTarget": 250.0}
+    assert first["Player"] == {"Handed": "RH", "Club": "DR", "DistanceToTarget": 251.5}
     assert (first["Code"], json.loads(greeting[end:])["Code"]) == (201, 202)
     assert b"\n" not in greeting
     server.announce_player("DR")
