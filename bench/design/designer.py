@@ -345,7 +345,10 @@ def _guess_from(start: Profile, state: Array, intervals: int = _INTERVALS) -> tu
 def _problem(
     parameters: PlantParameters, demand: SwingDemand, envelope: EnvelopeSettings, state: Array
 ) -> DownswingProblem:
-    lean = _lean(demand, parameters)
+    lean, wrist = _lean(demand, parameters), wrist_range(parameters, demand)
+    if state[2] < wrist[0] - 0.01:  # less far off a plan may still begin
+        comes, held = degrees(state[2]), degrees(wrist[0])
+        raise DesignFailed(f"the wrist comes to {comes:.1f} deg at the top; its lever holds from {held:.1f}")
     speeds = envelope.max_speed
     return DownswingProblem(
         start=state,
@@ -361,7 +364,7 @@ def _problem(
         stop_speed=envelope.stop_speed,
         stop_deceleration=envelope.stop_deceleration,
         committed=demand.no_return_time + BEFORE_CONTACT * parameters.tick,
-        wrist=wrist_range(parameters, demand),
+        wrist=wrist,
         speed_limits=(0.96 * speeds[0], 0.96 * speeds[1], 0.96 * speeds[2]),
         before_stop=demand.before_stop,
         cushions=(_BROUGHT[0] * parameters.right_arm.stop.energy, _BROUGHT[1] * parameters.wrist.stop.energy),
@@ -477,11 +480,6 @@ def design_downswing(
     parameters = bench.plant
     state = _model_state(begun)
     problem = _problem(parameters, demand, bench.envelope, state)
-    if state[2] < problem.wrist[0]:
-        comes, held = degrees(state[2]), degrees(problem.wrist[0])
-        raise DesignFailed(
-            f"the wrist comes to {comes:.1f} deg at the top, held by its lever from {held:.1f}"
-        )
     shooter = _shooter(bench, begun)
     time, guess = _initial_guess(parameters, problem, demand, start, progress)
     best: tuple[tuple[float, float], Downswing] | None = None
