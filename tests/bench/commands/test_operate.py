@@ -26,6 +26,8 @@ from bench.network.bench_service import LaunchMonitorStatus, Reply
 from bench.network.client import REST
 from bench.network.free_port import free_port
 from bench.processes.status import NO_LAUNCH_MONITOR
+from bench.shot.recorded_shot import shot_to_json
+from bench.shot.shot import Shot, ShotStatus
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 
 
@@ -134,7 +136,8 @@ def test_swing_without_a_record_is_refused_in_time(
 def test_a_swing_that_was_stopped_exits_with_1(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
     publish = running.desk.publish_shot
-    stopped = {"cause": "OPERATOR_STOP", "shot": {"reason": "stopped by the operator"}}
+    row = Shot(1, 1, 1, "driver", "default", ShotStatus.FAILED, "stopped by the operator")
+    stopped = {"cause": "OPERATOR_STOP", "shot": shot_to_json(row)}
     running.desk.state = State.ARMED
     running.desk.publish_shot = lambda message: publish({**message, **stopped})  # type: ignore[typeddict-item]
     code, out, _ = golfbench("swing")
