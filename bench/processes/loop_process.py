@@ -27,7 +27,7 @@ import numpy as np
 from bench.clock import GridClock, PacedClock
 from bench.config import Configuration
 from bench.control.settings import build_controller, with_correction
-from bench.errors import BenchError
+from bench.errors import BenchError, Refused
 from bench.lifecycle import Answer, Phase, Request, State
 from bench.loop import Cycle
 from bench.processes.child_process import Parent, read_plan, send_event, send_failure
@@ -50,6 +50,8 @@ from sim.live.paced_driver import PacedPlantDriver
 
 WARM_UP = 200
 """Warm-up ticks before READY, in which all code is compiled, paged in and measured."""
+_MEASURED = 8
+"""Max times that they are measured: the bench's other processes start meanwhile, and take the processors."""
 
 _MOTIONS = frozenset({Request.HOME, Request.ARM, Request.SWING})
 _RESTING = frozenset({Phase.STANDING, Phase.HOLD})
@@ -171,18 +173,25 @@ class LoopProcess:
         TickTiming(new_timing(self._period_ns)).note(spare.marks, begin, begin)
 
     def _warm_up(self, clock: GridClock | PacedClock) -> None:
-        """Run the ticks of STARTING, in which nothing can move, and check their duration.
+        """Run the ticks of STARTING, in which nothing can move, until they keep to their share of the period.
 
         Raises:
-            Refused: the ticks exceed their share of the period.
+            Refused: they exceed it each time.
         """
         durations = np.zeros((WARM_UP, len(self.cycle.marks)), np.int64)
-        for k in range(WARM_UP):
-            self._tick(clock)
-            durations[k] = self.cycle.marks
+        for tries_left in reversed(range(_MEASURED)):
+            for k in range(WARM_UP):
+                self._tick(clock)
+                durations[k] = self.cycle.marks
+            if self.paced:
+                break
+            try:
+                check_budget(durations, self._period_ns)
+                break
+            except Refused:
+                if not tries_left:
+                    raise
         self.tick_ns = median((durations[:, -1] - durations[:, 0]).tolist())
-        if not self.paced:
-            check_budget(durations, self._period_ns)
         self.cycle.state.control["warm"] = True
 
     def _live(self, clock: GridClock | PacedClock) -> str:
