@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from bench.golfer import ImportOptions, MotionDeviation, SwingMotion
     from sim.plant import PlantParameters
 
-_PIPED_WIDTH = 160
-"""Columns of the table in a file or pipe."""
-
 app = typer.Typer(no_args_is_help=True)
 
 _NAME = re.compile(r"[\w][\w .-]{0,99}")
@@ -109,7 +106,7 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
     Swings are NAME.golfer.toml, model:NAME of a built-in golfer, or profiles by name or path. Without swings
     each built-in golfer's model is compared with the profile that follows it.
     """
-    from bench.commands.golfer_tables import beyond_text, comparison_table
+    from bench.commands.golfer_tables import PIPED_WIDTH, beyond_text, comparison_table
     from bench.golfer import beyond_ranges, compare_motions
 
     require_picture(plot)
@@ -130,7 +127,7 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
         comparison_plot(rows).savefig(plot, dpi=150)
     if json_:
         return show_json([_record(row) for row in rows])
-    console = console_of(_PIPED_WIDTH)
+    console = console_of(PIPED_WIDTH)
     console.print(comparison_table(rows), highlight=False)
     for motion in {row.reference.name: row.reference for row in rows}.values():
         excess = beyond_ranges(plant, motion.angle[motion.in_downswing])

@@ -11,6 +11,8 @@ from rich.table import Table
 from bench.commands.output import plain_table
 from bench.golfer import DEFINITION, HUNT_WIENS, MotionDeviation, Roles
 
+PIPED_WIDTH = 160
+"""Columns of a comparison in a file or pipe."""
 _JOINTS = ("shoulders θ1", "lead arm θ2", "wrist θ3")
 
 

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from bench.commands.compare import compare
 from bench.commands.options import ClubName, Json, Plot, ProfileName, argument, flag, option, require_picture
+from bench.commands.output import console_of
 from bench.commands.progress import progress_bar, progress_of, progress_of_steps
 from bench.commands.session import Session, exit_unless, show_json
 from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
@@ -348,11 +349,11 @@ def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> G
 
 def _show_deviations(plant: PlantParameters, golfer: Golfer | GolferSwing, swing: Profile) -> None:
     """Print the deviation of `swing` from that of `golfer`, and the excess beyond the robot's ranges."""
-    from bench.commands.golfer_tables import beyond_text, comparison_table
+    from bench.commands.golfer_tables import PIPED_WIDTH, beyond_text, comparison_table
     from bench.golfer import beyond_ranges, compare_motions, golfer_motion, robot_motion
 
     model = golfer_motion(plant, golfer)
-    console = Console()
+    console = console_of(PIPED_WIDTH)
     console.print(comparison_table([compare_motions(model, robot_motion(plant, swing))]), highlight=False)
     moving = model.angle[model.in_downswing]
     console.print(beyond_text(beyond_ranges(plant, moving)), highlight=False, soft_wrap=True)

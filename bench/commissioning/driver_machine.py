@@ -52,8 +52,8 @@ _STALL, _STALL_FELT = 5.0, 0.5
 """Ticks without one that are a stall, and the time after one for which it explains lost readings (s)."""
 _STIRRED = 0.05
 """rad by which a joint of a measured robot moves at most while the spools are centred with air on."""
-_DRIFT = 1.5
-"""rad/s of a joint whose spool is off its centre; its club's head then moves at 1 to 2 m/s."""
+_DRIFT = 4.0
+"""rad/s of a joint whose spool is off its centre; of robots within the range up to 2 were seen."""
 _ADRIFT = MotionBounds((_DRIFT,) * 3, (inf,) * 3, inf)
 """Bounds of a robot whose spools may be off their centres."""
 _READY = 3.0

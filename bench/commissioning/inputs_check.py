@@ -83,7 +83,7 @@ class InputsStep:
     bounds_text = (
         "no air for the switches, then "
         f"{' and '.join(f'{1e-5 * p:.1f}' for p in PRESSURES)} bar absolute in the manifold, vents open, "
-        "spools centred; a joint whose spool is off its centre drifts, at 1.5 rad/s at most"
+        "spools centred; a joint whose spool is off its centre drifts, at 4 rad/s at most"
     )
 
 
