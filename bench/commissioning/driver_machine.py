@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from math import inf, isfinite
+from math import isfinite
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bench.clock import Clock, FreeClock
 from bench.commissioning.inputs import Act, levels
 from bench.commissioning.machine import (
+    ADRIFT,
     Array,
     MotionBounds,
     MotionTrace,
@@ -52,10 +53,6 @@ _STALL, _STALL_FELT = 5.0, 0.5
 """Ticks without one that are a stall, and the time after one for which it explains lost readings (s)."""
 _STIRRED = 0.05
 """rad by which a joint of a measured robot moves at most while the spools are centred with air on."""
-_DRIFT = 4.0
-"""rad/s of a joint whose spool is off its centre; of robots within the range up to 2 were seen."""
-_ADRIFT = MotionBounds((_DRIFT,) * 3, (inf,) * 3, inf)
-"""Bounds of a robot whose spools may be off their centres."""
 _READY = 3.0
 """s in which a device that was opened gives its first readings and the guard locks."""
 
@@ -187,13 +184,13 @@ class DriverMachine:
         Raises:
             Refused: the device fails, or it was stopped.
             WrongMachine: a joint moves with air on and the guard closed; one of a robot that is to be
-                measured, whose spools may be off their centres, faster than its cushion allows.
+                measured, whose spools may be off their centres, faster than `ADRIFT` allows.
         """
         begun = changed = self._now
         last, start = None if before is None else levels(before), self._seen[-1]
         while True:
             self._applied = self._driver.write(command)
-            self._bounds = _ADRIFT if command.supply_enable else None
+            self._bounds = ADRIFT if command.supply_enable else None
             self._await_tick()
             self._read()
             self._trouble = self._device_failure()
@@ -217,11 +214,12 @@ class DriverMachine:
 
     def _require_spools_centred(self, start: NDArray[np.int64]) -> None:
         """Make the machine passive and raise WrongMachine if a joint moves, from counts `start`."""
-        way, speed = np.abs(self._turned(start)), self._speed()
+        way = np.abs(self._turned(start))
         joint = JOINTS[int(np.argmax(way))]
-        found = f"the joint moves by {way.max():.2f} rad" if way.max() > _STIRRED else ""
-        if not self._inputs_only:
-            passed = bound_passed(_ADRIFT, speed, np.zeros(3), self._pressure())
+        if self._inputs_only:
+            found = f"the joint moves by {way.max():.2f} rad" if way.max() > _STIRRED else ""
+        else:
+            passed = bound_passed(ADRIFT, self._speed(), way, self._pressure())
             found = passed.text if passed else ""
         if not found:
             return

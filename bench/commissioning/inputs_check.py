@@ -14,6 +14,7 @@ from typing import Protocol
 from bench.calibration.values import SeenInputs
 from bench.calibration.wiring_digest import wiring_digest
 from bench.commissioning.inputs import ACTS, Act, InputFinding, Stage, fitted, judged, stages
+from bench.commissioning.machine import DRIFT
 from bench.commissioning.regulator import Regulator
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration
@@ -83,7 +84,7 @@ class InputsStep:
     bounds_text = (
         "no air for the switches, then "
         f"{' and '.join(f'{1e-5 * p:.1f}' for p in PRESSURES)} bar absolute in the manifold, vents open, "
-        "spools centred; a joint whose spool is off its centre drifts, at 4 rad/s at most"
+        f"spools centred; a joint whose spool is off its centre drifts, at {DRIFT:g} rad/s at most"
     )
 
 

@@ -56,6 +56,12 @@ class MotionBounds(NamedTuple):
     """Max duration of a sequence, s."""
 
 
+DRIFT = 4.0
+"""Max speed of a joint whose spool may be off its centre, rad/s; robots of the range were seen up to 2."""
+ADRIFT = MotionBounds((DRIFT,) * 3, (np.inf,) * 3, np.inf)
+"""Bounds of a robot whose valves are not measured yet, while its spools are centred with air on."""
+
+
 class PassedBound(NamedTuple):
     """A bound that a motion passed."""
 
