@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.design.designer import SwingDemand, downswing_rows, furthest_cock, wrist_range
-from bench.errors import BenchError
-from bench.golfer import GolferSwing
+from bench.golfer import GolferSwing, require_club
 from bench.swing.golfers import Golfer, HumanDownswing
 from bench.swing.profile import Profile
 from sim.kinematics import right_arm_length, theta2_from_right_arm
@@ -100,10 +99,8 @@ def demand_measured(
     Raises:
         BenchError: shaft and head were not measured.
     """
+    require_club(golfer)
     angle = golfer.angle[golfer.top_row :]
-    if np.isnan(angle).any():
-        cure = "Import a recording with grip and head of the club."
-        raise BenchError(str(golfer.path), "a body without a club", "a measured club", cure)
     furthest = plant.wrist.upper - wrist_range(plant, demand)[0] - _WRIST_INSIDE
     demand = replace(
         demand,

@@ -14,7 +14,7 @@ from bench.golfer.comparison import (
 from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer, save_golfer, summary
 from bench.golfer.measured_swing import ImportOptions, MeasuredSwing
 from bench.golfer.measuring import measure
-from bench.golfer.reach import beyond_ranges, with_club_held
+from bench.golfer.reach import beyond_ranges, require_club, with_club_held
 from bench.golfer.recording import read_capture
 from bench.golfer.roles import Roles, find_roles
 
@@ -37,6 +37,7 @@ __all__ = [
     "load_golfer",
     "measure",
     "read_capture",
+    "require_club",
     "robot_motion",
     "save_golfer",
     "summary",

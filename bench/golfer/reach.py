@@ -30,6 +30,18 @@ def beyond_ranges(plant: PlantParameters, angle: NDArray[np.float64]) -> tuple[f
     return shoulder, arm, wrist
 
 
+def require_club(golfer: GolferSwing) -> None:
+    """Refuse a `golfer` whose shaft or head were not measured from the top on.
+
+    Raises:
+        BenchError: they were not.
+    """
+    down = slice(golfer.top_row, None)
+    if not np.isfinite(np.column_stack([golfer.angle, golfer.head])[down]).all():
+        cure = "Import a recording with grip and head of the club."
+        raise BenchError(str(golfer.path), "a body without a club", "a measured club", cure)
+
+
 def with_club_held(plant: PlantParameters, golfer: GolferSwing) -> GolferSwing:
     """Return `golfer` with the angles, from the top on, at which the robot of `plant` holds its club alike.
 
@@ -38,21 +50,20 @@ def with_club_held(plant: PlantParameters, golfer: GolferSwing) -> GolferSwing:
     Raises:
         BenchError: shaft and head were not measured, or the arm does not reach the club.
     """
+    require_club(golfer)
     robot, site, down = plant.robot, plant.site, slice(golfer.top_row, None)
     theta_t, head = golfer.angle.sum(axis=1)[down], golfer.head[down] + (site.ball_x, site.ball_y)
-    if not np.isfinite(theta_t + head.sum(axis=1)).all():
-        cure = "Import a recording with grip and head of the club, or use --follow body."
-        raise BenchError(str(golfer.path), "a body without a club", "a measured club", cure)
     shaft = robot.club.length_to_face * np.stack([np.cos(theta_t), np.sin(theta_t)], axis=1)
     wrist = head - shaft
     distance = np.linalg.norm(wrist, axis=1)
-    reached = np.clip(distance, abs(robot.l12 - robot.l23) + 1e-9, robot.l12 + robot.l23 - 1e-9)
+    nearest, farthest = abs(robot.l12 - robot.l23), robot.l12 + robot.l23
+    reached = np.clip(distance, nearest, farthest)
     row = int(np.argmax(np.abs(distance - reached)))
     if abs(distance[row] - reached[row]) > _FAR:
         raise BenchError(
             f"{golfer.path}, {-1e3 * golfer.time[down][row]:.0f} ms before the ball",
             f"the wrist {distance[row]:.3f} m from the shoulder's axis, to hold this club so",
-            f"{abs(robot.l12 - robot.l23):.3f} to {robot.l12 + robot.l23:.3f} m, where the arm reaches",
+            f"{nearest:.3f} to {farthest:.3f} m, where the arm reaches",
             "Use --follow body, mount a club of the golfer's length, or size a machine with golfbench size.",
         )
     wrist *= (reached / distance)[:, None]
