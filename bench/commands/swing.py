@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -200,11 +200,8 @@ GolferName = Annotated[
     str | None, option("Golfer to imitate: a built-in one or a measured NAME.golfer.toml.", "NAME")
 ]
 Follow = Annotated[
-    str,
-    option(
-        "Of a measured golfer: angles of shoulders, arm and club, or the club alone, ball on ball.",
-        "body|club",
-    ),
+    Literal["body", "club"],
+    option("Of a measured golfer: angles of shoulders, arm and club, or the club alone, ball on ball."),
 ]
 HeadSpeed = Annotated[
     float | None,
@@ -336,8 +333,6 @@ def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> G
     """Return the golfer called `name` with the angles that are followed; None without a name."""
     from bench.golfer import GolferSwing, golfer_named, with_club_held
 
-    if follow not in ("body", "club"):
-        raise BenchError("--follow", follow[:40], "body or club", "Correct --follow.")
     golfer = None if name is None else golfer_named(name)
     if follow == "body":
         return golfer
