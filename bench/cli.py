@@ -68,10 +68,11 @@ COMMANDS: Mapping[str, str] = {
     "demo": "bench.cli:demo",
     "check": "bench.cli:check",
     "replay": "bench.cli:replay",
-    "swing": "bench.commands.swing:app",
+    "profile": "bench.commands.profile:app",
     "golfer": "bench.commands.golfer:app",
     **dict.fromkeys(
-        ("status", "home", "arm", "disarm", "access", "tee", "stop", "estop", "reset", "lease"), _OPERATE
+        ("status", "home", "arm", "swing", "disarm", "access", "tee", "stop", "estop", "reset", "lease"),
+        _OPERATE,
     ),
     "calibrate": "bench.commands.calibrate:app",
     "campaign": "bench.commands.campaign:app",

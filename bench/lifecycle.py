@@ -584,7 +584,7 @@ STOPPING: dict[Phase, tuple[Reaction, Reaction, Reaction, Reaction, Reaction, Re
 
 A silent bench is PASSIVE by the device itself. In the impact window and the follow-through COMPLETE *is* the
 brake as planned. An actuator that does not obey may be a stuck valve, and only taking its air away helps, so
-the supply is cut (PASSIVE). Departs from one column 'readings trusted', shown by `golfbench swing check`: a
+the supply is cut (PASSIVE). Departs from one column 'readings trusted', shown by `golfbench profile check`: a
 shoulder valve stuck open, noticed within milliseconds by the model-based check, ends within the ratings when
 the supply is cut at once, and at up to 384 % of them when the others brake with air on. The wrist is the
 exception: while it is fast its own air must brake it, and without it its stop takes up to 168 %. A chamber

@@ -221,7 +221,7 @@ def _stale(profile: Profile, used: LimitsInUse) -> BenchError:
         f"limits of {profile.name}",
         used.source,
         "limits made for this robot, profile and controller, or none",
-        f"Make them: golfbench swing limits {profile.name}",
+        f"Make them: golfbench profile limits {profile.name}",
     )
 
 

@@ -130,7 +130,8 @@ def test_commands_parse(path: Path, golfbench: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["swing nowhere", "run --tmie paced", "run --time never", "status more", "demo --seed"]
+    "line",
+    ["profile nowhere", "swing list", "run --tmie paced", "run --time never", "status more", "demo --seed"],
 )
 def test_a_wrong_command_is_found(line: str, golfbench: Any) -> None:
     assert _commands(f"```\n$ golfbench {line}   # comment\n```") == [line]

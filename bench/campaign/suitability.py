@@ -96,6 +96,6 @@ def series_words(plan: CampaignPlan) -> str:
 
 START_SERIES = (
     "Start the bench with golfbench run --series, or set [lifecycle] series = true for it, "
-    "or plan the air of its profiles: golfbench swing address."
+    "or plan the air of its profiles: golfbench profile address."
 )
 """Cure of a bench that vents after each swing."""

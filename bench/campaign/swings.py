@@ -41,7 +41,7 @@ def require_swings(
                     f"{path}: club",
                     f"a swing designed for club {profile.club!r}",
                     f"one for {name!r}, or for a club of the same masses and lengths",
-                    f"Design one (golfbench swing design, with club {name}) and name it: "
+                    f"Design one (golfbench profile design, with club {name}) and name it: "
                     f'[swings.{swing}] {name} = "PROFILE".',
                 )
             )

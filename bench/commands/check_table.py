@@ -1,4 +1,4 @@
-"""How `golfbench swing check` shows its outcomes: a table for people, a record for programs."""
+"""How `golfbench profile check` shows its outcomes: a table for people, a record for programs."""
 
 from __future__ import annotations
 

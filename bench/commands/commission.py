@@ -391,7 +391,7 @@ def _show(state: Commissioning) -> None:
     robot, learned = state.folder / "robot.toml", state.folder / "learned.toml"
     console.print(
         f"Written: {robot}, swing.toml, learned.toml and report.html.\n"
-        f"Swing it: golfbench --config {robot} swing simulate {learned}",
+        f"Swing it: golfbench --config {robot} profile simulate {learned}",
         highlight=False,
         markup=False,
     )

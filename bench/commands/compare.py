@@ -1,4 +1,4 @@
-"""`golfbench swing compare`: one swing, one robot, controllers from the thesis' PID to learning."""
+"""`golfbench profile compare`: one swing, one robot, controllers from the thesis' PID to learning."""
 
 from __future__ import annotations
 

@@ -138,18 +138,33 @@ def reset(context: typer.Context) -> None:
     _ask_as_holder(context, lambda bench: bench.reset())
 
 
-def swing_when_armed(context: typer.Context, wait: bool, timeout: float) -> None:
-    """Swing, if the bench is ARMED and this user holds its lease: `golfbench swing`."""
+@app.command(rich_help_panel=PANEL, context_settings={"allow_extra_args": True})
+def swing(
+    context: typer.Context,
+    no_wait: Annotated[
+        bool, flag("--no-wait", "Return once the swing has begun, without its delivery.")
+    ] = False,
+    timeout: Annotated[
+        float, option("Longest time to wait for its record.", "S", low=1.0, high=600.0)
+    ] = 60.0,
+) -> None:
+    """Swing, if the bench is ARMED, and print the delivery; needs the lease.
+
+    Exits with 1 if the swing did not complete. Profiles: golfbench profile.
+    """
     from bench.commands.shot_lines import shot_lines
-    from bench.errors import Refused
+    from bench.errors import BenchError, Refused
     from bench.network.client import cure_of
 
+    if context.args:  # a slip for `golfbench profile ...` must not move the robot
+        found, action = f'argument "{context.args[0]}"', "Profiles: golfbench profile --help."
+        raise BenchError("golfbench swing", found, "no argument, as it moves the robot", action)
     with _holding(context) as bench, _waiting(bench) as watch:
         status = bench.status()
         if status["state"] != "ARMED":
             found = f"{status['state']}{': ' + status['cause']['text'] if status['cause'] else ''}"
             raise Refused(f"swing of bench {bench.bench}", found, "state ARMED", cure_of(status))
-        if not wait:
+        if no_wait:
             bench.swing(watch=watch)
             _tell(bench)
             return

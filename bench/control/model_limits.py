@@ -1,7 +1,7 @@
 """Limits of the model-based check that were made for one profile, plant and controller: their file and use.
 
 A file PROFILE.limits.toml holds the limits by comparison, row and joint, and what they were made for.
-`golfbench swing limits` makes it. Limits made for something else are stale: they are named and not used, and
+`golfbench profile limits` makes it. Limits made for something else are stale: reported and not used, and
 a real robot is not armed. Used are, in this order: tables that the configuration gives by hand; the limits of
 the profile, if they are not stale; else the default tables of [envelope.model], wide enough for every shipped
 profile.
@@ -35,7 +35,7 @@ REQUIRED = frozenset(MODEL_PHASES["air"]) - FROM_SETTINGS
 LimitTables = Mapping[str, Mapping[str, Triple]]
 """Limits by comparison and row, joints in order: Pa, Pa, rad/s, rad, N m."""
 
-_CURE = "Make it again with `golfbench swing limits`."
+_CURE = "Make it again with `golfbench profile limits`."
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,9 @@ def limits_in_use(settings: ModelSettings, bench: MadeFor, candidates: Iterable[
                 return LimitsInUse(_merged(settings, limits.tables), str(path), stale=False)
             stale.append(f"{path}: made for {' and '.join(found)}")
     text = "; ".join(stale) or "none were made for this profile"
-    return LimitsInUse(settings, f"default tables ({text}; `golfbench swing limits` makes them)", bool(stale))
+    return LimitsInUse(
+        settings, f"default tables ({text}; `golfbench profile limits` makes them)", bool(stale)
+    )
 
 
 def _merged(settings: ModelSettings, tables: LimitTables) -> ModelSettings:
@@ -161,7 +163,7 @@ def save_limits(path: Path, limits: ModelLimits) -> None:
         OSError: the file cannot be written.
     """
     lines = [
-        f"# Limits of the model-based check of {limits.profile}, made by `golfbench swing limits`.",
+        f"# Limits of the model-based check of {limits.profile}, made by `golfbench profile limits`.",
         f'schema = "{SCHEMA}"',
         f"profile = {json.dumps(limits.profile)}",
         f"draws = {limits.draws}",

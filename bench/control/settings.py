@@ -110,14 +110,14 @@ class ControlSettings:
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
     """Opening per rad/s of reference speed in slow moves, set by hand."""
     brake_gain: NotNegativeTriple = (0.170, 0.065, 0.093)
-    """Opening per rad/s against the motion in BRAKE; found with `golfbench swing check`."""
+    """Opening per rad/s against the motion in BRAKE; found with `golfbench profile check`."""
     brake_damping: NotNegativeTriple = (0.0035, 0.0002, 0.00012)
     """Opening per rad/s2 against the motion in BRAKE."""
     brake_fade: PositiveTriple = (1.2, 1.0, 1.5)
     """Speed below which BRAKE eases off, rad/s."""
     follow_through_lift: NotNegative = 6.0
     """Opening per rad by which the follow-through pulls the right arm in on turf or a mat, until a straight
-    club passes above the ground; found with `golfbench --config bag swing check`."""
+    club passes above the ground; found with `golfbench --config bag profile check`."""
     still_speed: PositiveTriple = (0.05, 0.05, 0.10)
     """Below it a joint rests, rad/s."""
     still_time: Positive = 0.05

@@ -17,7 +17,7 @@ def load_casadi() -> Any:
         import casadi
     except ImportError as error:
         raise BenchError(
-            "swing design",
+            "profile design",
             f"no package casadi ({error})",
             "the extra that plans swings",
             'pip install "golfbench[design]"',

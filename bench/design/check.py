@@ -1,4 +1,4 @@
-"""`golfbench swing check`: proves a profile's stops on the plant, from every instant of the swing.
+"""`golfbench profile check`: proves a profile's stops on the plant, from every instant of the swing.
 
 The nominal swing runs once with and once without a ball. From each instant of both, each reaction of the
 stopping table is provoked, each valve sticks open either way or shut, and the bench falls silent; each time
@@ -130,7 +130,7 @@ class SwingCheck:
                     f"checking profile {self.profile.name!r}",
                     f"the undisturbed swing stopped by tick {tick}: {CAUSE_TEXT[bench.cause]}",
                     "an undisturbed swing that runs to its end",
-                    "Try it with `golfbench swing simulate`.",
+                    "Try it with `golfbench profile simulate`.",
                 )
             if tick < len(self.profile.angle):
                 yield tick, bench

@@ -192,8 +192,8 @@ def other_rate(profile: Profile, plant: PlantParameters) -> str:
         return ""
     return (
         f"swing {profile.name} has a sample every {1e3 * profile.period:g} ms, the loop a tick every "
-        f"{1e3 * plant.tick:g} ms: it is swung with values between the samples, but swing check, campaigns, "
-        "learning and faults need a sample a tick: set loop.rate_hz, or design a swing for this rate"
+        f"{1e3 * plant.tick:g} ms: it is swung with values between the samples, but profile check, "
+        "campaigns, learning and faults need a sample a tick: set loop.rate_hz, or design one for this rate"
     )
 
 

@@ -125,7 +125,7 @@ class Workbench:
                 f"fault matrix of profile {self.profile.name!r}",
                 f"the undisturbed bench stopped before {instant.name}: {CAUSE_TEXT[bench.cause]}",
                 "an undisturbed swing that runs to its end",
-                "Try it with `golfbench swing simulate`.",
+                "Try it with `golfbench profile simulate`.",
             )
         return bench
 

@@ -81,7 +81,7 @@ def planned_figures(bench: Bench) -> Figures:
             f"{bench.profile.name}: delivery",
             f"no {missing[0]}",
             "the planned delivery",
-            "Take a profile of `golfbench swing design`.",
+            "Take a profile of `golfbench profile design`.",
         )
     strike, speed, lean, slope = (delivery[key] for key in wanted)
     return Figures(1e-3 * strike, speed, radians(lean), asin(sin(radians(slope)) * sin(lie)))

@@ -1,6 +1,6 @@
 """The one engine of simulated swings: a bench whose plant, loads and tee are at hand.
 
-`simulate`, the series that learning and tuning swing, `swing check`, the fault matrix and the designer's
+`simulate`, the series that learning and tuning swing, `profile check`, the fault matrix and the designer's
 rehearsals run on it; `bench.simulation.safety` judges the end of a run.
 """
 

@@ -46,7 +46,7 @@ class SizedSwing:
     silent: float = 0.0
     """The same, bench silent at five times before the ball."""
     cases: int = 0
-    """Tried fault cases of `swing check`; 0: none was tried."""
+    """Tried fault cases of `profile check`; 0: none was tried."""
     unsafe: int = 0
     """Unsafe cases of the stopping table, a silent bench or a missing ball."""
     stuck_unsafe: int = 0

@@ -134,11 +134,11 @@ _PRESSURES = (1.0e5, 2.0e6)
 """Pa absolute, of a planned pressure."""
 _BESIDE: dict[str, tuple[type, str]] = {"table": _TEXT, "table_sha256": _TEXT}
 _GROUPS = ("delivery", "limits")
-_CURE = "Correct the profile, or design it again with `golfbench swing design`."
-_CURE_ADDRESS = "Plan them with `golfbench swing address`, or leave the table `address` out."
+_CURE = "Correct the profile, or design it again with `golfbench profile design`."
+_CURE_ADDRESS = "Plan them with `golfbench profile address`, or leave the table `address` out."
 _CURE_TABLE = (
-    "Copy both files from the same place, or design the profile again with `golfbench swing design`. "
-    "To edit a profile, start from `golfbench swing show PROFILE --table`."
+    "Copy both files from the same place, or design the profile again with `golfbench profile design`. "
+    "To edit a profile, start from `golfbench profile show PROFILE --table`."
 )
 
 
@@ -150,7 +150,7 @@ def load_profile(path: Path) -> Profile:
             digest, a key is unknown, missing or of the wrong type, a number is not finite or outside its
             physical range, or the tables do not fit together.
     """
-    raw = read_toml(path, "a swing profile", "`golfbench swing list` shows the known ones.")
+    raw = read_toml(path, "a swing profile", "`golfbench profile list` shows the known ones.")
     beside = raw.get("schema") == SCHEMA
     _check_keys(path, raw, _BESIDE if beside else {}, () if beside else tuple(_TABLES))
     tables = {key: _array(path, key, raw[key], 1) for key in _LISTS}
@@ -336,7 +336,7 @@ def save_profile(path: Path, profile: Profile) -> Path:
     table = path.with_suffix(".parquet") if path.suffix == ".toml" else Path(f"{path}.parquet")
     content = encode_table({key: getattr(profile, key) for key in DIGITS}, profile.blind_spacing)
     beside = (
-        "# Angles, velocities, valves, blind brakes; `golfbench swing show PROFILE --table` prints them.",
+        "# Angles, velocities, valves, blind brakes; `golfbench profile show PROFILE --table` prints them.",
         f"table = {_quoted(table.name)}",
         f'table_sha256 = "{sha256(content).hexdigest()}"',
     )

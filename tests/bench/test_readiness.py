@@ -177,7 +177,7 @@ def test_assess_stale_limits_block_a_machine_and_warn_a_simulated_bench(
     ).blocks(NOW)
     assert block["place"] == "limits of default"
     assert "another plant (wrist.friction.coulomb 45, here 49)" in block["found"]
-    assert "golfbench swing limits default" in block["cure"]
+    assert "golfbench profile limits default" in block["cure"]
     wrist = configuration.plant.wrist
     wrist = replace(wrist, friction=replace(wrist.friction, coulomb=49.0))
     c = replace(configuration, plant=replace(configuration.plant, wrist=wrist))
@@ -404,9 +404,9 @@ Run = Callable[..., tuple[int, str, str]]
         ["check"],
         ["campaign", "check", "two-balls"],
         ["campaign", "run", "two-balls", "--sim"],
-        ["swing", "simulate", "default"],
-        ["swing", "check", "default"],
-        ["swing", "limits", "default"],
+        ["profile", "simulate", "default"],
+        ["profile", "check", "default"],
+        ["profile", "limits", "default"],
         ["learn", "default", "--sim"],
     ],
     ids=" ".join,

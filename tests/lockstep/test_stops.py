@@ -1,6 +1,6 @@
 """The shipped swing, stopped on the plant: at rest, stops and chambers below their ratings, its cause told.
 
-Tried at some instants only; `golfbench swing check` tries all, and shows which valves stuck open end above.
+Tried at some instants only; `golfbench profile check` tries all, and shows which valves stuck open end above.
 """
 
 from __future__ import annotations

@@ -294,7 +294,18 @@ def test_swing_alone_swings_only_an_armed_bench(running: RunningPlane, golfbench
     golfbench("lease", "release")
     assert golfbench("swing").code == ExitCode.REFUSED
     assert running.desk.requests == []
-    assert golfbench("swing", "list").code == 0
+
+
+@pytest.mark.parametrize("words", ["list", "check default", "--no-wait show", "-- --help"])
+def test_swing_with_an_argument_is_refused_and_moves_nothing(
+    running: RunningPlane, golfbench: Golfbench, words: str
+) -> None:
+    golfbench("lease", "take")
+    running.desk.state = State.ARMED
+    code, _, err = golfbench("swing", *words.split())
+    assert code == ExitCode.BAD_INPUT
+    assert "golfbench profile" in err
+    assert running.desk.requests == []
 
 
 def test_a_second_user_is_told_who_holds_the_bench(

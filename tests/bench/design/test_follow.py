@@ -31,7 +31,7 @@ def test_a_demand_near_a_swing_has_its_top_its_time_and_its_poses() -> None:
 
 
 def test_a_swing_follows_a_golfer_or_another_swing(tmp_path: Path) -> None:
-    arguments = ["swing", "design", str(tmp_path / "a.toml"), "--golfer", "senior", "--near", "default"]
+    arguments = ["profile", "design", str(tmp_path / "a.toml"), "--golfer", "senior", "--near", "default"]
     result = CliRunner().invoke(app, arguments)
     assert "--golfer and --near" in str(result.exception or result.output)
     assert not list(tmp_path.iterdir())

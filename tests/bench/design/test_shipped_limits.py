@@ -24,7 +24,7 @@ from tests.compiled_only import needs_speed
 
 HIGH_SPEED = {"driver-115mph", "driver-130mph", "driver-130mph-level", "rules-120mph", "rules-125mph"}
 WITH_LIMITS = sorted(path.name.removesuffix(ENDING) for path in PROFILES.glob(f"*{ENDING}"))
-CURE = "make them again: golfbench --config CONFIGURATION swing limits PROFILE [--club CLUB] --output FILE"
+CURE = "make them again: golfbench --config CONFIGURATION profile limits PROFILE [--club CLUB] --output FILE"
 
 
 def designed_for(name: str) -> Configuration:

@@ -1,4 +1,4 @@
-"""`golfbench swing ...`: show, simulate, check and design profiles."""
+"""`golfbench profile ...`: list, show, simulate, check and design profiles; nothing here moves a robot."""
 
 from __future__ import annotations
 
@@ -29,33 +29,18 @@ if TYPE_CHECKING:
     from bench.swing.profile import Profile
     from sim.plant import PlantParameters
 
-app = typer.Typer(invoke_without_command=True)
+app = typer.Typer(
+    help="List, show, simulate, check, design and compare swing profiles.", no_args_is_help=True
+)
 app.command()(compare)
 
 Name = Annotated[str, argument("PROFILE", "Name or path of a profile.")]
 
 
-@app.callback()
-def swing(
-    context: typer.Context,
-    no_wait: Annotated[
-        bool, flag("--no-wait", "Return once the swing has begun, without its delivery.")
-    ] = False,
-    timeout: Annotated[
-        float, option("Longest time to wait for its record.", "S", low=1.0, high=600.0)
-    ] = 60.0,
-) -> None:
-    """Swing, if the bench is ARMED, and print the delivery; or show, simulate, check and design profiles."""
-    if context.invoked_subcommand is None:
-        from bench.commands.operate import swing_when_armed
-
-        swing_when_armed(context, not no_wait, timeout)
-
-
 @app.command("list")
 def list_profiles(json_: Json = False) -> None:
     """Show the profiles that come with golfbench."""
-    from bench.commands.swing_tables import listing
+    from bench.commands.profile_tables import listing
     from bench.swing.library import THESIS, find_profile, profile_names
     from bench.swing.profile import load_profile
 
@@ -66,7 +51,7 @@ def list_profiles(json_: Json = False) -> None:
         return show_json(found)
     console = Console()
     console.print(listing(profiles) if profiles else "No profiles here yet.")
-    console.print(f"Also: golfbench swing simulate {THESIS}, the thesis' own experiment.", highlight=False)
+    console.print(f"Also: golfbench profile simulate {THESIS}, the thesis' own experiment.", highlight=False)
 
 
 @app.command()
@@ -79,7 +64,7 @@ def show(
     ] = False,
 ) -> None:
     """Show a profile: phases and times, planned delivery, limits."""
-    from bench.commands.swing_tables import details, draw
+    from bench.commands.profile_tables import details, draw
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, profile_text
 
@@ -322,11 +307,11 @@ def design(
         swing = _save_design(configuration, demand, begin, path, whose)
     except DesignFailed as failure:
         raise BenchError(
-            "swing design", str(failure), "a swing that this plant can do", _ASK_FOR_LESS
+            "profile design", str(failure), "a swing that this plant can do", _ASK_FOR_LESS
         ) from None
     if whose is not None:
         _show_deviations(plant, whose, swing)
-    typer.echo(f"Next: golfbench swing check {path}" + (f" --club {club}" if club else ""))
+    typer.echo(f"Next: golfbench profile check {path}" + (f" --club {club}" if club else ""))
 
 
 def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> Golfer | GolferSwing | None:
@@ -373,7 +358,7 @@ def _with_motion(
     from bench.swing.profile import load_profile
 
     if golfer is not None and near is not None:
-        raise Refused("swing design", "--golfer and --near", "one of them", "Leave one out.")
+        raise Refused("profile design", "--golfer and --near", "one of them", "Leave one out.")
     if isinstance(golfer, Golfer):
         demand = demand_like(plant, golfer, human_downswing(plant, golfer), demand, asked[0])
     elif golfer is not None:

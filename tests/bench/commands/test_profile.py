@@ -76,7 +76,7 @@ def test_check_refuses_with_every_mistake(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [["check"], ["swing", "show", "slow"], ["swing", "simulate", "slow"], ["doctor"]]
+    "command", [["check"], ["profile", "show", "slow"], ["profile", "simulate", "slow"], ["doctor"]]
 )
 def test_a_bad_configuration_stops_every_command(command: list[str], run: Run) -> None:
     answer = run("--config", "bad.toml", *command)
@@ -88,13 +88,13 @@ def test_a_bad_configuration_stops_every_command(command: list[str], run: Run) -
 
 
 def test_simulate_refuses_before_anything_moves(run: Run, tmp_path: Path) -> None:
-    answer = run("swing", "simulate", "wrong.toml", "--output", "out")
+    answer = run("profile", "simulate", "wrong.toml", "--output", "out")
     assert answer.code == ExitCode.BAD_INPUT
     assert "the mounted one" in answer.err
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("command", [["swing", "check"], ["faults", "run"], ["tune"]])
+@pytest.mark.parametrize("command", [["profile", "check"], ["faults", "run"], ["tune"]])
 def test_what_is_tried_without_a_name_is_the_configurations_profile(
     run: Run, tmp_path: Path, command: list[str]
 ) -> None:
@@ -116,10 +116,12 @@ def test_a_profile_of_another_club_is_not_judged_with_the_mounted_one(command: s
 
 def test_a_club_is_mounted_on_its_site_for_one_command(run: Run) -> None:
     path = str(IRON)
-    assert run("--config", "bag", "swing", "simulate", path, "--output", "one").code == ExitCode.BAD_INPUT
-    answer = run("--config", "bag", "swing", "simulate", path, "--club", "iron7", "--output", "two", "--json")
+    assert run("--config", "bag", "profile", "simulate", path, "--output", "one").code == ExitCode.BAD_INPUT
+    answer = run(
+        "--config", "bag", "profile", "simulate", path, "--club", "iron7", "--output", "two", "--json"
+    )
     assert answer.code == ExitCode.OK, answer.err
-    answer = run("--config", "bag", "swing", "check", path, "--club", "putter")
+    answer = run("--config", "bag", "profile", "check", path, "--club", "putter")
     assert (answer.code, "one of driver" in answer.err) == (ExitCode.BAD_INPUT, True)
 
 
@@ -144,41 +146,41 @@ def test_a_running_bench_has_the_club_that_it_has(run: Run) -> None:
 def test_an_unknown_profile_ball_or_variant_is_told(run: Run) -> None:
     answer = run("check", "slwo")
     assert (answer.code, "Did you mean slow?" in answer.err) == (ExitCode.BAD_INPUT, True)
-    answer = run("swing", "simulate", "slow", "--ball", "hard")
+    answer = run("profile", "simulate", "slow", "--ball", "hard")
     assert (answer.code, "one of tour, range" in answer.err) == (ExitCode.BAD_INPUT, True)
     answer = run("--config", "smal_plant", "check")
     assert (answer.code, "small_plant" in answer.err) == (ExitCode.BAD_INPUT, True)
-    answer = run("swing", "show", "thesis")
-    assert (answer.code, "golfbench swing simulate thesis" in answer.err) == (ExitCode.BAD_INPUT, True)
+    answer = run("profile", "show", "thesis")
+    assert (answer.code, "golfbench profile simulate thesis" in answer.err) == (ExitCode.BAD_INPUT, True)
 
 
 def test_list_shows_the_profiles_a_line_each(run: Run) -> None:
-    lines = run("swing", "list").out.splitlines()
+    lines = run("profile", "list").out.splitlines()
     (row,) = [line.split() for line in lines if line.split()[:1] == ["slow"]]
     assert row[1] == "driver"
-    (found,) = json.loads(run("swing", "list", "--json").out)
+    (found,) = json.loads(run("profile", "list", "--json").out)
     assert (found["name"], found["club"], found["duration"]) == ("slow", "driver", 2.0)
 
 
 def test_show_draws_a_profile(run: Run, tmp_path: Path) -> None:
-    answer = run("swing", "show", "slow", "--plot", "slow.png")
+    answer = run("profile", "show", "slow", "--plot", "slow.png")
     assert answer.code == ExitCode.OK
     for text in ("Phases", "follow through", "head speed", "m/s", "Picture: slow.png"):
         assert text in answer.out
     assert (tmp_path / "slow.png").read_bytes().startswith(b"\x89PNG")
-    assert run("swing", "show", "slow", "--plot", "slow.txt").code == ExitCode.BAD_INPUT
-    assert run("swing", "show", "slow", "--plot", "none/slow.png").code == ExitCode.FILE
+    assert run("profile", "show", "slow", "--plot", "slow.txt").code == ExitCode.BAD_INPUT
+    assert run("profile", "show", "slow", "--plot", "none/slow.png").code == ExitCode.FILE
 
 
 def test_show_prints_a_profile_that_can_be_edited_and_loaded(run: Run, tmp_path: Path) -> None:
-    answer = run("swing", "show", "slow", "--table")
+    answer = run("profile", "show", "slow", "--table")
     assert (answer.code, "angle_rad = [" in answer.out) == (ExitCode.OK, True)
     (tmp_path / "edited.toml").write_text(answer.out.replace('golfer = "nobody"', 'golfer = "somebody"'))
-    assert "somebody" in run("swing", "show", "edited.toml").out
+    assert "somebody" in run("profile", "show", "edited.toml").out
 
 
 def test_simulate_tells_why_there_is_no_shot(run: Run, tmp_path: Path) -> None:
-    answer = run("--config", "mine.toml", "swing", "simulate", "slow", "--json")
+    answer = run("--config", "mine.toml", "profile", "simulate", "slow", "--json")
     found = json.loads(answer.out)
     assert answer.code == (ExitCode.REFUSED if found["shot"]["reason"] else ExitCode.OK)
     folder = tmp_path / "here" / "simulations" / "slow"
@@ -198,7 +200,7 @@ def test_names_come_before_paths_and_paths_work(run: Run, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["swing", "design", "new.toml", "--golfer", "senor"], "Did you mean senior?"),
+        (["profile", "design", "new.toml", "--golfer", "senor"], "Did you mean senior?"),
         (["golfer", "compare", "model:senior", "slow", "--plot", "beside.txt"], ".png"),
         (["golfer", "compare", "model:senor", "slow"], "Did you mean senior?"),
         (["golfer", "compare", "model:senior"], "at least one other"),
@@ -227,7 +229,7 @@ def test_design_saves_the_profile_and_shows_its_delivery(
     answer = run(
         "--config",
         "mine.toml",
-        "swing",
+        "profile",
         "design",
         str(path),
         "--golfer",
@@ -245,7 +247,7 @@ def test_design_saves_the_profile_and_shows_its_delivery(
     assert (name, named["golfer"], named["start"], demand.margin) == ("fast", "tour-female", None, 0.2)
     assert "in closed loop" in answer.out
     assert "Cushions at most" in answer.out
-    assert f"golfbench swing check {path}" in "".join(answer.out.split("\n"))
+    assert f"golfbench profile check {path}" in "".join(answer.out.split("\n"))
     assert load_profile(path).delivery == SHIPPED.delivery
 
 
@@ -259,7 +261,7 @@ def test_design_shows_the_highest_speed_or_what_stands_in_the_way(
         return SimpleNamespace(plan=plan, limit="the wrist's valve limits it")
 
     monkeypatch.setattr("bench.design.highest_speed.highest_speed", found)
-    answer = run("--config", "mine.toml", "swing", "design", "--highest")
+    answer = run("--config", "mine.toml", "profile", "design", "--highest")
     assert answer.code == 0, answer.err
     assert "At most 47.3 m/s at the ball, 15 % of each valve" in answer.out
     assert "one per cent more of supply pressure: +0.120 m/s" in answer.out
@@ -268,7 +270,7 @@ def test_design_shows_the_highest_speed_or_what_stands_in_the_way(
         raise DesignFailed("no way")
 
     monkeypatch.setattr("bench.design.highest_speed.highest_speed", failed)
-    answer = run("--config", "mine.toml", "swing", "design", "--highest")
+    answer = run("--config", "mine.toml", "profile", "design", "--highest")
     assert answer.code == ExitCode.BAD_INPUT
     assert "no way" in answer.err
 
@@ -276,7 +278,7 @@ def test_design_shows_the_highest_speed_or_what_stands_in_the_way(
 def test_planned_pressures_are_written_with_the_profile(
     run: Run, tmp_path: Path, slow_swing: Profile
 ) -> None:
-    answer = run("swing", "address", "slow", "--output", "planned.toml")
+    answer = run("profile", "address", "slow", "--output", "planned.toml")
     assert answer.code == 0
     assert "chambers at" in answer.out
     planned = load_profile(tmp_path / "planned.toml")
@@ -289,6 +291,6 @@ def test_an_address_that_no_air_holds_is_refused(run: Run, tmp_path: Path) -> No
     (tmp_path / "heavy.toml").write_text(
         'base = "shipped"\n[clubs.driver]\nlike = "driver"\nhead_mass = 300.0\n'
     )
-    answer = run("--config", "heavy.toml", "swing", "address", "slow", "--output", "planned.toml")
+    answer = run("--config", "heavy.toml", "profile", "address", "slow", "--output", "planned.toml")
     assert answer.code != 0
     assert not (tmp_path / "planned.toml").exists()

@@ -23,9 +23,9 @@ _COLOURS = ("#1f5fa8", "#d1495b", "#2a9d5c")
 
 
 def listing(profiles: list[tuple[str, Profile]]) -> Table:
-    """Return the table of `golfbench swing list`; pairs of name and profile.
+    """Return the table of `golfbench profile list`; pairs of name and profile.
 
-    One line each, whatever the width: `golfbench swing show NAME` prints the whole text.
+    One line each, whatever the width: `golfbench profile show NAME` prints the whole text.
     """
     table = plain_table(expand=True)
     table.add_column("name", no_wrap=True)
@@ -46,7 +46,7 @@ def _figure(profile: Profile, key: str, form: str) -> str:
 
 
 def details(profile: Profile, path: Path, plant: PlantParameters) -> Group:
-    """Return everything `golfbench swing show` prints."""
+    """Return everything `golfbench profile show` prints."""
     head = Text(f"{profile.name}", "bold")
     head.append(f"  {profile.text}\n{path}", "not bold")
     facts = _table("", "", title="")
