@@ -9,7 +9,7 @@ of the other actuators acts for a few hundredths of a second:
 - the wrist does not obey: the right arm pulls in, beside the brake.
 
 With PASSIVE the supply is cut as ever: chambers lose air, and get what the manifold still has. Openings
-and times were found on the plant, `bench/design/README.md`.
+and times were found on the plant, `bench/manual/control/architecture.md`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """A root folder for a container, made in seconds of this machine's own /usr: nothing is downloaded.
 
 /usr is seen through a bind mount; /etc and /var are new and hold only what golfbench's own installation
-puts there (systemd/README.md), plus masks for units that are of no use in a container. golfbench is the
-wheel of this source tree in /opt/golfbench, with the dependencies of the environment that runs the tests.
+puts there (bench/manual/integrator/service.md), plus masks for units that are of no use in a container.
+golfbench is the wheel of this source tree in /opt/golfbench, with the dependencies of the environment that
+runs the tests.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def _configure(folder: Path) -> None:
 
 
 def _install(folder: Path, python: Path) -> None:
-    """Install golfbench and its units as systemd/README.md says, with files in place of commands."""
+    """Install golfbench and its units as the manual states, with files in place of commands."""
     home, wheels = folder / "opt/golfbench", folder / "tmp/wheel"
     for path in (home / "bin", home / "dependencies", folder / _SITE):
         path.mkdir(parents=True)

@@ -16,7 +16,7 @@ import pytest
 
 from bench.processes.bench_folder import bench_folder
 from tests.systemd.container import Container, wait_until
-from tests.systemd.root import UNITS, build_root
+from tests.systemd.root import PROJECT, build_root
 
 pytestmark = [pytest.mark.requires("systemd-nspawn"), pytest.mark.timeout(1200)]
 
@@ -198,6 +198,8 @@ def test_exposure_of_the_unit_that_runs_is_that_of_its_file(service: Service) ->
     if not may_raise_limits():
         pytest.skip("the unit runs with capabilities in place of limits")
     told = service.container.run("systemd-analyze", "security", "--no-pager", f"{UNIT}.service")
-    stated = re.search(r"`golfbench@\.service` \| ([0-9.]+)", (UNITS / "README.md").read_text())
+    stated = re.search(
+        r"`golfbench@\.service` \| ([0-9.]+)", (PROJECT / "bench/manual/integrator/service.md").read_text()
+    )
     assert stated is not None
     assert f": {stated[1]} " in told.splitlines()[-1]

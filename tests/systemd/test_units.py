@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 UNITS = Path(__file__).parents[2] / "systemd"
+MANUAL = UNITS.parent / "bench/manual"
 INSTANCES = {
     "golfbench": "bench1",
     "golfbench-can": "can0",
@@ -57,7 +58,9 @@ def test_the_checker_sees_a_misspelt_setting(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", INSTANCES)
 def test_exposure_is_what_the_readme_states(name: str) -> None:
-    stated = re.search(rf"\| `{name}@\.service` \| ([0-9.]+) \|", (UNITS / "README.md").read_text())
+    stated = re.search(
+        rf"\| `{name}@\.service` \| ([0-9.]+) \|", (MANUAL / "integrator/service.md").read_text()
+    )
     assert stated is not None
     assert exposure(UNITS / f"{name}@.service") == float(stated[1])
 

@@ -64,7 +64,7 @@ After=golfbench-can@{link}.service
 
 
 def install(link: str) -> Configuration:
-    """Install the units as systemd/README.md says, configure the bench on `link`, calibrate it."""
+    """Install the units as the manual states, configure the bench on `link`, calibrate it."""
     etc = Path("/etc")
     for unit in UNITS.glob("*.service"):
         shutil.copy(unit, SYSTEM)

@@ -39,7 +39,6 @@ from bench.telemetry.cycle_record import CYCLE, arrow_schema
 from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import ClubFigures, LaunchRecord
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
-from tests.bench.network.contract_page import PAGE, page
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 CONTRACT = wire_contract("bench1")
@@ -70,11 +69,6 @@ def bench() -> Iterator[RunningPlane]:
 def session(bench: RunningPlane) -> Iterator[zenoh.Session]:
     with open_client(bench.configuration.network, "bench1") as session:
         yield session
-
-
-def test_the_page_is_made_from_the_contract() -> None:
-    text = PAGE.read_text()
-    assert page(text) == text, "renew it: python -m tests.bench.network.contract_page"
 
 
 def test_all_schemas_are_valid_json_schemas() -> None:

@@ -234,8 +234,8 @@ def test_an_unknown_family_is_refused_with_those_there_are(name: str) -> None:
         find_personality(name, role)
 
 
-def test_the_readme_lists_every_family() -> None:
-    text = (Path(__file__).parents[3] / "drivers" / "canopen" / "README.md").read_text(encoding="utf-8")
+def test_manual_lists_every_family() -> None:
+    text = (Path(__file__).parents[3] / "bench/manual/integrator/canopen.md").read_text(encoding="utf-8")
     rows = {line.split("|")[1].strip(" `"): line for line in text.splitlines() if line.startswith("| `")}
     refused = {"siko-msa501", "temposonics-e", "inverted-fixed"}
     for name, one in personalities().items():
