@@ -55,6 +55,7 @@ COMMANDS: Mapping[str, str] = {
     "commission": "bench.commands.commission:commission",
     "learn": "bench.commands.learn:learn",
     "identify": "bench.commands.identify:identify",
+    "wear": "bench.commands.wear:wear",
     "tune": "bench.commands.tune:tune",
     "view": "bench.commands.view:view",
     "page": "bench.commands.page:page",

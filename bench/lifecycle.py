@@ -367,12 +367,30 @@ CAUSE_WORDS: dict[Cause, Words] = {
     ),
     Cause.ARM_EFFORT: ("arm's motion does not fit its air", "check encoder R2, club, pressure sensors"),
     Cause.WRIST_EFFORT: ("wrist's motion does not fit its air", "check encoder R3, club, pressure sensors"),
-    Cause.SHOULDER_FLOW: ("shoulder valve passes more or less air than commanded", "check valve and sensors"),
-    Cause.ARM_FLOW: ("right arm's valve passes more or less air than commanded", "check valve and sensors"),
-    Cause.WRIST_FLOW: ("wrist valve passes more or less air than commanded", "check valve and sensors"),
-    Cause.SHOULDER_SENSOR: ("one chamber of the shoulder alone does not fit the model", "check its sensor"),
-    Cause.ARM_SENSOR: ("one chamber of the right arm alone does not fit the model", "check its sensor"),
-    Cause.WRIST_SENSOR: ("one chamber of the wrist alone does not fit the model", "check its sensor"),
+    Cause.SHOULDER_FLOW: (
+        "shoulder valve passes more or less air than commanded",
+        "check valve and sensors; if nothing is broken, it is worn: see golfbench wear",
+    ),
+    Cause.ARM_FLOW: (
+        "right arm's valve passes more or less air than commanded",
+        "check valve and sensors; if nothing is broken, it is worn: see golfbench wear",
+    ),
+    Cause.WRIST_FLOW: (
+        "wrist valve passes more or less air than commanded",
+        "check valve and sensors; if nothing is broken, it is worn: see golfbench wear",
+    ),
+    Cause.SHOULDER_SENSOR: (
+        "one chamber of the shoulder alone does not fit the model",
+        "check its sensor; if that is right, the valve is worn: see golfbench wear",
+    ),
+    Cause.ARM_SENSOR: (
+        "one chamber of the right arm alone does not fit the model",
+        "check its sensor; if that is right, the valve is worn: see golfbench wear",
+    ),
+    Cause.WRIST_SENSOR: (
+        "one chamber of the wrist alone does not fit the model",
+        "check its sensor; if that is right, the valve is worn: see golfbench wear",
+    ),
     Cause.MANIFOLD: ("the manifold holds pressure with the supply shut", "shut it off and vent it by hand"),
     Cause.SUPPLY_SENSOR: ("supply sensor without believable value", "check cable and sensor at the manifold"),
     Cause.SHOULDER_A_SENSOR: (

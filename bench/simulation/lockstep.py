@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from bench.control.model import BRAKING, note_deviations, row_of
+from bench.control.model import BRAKING, note_deviations, note_shares, row_of
 from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.references import charging
 from bench.control.step import step
@@ -106,6 +106,19 @@ def note_largest(largest: Any, state: ControlState, time: float) -> None:
         elif s.reaction == Reaction.BRAKE:
             velocity = state.estimator[0].velocity
             note_deviations(largest, state.model[0], state.estimator, velocity, BRAKING + s.phase)
+
+
+@compiled
+def note_shares_of_tick(shares: Any, limits: Any, state: ControlState, time: float) -> None:
+    """Raise `shares` (5, 3) of `limits` to those of the tick at `time` (s), where the check compares them."""
+    s = state.control[0]
+    if s.phase != Phase.STANDING and not charging(s, time):
+        if s.reaction <= Reaction.COMPLETE:
+            velocity = s.reference_velocity
+            note_shares(shares, limits, state.model[0], state.estimator, velocity, row_of(s))
+        elif s.reaction == Reaction.BRAKE:
+            velocity = state.estimator[0].velocity
+            note_shares(shares, limits, state.model[0], state.estimator, velocity, BRAKING + s.phase)
 
 
 @compiled

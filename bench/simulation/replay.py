@@ -154,6 +154,19 @@ class Replay:
         return [_difference(self, field, tolerance) for field in FIELDS if field.name in DECIDED]
 
 
+class ReplayStart(NamedTuple):
+    """Where a replay begins: the inputs that follow, and the controller of then."""
+
+    recorded: Cycles
+    """Records with the record's times, from the tick after the snapshot on."""
+    begin: float
+    """Loop time at the record's time zero, s."""
+    state: ControlState
+    parameters: ControlParameters
+    defaults: tuple[str, ...]
+    """Keys of the configuration that the record lacks; today's defaults replace them."""
+
+
 def replay_cycles(
     cycles: Cycles,
     metadata: Mapping[str, Any],
@@ -161,6 +174,18 @@ def replay_cycles(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Replay:
     """Replay `cycles` with their record's `metadata`; `place` names it, `progress` gets the ticks.
+
+    Raises:
+        BenchError, ExceptionGroup: as `replay_start`.
+    """
+    start = replay_start(cycles, metadata, place)
+    replayed = run_replay(start, lambda state, tick, time: progress(tick, len(start.recorded)))
+    progress(len(start.recorded), len(start.recorded))
+    return Replay(start.recorded, since(replayed, start.begin), start.defaults)
+
+
+def replay_start(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> ReplayStart:
+    """Return where a replay of `cycles` with their record's `metadata` begins; `place` names it.
 
     Raises:
         BenchError: the record has no snapshot, one of another controller, or lost cycles.
@@ -191,8 +216,7 @@ def replay_cycles(
             "Restore the record from a copy.",
         )
     parameters, defaults = controller_of(metadata, place)
-    replayed = _run(since(recorded, -begin), unpack_snapshot(snapshot), parameters, progress)
-    return Replay(recorded, since(replayed, begin), defaults)
+    return ReplayStart(recorded, float(begin), unpack_snapshot(snapshot), parameters, defaults)
 
 
 def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParameters, tuple[str, ...]]:
@@ -303,25 +327,25 @@ class _Recorded:
         """Nothing to close."""
 
 
-def _run(
-    cycles: Cycles, state: ControlState, parameters: ControlParameters, progress: Callable[[int, int], None]
-) -> Cycles:
-    """Return the cycles of a controller with memory `state` on the inputs in `cycles` (loop times)."""
-    kept = CycleArray(len(cycles))
-    cycle = Cycle(_Recorded(cycles), parameters, kept, name="replay")
-    cycle.state = state
-    control = state.control
+def run_replay(start: ReplayStart, watch: Callable[[ControlState, int, float], None]) -> Cycles:
+    """Return the cycles, in loop times, of the controller at `start`.
+
+    `watch` gets its memory, tick of the replay and time (s) after each tick.
+    """
+    inputs = since(start.recorded, -start.begin)
+    kept = CycleArray(len(inputs))
+    cycle = Cycle(_Recorded(inputs), start.parameters, kept, name="replay")
+    cycle.state = start.state
+    control = start.state.control
     permissions = ("lease_held", "support_ready", "supervisor_alive", "device_operational")
-    for k, now in enumerate(cycles):
+    for k, now in enumerate(inputs):
         for name in permissions:
             control[name] = now[name]
         control["tick"] = now["tick"] - 1  # ticks that the loop missed stay missed
         if now["request"]:
             control["request"], control["request_number"] = now["request"], now["request_number"]
         cycle.run_tick(float(now["time"]))
-        if k % 100 == 0:
-            progress(k, len(cycles))
-    progress(len(cycles), len(cycles))
+        watch(start.state, k, float(now["time"]))
     if cycle.publish_error is not None:
         raise cycle.publish_error
     return kept.cycles

@@ -1,0 +1,77 @@
+"""Wear shows in the residuals of recorded swings before the model-based check stops one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+from bench.cli import main
+from bench.config import Configuration
+from bench.control.model import KINDS
+from bench.simulation.residuals import margins, residual_shares
+from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from bench.telemetry.recorder import read_swing, write_swing
+from sim.plant import PlantParameters, build_plant
+
+
+def _steady(swings: int) -> np.ndarray:
+    return np.full((swings, len(KINDS), 3), 0.5)
+
+
+def test_margins_growing_residual_is_near_before_its_limit() -> None:
+    shares = _steady(40)
+    shares[:, KINDS.index("flow"), 2] += 0.003 * np.arange(40)
+    worst, *others = margins(shares)
+    assert (worst.kind, worst.joint, worst.near) == ("flow", "wrist", True)
+    assert worst.growth == pytest.approx(0.003)
+    assert worst.latest < 0.9
+    assert not any(one.near or one.growth for one in others)
+
+
+def test_margins_scattering_residual_has_no_trend() -> None:
+    shares = _steady(40) + np.random.default_rng(3).normal(0.0, 0.02, (40, len(KINDS), 3))
+    assert sum(one.growth != 0.0 for one in margins(shares)) <= 2  # 1 of 20 by chance
+    assert not any(one.near for one in margins(shares))
+
+
+def test_margins_residual_beside_its_limit_is_near_after_one_swing() -> None:
+    shares = _steady(1)
+    shares[0, 0, 0] = 0.95
+    assert [one.near for one in margins(shares)] == [True] + 14 * [False]
+
+
+def _worn(plant: PlantParameters, band: float) -> PlantParameters:
+    valve = replace(plant.wrist.valve, dead_band=plant.wrist.valve.dead_band + band)
+    return replace(plant, wrist=replace(plant.wrist, valve=valve))
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a swing takes a minute without compilation")
+def test_wear_command_worn_valve_names_its_joint_before_a_swing_is_stopped(
+    configuration: Configuration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = find_profile(configuration.swing.profile)
+    profile = load_profile(path)
+    c = configuration.for_profile(profile, path)
+    bench = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
+    latest = []
+    for number, band in enumerate((0.0, 0.008)):
+        powered = PoweredBench(bench)
+        powered.engine.stepper.plant = build_plant(_worn(c.plant, band))
+        assert powered.arm()
+        swing = powered.swing(c.plant.ball)
+        assert not swing.cause
+        metadata = swing.replay_metadata() | {"time_utc": f"2026-01-0{number + 1}T00:00:00"}
+        record = tmp_path / f"{number}.parquet"
+        write_swing(record, swing.cycles, bench.metadata(metadata))
+        latest.append(residual_shares(*read_swing(record), str(record)).max())
+    assert latest[0] < 0.8 < latest[1] < 1.0
+    with pytest.raises(SystemExit) as ended:
+        main(["wear", str(tmp_path / "1.parquet")])
+    assert ended.value.code == 1
+    assert "wrist flow is near its limit" in " ".join(capsys.readouterr().out.split())
