@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.control.first_motion import is_free
 from bench.control.pid import reset_integral
 from bench.control.references import direction
 from bench.lifecycle import Cause, Phase
@@ -134,13 +135,15 @@ def _push(
 ) -> None:
     """Turn `joint` on at `speed` (rad/s); note whether it rests, within `rests` rad, against its reference.
 
-    The reference waits for a joint that lags: the air then presses it no harder.
+    The reference waits for a joint that lags: the air then presses it no harder. A valve that is hardly open
+    yet does not count: its chambers are not charged.
     """
     lead = abs(s.reference[joint] - e.angle[joint])
     if lead < p.home_touch_lead[joint]:
         _turn(s, p, joint, speed, time, measured_step)
+    pushed = is_free(s, p, joint) and lead >= _FIRM * p.home_touch_lead[joint]
     # By its angle, not its velocity, which the other joints shake.
-    if lead < _FIRM * p.home_touch_lead[joint] or abs(e.angle[joint] - s.home_at) > rests:
+    if not pushed or abs(e.angle[joint] - s.home_at) > rests:
         s.home_pushed, s.home_at = time, e.angle[joint]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 from bench.control.address_air import HELD, bring_air, catch_at_address, charge, leave_address_air, loosen
 from bench.control.braking import brake_openings, lift
 from bench.control.feed_forward import KANE, NONE
+from bench.control.first_motion import bound_first, note_answers
 from bench.control.gain_table import DAMPING, DERIVATIVE, MOVE, PROPORTIONAL, interpolate_gains, middle_pose
 from bench.control.homing import search
 from bench.control.pid import control, reset_integral
@@ -92,6 +93,7 @@ def _control_openings(state: Any, parameters: Any, time: float, measured_step: f
             s.feed_forward[i] += damping * (s.reference_acceleration[i] - e.acceleration[i])
     terms = (s.reference, s.reference_velocity, e.angle, e.velocity, s.feed_forward)
     control(state.pid, parameters.pid, *terms, measured_step)
+    note_answers(s, state.pid[0], e)
     push = side = 0.0
     planned = parameters.profile[0].air_planned and s.phase != Phase.HOMING
     if charging(s, time) and not planned:
@@ -101,7 +103,8 @@ def _control_openings(state: Any, parameters: Any, time: float, measured_step: f
     elif s.phase in (Phase.BACKSWING, Phase.TOP) and time - s.swing_start >= p.dither_delay:
         side = square_wave((time - s.swing_start) / p.dither_period)
     for i in range(3):
-        s.desired[i] = state.pid[0].output[i] + push + side * p.dither[i]
+        opening = state.pid[0].output[i] + push + side * p.dither[i]
+        s.desired[i] = bound_first(s, p, i, opening)
     if planned:
         _serve_air(state, parameters, time)
 

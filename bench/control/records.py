@@ -131,6 +131,10 @@ CONTROL_STATE = np.dtype(
         ("home_pushed", "f8"),
         ("home_at", "f8"),
         ("zero_shift", "f8", (3,)),
+        ("answered", "u1", (3,)),
+        ("answer_way", "f8", (3,)),
+        ("answer_from", "f8", (3,)),
+        ("answer_bound", "f8", (3,)),
         ("vented", "?"),
         ("emptied", "?"),
         ("empty_since", "f8"),
@@ -226,6 +230,9 @@ says that arm and wrist move before the shoulder.
 `home_way` is -1 once the index is searched for in the other direction, `home_touching` says that the joint in
 turn looks for its stop, `home_pushed` and `home_at` since when and where it presses against it (s, rad).
 `zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
+`answered` are the joints that moved along with their references since power-up and the guard's last opening;
+`answer_way` and `answer_from` are its direction and the angle (rad) at its begin, `answer_bound` is the
+opening beyond the dead band that the joint's valve is allowed.
 `stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s),
 `let_off` are the actuators that `bench.control.escape` moves even in PASSIVE.
 `exhaust_closed` was commanded last, `vent_timer` is for how long the vents have been without power (s).
@@ -329,7 +336,7 @@ def new_control_state(state: State = State.READY) -> ControlState:
     )
     control, begun = made.control, state != State.STARTING
     control["state"], control["first_cause"] = state, Cause.POWER_UP
-    control["homed"] = begun and state != State.SAFE
+    control["homed"] = control["answered"] = control["answer_bound"] = begun and state != State.SAFE
     for name in ("lease_held", "support_ready", "supervisor_alive"):
         control[name] = begun
     control["device_operational"] = True

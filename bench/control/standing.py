@@ -15,6 +15,7 @@ from bench.control.air_watch import (
 )
 from bench.control.encoder_watch import resting_jump
 from bench.control.exhaust_watch import exhaust_cause
+from bench.control.first_motion import forget_answers
 from bench.control.homing import begin_search
 from bench.control.lock_watch import lock_is_late
 from bench.control.model import model_cause
@@ -180,6 +181,7 @@ def watch_standing(
         return
     if is_released(s) and not readings[0].guard_closed:
         s.entered = True
+        forget_answers(s)
     elif s.securing and s.state != State.ACCESS:
         _end_securing(s, interlock, time)
     if interlock == Cause.EMERGENCY_STOP or asked == Cause.NETWORK_STOP:

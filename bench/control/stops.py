@@ -7,6 +7,7 @@ from typing import Any
 from bench.control.address_air import address_air_cause
 from bench.control.air_watch import air_cause
 from bench.control.envelope import motion_cause
+from bench.control.first_motion import first_motion_cause
 from bench.control.homing import search_cause
 from bench.control.low_head import watch_low_head
 from bench.control.model import BRAKING, model_cause, row_of
@@ -128,6 +129,8 @@ def _watch_search(state: Any, parameters: Any, time: float) -> None:
     s, e, limits = state.control[0], state.estimator[0], parameters.envelope[0]
     following = limits.following[Phase.HOMING.value]
     broken = search_cause(s, parameters.control[0], following, limits.max_gap, e.angle, e.velocity, time)
+    if broken == 0:
+        broken = first_motion_cause(s, parameters.control[0], e.velocity)
     stuck = Cause.SHOULDER_FOLLOWING <= broken < Cause.SHOULDER_FOLLOWING + 3
     doubted = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
     if doubted != 0 and not charging(s, time):
@@ -162,6 +165,8 @@ def _watch_swing(state: Any, parameters: Any, readings: Any, time: float) -> Non
     if broken == 0 and not charging(s, time):
         row = row_of(s)
         broken = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, row)
+    if broken == 0 and s.moving:
+        broken = first_motion_cause(s, parameters.control[0], state.estimator[0].velocity)
     longest = s.move_time + parameters.control[0].move_timeout
     if broken == 0 and s.moving and time - s.move_start > longest:
         broken = Cause.ADDRESS_TIMEOUT.value

@@ -42,6 +42,7 @@ SNAPSHOT = np.dtype(
 _KEPT = ("control", "encoder", "estimator", "pid", "model", "air")
 
 _HOMING = ("home_begun", "home_free", "home_way", "home_touching", "home_pushed", "home_at")
+_ANSWERS = ("answered", "answer_way", "answer_from", "answer_bound")
 _ADDED: Mapping[str, frozenset[str]] = {
     "control": frozenset(
         {
@@ -49,6 +50,7 @@ _ADDED: Mapping[str, frozenset[str]] = {
             "moved_at",
             "calm",
             *_HOMING,
+            *_ANSWERS,
             "unseen",
             "entered",
             "sensor_seen",

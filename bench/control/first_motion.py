@@ -1,0 +1,74 @@
+"""First motion after power-up and after each opening of the guard, with the valves hardly open.
+
+Whoever was inside may have exchanged hoses, cables or a coupling. A loop whose valve or encoder is reversed
+runs away from its reference, as fast as its valve lets it. So a joint's valve opens no further than a little
+beyond its dead band until the joint has answered: until it has moved along with its reference. Meanwhile its
+speed is limited, and its bound grows slowly: a worn valve has a wider band. Chambers are hardly charged
+before: air without a joint that obeys would drive it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bench.lifecycle import Cause, Phase
+from drivers.base.compiled import compiled
+
+_ANSWER = 0.05
+"""Angle along with the reference by which a joint answers (rad)."""
+_LEAST = 0.005
+"""Opening beyond the dead band at first."""
+_GROWTH, _LIFT = 0.02, 0.05
+"""Growth of the bound while the reference moves, before and after the answer (1/s): chambers that are hardly
+charged would throw a joint whose valve opens at once."""
+_FASTER = 3.0
+"""Max speed of a joint that has not answered, in terms of its speed towards its stop."""
+
+
+@compiled
+def note_answers(s: Any, d: Any, e: Any) -> None:
+    """Note the joints that move along with their references; `d` is PID_STATE."""
+    for i in range(3):
+        way = np.sign(s.reference_velocity[i])
+        s.answer_from[i] += s.zero_shift[i]
+        if way not in (0.0, s.answer_way[i]):  # a reference that waits for its joint goes on
+            s.answer_way[i], s.answer_from[i] = way, e.angle[i]
+        elif s.answered[i] == 0 and way * (e.angle[i] - s.answer_from[i]) >= _ANSWER:
+            s.answered[i] = 1
+            d.integral[i] = 0.0  # grown against the bound, it would throw the joint
+        if s.answer_way[i] != 0.0 and s.measured_step > 0.0:
+            s.answer_bound[i] += s.measured_step * (_LIFT if s.answered[i] != 0 else _GROWTH)
+
+
+@compiled
+def forget_answers(s: Any) -> None:
+    """Have all joints answer again: the guard is open."""
+    for i in range(3):
+        s.answered[i], s.answer_way[i], s.answer_bound[i] = 0, 0.0, 0.0
+
+
+@compiled
+def is_free(s: Any, p: Any, i: int) -> bool:
+    """Return whether the valve of joint `i` is allowed to open as far as homing does."""
+    return bool(s.answer_bound[i] >= p.home_opening)
+
+
+@compiled
+def bound_first(s: Any, p: Any, i: int, opening: float) -> float:
+    """Return the `opening` of joint `i` within its bound; NaN stays NaN, for the envelope."""
+    free = s.answered[i] != 0 and is_free(s, p, i)
+    if free or not (s.moving or s.phase == Phase.HOMING) or not np.isfinite(opening):
+        return opening
+    most = p.move_band[i] + _LEAST + s.answer_bound[i]
+    return min(max(opening, -most), most)
+
+
+@compiled
+def first_motion_cause(s: Any, p: Any, velocity: Any) -> int:
+    """Return the cause that ends a first motion: a joint that has not answered and is fast; or 0."""
+    for i in range(3):
+        if s.answered[i] == 0 and not abs(velocity[i]) <= _FASTER * p.home_touch_speed[i]:
+            return Cause.SHOULDER_FOLLOWING + i
+    return 0
