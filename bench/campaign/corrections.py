@@ -144,7 +144,7 @@ class CampaignCorrections:
                 profile, find_profile(self._plan.profile(*arm))
             )
             require_planned_openings(c.control)
-            bench = Bench(plant, profile, c.control, c.envelope, c.estimator)
+            bench = Bench.of(c, profile)
             self._lectures[arm] = prepare(bench)
         return self._lectures[arm]
 

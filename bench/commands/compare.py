@@ -63,7 +63,7 @@ def compare(
     path, plant = find_profile(profile or configuration.swing.profile), configuration.plant
     swing = load_profile(path)
     require_possible(swing, plant, configuration.envelope, str(path))
-    bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
+    bench = Bench.of(configuration, swing)
     planned = planned_figures(bench)
     if draw is not None:
         robots = {f"drawn {draw}": drawn(draw, plant).applied_to(plant)}

@@ -37,8 +37,7 @@ def identify(context: typer.Context, records: Records, output: Output = None, js
     recorded = read_recorded(records)
     if not recorded:
         raise BenchError("identify", "no record", "at least one", "Name some.")
-    c = configuration
-    bench = Bench(c.plant, recorded[0].profile, c.control, c.envelope, c.estimator)
+    bench = Bench.of(configuration, recorded[0].profile)
     with progress_of("simulated robots") as show:
         found = identified(bench, [swing.cycles for swing in recorded], progress=show)
     if output is not None:

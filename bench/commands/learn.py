@@ -97,7 +97,7 @@ def learn(
     swing, configuration = ready.profile, ready.configuration
     plant = configuration.plant
     truth = _robot(plant, robot, draw, club)
-    bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
+    bench = Bench.of(configuration, swing)
     measured, origin = source or "encoders+model", _Origin(identified, recorded)
     if sim:
         result, simulated = _learn_in_lock_step(bench, truth, origin, swings), True

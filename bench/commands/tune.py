@@ -44,7 +44,7 @@ def tune(
     path, plant = find_profile(profile or configuration.swing.profile), configuration.plant
     swing = load_profile(path)
     require_possible(swing, plant, configuration.envelope, str(path))
-    bench = Bench(plant, swing, configuration.control, configuration.envelope, configuration.estimator)
+    bench = Bench.of(configuration, swing)
     with progress_bar() as bar:
         task = bar.add_task("a swing, linearised", total=1.0)
         plants, estimator = _linearised(bench)

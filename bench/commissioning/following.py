@@ -29,7 +29,7 @@ def with_following_limits(known: Configuration, profile: Profile) -> Configurati
         Refused: the model does not come to its address.
     """
     free = replace(known.envelope.with_model_check("off"), following={})
-    bench = Bench(known.plant, profile, known.control, free, known.estimator)
+    bench = Bench.of(replace(known, envelope=free), profile)
     cycles = Series(bench, bench.model).swing(profile, ball=True).cycles
     return replace(known, envelope=replace(known.envelope, following=_limits(known, cycles)))
 

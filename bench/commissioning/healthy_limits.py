@@ -27,8 +27,8 @@ def make_healthy_limits(
     def show(part: float) -> None:
         progress(f"limits: {100 * part:.0f} % of the swings of drawn robots")
 
-    bench = Bench(known.plant, profile, known.control, known.envelope, known.estimator)
-    save_limits(limits_path(file), make_limits(bench, DRAWS, show, local_engine()))
+    limits = make_limits(Bench.of(known, profile), DRAWS, show, local_engine())
+    save_limits(limits_path(file), limits)
     return known.for_profile(profile, file)
 
 

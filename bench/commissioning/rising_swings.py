@@ -239,8 +239,7 @@ def _swung(robot: SwungRobot, bench: Bench, share: float, folder: Path) -> str:
 
 def bench_of(known: Configuration, profile: Profile) -> Bench:
     """Return the bench that swings `profile`, its model the robot as `known`."""
-    envelope = known.envelope.with_model_check("off")
-    return Bench(known.plant, profile, known.control, envelope, known.estimator)
+    return Bench.of(replace(known, envelope=known.envelope.with_model_check("off")), profile)
 
 
 def exceeded(loads: Loads | None) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.config import Configuration
 from bench.control.records import ControlParameters
 from bench.control.settings import (
     ControlSettings,
@@ -82,6 +83,11 @@ class Bench(NamedTuple):
     estimator: EstimatorSettings = EstimatorSettings()
     as_known: bool = False
     """Whether the robot is the model within its tolerances, swung as planned: limits of known robots hold."""
+
+    @classmethod
+    def of(cls, c: Configuration, profile: Profile) -> Bench:
+        """Return the bench of configuration `c` for `profile`."""
+        return cls(c.plant, profile, c.control, c.envelope, c.estimator)
 
     def controller(self) -> ControlParameters:
         """Return the records that the control step takes."""

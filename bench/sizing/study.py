@@ -150,7 +150,7 @@ def _judged(c: Configuration, profile: Profile, spacing: int) -> SizedSwing:
     Raises:
         Refused: the swing does not run.
     """
-    series = Series(Bench(c.plant, profile, c.control, c.envelope, c.estimator), c.plant)
+    series = Series(Bench.of(c, profile), c.plant)
     swing = series.swing(profile)
     limits, delivery = profile.limits, profile.delivery
     found = SizedSwing(
