@@ -167,7 +167,7 @@ def test_at_least_twenty_changes_name_their_files() -> None:
 
 def test_the_figures_of_the_fault_matrix_are_those_of_the_hazard_table() -> None:
     found = re.search(
-        r"^(\d+) cases(?:, a sample of one in \d+,)? from (\d+) instants, .*: (\d+) [^,]*, (\d+) [^,]*, "
+        r", (\d+) cases(?:, a sample of one in \d+,)? from (\d+) instants, .*: (\d+) [^,]*, (\d+) [^,]*, "
         r"(\d+) [^,]*, (\d+) unsafe; (\d+)",
         (ROOT / "sim/FAULTS.md").read_text(),
         re.MULTILINE,

@@ -179,11 +179,12 @@ def _outcomes(
 def table(
     matrix: Annotated[Path, argument("MATRIX", "Result of faults run, matrix.json.")],
     output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
+    brief: Annotated[bool, flag("--brief", "One row for all faults of a sort, as in sim/FAULTS.md.")] = False,
 ) -> None:
-    """Write the hazard table of a fault matrix, as in sim/FAULTS.md."""
+    """Write the hazard table of a fault matrix, one row for each fault."""
     from bench.faults.hazards import hazard_table
 
-    write_text(_from_matrix(matrix, hazard_table), output)
+    write_text(_from_matrix(matrix, lambda summary: hazard_table(summary, brief=brief)), output)
 
 
 @app.command("file")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.errors import BenchError
-from bench.faults.hazards import markdown, next_swing_text
+from bench.faults.hazards import markdown, matrix_digest, next_swing_text
 from bench.from_toml import as_tree, format_value, read_toml
 
 FILE = Path(__file__).with_name("hazard_file.toml")
@@ -141,6 +141,7 @@ def hazard_file(summary: Mapping[str, Any], judgement: Judgement) -> str:
         **{**judgement.lists, "failures": failures},
         scope=judgement.scope,
         summary=summary,
+        digest=matrix_digest(summary),
         next_swing=next_swing_text(summary),
         severities=SEVERITIES,
         risk_graph=RISK_GRAPH,

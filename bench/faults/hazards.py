@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from hashlib import sha256
 from importlib.resources import files
 from textwrap import wrap
 from typing import Any
@@ -14,14 +16,16 @@ from sim.faults import sort_of
 
 _WIDTH = 119
 """Columns of a paragraph."""
+_OF_THE_RUN = frozenset({"origin", "seconds", "comparison"})
+"""Keys of a summary that differ between two runs with the same outcomes."""
 
 
-def hardware_for(signal: str) -> str:
-    """Return the protection that only hardware can give."""
+def part_of(signal: str) -> tuple[str, str]:
+    """Return the part or sort of parts of `signal`, and the protection that only hardware gives."""
     for name, text in HARDWARE:
         if name in (signal, sort_of(signal)):
-            return text
-    return "not needed"
+            return name, text
+    return sort_of(signal), "not needed"
 
 
 def next_swing_text(summary: Mapping[str, Any]) -> str:
@@ -33,8 +37,14 @@ def next_swing_text(summary: Mapping[str, Any]) -> str:
     return f"Of {count} undetected {count - found.get('', 0)} are named before another ball is struck."
 
 
-def hazard_table(summary: dict[str, Any]) -> str:
-    """Return the table as Markdown."""
+def matrix_digest(summary: Mapping[str, Any]) -> str:
+    """Return the digest of all outcomes in the matrix's `summary` (16 hex digits)."""
+    outcomes = {key: value for key, value in summary.items() if key not in _OF_THE_RUN}
+    return sha256(json.dumps(outcomes, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def hazard_table(summary: dict[str, Any], *, brief: bool = False) -> str:
+    """Return the table as Markdown, one row a fault, or if `brief` one row a sort of parts."""
     rules: dict[str, list[str]] = {}
     for row in summary["rows"]:
         for rule in row["rules"]:
@@ -43,10 +53,31 @@ def hazard_table(summary: dict[str, Any]) -> str:
         "hazards.md.j2",
         s={"comparison": [], **summary},
         every=summary["origin"].get("every", 1),
+        digest=matrix_digest(summary),
         next_swing=next_swing_text(summary),
+        brief=brief,
+        parts=_by_part(summary["rows"]),
         rules=rules,
-        hardware_for=hardware_for,
+        part_of=part_of,
     )
+
+
+def _by_part(rows: Sequence[Mapping[str, Any]]) -> list[tuple[Any, ...]]:
+    """Return part, faults, cases, undetected and unsafe ones, and what only hardware covers."""
+    parts: dict[tuple[str, str], list[Mapping[str, int]]] = {}
+    for row in rows:
+        if row["verdicts"]:
+            parts.setdefault(part_of(row["signal"]), []).append(row["verdicts"])
+    return [
+        (
+            part,
+            len(own),
+            sum(sum(verdicts.values()) for verdicts in own),
+            *(sum(verdicts.get(name, 0) for verdicts in own) for name in ("undetected", "unsafe")),
+            hardware,
+        )
+        for (part, hardware), own in parts.items()
+    ]
 
 
 def markdown(template: str, **values: Any) -> str:
