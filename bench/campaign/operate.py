@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime, timedelta
-from functools import reduce
+from functools import partial, reduce
 from operator import getitem
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from bench.campaign.interruptions import RunStart, software_versions
 from bench.campaign.live import HOLDER, LiveShots, require_live
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
-from bench.campaign.runner import Operator, Runner, RunOutcome, Watcher
+from bench.campaign.runner import BATCH, Operator, Runner, RunOutcome, ShotSource, Watcher
 from bench.campaign.simulated import SimulatedShots
 from bench.campaign.suitability import START_SERIES, needs, needs_series, series_words
 from bench.campaign.swings import Profiles, calibrated, require_swings
@@ -103,7 +103,7 @@ def course_of(plan: CampaignPlan, profiles: Profiles, lie: float) -> Course:
     return course(plan, {arm: planned_delivery(profile, lie) for arm, profile in profiles.items()}, decide)
 
 
-def run_simulated(
+def run_campaign(
     entry: CampaignEntry,
     configuration: Configuration,
     store: CampaignStore,
@@ -113,109 +113,78 @@ def run_simulated(
     start: RunStart = RunStart(),  # noqa: B008 - a value
     cause: Callable[[], str] = lambda: "Ctrl-C",
 ) -> RunOutcome:
-    """Start or resume a simulated campaign; run it until its end or a stop.
+    """Start or resume a campaign where it was begun; run it until its end or a stop.
 
-    The bench has the calibrations that were in force when the campaign began. `cause` names what
-    `interrupted` it.
-
-    Raises:
-        Refused: another runner has it.
-        BenchError: a shot cannot be stored; stored shots are complete.
-        ExceptionGroup: of BenchErrors, where its swings do not fit this bench.
-    """
-    plan = plan_from_record(entry.plan, f"campaign {entry.id}")
-    profiles = require_swings(plan, configuration, entry.date)
-    plan, configuration = calibrated(plan, configuration, entry.date)
-    corrections = CampaignCorrections(entry, plan, configuration, store.database, profiles, simulated=True)
-    data_dir = configuration.bench.data_dir
-    with runner_lock(data_dir, entry.id):
-        runner = Runner(
-            entry,
-            plan,
-            store,
-            data_dir,
-            SimulatedShots(
-                plan, configuration, corrections, interrupted, measured_of(entry.calibrations, entry.id)
-            ),
-            watcher,
-            operator=operator,
-            start=start,
-            cause=cause,
-        )
-        return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
-
-
-_NO_AIR = (
-    "No recent reading of the air: shots have none, carry is for the configured air. "
-    "Enter one with golfbench campaign air, at any time."
-)
-
-
-def run_live(
-    entry: CampaignEntry,
-    configuration: Configuration,
-    store: CampaignStore,
-    watcher: Watcher,
-    interrupted: Callable[[], bool],
-    operator: Operator | None = None,
-    start: RunStart = RunStart(),  # noqa: B008 - a value
-    cause: Callable[[], str] = lambda: "Ctrl-C",
-) -> RunOutcome:
-    """Start or resume a campaign on the running bench; every shot is stored at once.
+    On the running bench every shot is stored at once. A bench in lock-step has the calibrations that were in
+    force when the campaign began. `cause` names what `interrupted` it.
 
     Raises:
         Refused: another runner has the campaign or the bench.
         NoAnswer: no bench is running. One that goes away later suspends the campaign.
-        BenchError, ExceptionGroup: as `run_simulated`.
+        BenchError: a shot cannot be stored; stored shots are complete.
+        ExceptionGroup: of BenchErrors, where its swings do not fit this bench.
     """
-    plan = plan_from_record(entry.plan, f"campaign {entry.id}")
-    profiles = require_swings(plan, configuration)
-    data_dir = configuration.bench.data_dir
-
-    def aborted() -> bool:
-        return store.standing(entry.id).requested == "abort"
-
-    def air() -> Air | None:
-        since = datetime.now(UTC) - timedelta(seconds=plan.air.valid_for)
-        reading = newest_reading(store.database, entry.bench, since)
-        return None if reading is None else reading.air
-
-    if not entry.simulated and air() is None:
-        watcher.say(_NO_AIR)
-    with (
-        runner_lock(data_dir, entry.id),
-        bench_lock(data_dir, entry),
-        BenchClient.connect(configuration) as client,
-        client.publish_campaign(entry.id) as publish,
-    ):
-        watcher = Together(watcher, Broadcast(entry, plan, publish))
-        for warning in _warnings(plan, profiles, entry, store, client.status()):
-            watcher.say(warning)
+    plan, live = plan_from_record(entry.plan, f"campaign {entry.id}"), bool(entry.real_time)
+    profiles = require_swings(plan, configuration, None if live else entry.date)
+    if not live:
+        plan, configuration = calibrated(plan, configuration, entry.date)
+    data_dir, measured = configuration.bench.data_dir, measured_of(entry.calibrations, entry.id)
+    with runner_lock(data_dir, entry.id), ExitStack() as stack:
         corrections = CampaignCorrections(
             entry, plan, configuration, store.database, profiles, simulated=entry.simulated
         )
-        shots = LiveShots(
-            plan,
-            corrections,
-            configuration.clubs,
-            client,
-            f"{HOLDER}{entry.id}"[:LONGEST_HOLDER],
-            simulated=entry.simulated,
-            monitored=bool(entry.real_time.get("launch_monitor")),
-            measured=measured_of(entry.calibrations, entry.id),
-            interrupted=interrupted,
-            aborted=aborted,
-            air=air,
-        )
-        with shots as source:
-            runner = Runner(entry, plan, store, data_dir, source, watcher, 1, operator, start, cause)
-            return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
+        source: ShotSource
+        if not live:
+            source = SimulatedShots(plan, configuration, corrections, interrupted, measured)
+        else:
+            stack.enter_context(bench_lock(data_dir, entry))
+            client = stack.enter_context(BenchClient.connect(configuration))
+            publish = stack.enter_context(client.publish_campaign(entry.id))
+            watcher = Together(watcher, Broadcast(entry, plan, publish))
+            air = partial(_air_now, entry, plan, store)
+            for warning in _warnings(plan, profiles, entry, store, client.status(), air()):
+                watcher.say(warning)
+            source = stack.enter_context(
+                LiveShots(
+                    plan,
+                    corrections,
+                    configuration.clubs,
+                    client,
+                    f"{HOLDER}{entry.id}"[:LONGEST_HOLDER],
+                    simulated=entry.simulated,
+                    monitored=bool(entry.real_time.get("launch_monitor")),
+                    measured=measured,
+                    interrupted=interrupted,
+                    aborted=lambda: store.standing(entry.id).requested == "abort",
+                    air=air,
+                )
+            )
+        batch = 1 if live else BATCH
+        runner = Runner(entry, plan, store, data_dir, source, watcher, batch, operator, start, cause)
+        return runner.run(course_of(plan, profiles, configuration.plant.robot.lie), interrupted)
+
+
+def _air_now(entry: CampaignEntry, plan: CampaignPlan, store: CampaignStore) -> Air | None:
+    """Return the air at the bench by its newest reading, None if that is too old."""
+    since = datetime.now(UTC) - timedelta(seconds=plan.air.valid_for)
+    reading = newest_reading(store.database, entry.bench, since)
+    return None if reading is None else reading.air
 
 
 def _warnings(
-    plan: CampaignPlan, profiles: Profiles, entry: CampaignEntry, store: CampaignStore, status: BenchStatus
+    plan: CampaignPlan,
+    profiles: Profiles,
+    entry: CampaignEntry,
+    store: CampaignStore,
+    status: BenchStatus,
+    air: Air | None,
 ) -> Iterator[str]:
-    """Yield what in the running bench does not suit the plan, but may end well."""
+    """Yield what at the running bench does not suit the plan, but may end well."""
+    if not entry.simulated and air is None:
+        yield (
+            "No recent reading of the air: shots have none, carry is for the configured air. "
+            "Enter one with golfbench campaign air, at any time."
+        )
     now, needed = datetime.now(UTC), needs(plan)
     lasts = timedelta(seconds=needed.swings * plan.design.seconds_per_shot + needed.hand_work)
     yield from calibration_warnings(

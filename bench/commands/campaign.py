@@ -312,14 +312,13 @@ def _take(
     from bench.campaign.broadcast import Together
     from bench.campaign.fitting import PromptKind
     from bench.campaign.notifications import notifying
-    from bench.campaign.operate import run_live, run_simulated, run_start
+    from bench.campaign.operate import run_campaign, run_start
     from bench.commands.campaign_keys import mark_keys
     from bench.commands.campaign_screen import CampaignScreen, campaign_bar
     from bench.commands.campaign_terminal import TerminalOperator
 
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
-        take = run_live if entry.real_time else run_simulated
         asked_for = frozenset(PromptKind) if ask or not entry.simulated else frozenset({PromptKind.BENCH})
         start = run_start(by, configuration, facts)
         screen, file = CampaignScreen(entry, plan, bar), configuration.notifications.file
@@ -328,7 +327,7 @@ def _take(
             mark_keys(bar, user_name(), lambda: screen.message, _marker(store, entry.id)) as keys,
         ):
             watcher, operator = Together(screen, notifier), TerminalOperator(bar, entry.id, asked_for, keys)
-            return take(
+            return run_campaign(
                 entry, configuration, store, watcher, asked.is_made, operator, start, lambda: asked.cause
             )
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import write_campaign_report
 from bench.campaign.findings import findings
-from bench.campaign.operate import new_entry, run_simulated
+from bench.campaign.operate import new_entry, run_campaign
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import Watcher
@@ -88,7 +88,7 @@ def _swung(folder: Path, shots: int) -> list[Row]:
         store = CampaignStore(engine)
         store.begin(entry)
         begun, cpu = time.perf_counter(), time.process_time()
-        outcome = run_simulated(entry, configuration, store, clock, never)
+        outcome = run_campaign(entry, configuration, store, clock, never)
         took, busy = time.perf_counter() - begun, time.process_time() - cpu
         stored = store.shots(entry.id)
     if outcome.state is not CampaignState.FINISHED or len(stored) != len(clock.times):

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench.campaign.operate import bench_facts, new_entry, run_live, run_simulated
+from bench.campaign.operate import bench_facts, new_entry, run_campaign
 from bench.commands.campaign_screen import CampaignScreen, campaign_bar
 from bench.commands.demo.bench_process import BenchPlan
 from bench.commands.demo.result import demo_plan, new_folder, write_result
@@ -105,9 +105,8 @@ def run_demo(
                     facts = bench_facts(plan, c, client.status())
             entry = new_entry(plan, c, begin, simulated=True, real_time=facts)
             store.begin(entry)
-            run = run_live if live else run_simulated
             with campaign_bar() as bar:
-                outcome = run(entry, c, store, CampaignScreen(entry, plan, bar), asked.is_made)
+                outcome = run_campaign(entry, c, store, CampaignScreen(entry, plan, bar), asked.is_made)
             with console.status("bringing the robot to rest"):
                 running.close()
             write_result(title, store, entry, outcome, folder, c)

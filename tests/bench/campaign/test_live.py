@@ -27,7 +27,7 @@ from bench.campaign.findings import findings
 from bench.campaign.fitting import PromptKind
 from bench.campaign.gate import Centre
 from bench.campaign.live import LiveShots, require_live
-from bench.campaign.operate import ask, bench_facts, new_entry, run_live
+from bench.campaign.operate import ask, bench_facts, new_entry, run_campaign
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.refreshing import Drift
@@ -646,7 +646,7 @@ def test_a_running_campaign_waits_for_its_compressor(tmp_path: Path) -> None:
         store, facts = CampaignStore(engine), bench_facts(plan, configuration, bench.client.status())
         entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True, real_time=facts)
         store.begin(entry)
-        outcome = run_live(entry, configuration, store, Noting(), never)
+        outcome = run_campaign(entry, configuration, store, Noting(), never)
         assert (outcome.state, outcome.shots, outcome.valid) == (CampaignState.FINISHED, 2, 2)
         assert stood[:3] == [
             (CampaignState.RUNNING, "", "ESTOP"),
@@ -879,7 +879,7 @@ def test_a_swing_is_relearned_on_the_bench_without_a_ball(
         facts = bench_facts(plan, configuration, bench.client.status())
         entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True, real_time=facts)
         store.begin(entry)
-        outcome = run_live(entry, configuration, store, said, never)
+        outcome = run_campaign(entry, configuration, store, said, never)
         shots = [stored.shot for stored in store.shots(entry.id)]
         assert [shot.reason for shot in shots] == ["", ""], (outcome, said.texts)
         assert outcome.state is CampaignState.FINISHED

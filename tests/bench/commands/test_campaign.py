@@ -19,7 +19,7 @@ from typer.testing import CliRunner, Result
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings
-from bench.campaign.operate import bench_lock, new_entry, require_free, run_simulated, runner_lock
+from bench.campaign.operate import bench_lock, new_entry, require_free, run_campaign, runner_lock
 from bench.campaign.plan_file import campaign_names, load_plan
 from bench.campaign.runner import Watcher
 from bench.campaign.sequence import all_trials
@@ -338,7 +338,7 @@ def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
     with open_database(database_url("", tmp_path)) as engine:
         store = CampaignStore(engine)
         store.begin(entry)
-        outcome = run_simulated(entry, configuration, store, Watcher(), never)
+        outcome = run_campaign(entry, configuration, store, Watcher(), never)
         record = load_record(store, entry)
     assert outcome.state is CampaignState.FINISHED, outcome.reason
     found = findings(plan, record.shots)
