@@ -132,9 +132,3 @@ def ellipsoid_mesh(half: Vector, centre: Vector, turn: Any, cut: float | None) -
         vertices = np.vstack([np.tile([cut, 0.0, 0.0], (len(c), 1)), rim])
         parts.append(Mesh(vertices, np.tile([1.0, 0.0, 0.0], (2 * len(c), 1)), _grid(2, len(c))))
     return placed_mesh(_outwards(joined_meshes(parts)), turn, centre)
-
-
-def mesh_volume(mesh: Mesh) -> float:
-    """Return the volume (m3) that a closed mesh encloses."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
-    return float((a * np.cross(b, c)).sum() / 6)

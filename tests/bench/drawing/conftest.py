@@ -3,9 +3,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from bench.config import VARIANTS, load_configuration
+from bench.drawing.mesh import Mesh
 from sim.plant import PlantParameters
 
 
@@ -34,3 +36,9 @@ def plant(request: pytest.FixtureRequest) -> PlantParameters:
 @pytest.fixture(scope="session")
 def shipped() -> PlantParameters:
     return PLANTS["shipped"]
+
+
+def mesh_volume(mesh: Mesh) -> float:
+    """Return the volume (m3) that a closed mesh encloses."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    return float((a * np.cross(b, c)).sum() / 6)

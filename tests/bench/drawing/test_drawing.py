@@ -11,13 +11,12 @@ import pytest
 from bench.drawing.bodies import DrawnBody
 from bench.drawing.drawing import Drawing, draw, placed
 from bench.drawing.layers import wrist_ways
-from bench.drawing.mesh import mesh_volume
 from bench.drawing.placement import address, body_poses, plane_to_golf
 from bench.drawing.solids import Bar, Ellipsoid, Solid, Tube
 from bench.errors import BenchError
 from sim.kinematics import forward_kinematics, joint_positions, right_arm_length
 from sim.plant import PlantParameters
-from tests.bench.drawing.conftest import PLANTS, SIZED
+from tests.bench.drawing.conftest import PLANTS, SIZED, mesh_volume
 
 INCH = 0.0254
 

@@ -18,12 +18,11 @@ from bench.drawing.bodies import DrawnBody, Part
 from bench.drawing.drawing import draw, placed
 from bench.drawing.gltf import gltf, write_gltf
 from bench.drawing.mass_table import MassRow, mass_rows
-from bench.drawing.mesh import mesh_volume
 from bench.drawing.solids import Ellipsoid
 from bench.drawing.step import load_build123d, solid_shape, write_step
 from bench.errors import BenchError
 from sim.plant import PlantParameters
-from tests.bench.drawing.conftest import PLANTS
+from tests.bench.drawing.conftest import PLANTS, mesh_volume
 
 MM3 = 1e-9
 
