@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import degrees, isnan
+from math import isnan
 from typing import Any
 
 from rich.table import Table
 
 from bench.commands.output import plain_table
-from bench.golfer import DEFINITION, HUNT_WIENS, MotionDeviation, Roles
+from bench.golfer import DEFINITION, HUNT_WIENS, MotionDeviation, Roles, deviation_texts
 
 PIPED_WIDTH = 160
 """Columns of a comparison in a file or pipe."""
@@ -77,11 +77,7 @@ def comparison_table(rows: Sequence[MotionDeviation]) -> Table:
     table = plain_table("reference", "swing", *figures, right=figures, caption=caption)
     table.caption_justify = "left"
     for row in rows:
-        sizes = [f"{degrees(error):.1f}°" for error in row.error[:3]] + [f"{1e3 * row.error[3]:.0f} mm"]
-        cells = [
-            "not measured" if isnan(share) else f"{100 * share:.1f} % {size}"
-            for share, size in zip(row.share, sizes, strict=True)
-        ]
+        cells = deviation_texts(row.share, row.error)
         pair = (row.reference, row.other)
         speeds = " ".join("-" if isnan(one.head_speed) else f"{one.head_speed:.1f}" for one in pair)
         lasting = " ".join(f"{one.downswing:.3f}" for one in pair)

@@ -24,7 +24,7 @@ from bench.interrupt import deferred_interrupt
 if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.design.designer import SwingDemand
-    from bench.golfer import GolferSwing
+    from bench.golfer import GolferSwing, MotionDeviation
     from bench.swing.golfers import Golfer
     from bench.swing.profile import Profile
     from sim.plant import PlantParameters
@@ -300,17 +300,16 @@ def design(
     asked = speed, None if attack is None else math.radians(attack)
     demand = _with_motion(demand, plant, whose, near, asked, (backswing, downswing))
     begin = None if start == "nothing" else start or near or configuration.swing.profile
-    path = output or Path(f"{whose.name if whose else plant.robot.club.name}-{demand.head_speed:g}mps.toml")
+    title = (whose.name if whose else plant.robot.club.name) + ("-club" if follow == "club" else "")
+    path = output or Path(f"{title}-{demand.head_speed:g}mps.toml")
     try:
         if highest:
             return _show_highest_speed(configuration, demand, begin, (processes, cluster))
-        swing = _save_design(configuration, demand, begin, path, whose)
+        _save_design(configuration, demand, begin, path, whose)
     except DesignFailed as failure:
         raise BenchError(
             "profile design", str(failure), "a swing that this plant can do", _ASK_FOR_LESS
         ) from None
-    if whose is not None:
-        _show_deviations(plant, whose, swing)
     typer.echo(f"Next: golfbench profile check {path}" + (f" --club {club}" if club else ""))
 
 
@@ -327,15 +326,14 @@ def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> G
     return with_club_held(plant, golfer)
 
 
-def _show_deviations(plant: PlantParameters, golfer: Golfer | GolferSwing, swing: Profile) -> None:
-    """Print the deviation of `swing` from that of `golfer`, and the excess beyond the robot's ranges."""
+def _show_deviation(plant: PlantParameters, row: MotionDeviation) -> None:
+    """Print the deviation of a design from its golfer, and the golfer's excess beyond the robot's ranges."""
     from bench.commands.golfer_tables import PIPED_WIDTH, beyond_text, comparison_table
-    from bench.golfer import beyond_ranges, compare_motions, golfer_motion, robot_motion
+    from bench.golfer import beyond_ranges
 
-    model = golfer_motion(plant, golfer)
     console = console_of(PIPED_WIDTH)
-    console.print(comparison_table([compare_motions(model, robot_motion(plant, swing))]), highlight=False)
-    moving = model.angle[model.in_downswing]
+    console.print(comparison_table([row]), highlight=False)
+    moving = row.reference.angle[row.reference.in_downswing]
     console.print(beyond_text(beyond_ranges(plant, moving)), highlight=False, soft_wrap=True)
 
 
@@ -406,10 +404,11 @@ def _save_design(
     begin: str | None,
     path: Path,
     golfer: Golfer | GolferSwing | None,
-) -> Profile:
-    """Design a swing, save it at `path`, print its delivery and cushions, and return it."""
+) -> None:
+    """Design a swing, save it at `path`, print its delivery, cushions and deviation from `golfer`."""
     from bench.design.designer import design_swing
     from bench.design.follow import gave_way
+    from bench.golfer import GolferSwing, compare_motions, followed_golfer, golfer_motion, robot_motion
     from bench.swing.profile import save_profile
 
     start = _profile_named(begin)
@@ -425,6 +424,12 @@ def _save_design(
         )
     given = gave_way(demand, made.profile)
     swing = replace(made.profile, text="; ".join([made.profile.text, *given]))
+    plant = configuration.plant
+    row = None
+    if golfer is not None:
+        row = compare_motions(golfer_motion(plant, golfer), robot_motion(plant, swing))
+        if isinstance(golfer, GolferSwing):
+            swing = replace(swing, followed=followed_golfer(golfer, row))
     save_profile(path, swing)
     delivery, limits = swing.delivery, swing.limits
     typer.echo(
@@ -439,7 +444,8 @@ def _save_design(
     typer.echo("Possible on this machine: it passes the checks of `golfbench check`.")
     if given:
         typer.echo("Gave way: " + "; ".join(given) + ".")
-    return swing
+    if row is not None:
+        _show_deviation(plant, row)
 
 
 @app.command()

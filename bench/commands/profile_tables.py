@@ -12,7 +12,7 @@ from rich.text import Text
 
 from bench.commands.output import plain_table
 from bench.swing.motion import Motion, phase_times
-from bench.swing.profile import Profile
+from bench.swing.profile import FollowedGolfer, Profile
 from drivers.base import ACTUATORS
 from sim.plant import PlantParameters
 
@@ -60,7 +60,8 @@ def details(profile: Profile, path: Path, plant: PlantParameters) -> Group:
         ("blind brakes", f"{len(profile.blind_brake)}, every {profile.blind_spacing} samples"),
     ):
         facts.add_row(name, Text(value))
-    return Group(head, facts, _phases(profile), _speed_line(profile, plant), *_groups(profile))
+    followed = [] if profile.followed is None else [_deviation(profile.followed)]
+    return Group(head, facts, *followed, _phases(profile), _speed_line(profile, plant), *_groups(profile))
 
 
 def _table(*columns: str, title: str) -> Table:
@@ -69,6 +70,18 @@ def _table(*columns: str, title: str) -> Table:
         table.add_column(column, justify="right" if i and column else "left", no_wrap=True)
     table.show_header = any(columns)
     return table
+
+
+def _deviation(followed: FollowedGolfer) -> Group:
+    """Return the deviation of a profile from the measured swing that it follows."""
+    from bench.golfer import followed_texts
+
+    table = _table("", "", title=f"Deviation from the golfer's {followed['follow']}")
+    for row in zip(("shoulder", "arm", "wrist", "head"), followed_texts(followed), strict=True):
+        table.add_row(*row)
+    speed = f"Golfer's head speed at the ball: {followed['head_speed_mps']:.1f} m/s."
+    source = f"SHA-256 of the golfer's file:\n{followed['sha256']}"
+    return Group(table, Text(f"{followed['definition']}. {speed} {source}\n"))
 
 
 def _phases(profile: Profile) -> Table:

@@ -7,7 +7,9 @@ for the head of the longest distance across its path.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import degrees, isnan
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from bench.errors import BenchError
 from bench.golfer.capture import Array
 from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer
 from bench.swing.golfers import Golfer, find_golfer, human_downswing
-from bench.swing.profile import Profile
+from bench.swing.profile import FollowedGolfer, Profile
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
 
@@ -143,6 +145,31 @@ def compare_motions(reference: SwingMotion, other: SwingMotion) -> MotionDeviati
         beside,
         head_beside,
     )
+
+
+def followed_golfer(golfer: GolferSwing, row: MotionDeviation) -> FollowedGolfer:
+    """Return the record, for a profile, of `golfer` and of the deviation `row` of the profile's motion."""
+    return {
+        "sha256": golfer.digest,
+        "follow": golfer.follow,
+        "head_speed_mps": round(golfer.head_speed, 3),
+        "deviation": [round(share, 5) for share in row.share],
+        "rms_rad": [round(error, 5) for error in row.error[:3]],
+        "rms_head_m": round(row.error[3], 5),
+        "definition": DEFINITION,
+    }
+
+
+def deviation_texts(shares: Sequence[float], errors: Sequence[float]) -> list[str]:
+    """Return the deviations of shoulder, arm, wrist (errors in rad) and head (m): per cent with ° and mm."""
+    sizes = [f"{degrees(error):.1f}°" for error in errors[:3]] + [f"{1e3 * errors[3]:.0f} mm"]
+    pairs = zip(shares, sizes, strict=True)
+    return ["not measured" if isnan(share) else f"{100 * share:.1f} % {size}" for share, size in pairs]
+
+
+def followed_texts(followed: FollowedGolfer) -> list[str]:
+    """Return the deviations that a profile states, as `deviation_texts`."""
+    return deviation_texts(followed["deviation"], [*followed["rms_rad"], followed["rms_head_m"]])
 
 
 def _at(time: Array, own: Array, values: Array) -> Array:

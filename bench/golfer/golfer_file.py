@@ -8,7 +8,7 @@ from hashlib import sha256
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from bench.telemetry.whole_file import whole_file
 
 SCHEMA = "golfbench.golfer/1"
 SUFFIX = ".golfer.toml"
+_AXES = ("x", "y", "off")
 ANGLES = ("theta1_rad", "theta2_rad", "theta3_rad")
 _KEYS = {
     "schema": str,
@@ -51,8 +52,8 @@ class GolferSwing:
     """Time (n,), 0 at the ball (s)."""
     angle: Array
     """theta1, theta2, theta3 (n, 3), NaN where not measured (rad)."""
-    head: Array
-    """Head path (n, 2) from the ball, NaN without a club (m)."""
+    position: dict[str, Array]
+    """Paths (n, 3) by role from the ball: x to the target, y up in the plane, z off the plane (m)."""
     head_speed: float
     """Head speed at the ball, NaN without a club (m/s)."""
     top_row: int
@@ -61,6 +62,15 @@ class GolferSwing:
     """Inclination of the swing plane (rad)."""
     path: Path
     """File that it was read from."""
+    digest: str
+    """SHA-256 of that file."""
+    follow: Literal["body", "club"] = "body"
+    """Origin of the angles: the golfer's body, or the robot that holds the club alike."""
+
+    @property
+    def head(self) -> Array:
+        """Head path (n, 2) from the ball, NaN without a club (m)."""
+        return self.position.get("head", np.full((len(self.time), 3), np.nan))[:, :2]
 
     @property
     def text(self) -> str:
@@ -188,7 +198,7 @@ def _table(swing: MeasuredSwing) -> bytes:
     if swing.separation is not None:
         columns["x_factor_rad"] = swing.separation
     for role, path in swing.position.items():
-        columns |= {f"{role}_{axis}_m": path[:, k] for k, axis in enumerate(("x", "y", "off"))}
+        columns |= {f"{role}_{axis}_m": path[:, k] for k, axis in enumerate(_AXES)}
     file = BytesIO()
     narrow = pa.table({name: values.astype(np.float32) for name, values in columns.items()})
     parquet.write_table(narrow, file, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
@@ -224,16 +234,17 @@ def load_golfer(path: Path) -> GolferSwing:
         columns = {name: np.array(table.column(name).to_pylist(), dtype=float) for name in table.column_names}
         time = columns["time_s"]
         angle = np.column_stack([columns[name] for name in ANGLES])
+        roles = [name.removesuffix("_x_m") for name in columns if name.endswith("_x_m")]
+        position = {role: np.column_stack([columns[f"{role}_{axis}_m"] for axis in _AXES]) for role in roles}
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
         raise BenchError(
             str(table_path), f"no table of a golfer: {error}", "the columns of an import", _CURE
         ) from None
-    nothing = np.full(len(time), np.nan)
-    head = np.column_stack([columns.get(f"head_{axis}_m", nothing) for axis in "xy"])
-    speed = float(columns.get("head_speed_mps", nothing)[-1])
+    speed = float(columns["head_speed_mps"][-1]) if "head_speed_mps" in columns else np.nan
     row = len(time) - 1 - round(raw["downswing_s"] / STEP)
     if not 0 <= row < len(time) - 2:
         raise BenchError(
             f"{path}: downswing_s", f"{raw['downswing_s']:g} s", "a time within the table", _CURE
         )
-    return GolferSwing(raw["name"], time, angle, head, speed, row, float(np.radians(raw["plane_deg"])), path)
+    plane, digest = float(np.radians(raw["plane_deg"])), sha256(path.read_bytes()).hexdigest()
+    return GolferSwing(raw["name"], time, angle, position, speed, row, plane, path, digest)

@@ -71,4 +71,4 @@ def with_club_held(plant: PlantParameters, golfer: GolferSwing) -> GolferSwing:
     held[:, 2] += 2 * np.pi * np.round((golfer.angle[down, 2] - held[:, 2]) / (2 * np.pi))
     angle = np.full_like(golfer.angle, np.nan)
     angle[down] = held
-    return replace(golfer, name=f"{golfer.name}-club", angle=angle)
+    return replace(golfer, follow="club", angle=angle)

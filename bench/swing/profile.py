@@ -14,15 +14,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError, did_you_mean
 from bench.from_toml import GREATEST, format_value, read_toml
+from bench.json_schema import require_fit
 from bench.lifecycle import Phase
 from bench.swing.profile_table import DIGITS, decode_table, encode_table
+from drivers.base.ranges import Count
 
 Array = NDArray[np.float64]
 
@@ -42,6 +44,25 @@ PHASES = (
 """Phases of a profile in their order; each begins where `begins` says."""
 BALL_TOLERANCE = 0.0005
 """Max distance of the ball from its place in the profile (m)."""
+
+
+class FollowedGolfer(TypedDict):
+    """Measured swing that a profile follows, and the deviation of the planned motion from it."""
+
+    sha256: str
+    """Digest of the golfer's file."""
+    follow: Literal["body", "club"]
+    """Followed part: angles of shoulders, arm and club, or the club alone."""
+    head_speed_mps: float
+    """Head speed of the golfer at the ball (m/s)."""
+    deviation: Annotated[list[float], Count(4)]
+    """Deviations of shoulder, arm, wrist and head as fractions of the golfer's ranges."""
+    rms_rad: Annotated[list[float], Count(3)]
+    """The same of shoulder, arm and wrist (rad)."""
+    rms_head_m: float
+    """The same of the head (m)."""
+    definition: str
+    """Definition of the deviations."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +100,8 @@ class Profile:
     """Supply pressure to which `air` belongs (Pa absolute)."""
     corrected: bool = False
     """Whether a learned correction is in its tables."""
+    followed: FollowedGolfer | None = None
+    """Measured swing of `golfer` that it follows."""
 
     @property
     def duration(self) -> float:
@@ -165,6 +188,8 @@ def load_profile(path: Path) -> Profile:
     _check_shapes(path, raw["blind_spacing"], tables)
     _check_ranges(path, raw, tables)
     begins = _check_begins(path, raw["begins"], tables)
+    if "followed" in raw:
+        require_fit(raw["followed"], FollowedGolfer, f"{path}: followed", _CURE)
     air, air_supply = _address_air(path, raw.get("address"))
     return Profile(
         name=raw["name"],
@@ -184,6 +209,7 @@ def load_profile(path: Path) -> Profile:
         limits={k: float(v) for k, v in raw["limits"].items()},
         air=air,
         air_supply=air_supply,
+        followed=raw.get("followed"),
     )
 
 
@@ -192,7 +218,7 @@ def _check_keys(
 ) -> None:
     scalars = _SCALARS | beside
     known = {*scalars, *_LISTS, *tables, *_GROUPS}
-    allowed = known | {"address"}
+    allowed = known | {"address", "followed"}
     for key in sorted(set(raw) - allowed):
         cure = did_you_mean(key, allowed, _CURE)
         raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(allowed))}", cure)
@@ -385,6 +411,11 @@ def _tail(profile: Profile) -> Iterator[str]:
         yield "[address]"
         yield f"supply_pressure_pa = {profile.air_supply!r}"
         yield f"chamber_pressures_pa = {list(profile.air)!r}"
+    if profile.followed is not None:
+        yield "\n# Measured swing that it follows. Deviations: shoulder, arm, wrist, head."
+        yield "[followed]"
+        for key, value in profile.followed.items():
+            yield f"{key} = {_quoted(value) if isinstance(value, str) else repr(value)}"
 
 
 def _rows(array: Array, digits: int) -> Iterator[str]:

@@ -13,11 +13,14 @@ import numpy as np
 import pytest
 
 from bench.cli import main
+from bench.config import load_configuration
 from bench.design.designer import DesignFailed
 from bench.errors import BenchError, ExitCode
+from bench.golfer import compare_motions, golfer_motion, robot_motion
 from bench.swing import library
 from bench.swing.library import find_profile, profile_names
 from bench.swing.profile import Profile, as_written, load_profile, save_profile
+from tests.bench.golfer.synthetic import golfer_swing
 
 
 class Answer(NamedTuple):
@@ -249,6 +252,26 @@ def test_design_saves_the_profile_and_shows_its_delivery(
     assert "Cushions at most" in answer.out
     assert f"golfbench profile check {path}" in "".join(answer.out.split("\n"))
     assert load_profile(path).delivery == SHIPPED.delivery
+
+
+def test_a_design_keeps_whose_swing_it_follows_and_how_near(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    designed = SimpleNamespace(profile=SHIPPED)
+    monkeypatch.setattr("bench.design.designer.design_swing", lambda *_, **__: designed)
+    monkeypatch.setattr("bench.golfer.golfer_named", lambda _: golfer_swing())
+    answer = run("--config", "mine.toml", "profile", "design", "anna.toml", "--golfer", "anna.golfer.toml")
+    assert answer.code == 0, answer.err
+    followed = load_profile(tmp_path / "anna.toml").followed
+    assert followed is not None
+    assert (followed["sha256"], followed["follow"], followed["head_speed_mps"]) == ("5e1f", "body", 43.8)
+    plant = load_configuration(Path("mine.toml")).plant
+    row = compare_motions(golfer_motion(plant, golfer_swing()), robot_motion(plant, SHIPPED))
+    assert followed["deviation"] == pytest.approx(row.share, abs=1e-5)
+    assert [*followed["rms_rad"], followed["rms_head_m"]] == pytest.approx(row.error, abs=1e-5)
+    shown = " ".join(run("profile", "show", "anna.toml").out.split())
+    for text in ("Deviation from the golfer's body", f"{100 * row.share[1]:.1f} %", "5e1f", "aligned at"):
+        assert text in shown
 
 
 def test_design_shows_the_highest_speed_or_what_stands_in_the_way(

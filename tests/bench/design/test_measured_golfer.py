@@ -13,18 +13,12 @@ from bench.design.designer import SwingDemand, furthest_cock, top_pose, wrist_ra
 from bench.design.follow import demand_measured
 from bench.errors import BenchError
 from bench.golfer import GolferSwing
-from tests.bench.golfer.synthetic import BALL, TOP, Synthetic, angles
+from tests.bench.golfer.synthetic import BALL, TOP, golfer_swing
 
 
 @pytest.fixture
 def golfer() -> GolferSwing:
-    time = np.arange(-BALL, 1e-9, 1e-3)
-    angle = angles(BALL + time)
-    angle[:, 2] += 2 * np.pi
-    paths = Synthetic().joints(BALL + time)
-    head = (paths["HEAD"] - paths["HEAD"][-1])[:, :2]
-    row = round(TOP * 1e3)
-    return GolferSwing("Anna", time, angle, head, 43.8, row, np.radians(50.0), Path("anna.golfer.toml"))
+    return golfer_swing()
 
 
 def test_a_demand_has_the_measured_speed_attack_and_tempo(golfer: GolferSwing) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from bench.golfer import GolferSwing
+
 Array = NDArray[np.float64]
 
 TOP, BALL, END = 1.05, 1.31, 1.60
@@ -104,6 +106,27 @@ class Synthetic:
         if self.up == "y":
             points = points[..., [1, 2, 0]]
         return names, points * {"m": 1.0, "cm": 100.0, "mm": 1000.0}[self.unit]
+
+
+ROLES = {
+    "trail_shoulder": "RSHO",
+    "lead_shoulder": "LSHO",
+    "lead_wrist": "LWRI",
+    "grip": "GRIP",
+    "head": "HEAD",
+}
+"""Markers of a right-hander's figure by role."""
+
+
+def golfer_swing() -> GolferSwing:
+    """Return a synthetic golfer as its import would, without an error of measurement."""
+    time = np.arange(-BALL, 1e-9, 1e-3)
+    angle = angles(BALL + time)
+    angle[:, 2] += 2 * np.pi
+    paths = Synthetic().joints(BALL + time)
+    position = {role: paths[name] - paths["HEAD"][-1] for role, name in ROLES.items()}
+    row, path = round(TOP * 1e3), Path("anna.golfer.toml")
+    return GolferSwing("Anna", time, angle, position, 43.8, row, np.radians(50.0), path, "5e1f")
 
 
 MAP = "\n".join(

@@ -33,7 +33,13 @@ def golfer() -> GolferSwing:
     pose = forward_kinematics(PLANT.robot, angle)
     time = np.arange(1.0 - len(angle), 0.5) / 1e3
     body = angle + [0.3, -0.2, -0.1]
-    return GolferSwing("Ann", time, body, pose[:, :2] - pose[-1, :2], 43.0, TOP, 0.9, Path("ann.golfer.toml"))
+    path = Path("ann.golfer.toml")
+    return GolferSwing("Ann", time, body, _head(pose - pose[-1]), 43.0, TOP, 0.9, path, "5e1f")
+
+
+def _head(path: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Return the positions of a golfer of whom only the head's path (n, 2 or more) matters."""
+    return {"head": np.column_stack([path[:, :2], np.zeros(len(path))])}
 
 
 @pytest.fixture
@@ -45,7 +51,7 @@ def plant() -> PlantParameters:
 
 def test_the_club_of_a_robot_is_held_at_its_own_angles(golfer: GolferSwing, plant: PlantParameters) -> None:
     held = with_club_held(plant, golfer)
-    assert held.name == "Ann-club"
+    assert (held.name, held.follow) == ("Ann", "club")
     assert np.isnan(held.angle[:TOP]).all()
     assert held.angle[TOP:] == pytest.approx(swing()[TOP:], abs=1e-9)
 
@@ -57,7 +63,7 @@ def test_a_club_that_the_arm_hardly_reaches_is_held_as_near_as_it_can(
     wrist = forward_kinematics(replace(robot, club=replace(robot.club, length_to_face=0.0)), swing()[row])[:2]
     reached, away = np.linalg.norm(wrist), 0.01
     head[row] += wrist / reached * (robot.l12 + robot.l23 + away - reached)
-    held = with_club_held(plant, replace(golfer, head=head)).angle[row]
+    held = with_club_held(plant, replace(golfer, position=_head(head))).angle[row]
     missed = forward_kinematics(robot, held)[:2] - head[row] - (plant.site.ball_x, plant.site.ball_y)
     assert np.linalg.norm(missed) == pytest.approx(away, abs=0.002)
 
@@ -66,9 +72,9 @@ def test_a_club_out_of_reach_is_refused_with_the_instant(golfer: GolferSwing, pl
     head = golfer.head.copy()
     head[TOP + 30] += (1.5, 0.0)
     with pytest.raises(BenchError, match=r"ms before the ball(?s:.)*where the arm reaches"):
-        with_club_held(plant, replace(golfer, head=head))
+        with_club_held(plant, replace(golfer, position=_head(head)))
 
 
 def test_a_body_without_a_club_holds_none(golfer: GolferSwing, plant: PlantParameters) -> None:
     with pytest.raises(BenchError, match="grip and head"):
-        with_club_held(plant, replace(golfer, head=np.full_like(golfer.head, np.nan)))
+        with_club_held(plant, replace(golfer, position={}))

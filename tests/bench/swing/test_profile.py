@@ -21,11 +21,27 @@ from bench.errors import BenchError
 from bench.lifecycle import Phase
 from bench.swing.correction import digest_of
 from bench.swing.library import find_profile, profile_names
-from bench.swing.profile import Profile, as_written, load_profile, profile_text, save_profile
+from bench.swing.profile import (
+    FollowedGolfer,
+    Profile,
+    as_written,
+    load_profile,
+    profile_text,
+    save_profile,
+)
 from bench.swing.profile_table import decode_table, encode_table
 from sim.plant import PlantParameters
 
 TABLES = ("angle", "velocity", "valve", "blind_brake")
+FOLLOWED: FollowedGolfer = {
+    "sha256": "5e1f",
+    "follow": "club",
+    "head_speed_mps": 43.8,
+    "deviation": [0.045, 0.04, 0.053, 0.034],
+    "rms_rad": [0.099, 0.023, 0.091],
+    "rms_head_m": 0.083,
+    "definition": 'root mean square, "aligned" at the ball',
+}
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +56,7 @@ def short(slow_swing: Profile) -> Profile:
         impact_time=0.025,
         blind_spacing=10,
         blind_brake=slow_swing.blind_brake[:5],
+        followed=FOLLOWED,
     )
 
 
@@ -76,7 +93,7 @@ def test_a_saved_profile_is_loaded_again(form: str, short: Profile, request: pyt
         "blind_spacing",
     ):
         assert getattr(found, name) == getattr(short, name)
-    assert (found.delivery, found.limits) == (short.delivery, short.limits)
+    assert (found.delivery, found.limits, found.followed) == (short.delivery, short.limits, FOLLOWED)
     np.testing.assert_allclose(found.angle, short.angle, rtol=0, atol=5.1e-7)
     np.testing.assert_allclose(found.velocity, short.velocity, rtol=0, atol=5.1e-5)
     np.testing.assert_allclose(found.valve, short.valve, rtol=0, atol=5.1e-6)
@@ -291,6 +308,10 @@ ROW = r"angle_rad = \[\n  \[[^\]]*\]"
         (r"ball_m = \[", "ball_m = [9", "ball_m", "90.25", "-3 to 3 m"),
         ("head_speed_mps = 0.7", 'head_speed_mps = "fast"', "delivery", "fast", "finite numbers"),
         ("head_speed_mps = 0.7", "head_speed_mps = inf", "delivery", "inf", "finite numbers"),
+        ('follow = "club"', 'follow = "hands"', "followed.follow", "hands", "body, club"),
+        (r"deviation = \[0.045, ", "deviation = [", "followed.deviation", "[0.04, ", "an array"),
+        ("head_speed_mps = 43.8", "head_speed_mps = nan", "followed.head_speed_mps", "NaN", "a number"),
+        ('sha256 = "5e1f"\n', "", "followed.sha256", "nothing", "this key"),
     ],
 )
 def test_each_bad_profile_is_refused_with_its_place(

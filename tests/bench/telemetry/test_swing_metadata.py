@@ -4,7 +4,7 @@ import base64
 import json
 import zlib
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -29,6 +29,7 @@ from bench.telemetry.swing_metadata import (
     snapshot_entry,
     swing_metadata,
 )
+from tests.bench.swing.test_profile import FOLLOWED
 
 MakeDay = Callable[..., np.ndarray[Any, Any]]
 PLAN = [(State.READY, 100), (State.ARMED, 200), (State.SWINGING, 200), (State.FAULT, 100)]
@@ -146,6 +147,7 @@ def test_a_snapshot_that_is_no_good_is_refused() -> None:
 
 def test_a_profile_comes_back_bit_for_bit(profile: Profile) -> None:
     profile.angle[3, 1] += 1e-13  # more than its file would keep
+    profile = replace(profile, followed=FOLLOWED)
     again = read_profile(json.loads(json.dumps({"profile": profile_entry(profile)})), "x.parquet")
     for field in fields(Profile):
         before, after = getattr(profile, field.name), getattr(again, field.name)
