@@ -19,6 +19,7 @@ from bench.interrupt import stop_on_signals
 if TYPE_CHECKING:
     import rerun as rr
 
+    from bench.golfer import GolferSwing
     from bench.shot.shot_record import ShotRecord
     from bench.viewer.recording import Layout
     from bench.viewer.window import RerunWindow
@@ -33,6 +34,10 @@ def view(
     shot: Annotated[Path | None, option("Show a swing's record, .parquet.", "RECORD")] = None,
     campaign: Annotated[
         list[Path] | None, option("Show a series: a folder of records, or a record; repeatable.", "PATH")
+    ] = None,
+    golfer: Annotated[
+        Path | None,
+        option("Show a measured golfer, NAME.golfer.toml, next to the recorded swings.", "GOLFER"),
     ] = None,
     save: Annotated[Path | None, option("Write a Rerun file, .rrd; no window unless --web.", "FILE")] = None,
     web: Annotated[bool, flag("--web", "Show it in a browser on this machine.")] = False,
@@ -52,12 +57,15 @@ def view(
 
     if shot is not None and campaign:
         raise BenchError("--shot and --campaign", "both", "one of the two", "Leave one out.")
+    if golfer is not None and shot is None and not campaign:
+        found, expected = "without --shot or --campaign", "a recorded swing next to it"
+        raise BenchError("--golfer", found, expected, "Add --shot RECORD.parquet.")
     where = _Where(save, web, connect, port, memory_limit)
     _check(*where[:4])
     checked_memory(memory_limit)
     with ExitStack() as stack:
         if shot is not None or campaign:
-            _view_records(stack, shot, campaign or [], where)
+            _view_records(stack, shot, campaign or [], golfer, where)
         else:
             _view_bench(stack, context.ensure_object(Session), where)
 
@@ -85,20 +93,23 @@ def _check(save: Path | None, web: bool, connect: str | None, port: int | None) 
 # Records ---------------------------------------------------------------------------------------------
 
 
-def _view_records(stack: ExitStack, shot: Path | None, campaign: Sequence[Path], where: _Where) -> None:
+def _view_records(
+    stack: ExitStack, shot: Path | None, campaign: Sequence[Path], golfer: Path | None, where: _Where
+) -> None:
     from bench.viewer.recording import layout_for, log_shots, write_recording
 
     with progress_bar() as progress:
         records, plant, name = _read(shot, campaign, progress)
+        swing = None if golfer is None else _golfer(golfer, records, plant)
         if where.save is not None:
-            write_recording(where.save, records, plant, name)
+            write_recording(where.save, records, plant, name, swing)
             typer.echo(f"written: {where.save}")
             if not where.web and where.connect is None:
                 return
         window = _window(stack, where)
         recording = _recording(stack, name, [_sink(window, where.connect)], layout_for(records))
         task = progress.add_task("showing", total=len(records))
-        log_shots(recording, records, plant, lambda: progress.advance(task))
+        log_shots(recording, records, plant, lambda: progress.advance(task), swing)
         recording.flush(timeout_sec=60.0)
     _say_where(window)
     if window is not None:
@@ -122,6 +133,19 @@ def _read(
         progress.advance(task)
     name = str(shot) if shot is not None else ", ".join(map(str, campaign))
     return [recorded.record for recorded in read], read[0].plant, name
+
+
+def _golfer(path: Path, records: Sequence[ShotRecord], plant: PlantParameters) -> GolferSwing:
+    """Return the golfer in `path`, who is aligned at the ball with at least one of `records`."""
+    from bench.golfer import load_golfer, require_club
+    from bench.viewer.recording import impact_time
+
+    golfer = load_golfer(path)
+    require_club(golfer)
+    if all(impact_time(record, plant) is None for record in records):
+        found, expected = "no recorded swing reaches the ball", "a swing through the ball's position"
+        raise BenchError("--golfer", found, expected, "Choose another record, or leave --golfer out.")
+    return golfer
 
 
 # A running bench -------------------------------------------------------------------------------------

@@ -45,6 +45,9 @@ _SERIES = _around_cursor(8.0, 1.2)
 """The swing and the flight that follows it."""
 _LIVE = _around_cursor(10.0, 0.0)
 """The last ten seconds."""
+_ANGLES = ("angle_deg/actual", "angle_deg/reference", "angle_deg/golfer")
+_SPEEDS = ("head_speed_mps", "golfer_head_speed_mps", "ball_speed_mps")
+"""Signals of the plots in which a golfer appears, if there is one."""
 
 
 def shot_blueprint(swing: Span, end: float) -> rrb.Blueprint:
@@ -61,7 +64,7 @@ def shot_blueprint(swing: Span, end: float) -> rrb.Blueprint:
         ),
         rrb.Vertical(
             *_joint_signals(window),
-            _series(window, "Speed of club head and ball, m/s", True, "head_speed_mps", "ball_speed_mps"),
+            _series(window, "Speed of club head and ball, m/s", True, *_SPEEDS),
         ),
         share=1.55,
         played=Span(swing.start, end),
@@ -82,7 +85,7 @@ def campaign_blueprint() -> rrb.Blueprint:
             _series(_SERIES, "Angle error (reference − actual), °", False, "angle_error_deg"),
             _valves(_SERIES),
             _pressures(_SERIES),
-            _series(_SERIES, "Speed of club head and ball, m/s", False, "head_speed_mps", "ball_speed_mps"),
+            _series(_SERIES, "Speed of club head and ball, m/s", False, *_SPEEDS),
             row_shares=[1.5, 1, 1, 1, 1],
         ),
         share=2.1,
@@ -221,7 +224,7 @@ def _table() -> rrb.TextDocumentView:
 
 def _joint_signals(window: Window) -> list[rrb.View | rrb.Container]:
     return [
-        _series(window, "Joint angle, ° (grey: reference)", True, "angle_deg/actual", "angle_deg/reference"),
+        _series(window, "Joint angle, ° (grey: reference)", True, *_ANGLES),
         _series(window, "Angle error (reference − actual), °", False, "angle_error_deg"),
         _efforts(window),
         _valves(window),

@@ -18,10 +18,12 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from bench.drawing.placement import ball_at_rest
+from bench.golfer import GolferSwing
 from bench.shot.head_path import path_to_ball
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.whole_file import NotStored, whole_path
 from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
+from bench.viewer.golfer import log_golfer, log_golfer_scene
 from bench.viewer.motion import log_ball, log_motion, poses_to_draw
 from bench.viewer.scene import log_static_scene
 from bench.viewer.shots import ShotSeries
@@ -70,16 +72,21 @@ def live_layout() -> Layout:
 
 
 def write_recording(
-    path: Path, records: Sequence[ShotRecord], plant: PlantParameters, name: str = ""
+    path: Path,
+    records: Sequence[ShotRecord],
+    plant: PlantParameters,
+    name: str = "",
+    golfer: GolferSwing | None = None,
 ) -> None:
     """Write the swings and flights of `records` to `path` (.rrd), completely or not at all.
 
-    Raises NotStored if the file cannot be stored, ValueError if there are no records.
+    `golfer` is drawn next to each. Raises NotStored if the file cannot be stored, ValueError if there are no
+    records.
     """
     if not records:
         raise ValueError("a recording needs at least one shot")
     with writing_recording(path, records, name) as recording:
-        log_shots(recording, records, plant)
+        log_shots(recording, records, plant, golfer=golfer)
 
 
 @contextmanager
@@ -105,12 +112,20 @@ def log_shots(
     records: Sequence[ShotRecord],
     plant: PlantParameters,
     progress: Callable[[], None] = lambda: None,
+    golfer: GolferSwing | None = None,
 ) -> None:
-    """Log the scene, then `records` one after another; `progress` is called after each."""
+    """Log the scene, then `records` one after another, each with `golfer`; call `progress` after each."""
     log_static_scene(recording, plant)
     log_styles(recording)
+    if golfer is not None:
+        log_golfer_scene(recording, golfer, plant)
     series, start = ShotSeries(), 0.0
     for record in records:
+        passed = None if golfer is None else impact_time(record, plant)
+        if golfer is not None and passed is not None:
+            time, angle = record.cycles["time"], record.cycles["angle"]
+            at_ball = np.array([np.interp(passed, time, column) for column in angle.T])
+            log_golfer(recording, bench_time, golfer, (start, start + passed - float(time[0])), at_ball)
         start = _log_shot(recording, series, record, plant, start) + PAUSE
         progress()
 
@@ -139,7 +154,7 @@ def _log_shot(
 ) -> float:
     """Log one shot starting at `start` (s); return its end (s)."""
     cycles, end = record.cycles, start
-    impact = impact_time(record, plant)
+    impact = None if record.flight is None else impact_time(record, plant)
     if len(cycles):
         time = start + (cycles["time"] - cycles["time"][0])
         end = float(time[-1])
@@ -163,8 +178,8 @@ def _log_shot(
 
 
 def impact_time(record: ShotRecord, plant: PlantParameters) -> float | None:
-    """Return the time of the impact (s of the record), None without impact or flight."""
-    if record.flight is None or not len(record.cycles):
+    """Return the time (s of the record) at which the head is at the ball's place, None if it never is."""
+    if not len(record.cycles):
         return None
     path = path_to_ball(plant.robot, record.cycles, plant.site.ball_x, 0.1)
     return None if path is None else float(path.time[-1])

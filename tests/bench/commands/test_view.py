@@ -20,6 +20,7 @@ from bench.cli import main
 from bench.errors import ExitCode
 from bench.lifecycle import State
 from bench.telemetry.recorder import write_swing
+from tests.bench.golfer.synthetic import golfer_swing
 from tests.bench.telemetry.fake_bench import BENCH, fake_bench, loopback
 from tests.bench.telemetry.read_recording import Recording
 
@@ -61,6 +62,23 @@ def test_a_series_goes_into_a_file_with_its_table(records: Path, tmp_path: Path)
     assert len(tables) == 2
 
 
+def test_a_golfer_is_shown_next_to_swings_that_reach_the_ball(
+    records: Path,
+    tmp_path: Path,
+    make_swing: Callable[[int], Cycles],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file, shot = tmp_path / "two.rrd", records / "002.parquet"
+    monkeypatch.setattr("bench.golfer.load_golfer", lambda _: golfer_swing())
+    asked = ["view", "--golfer", "anna.golfer.toml", "--save", file]
+    assert run(*asked, "--shot", shot) == ExitCode.OK
+    assert "/scene/golfer/club" in Recording(file).entities
+    write_swing(shot, make_swing(2)[:300], {"number": 2})
+    assert run(*asked, "--shot", shot) == ExitCode.BAD_INPUT
+    assert "no recorded swing reaches the ball" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -71,6 +89,7 @@ def test_a_series_goes_into_a_file_with_its_table(records: Path, tmp_path: Path)
         (["--memory-limit", "much"], "--memory-limit"),
         (["--shot", "absent.parquet"], "no such file"),
         (["--campaign", "absent"], "no such file"),
+        (["--golfer", "anna.golfer.toml"], "without --shot or --campaign"),
     ],
 )
 def test_mistakes_are_told(options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,6 +22,7 @@ from sim.ball import Ball
 from sim.kinematics import joint_positions
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters
+from tests.bench.golfer.synthetic import golfer_swing
 from tests.bench.telemetry.read_recording import Recording
 
 Records = Callable[[int], list[ShotRecord]]
@@ -150,6 +151,31 @@ def test_hardware_without_pressure_sensors_shows_gaps_not_zeros(
     write_recording(tmp_path / "x.rrd", [record], plant)
     _, rows = Recording(tmp_path / "x.rrd").read("/signals/pressure_bar", "Scalars:scalars")
     assert np.isnan(np.array(rows)[:, :6]).all()
+
+
+def test_a_golfer_meets_the_ball_when_the_robot_does(
+    tmp_path: Path, make_records: Records, plant: PlantParameters
+) -> None:
+    record, golfer = make_records(1)[0], golfer_swing()
+    stopped = ShotRecord(record.shot, record.cycles[:300])
+    write_recording(tmp_path / "x.rrd", [record, stopped], plant, golfer=golfer)
+    recording = Recording(tmp_path / "x.rrd")
+    struck = recording.read("/range/ball", "Points3D:positions")[0][0]
+    time, clubs = recording.read("/scene/golfer/club", "LineStrips3D:strips")
+    _, bodies = recording.read("/scene/golfer/body", "LineStrips3D:strips")
+    assert time[-1] == pytest.approx(struck, abs=1e-6)
+    assert time[0] >= 0.0  # the golfer's address is before the record
+    assert clubs[-1][0][-1] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    shoulders = [golfer.position[f"{side}_shoulder"][-1] for side in ("trail", "lead")]
+    assert np.allclose(bodies[-1][0][:2], shoulders, atol=1e-6)
+    assert np.diff(time[time > struck - golfer.downswing_time]) == pytest.approx(1e-3, abs=1e-6)
+    time, angles = recording.read("/signals/angle_deg/golfer", "Scalars:scalars")
+    assert np.isnan(angles[-1]).all()
+    at_ball = record.cycles["angle"][np.searchsorted(record.cycles["time"], struck)]
+    turns = (np.radians(angles[-2]) - golfer.angle[-1]) / (2 * np.pi)
+    assert turns == pytest.approx(np.round((at_ball - golfer.angle[-1]) / (2 * np.pi)))
+    _, speeds = recording.read("/signals/golfer_head_speed_mps", "Scalars:scalars")
+    assert speeds[-2][0] == pytest.approx(golfer.head_speed, rel=0.02)
 
 
 def test_the_golf_frame_is_that_of_the_bench(robot: RobotParameters) -> None:
