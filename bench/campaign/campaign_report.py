@@ -19,6 +19,7 @@ from bench.campaign.equipment import (
     ball_table,
     carry_words,
     club_table,
+    golfer_table,
     without_simulated_balls,
 )
 from bench.campaign.exclusions import reasons_by_hand
@@ -282,6 +283,7 @@ def _facts(record: CampaignRecord, units: UnitSystem) -> list[tuple[str, str]]:
     handling = plan.ball_handling
     warm = display_unit("air_temperature_k", units)
     tolerance = handling.temperature_tolerance / warm.size
+    golfers = dict.fromkeys(one["golfer"] for one in entry.golfers.values())
     return [
         ("Campaign", entry.id),
         ("Bench", f"{entry.bench}{', simulated' if entry.simulated else ''}"),
@@ -291,6 +293,7 @@ def _facts(record: CampaignRecord, units: UnitSystem) -> list[tuple[str, str]]:
         ("Carry", carry_words(record.shots) or "none"),
         ("Clubs", ", ".join(plan.design.clubs)),
         ("Swings", ", ".join(plan.design.swings)),
+        *([("Golfer", ", ".join(golfers))] if golfers else []),
         ("Air", air or "not measured"),
         (
             "Balls",
@@ -313,6 +316,7 @@ def _equipment(record: CampaignRecord, units: UnitSystem) -> list[EquipmentTable
     return [
         ball_table(record.plan, measured, simulated=entry.simulated, units=units),
         club_table(record.plan, units),
+        *([golfer_table(entry.golfers, units)] if entry.golfers else []),
     ]
 
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from bench.campaign.carry import Measured
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.reader_units import UnitSystem, display_unit
+from bench.golfer import followed_texts
 from bench.shot.shot import Shot
 from sim.ball import Ball
 
@@ -25,6 +26,8 @@ FLIGHT_OF: Mapping[str, str] = {
     "model": "flown with the plan's own factors by an older golfbench: it says nothing of a real ball",
 }
 """Meaning of each source of carry and flight."""
+_DIGITS = 12
+"""Printed digits of the SHA-256 of a golfer's file."""
 
 
 class EquipmentTable(NamedTuple):
@@ -95,6 +98,25 @@ def club_table(plan: CampaignPlan, units: UnitSystem = UnitSystem.SI) -> Equipme
         f"head mass, {mass.unit}",
     )
     return EquipmentTable("Clubs, as plan and configuration have them.", head, rows)
+
+
+def golfer_table(golfers: Mapping[str, Any], units: UnitSystem = UnitSystem.SI) -> EquipmentTable:
+    """Return the golfers that the swings follow, as a campaign's entry has them."""
+    speed = display_unit("club_speed_mps", units)
+    rows = tuple(
+        (
+            arm,
+            f"{one['golfer']}, {one['sha256'][:_DIGITS]}…",
+            one["follow"],
+            speed.text(one["head_speed_mps"]),
+            *followed_texts(one),
+        )
+        for arm, one in golfers.items()
+    )
+    head = ("swing, club", "golfer, SHA-256 of the file", "follows", f"golfer's club, {speed.unit}")
+    definitions = "; ".join(dict.fromkeys(one["definition"] for one in golfers.values()))
+    caption = f"Measured golfers, and deviations of the robot's planned motion. {definitions}."
+    return EquipmentTable(caption, (*head, "shoulder", "arm", "wrist", "head"), rows)
 
 
 def carry_words(shots: Sequence[Shot]) -> str:

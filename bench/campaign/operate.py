@@ -60,11 +60,13 @@ def new_entry(
     real_time: Mapping[str, Any] | None = None,
     measured: Measured | None = None,
     calibrated: Mapping[str, Any] | None = None,
+    profiles: Profiles | None = None,
 ) -> CampaignEntry:
     """Return a campaign that begins `now`; its id is name and time.
 
     `real_time` are the facts of the running bench that takes its shots; None: lock-step. `measured` are the
-    measured aerodynamics of its balls, `calibrated` the bench's calibrations in force.
+    measured aerodynamics of its balls, `calibrated` the bench's calibrations in force, `profiles` those of
+    its swings.
     """
     return CampaignEntry(
         id=f"{plan.campaign.name}-{now:%Y%m%dT%H%M%S}{now.microsecond // 1000:03d}",
@@ -81,6 +83,11 @@ def new_entry(
         real_time=real_time or {},
         calibrations=({"bench": calibrated} if calibrated else {})
         | ({"aerodynamics": {ball: one.record() for ball, one in measured.items()}} if measured else {}),
+        golfers={
+            ", ".join(arm): {"golfer": profile.golfer, **profile.followed}
+            for arm, profile in (profiles or {}).items()
+            if profile.followed is not None
+        },
     )
 
 

@@ -172,7 +172,7 @@ def run(
     """
     from bench.campaign.operate import measured_balls, new_entry
 
-    plan, configuration, _ = _checked(context, file)
+    plan, configuration, profiles = _checked(context, file)
     if expect not in ("", plan.digest):
         raise Refused(str(file), f"digest {plan.digest}", f"{expect}, as checked", "Check it again.")
     outputs = _outputs(json_, junit, report_to, check_, units)
@@ -188,6 +188,7 @@ def run(
             real_time=facts,
             measured=measured,
             calibrated=_calibrations(plan, configuration, store, now, sim=sim),
+            profiles=profiles,
         )
         store.begin(entry)
         _run(store, entry, configuration, outputs, facts, ask=ask, by=by)

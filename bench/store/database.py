@@ -20,7 +20,7 @@ from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
 from bench.errors import BenchError, Refused
 from bench.store.tables import Row, SchemaVersionRow
 
-SCHEMA_VERSION = 12
+SCHEMA_VERSION = 13
 """Version of `bench.store.tables`."""
 
 

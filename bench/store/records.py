@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import Any, NamedTuple
@@ -49,6 +49,8 @@ class CampaignEntry:
     versions: Mapping[str, Any]
     real_time: Mapping[str, Any]
     calibrations: Mapping[str, Any]
+    golfers: Mapping[str, Any] = field(default_factory=dict)
+    """Measured swings that its profiles follow, by "swing, club"."""
 
     @property
     def hit_scope(self) -> str:

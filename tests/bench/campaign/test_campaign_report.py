@@ -27,6 +27,9 @@ from bench.config import load_configuration
 from bench.errors import BenchError
 from bench.shot.shot import ShotStatus
 from bench.store.records import CampaignState, Event, Hit, Prompt, Standing
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from tests.bench.swing.test_profile import FOLLOWED
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
@@ -100,6 +103,21 @@ def test_what_one_signs_is_there(text: str, record: CampaignRecord) -> None:
     ):
         assert wanted in words, wanted
     assert "saw &lt;no&gt; ball" in text
+
+
+def test_the_golfer_that_a_swing_follows_is_named_with_the_deviation(
+    record: CampaignRecord, text: str
+) -> None:
+    default = load_profile(find_profile("default"))
+    profiles = {("default", "driver"): replace(default, golfer="Anna", followed=FOLLOWED)}
+    configuration = load_configuration(Path("shipped"))
+    entry = new_entry(record.plan, configuration, NOW, simulated=True, profiles=profiles)
+    followed = replace(record, entry=entry)
+    words = _words(render_campaign_report(followed, findings(record.plan, record.shots)))
+    assert words.count("Anna") == 2
+    for wanted in ("Anna, 5e1f…", "club", "4.5 % 5.7°", "5.3 % 5.2°", "3.4 % 83 mm", "“aligned” at the ball"):
+        assert wanted.replace("“", "&#34;").replace("”", "&#34;") in words, wanted
+    assert "golfer" not in _words(text).lower()
 
 
 def test_nothing_is_loaded_from_elsewhere(text: str) -> None:

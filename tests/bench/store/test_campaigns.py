@@ -54,6 +54,7 @@ ENTRY = CampaignEntry(
     versions={"golfbench": "0.1.0"},
     real_time={},
     calibrations={},
+    golfers={"anna, driver": {"golfer": "Anna", "deviation": [0.045]}},
 )
 SHOT = Shot(
     1,
