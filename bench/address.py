@@ -122,7 +122,12 @@ def address_mistakes(of: Addressed) -> Iterator[Mistake]:
     )
     for name, endpoint, wanted, *allowed in places:
         if not any(allow(endpoint) for allow in allowed):
-            yield f"network.{name}", format_value(endpoint), f"{wanted}; PORT 1 to 65535", "Correct it."
+            yield (
+                f"network.{name}",
+                format_value(endpoint),
+                f"{wanted}; PORT 1 to 65535",
+                f"Correct network.{name}.",
+            )
         elif _is_secure(endpoint) and not network.identity:
             found = f"none, with {name} = {format_value(endpoint)}"
             cure = "Create them with `golfbench certificates`."
@@ -131,7 +136,7 @@ def address_mistakes(of: Addressed) -> Iterator[Mistake]:
         for name in getattr(network, role):
             if not NAME.fullmatch(name):
                 wanted = "names as in certificates: letters, digits, ., - and _, at most 63"
-                yield f"network.{role}", format_value(name), wanted, "Correct it."
+                yield f"network.{role}", format_value(name), wanted, f"Correct the name in network.{role}."
 
 
 def _is_empty(endpoint: str) -> bool:

@@ -47,7 +47,7 @@ def find_configuration(wanted: Path | None = None) -> Path:
     if (named := _named(str(wanted))) is not None:
         return named
     expected = f"a configuration file, or one of {', '.join(_names())}"
-    raise BenchError(str(wanted), "no such file", expected, "Correct the path.")
+    raise BenchError(str(wanted), "no such file", expected, "Correct the path after --config.")
 
 
 def _named(name: str) -> Path | None:
@@ -94,16 +94,20 @@ def read_layers(
         return laid_over(as_tree(defaults(), Path(DEFAULTS), faults), tree), (file,)
     expected = f'a path from this file\'s folder, "{DEFAULTS}", or one of {", ".join(_names())}'
     if not isinstance(base, str):
-        raise BenchError(f"{file}: base", format_value(base), expected, "Correct it.")
+        raise BenchError(
+            f"{file}: base", format_value(base), expected, 'Write base = "shipped", or a path in quotes.'
+        )
     below = file.parent / base
     if base == SHIPPED or not below.exists():
         below = _named(base) or below
     if below.resolve() in [path.resolve() for path in (*above, file)]:
         expected = "a file that is not based on this one"
-        raise BenchError(f"{file}: base", format_value(base), expected, "Name another base.")
+        raise BenchError(
+            f"{file}: base", format_value(base), expected, 'Write base = "shipped" in one of the files.'
+        )
     if not below.exists():
         found = f"{format_value(base)}, no such file"
-        raise BenchError(f"{file}: base", found, expected, "Correct the path.")
+        raise BenchError(f"{file}: base", found, expected, "Correct the path in the key base.")
     under, files = read_layers(below, defaults, faults, (*above, file))
     return laid_over(under, tree), (*files, file)
 

@@ -515,7 +515,7 @@ class Daemon:
         return LoopDied(
             f"bench {self.configuration.bench.id}: loop",
             f"it {how}; state {state.name}, phase {phase.name}",
-            "it to run; the device has gone passive by its own watchdog",
+            "a running loop; the device went passive by its watchdog",
             "Check the robot, then restart the bench: it starts in ESTOP.",
         )
 

@@ -77,9 +77,14 @@ def parse_toml(text: str, place: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise BenchError(place, f"invalid TOML: {error}", "TOML", "Correct that line.") from None
+        raise BenchError(place, f"invalid TOML: {error}", "TOML", "Correct that line of the file.") from None
     except RecursionError:
-        raise BenchError(place, "values nested too deep", "TOML", "Correct the file.") from None
+        raise BenchError(
+            place,
+            "values nested too deep",
+            "tables and arrays of ordinary depth",
+            "Write the file without deep nesting.",
+        ) from None
 
 
 def read_text(path: Path, expected: str, cure: str) -> str:
@@ -125,7 +130,12 @@ def as_tree(tables: Mapping[str, Any], file: Path, faults: list[BenchError], pat
         name, suffix = match.groups() if match else (key, "")
         if isinstance(before := tree.get(name), Leaf):
             faults.append(
-                BenchError(f"{file}: {path}{key}", f"also {before.key}", "one of the two", "Delete one.")
+                BenchError(
+                    f"{file}: {path}{key}",
+                    f"also {before.key}",
+                    "one of the two keys",
+                    "Delete one of the two keys.",
+                )
             )
         tree[name] = Leaf(value, file, f"{path}{key}", suffix)
     return tree

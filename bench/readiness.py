@@ -174,7 +174,7 @@ def assess(
                 inputs.name,
                 "of other settings of the driver",
                 "a check of the inputs with the settings in force",
-                f"golfbench calibrate {inputs.kind}",
+                f"Run golfbench calibrate {inputs.kind}.",
             )
         )
     if model.check == "off":

@@ -1,10 +1,11 @@
-"""The language of the code stays plain: few forbidden words, no long functions, one class of a name."""
+"""The language stays plain: few forbidden constructions in texts and documents, noun phrases in errors."""
 
 from __future__ import annotations
 
 import ast
 import re
 from collections import Counter
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -24,6 +25,34 @@ CEILINGS = {
     "wish|wishes": 1,
 }
 """Max occurrences of each in docstrings and messages of PACKAGES: lower them, never raise them."""
+
+CONSTRUCTIONS = {
+    r"\bwhat (a|an|the|it|is|was|no|only|comes?|came|lies|must|may|does|did|can|has|had|holds|follows|remains"
+    r"|needs|keeps)\b": (19, 328),
+    r"\bbeside\b": (15, 130),
+    r"\bby (itself|themselves)\b": (0, 55),
+    r"\b(go|goes|going|went) on\b": (1, 63),
+    r"\bbegun\b|\b(its|the|a) begin\b": (0, 33),
+    r"\bask(s|ed)? (for \w+ )?again\b|\basked for\b": (0, 36),
+    r"\b(nobody|somebody|anybody|whoever)\b": (6, 16),
+    r"\bof (before|then|now)\b": (0, 1),
+    r"\blets? (in|go|off)\b": (0, 14),
+    r"\b(of|on) (its|their) own\b": (7, 60),
+    r", too\b": (0, 29),
+    r"\b(told|tells?|hear[sd]?)\b": (2, 14),
+    r"\b(is|are|was|were) (named|told|believed|doubted|let|swung|meant)\b": (3, 54),
+    r"(?:^|[.:;] )(Of|Beside|Out of) [a-z]": (5, 143),
+    r"\b(swung|swing(s|ing)?) (the )?spools?\b|\bspools? (is|are) swung\b": (0, 9),
+    r"\b(until now|shipped before|as before|had been)\b": (0, 8),
+}
+"""Max occurrences of each in hand-written documents, and in docstrings and messages: never raise them."""
+
+MAX_SHORT_ACTIONS = 5
+"""Errors whose action has at most three words and no value."""
+MAX_CLAUSES = 2
+"""Errors that expect "it …", "to …", "this …" or "one"."""
+MAX_NOTHINGS = 2
+"""Errors that found "nothing" where a value is missing."""
 
 MAX_LINES = 60
 WHOLE = {
@@ -52,6 +81,54 @@ def texts() -> tuple[str, ...]:
     nodes = (node for tree in parsed().values() for node in ast.walk(tree))
     strings = (node.value for node in nodes if isinstance(node, ast.Constant))
     return tuple(text for text in strings if isinstance(text, str) and " " in text)
+
+
+@cache
+def documents() -> tuple[str, ...]:
+    """Return the hand-written parts of all documents but the changelog."""
+    skipped = ("FAULTS.md", "HAZARDS.md", "CHANGELOG.md")
+    paths = [path for path in PROJECT.rglob("*.md") if path.name not in skipped and ".venv" not in path.parts]
+    generated = re.compile(r"<!-- ([\w ]+): begin -->.*?<!-- \1: end -->", re.DOTALL)
+    return tuple(generated.sub("", path.read_text()) for path in paths if "data" not in path.parts)
+
+
+def errors() -> Iterator[list[str | None]]:
+    """Yield found, expected and action of each error that is made of literals; None: of something else."""
+    kinds = {"BenchError"}
+    classes = [n for tree in parsed().values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef)]
+    while more := {c.name for c in classes if kinds & {ast.unparse(base) for base in c.bases}} - kinds:
+        kinds |= more
+    for tree in parsed().values():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in kinds and len(node.args) > 3:
+                yield [literal(argument) for argument in node.args[1:4]]
+
+
+def literal(node: ast.expr) -> str | None:
+    """Return the text of a literal, with {} for values."""
+    if isinstance(node, ast.JoinedStr):
+        return "".join(str(v.value) if isinstance(v, ast.Constant) else "{}" for v in node.values)
+    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else None
+
+
+@pytest.mark.parametrize(("pattern", "ceilings"), CONSTRUCTIONS.items())
+def test_forbidden_constructions_become_fewer(pattern: str, ceilings: tuple[int, int]) -> None:
+    compiled = re.compile(pattern, re.IGNORECASE | re.MULTILINE)
+    found = [sum(len(compiled.findall(text)) for text in group) for group in (documents(), texts())]
+    assert [count for count, most in zip(found, ceilings, strict=True) if count > most] == []
+
+
+def test_errors_have_noun_phrases_and_an_action_that_says_how() -> None:
+    parts = list(errors())
+    assert len(parts) > 300
+    short = [action for *_, action in parts if action and len(action.split()) <= 3 and "{}" not in action]
+    clauses = [
+        expected for _, expected, _ in parts if expected and re.match(r"it |to |this |(it|one)$", expected)
+    ]
+    nothings = [found for found, _, _ in parts if found == "nothing"]
+    assert len(short) <= MAX_SHORT_ACTIONS, short
+    assert len(clauses) <= MAX_CLAUSES
+    assert len(nothings) <= MAX_NOTHINGS
 
 
 @pytest.mark.parametrize(("words", "ceiling"), CEILINGS.items())

@@ -27,7 +27,7 @@ def add_aerodynamics(
     place = f"calibrate aerodynamics {values.ball}"
     for name, found in (("--source", source), ("--by", by)):
         if not found.strip():
-            raise BenchError(f"{place}: {name}", "nothing", "a text", "State it.")
+            raise BenchError(f"{place}: {name}", "missing", "a text", f"State the text with {name}.")
     source, by, c = source.strip(), by.strip(), _TABLE.c
     newest = select(func.max(c.version)).where((c.bench == bench) & (c.ball == values.ball))
     row = {
@@ -43,7 +43,9 @@ def add_aerodynamics(
         with database.execution_options(sqlite_begin="IMMEDIATE").begin() as connection:
             version = connection.execute(insert(_TABLE).values(row).returning(c.version)).scalar_one()
     except IntegrityError as error:  # SQLite writes in turn, a server may not
-        raise BenchError(place, "another one at the same instant", "one at a time", "Try again.") from error
+        raise BenchError(
+            place, "a calibration with this version exists", "a later version", "Run the same command again."
+        ) from error
     return AerodynamicsEntry(version, date, source, by, values)
 
 

@@ -56,7 +56,7 @@ def add_calibration(
     kind = _kind_of(values)
     for name, found in (("by", by), ("method", method)):
         if not found.strip():
-            raise BenchError(f"calibrate {kind}: --{name}", "nothing", "a text", "Say it.")
+            raise BenchError(f"calibrate {kind}: --{name}", "missing", "a text", f"Add --{name} with a text.")
     if not date < expires:
         raise BenchError(
             f"calibrate {kind}: expires", f"{expires}", f"later than {date}", "Give it a later day."
@@ -90,9 +90,9 @@ def add_calibration(
         try:
             identity = connection.execute(statement.returning(CalibrationRow.id)).scalar_one()
         except IntegrityError as error:  # SQLite writes in turn, a server may not
-            raise BenchError(
-                f"calibrate {kind}", "another one at the same instant", "one at a time", "Try again."
-            ) from error
+            found = "a calibration with this timestamp exists"
+            action = "Run the same command again."
+            raise BenchError(f"calibrate {kind}", found, "a later timestamp", action) from error
     return next(entry for entry in list_calibrations(database, bench, kind) if entry.id == identity)
 
 

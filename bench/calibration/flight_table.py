@@ -128,11 +128,14 @@ def read_flights(path: Path, points: Path | None = None) -> FlightTable:
         try:
             flights.append(_flight(figures, trajectories.pop(cells.get("flight", ""), None)))
         except ValueError as error:
-            raise BenchError(place, str(error), "a possible flight", "Correct the row.") from None
+            raise BenchError(place, str(error), "a possible flight", "Correct the row in the file.") from None
     if trajectories:
         left = ", ".join(list(trajectories)[:5])
         raise BenchError(
-            str(points), f"points of flight {left}", f"a row of it in {path}, column flight", "Correct one."
+            str(points),
+            f"points of flight {left}",
+            f"a row of it in {path}, column flight",
+            "Correct one of the two files.",
         )
     used = {"", "flight", "spin_rate_type", "use_in_stat"}
     unused = [name for n, name in enumerate(table.names) if n not in columns and table.keys[n] not in used]
@@ -180,7 +183,10 @@ def _columns(table: MeasurementTable) -> dict[int, _Column]:
             continue
         if key in table.keys[:n]:
             raise BenchError(
-                table.place(table.header, n), "the name of another column", "each figure once", "Delete one."
+                table.place(table.header, n),
+                "the name of another column",
+                "each value once",
+                "Delete one of the two columns.",
             )
         if column.unit and table.units[n] and column.unit != table.units[n]:
             raise BenchError(
@@ -263,7 +269,7 @@ def _read_points(path: Path) -> dict[str, np.ndarray[Any, Any]]:
                 f"{path}, line {table.header}",
                 f"{count} columns {name}",
                 ", ".join(_POINT_COLUMNS),
-                "Correct it.",
+                "Correct the header line of the file.",
             )
     flight, *places = (table.keys.index(name) for name in _POINT_COLUMNS)
     for line, row in table.rows:

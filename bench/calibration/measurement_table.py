@@ -67,7 +67,7 @@ class MeasurementTable(NamedTuple):
         if not isfinite(value):
             mark = "comma, as in other cells" if self.decimal_comma else "point"
             expected = f"a number with a decimal {mark}" + (", L or R behind it" if sided else "")
-            raise BenchError(self.place(line, column), repr(cell), expected, "Correct the cell.")
+            raise BenchError(self.place(line, column), repr(cell), expected, "Correct the cell in the file.")
         return value
 
     def place(self, line: int, column: int) -> str:
@@ -93,11 +93,13 @@ def read_table(path: Path, known: Callable[[str], bool]) -> MeasurementTable:
     try:
         lines = [(line, row) for line, row in _cells(text, separator, strict=True) if any(row)]
     except csv.Error as error:
-        raise BenchError(str(path), str(error), "a table (CSV)", "Export it again.") from None
+        raise BenchError(str(path), str(error), "a table (CSV)", "Export the table again as CSV.") from None
     known_names = [sum(map(known, map(key_of, row))) for _, row in lines[:_HEADER_LINES]]
     first = known_names.index(max(known_names)) if known_names else 0
     if len(lines) <= first + 1:
-        raise BenchError(str(path), "no rows", "a header and rows of measurements", "Export it again.")
+        raise BenchError(
+            str(path), "no rows", "a header and rows of measurements", "Export the table again with its rows."
+        )
     header, names = lines[first]
     notes = [
         f"line {line}: {' '.join(filter(None, row))}"
@@ -136,7 +138,7 @@ def _text(path: Path) -> str:
         data = path.read_bytes()
     except OSError as error:
         raise BenchError(
-            str(path), error.strerror or str(error), "a readable file", "Check the path."
+            str(path), error.strerror or str(error), "a readable file", "Check path and rights of the file."
         ) from None
     for start, kind in _FILES.items():
         if data.startswith(start):

@@ -40,7 +40,12 @@ def standing_counts(ring: Path, counts_per_revolution: int, seconds: float = 0.5
     middles = []
     for joint, name in enumerate(JOINTS):
         if not cycles["encoder_valid"][:, joint].all():
-            raise Refused(place, f"{name}: readings that are not valid", "valid ones", "Check its cable.")
+            raise Refused(
+                place,
+                f"{name}: invalid readings",
+                "valid readings",
+                f"Check the cable of the {name} encoder.",
+            )
         counts = cycles["encoder_count"][:, joint]
         # Around the last one, so that a count at the range's end does not split.
         half = counts_per_revolution // 2

@@ -53,12 +53,14 @@ def exclude_shot(
     taken = {stored.shot.shot: stored.shot for stored in store.shots(campaign)}
     if shot not in taken:
         expected = f"a shot from 1 to {max(taken)}" if taken else "a shot, once there is one"
-        raise Refused(place, "no such shot", expected, "Name another one.")
+        raise Refused(place, "no such shot", expected, "See the numbers in golfbench campaign export.")
     by_hand = shot in reasons_by_hand(store.exclusions(campaign))
     if undo and not by_hand:
         raise Refused(place, "not excluded by hand", "one that is", "The report lists them.")
     if by_hand and not undo:
-        raise Refused(place, "excluded by hand already", "a shot that counts", "Nothing to do.")
+        raise Refused(
+            place, "excluded by hand already", "a shot that counts", "Add --undo to let it count again."
+        )
     if not undo and taken[shot].status is not ShotStatus.VALID:
         found = f"{taken[shot].status} already: {taken[shot].reason}"
         raise Refused(place, found, "a shot that counts", "Comment it with golfbench campaign mark.")

@@ -54,8 +54,10 @@ def read_services(file: Path) -> list[Service]:
     try:
         import apprise
     except ImportError as error:
-        cure = 'pip install "golfbench[notify]", or leave notifications.file empty.'
-        raise BenchError("notifications.file", f"no package apprise ({error})", "it", cure) from error
+        cure = 'Run pip install "golfbench[notify]", or leave notifications.file empty.'
+        raise BenchError(
+            "notifications.file", f"package apprise is not installed ({error})", "apprise", cure
+        ) from error
     log = logging.getLogger("apprise")
     log.propagate = False  # its texts may name a URL
     log.addHandler(logging.NullHandler())

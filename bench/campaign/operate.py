@@ -281,7 +281,7 @@ def answer(
         require_count(prompts[-1], balls)
     if not prompts or not store.answer(campaign, prompts[-1].number, by, now):
         place, expected = f"campaign {campaign}", "a prompt that waits for an answer"
-        raise Refused(place, "no open prompt", expected, "golfbench campaign list")
+        raise Refused(place, "no open prompt", expected, "See golfbench campaign list.")
     return prompts[-1].text, is_running(data_dir, campaign)
 
 
@@ -297,7 +297,7 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: s
     standing = store.standing(campaign)
     if standing.state in ENDED:
         place = f"campaign {campaign}"
-        raise Refused(place, str(standing.state), "an unfinished campaign", "No action needed.")
+        raise Refused(place, str(standing.state), "an unfinished campaign", "See golfbench campaign list.")
     if not is_running(data_dir, campaign):
         if request == "abort":
             reason = f"aborted by request{f' of {by}' if by else ''}"

@@ -117,7 +117,12 @@ def _completed(
     """Return a section's entries, those that say `like` completed from the one it names."""
     if isinstance(node, Leaf):
         faults.append(
-            BenchError(f"{file}: {section}", format_value(node.value), "tables", "Write [balls.name].")
+            BenchError(
+                f"{file}: {section}",
+                format_value(node.value),
+                "tables",
+                "Write a table such as [balls.name].",
+            )
         )
         return {}
     done: Tree = {}
@@ -156,7 +161,12 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
     d = plan.design
     if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", plan.campaign.name):
         found = format_value(plan.campaign.name)
-        yield "campaign.name", found, "small letters, digits and -", "It names files."
+        yield (
+            "campaign.name",
+            found,
+            "small letters, digits and -",
+            "Rename it: the name is part of file names.",
+        )
     for key, names, known in (
         ("design.balls", d.balls, balls),
         ("control.ball", filter(None, (plan.control.ball,)), balls),
@@ -172,7 +182,12 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
                 wanted = "a name of printable characters, without spaces at its ends"
                 yield f"design.{key}", format_value(name), wanted, "Reports and prompts show it."
         if not names or len(set(names)) < len(names):
-            yield f"design.{key}", format_value(list(names)), "at least one, each once", "Correct it."
+            yield (
+                f"design.{key}",
+                format_value(list(names)),
+                "at least one name, each once",
+                f"Correct the list design.{key}.",
+            )
     for swing, profiles in plan.swings.items():
         if swing not in d.swings:
             yield f"swings.{swing}", "a swing", f"one of {', '.join(d.swings)}", "Add it to design.swings."
@@ -189,7 +204,7 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
         expected = f"more than design.seconds_per_shot, {d.seconds_per_shot:g}; or 0"
         yield "interruption.restart_after", found, expected, "Every shot would restart its block."
     if plan.gate.centre == "warm-up" and not plan.warm_up.at_most:
-        yield "gate.centre", '"warm-up"', '"planned", for there is no warm-up', "Correct it."
+        yield "gate.centre", '"warm-up"', '"planned", as warm_up.at_most is 0', 'Set gate.centre = "planned".'
     if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
         found = str(plan.warm_up.at_most)
         yield "warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it."
@@ -213,7 +228,12 @@ def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
     if stop.rule == "equivalence" and not plan.analysis.margin:
         yield "analysis.margin", "0", "a margin above 0 for the rule equivalence", "Set it."
     if stop.rule != "fixed" and len(levels(plan)) < 2:
-        yield "stop.rule", format_value(stop.rule), '"fixed": there is one level only', "Correct it."
+        yield (
+            "stop.rule",
+            format_value(stop.rule),
+            '"fixed", as there is one level only',
+            'Set stop.rule = "fixed".',
+        )
 
 
 def _split(plan: CampaignPlan) -> Iterator[Mistake]:
@@ -238,14 +258,24 @@ def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
     """Yield an error for each unknown rule, and for each stated uncertainty of an unknown quantity."""
     for name in plan.rules.apply:
         if name not in rule_names():
-            yield "rules.apply", format_value(name), f"of {', '.join(rule_names())}", "Correct it."
+            yield (
+                "rules.apply",
+                format_value(name),
+                f"one of {', '.join(rule_names())}",
+                "Correct the name in rules.apply.",
+            )
     s = plan.set_up
     if bool(s.control_restitution) != bool(s.control_contact_time):
         missing = "control_contact_time" if s.control_restitution else "control_restitution"
         yield f"set_up.{missing}", "0", "both figures of the control ball, or neither", "Add it."
     for name in plan.rules.uncertainty.keys() - set(get_args(Quantity)):
         wanted = ", ".join(get_args(Quantity))
-        yield f"rules.uncertainty.{name}", "no quantity", f"one of {wanted}", "Correct it."
+        yield (
+            f"rules.uncertainty.{name}",
+            "no quantity",
+            f"one of {wanted}",
+            "Correct the key below [rules.uncertainty].",
+        )
 
 
 def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:
@@ -254,7 +284,7 @@ def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:
     dates: dict[str, str] = {}
     for name, item in plan.items.items():
         if name not in known:
-            cure = did_you_mean(name, known, "Correct it.")
+            cure = did_you_mean(name, known, "Correct the name in the plan.")
             yield f"items.{name}", "an item", f"a ball or club of {', '.join(known)}", cure
         dates[f"items.{name}.received"] = item.received
     for name, stated in plan.calibrations.items():
@@ -262,10 +292,10 @@ def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:
         dates[f"calibrations.{name}.due"] = stated.due
         for quantity in stated.uncertainty.keys() - set(STATED):
             key, wanted = f"calibrations.{name}.uncertainty.{quantity}", f"one of {', '.join(STATED)}"
-            yield key, "no quantity", wanted, "Correct it."
+            yield key, "no quantity", wanted, "Correct the quantity in the plan."
     for key, text in dates.items():
         if text and not _is_date(text):
-            yield key, format_value(text), "a date as 2026-11-21", "Correct it."
+            yield key, format_value(text), "a date such as 2026-11-21", "Write the date as YYYY-MM-DD."
 
 
 def _is_date(text: str) -> bool:

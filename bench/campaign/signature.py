@@ -146,7 +146,7 @@ def issue_report(store: CampaignStore, record: CampaignRecord, by: str, reason: 
         raise Refused(place, f"{record.standing.state}", expected, "Resume it, or issue its report later.")
     if issues and not reason:
         expected = "a reason for an amended report"
-        raise Refused(place, f"{record.number} is issued", expected, "Give --reason TEXT.")
+        raise Refused(place, f"{record.number} is issued", expected, "Give the reason with --reason TEXT.")
     text = f"issued by {by}"
     if issues:
         text += f"; replaces {record.number}: {reason}"

@@ -358,7 +358,10 @@ def _measured_valves(configuration: Configuration) -> dict[str, Any]:
             found.append(find_centre(*ramp_valve(configuration.plant, i)))
         except ValueError as error:
             raise BenchError(
-                f"calibrate valves --measure, {name}", str(error), "both edges of the overlap", "See there."
+                f"calibrate valves --measure, {name}",
+                str(error),
+                "both edges of the dead band",
+                "Give the measured edges by hand; see --help.",
             ) from None
     return {
         "centre": [valve.centre for valve in found],

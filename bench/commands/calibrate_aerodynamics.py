@@ -182,7 +182,10 @@ def _day(text: str | None) -> datetime:
         return datetime.strptime(text, "%Y-%m-%d").replace(hour=12, tzinfo=UTC)
     except ValueError:
         raise BenchError(
-            "calibrate aerodynamics: --measured", repr(text), "a day as 2026-11-22", "Correct it."
+            "calibrate aerodynamics: --measured",
+            repr(text),
+            "a day such as 2026-11-22",
+            "Give the day as --measured YYYY-MM-DD.",
         ) from None
 
 

@@ -174,7 +174,12 @@ def run(
 
     plan, configuration, profiles = _checked(context, file)
     if expect not in ("", plan.digest):
-        raise Refused(str(file), f"digest {plan.digest}", f"{expect}, as checked", "Check it again.")
+        raise Refused(
+            str(file),
+            f"digest {plan.digest}",
+            f"{expect}, as checked",
+            "Run golfbench campaign check on the plan again.",
+        )
     outputs = _outputs(json_, junit, report_to, check_, units)
     with _store(configuration) as store:
         measured = measured_balls(plan, store, configuration.bench.id)
@@ -423,10 +428,12 @@ def verify(
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        cure = f"golfbench campaign report {record.entry.id}"
+        cure = f"Write it: golfbench campaign report {record.entry.id}."
         raise BenchError(str(path), error.strerror or "not readable", "a report", cure) from error
     except UnicodeDecodeError as error:
-        raise BenchError(str(path), "no text", "a report", "Name the report.") from error
+        raise BenchError(
+            str(path), "no text", "a report (HTML)", "Give the path of the HTML file."
+        ) from error
     result = verify_page(record, text, str(path))
     for line in (*missing, *result.differences):
         typer.echo(line)
@@ -477,7 +484,9 @@ def watch(
         message = running()
         if message is None:
             place = f"campaign {campaign}" if campaign else f"bench {configuration.bench.id}"
-            raise Refused(place, "no runner publishes it", "a running campaign", "golfbench campaign list")
+            raise Refused(
+                place, "no runner publishes it", "a running campaign", "See golfbench campaign list."
+            )
         if json_:
             return show_json(message)
         screen, event, stood, last = ProgressScreen(bar), None, None, message
@@ -626,14 +635,22 @@ def air(
     given = {"--temperature": temperature, "--pressure": pressure, "--humidity": humidity}
     if missing := [name for name, value in given.items() if value is None]:
         if len(missing) < len(given):
-            raise BenchError("air", f"no {', '.join(missing)}", "all three of them", "Read them, too.")
+            raise BenchError(
+                "air",
+                f"no {', '.join(missing)}",
+                "all three values",
+                f"Add the options {', '.join(missing)}.",
+            )
     with _store(configuration) as store:
         if temperature is not None and pressure is not None and humidity is not None:
             try:
                 read = Air(temperature + 273.15, 100.0 * pressure, humidity / 100.0)
             except ValueError as error:
                 raise BenchError(
-                    "air", f"{temperature} deg C, {pressure} hPa, {humidity} %", str(error), "Correct it."
+                    "air",
+                    f"{temperature} deg C, {pressure} hPa, {humidity} %",
+                    str(error),
+                    "Correct the value of this reading.",
                 ) from None
             reading = AirReading(datetime.now(UTC), read, by or user_name())
             add_reading(store.database, bench, reading)

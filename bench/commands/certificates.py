@@ -39,7 +39,7 @@ def certificates(
     for name in names:
         if not NAME.fullmatch(name) or name == AUTHORITY:
             expected = f"letters, digits, ., - and _, at most 63, and not {AUTHORITY}"
-            raise BenchError("NAME", repr(name), expected, "Choose another.")
+            raise BenchError("NAME", repr(name), expected, "Choose another name, e.g. bench1.")
     now = datetime.now(UTC)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     if not (folder / f"{AUTHORITY}.pem").exists():

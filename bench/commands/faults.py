@@ -122,7 +122,9 @@ def _write(folder: Path, summary: dict[str, Any]) -> None:
 def _must_be_known(option: str, given: Sequence[str], known: Sequence[str]) -> None:
 
     if unknown := sorted(set(given) - set(known)):
-        raise BenchError(option, ", ".join(unknown), f"of {', '.join(known)}", "Correct it.")
+        raise BenchError(
+            option, ", ".join(unknown), f"one of {', '.join(known)}", f"Give {option} one of these."
+        )
 
 
 def _matrix(

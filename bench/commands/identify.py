@@ -36,7 +36,7 @@ def identify(context: typer.Context, records: Records, output: Output = None, js
     configuration = context.ensure_object(Session).configuration()
     recorded = read_recorded(records)
     if not recorded:
-        raise BenchError("identify", "no record", "at least one", "Name some.")
+        raise BenchError("identify", "no record", "at least one record", "Give the paths of recorded swings.")
     bench = Bench.of(configuration, recorded[0].profile)
     with progress_of("simulated robots") as show:
         found = identified(bench, [swing.cycles for swing in recorded], progress=show)

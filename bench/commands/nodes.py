@@ -207,7 +207,10 @@ def show_scan(configuration: Configuration) -> None:
         found = scan(bus, configuration.plant.encoders.counts_per_revolution)
     except DriverError as error:
         raise NoBus(
-            f"nodes --scan on {where}", str(error), "a bus that can be opened", "Bring it up."
+            f"nodes --scan on {where}",
+            str(error),
+            "an open CAN interface",
+            "Bring the interface up, as ip link set can0 up, then retry.",
         ) from error
     calibrated = calibration_of(configuration, datetime.now(UTC)).shifts
     found = [_compared(node, configuration, calibrated) for node in found]

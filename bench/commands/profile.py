@@ -356,7 +356,9 @@ def _with_motion(
     from bench.swing.profile import load_profile
 
     if golfer is not None and near is not None:
-        raise Refused("profile design", "--golfer and --near", "one of them", "Leave one out.")
+        raise Refused(
+            "profile design", "--golfer and --near", "one of the two", "Leave out --golfer or --near."
+        )
     if isinstance(golfer, Golfer):
         demand = demand_like(plant, golfer, human_downswing(plant, golfer), demand, asked[0])
     elif golfer is not None:

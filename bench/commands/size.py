@@ -150,7 +150,9 @@ def _pair(text: str) -> tuple[str, str]:
 
     arm, separator, wrist = text.partition(",")
     if not separator or not arm or not wrist:
-        raise BenchError("--absorbers", repr(text), "ARM,WRIST, two absorbers", "Write --absorbers A40,A90.")
+        raise BenchError(
+            "--absorbers", repr(text), "two absorbers, ARM,WRIST", "Give both, as in --absorbers A40,A90."
+        )
     return arm, wrist
 
 

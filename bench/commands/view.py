@@ -56,7 +56,9 @@ def view(
     from bench.viewer.window import checked_memory
 
     if shot is not None and campaign:
-        raise BenchError("--shot and --campaign", "both", "one of the two", "Leave one out.")
+        raise BenchError(
+            "--shot and --campaign", "both options", "one of the two", "Leave out --shot or --campaign."
+        )
     if golfer is not None and shot is None and not campaign:
         found, expected = "without --shot or --campaign", "a recorded swing next to it"
         raise BenchError("--golfer", found, expected, "Add --shot RECORD.parquet.")
@@ -83,9 +85,13 @@ class _Where(NamedTuple):
 def _check(save: Path | None, web: bool, connect: str | None, port: int | None) -> None:
     """Refuse options that contradict each other."""
     if web and connect is not None:
-        raise BenchError("--web and --connect", "both", "one of the two", "Leave one out.")
+        raise BenchError(
+            "--web and --connect", "both options", "one of the two", "Leave out --web or --connect."
+        )
     if port is not None and not web:
-        raise BenchError("--port", "without --web", "it with --web", "Add --web.")
+        raise BenchError(
+            "--port", "--port without --web", "--port together with --web", "Add --web, or leave out --port."
+        )
     if save is not None and save.suffix != ".rrd":
         raise BenchError("--save", str(save), "a name that ends in .rrd", "Name it so, or golfbench export.")
 
@@ -205,7 +211,7 @@ def _writable(path: Path) -> Path:
             return path
     except OSError as error:
         raise NotStored(
-            str(path), error.strerror or str(error), "a file that can be written", "Name another one."
+            str(path), error.strerror or str(error), "a file that can be written", "Give --save another path."
         ) from None
 
 
@@ -228,7 +234,7 @@ def _sink(window: RerunWindow | None, connect: str | None) -> Any:
         return rr.GrpcSink(connect if window is None else window.url)
     except (ValueError, RuntimeError) as error:
         expected = "an address such as rerun+http://127.0.0.1:9876/proxy"
-        raise BenchError("--connect", str(connect), expected, f"Correct it: {error}") from None
+        raise BenchError("--connect", str(connect), expected, f"Correct the address: {error}.") from None
 
 
 def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout) -> rr.RecordingStream:

@@ -63,7 +63,7 @@ _RESUME = "continue with --resume."
 
 def stopped_by_operator(place: str = "commission", cure: str = _RESUME) -> Refused:
     """Return the error of a motion that was asked to end."""
-    return Refused(place, "stopped by its operator", "to go on", cure[0].upper() + cure[1:])
+    return Refused(place, "stopped by the operator", "a motion without a stop", cure[0].upper() + cure[1:])
 
 
 class _Trouble(NamedTuple):

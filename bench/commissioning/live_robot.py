@@ -151,7 +151,7 @@ class LiveRobot:
         except (EOFError, OSError):
             found = self._child.ending or "closed its connection"
             cure = "See its output above; the device is passive. Continue with --resume."
-            raise MachineLost("the machine's process", f"it {found}", "it to answer", cure) from None
+            raise MachineLost("the machine's process", f"it {found}", "an answer", cure) from None
         if not done:
             raise answer
         return answer

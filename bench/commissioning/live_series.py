@@ -245,7 +245,7 @@ class LiveSeries:
                 called = True
             if waited > (_PERSON if person else patience):
                 fact, cure = refusal_words(refusal, getattr(self._driver, "trouble", ""))
-                raise Refused(f"{request.name.lower()} of the robot", fact, "it to be accepted", f"{cure}.")
+                raise Refused(f"{request.name.lower()} of the robot", fact, "an accepted request", f"{cure}.")
             self._require_no_stop()
             operator.advance(round(_AGAIN / operator.period))
             operator.begin_record()

@@ -150,7 +150,12 @@ def _linkage(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         key, position = f"plant.right_arm.{end}", getattr(arm, end)
         if not low <= position <= high:
             wanted = f"{low:.4g} to {high:.4g} m: inside the rod's stroke and the linkage's reach"
-            yield key, f"{short(position)} m", wanted, "Correct it, or the robot's lengths."
+            yield (
+                key,
+                f"{short(position)} m",
+                wanted,
+                "Correct this position, or the lengths in [plant.robot].",
+            )
         leaf = _leaf(tree, key)
         if leaf is not None and leaf.suffix:
             yield key, format_value(leaf.value), "a rod extension in m", f"Write {end} = ... in m."
@@ -238,14 +243,14 @@ def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             "envelope.min_supply_pressure",
             f"{short(least)} Pa",
             wanted,
-            "Correct it; pressures are Pa absolute.",
+            "Correct the pressure; the unit is Pa absolute.",
         )
     if c.envelope.max_supply_pressure <= supply.pressure:
         found, wanted = (
             f"{short(c.envelope.max_supply_pressure)} Pa",
             f"more than {short(supply.pressure)} Pa",
         )
-        yield "envelope.max_supply_pressure", found, wanted, "Correct it; pressures are Pa absolute."
+        yield "envelope.max_supply_pressure", found, wanted, "Correct the pressure; the unit is Pa absolute."
     rating = min(actuator.pressure_rating for actuator in c.plant.actuators)
     if supply.manifold_relief_ratio < LEAST_RELIEF or supply.manifold_relief_pressure >= rating:
         yield (

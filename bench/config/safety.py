@@ -78,7 +78,7 @@ def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
         values = value if isinstance(value, tuple) else (value,)
         for wrong in [number for number in values if not allowed.low <= number <= allowed.high][:1]:
             wanted = f"{'with a real robot ' * c.is_machine}{allowed}: {bound.reason}"
-            yield bound.key, f"{short(wrong)} {bound.unit}", wanted, "Correct it."
+            yield bound.key, f"{short(wrong)} {bound.unit}", wanted, f"Set {bound.key} within these bounds."
     if not c.is_machine:
         return
     if not c.lifecycle.local_reset:

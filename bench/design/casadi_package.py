@@ -18,8 +18,8 @@ def load_casadi() -> Any:
     except ImportError as error:
         raise BenchError(
             "profile design",
-            f"no package casadi ({error})",
-            "the extra that plans swings",
-            'pip install "golfbench[design]"',
+            f"package casadi is not installed ({error})",
+            "the package casadi",
+            'Run pip install "golfbench[design]".',
         ) from error
     return casadi

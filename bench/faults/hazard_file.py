@@ -79,9 +79,13 @@ def load_judgement(path: Path = FILE) -> Judgement:
     as_tree({key: value for key, value in read.items() if isinstance(value, dict)}, path, faults)
     for name in (*_KEYS, *_TABLES, "scope"):
         if name not in read:
-            faults.append(BenchError(f"{path}: {name}", "nothing", "an entry", "Add it."))
+            faults.append(BenchError(f"{path}: {name}", "missing", "an entry", f"Add {name} to {path}."))
     for name in set(read) - {*_KEYS, *_TABLES, "scope"}:
-        faults.append(BenchError(f"{path}: {name}", "unknown", f"of {', '.join(_KEYS)}", "Correct it."))
+        faults.append(
+            BenchError(
+                f"{path}: {name}", "unknown", f"one of {', '.join(_KEYS)}", f"Correct the key in {path}."
+            )
+        )
     if not faults:
         for name in _KEYS:
             for count, entry in enumerate(read[name]):
@@ -101,22 +105,33 @@ def _entry_faults(
     allowed = {*_KEYS[name], *(("kinds",) if name == "failures" else ())}
     for key in _KEYS[name]:
         if not entry.get(key):
-            faults.append(BenchError(f"{place}.{key}", "nothing", "a text", "Add it."))
+            faults.append(BenchError(f"{place}.{key}", "missing", "a text", f"Add the key {key}."))
     for key in set(entry) - allowed:
         faults.append(
-            BenchError(f"{place}.{key}", "unknown", f"of {', '.join(sorted(allowed))}", "Correct it.")
+            BenchError(
+                f"{place}.{key}",
+                "unknown",
+                f"one of {', '.join(sorted(allowed))}",
+                f"Correct the key in {place}.",
+            )
         )
     for key, table in (("interval", "intervals"), ("owner", "owners")):
         if key in entry and entry[key] not in read[table]:
-            known = f"of {', '.join(read[table])}"
-            faults.append(BenchError(f"{place}.{key}", format_value(entry[key]), known, "Correct it."))
+            known = f"one of {', '.join(read[table])}"
+            faults.append(
+                BenchError(f"{place}.{key}", format_value(entry[key]), known, f"Correct the value of {key}.")
+            )
     if "severity" in entry and entry["severity"] not in (1, 2, 3, 4):
         faults.append(
-            BenchError(f"{place}.severity", format_value(entry["severity"]), "1 to 4", "Correct it.")
+            BenchError(
+                f"{place}.severity", format_value(entry["severity"]), "1 to 4", "Set severity from 1 to 4."
+            )
         )
     if name == "functions" and _risk(entry) not in RISK_GRAPH:
         found = " ".join(_risk(entry))
-        faults.append(BenchError(f"{place}.s", found, "S1 or S2, F1 or F2, P1 or P2", "Correct it."))
+        faults.append(
+            BenchError(f"{place}.s", found, "S1 or S2, F1 or F2, P1 or P2", "Correct the keys s, f and p.")
+        )
     return faults
 
 
@@ -165,7 +180,7 @@ def _claims(
         else:
             found = f"{len(owners)} failures of the hazard file"
             cure = "Correct signals and kinds in bench/faults/hazard_file.toml."
-            faults.append(BenchError(f"matrix: {row['breakage']}", found, "one", cure))
+            faults.append(BenchError(f"matrix: {row['breakage']}", found, "one failure", cure))
     if faults:
         raise ExceptionGroup("the hazard file does not cover the matrix", faults)
     return claimed

@@ -100,7 +100,10 @@ def left_over(bench: Bench, plant: PlantParameters, recorded: Sequence[Recorded]
         seen = delivery_from_encoders(cycles, replace(bench.model, encoders=encoders), free)
         if seen is None:
             raise BenchError(
-                "a recorded swing", "no contact with the ball", "one that strikes it", "Leave it out."
+                "a recorded swing",
+                "no contact with the ball",
+                "a swing that strikes the ball",
+                "Leave this record out of --records.",
             )
         return figures_of(seen).array
 

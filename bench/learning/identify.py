@@ -128,7 +128,7 @@ def identify(
         BenchError: `observed` is empty.
     """
     if not observed:
-        raise BenchError("identify", "no swing", "complete swings", "Record some swings.")
+        raise BenchError("identify", "no swing", "complete swings", "Give records of complete swings.")
     free = np.array([NAMES.index(name) for name in asked])
     seen = np.mean([_seen(bench.profile, cycles) for cycles in observed], axis=0)
     weight = 1.0 / np.sqrt(np.isfinite(seen).sum() / _ALIKE)

@@ -58,7 +58,10 @@ def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
     swing = cycles[max(first, 0) :]
     if first < 0 or len(swing) < profile.begins[5] or swing["trip"][: profile.begins[5]].any():
         raise BenchError(
-            place, "no complete swing", "a swing from the address to the ball", "Record another one."
+            place,
+            "no complete swing",
+            "a swing from the address to the ball",
+            "Give a record of a complete swing.",
         )
     return swing
 

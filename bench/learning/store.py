@@ -163,7 +163,7 @@ def _entry(row: Any) -> Learned:
             f"learned swing {row.profile}, version {row.version}",
             "no weights",
             "a list of numbers",
-            "Learn it again.",
+            "Learn it again: golfbench learn.",
         )
     conditions = Conditions(row.digest, row.club, row.supply_pressure, row.temperature)
     return Learned(

@@ -253,7 +253,10 @@ class BenchClient:
             if (message := json_object(content)) is None:
                 place = f"bench {self.bench}, {reply.ok.key_expr}"
                 raise BenchError(
-                    place, "no JSON object", "the state of a campaign", "Update golfbench there."
+                    place,
+                    "no JSON object",
+                    "the state of a campaign",
+                    "Update golfbench on the bench's machine.",
                 )
             found.append(message)
         return found

@@ -208,7 +208,9 @@ def parse_command(verb: str, payload: bytes) -> Command:
     """
     if verb not in Verb.__members__.values():
         known = ", ".join(Verb)
-        raise BenchError(f"command {shown(verb)}", "an unknown verb", f"one of {known}", "Correct the verb.")
+        raise BenchError(
+            f"command {shown(verb)}", "an unknown verb", f"one of {known}", f"Use one of {known}."
+        )
     place = f"command {verb}"
     message = _read_object(place, payload)
     form = verb
@@ -216,7 +218,9 @@ def parse_command(verb: str, payload: bytes) -> Command:
         action = message.get("action")
         if action not in ("take", "renew", "release"):
             found = "missing" if "action" not in message else shown(action)
-            raise BenchError(f"{place}: action", found, '"take", "renew" or "release"', "Correct it.")
+            raise BenchError(
+                f"{place}: action", found, '"take", "renew" or "release"', "Set action to one of these."
+            )
         form = f"{verb} {action}"
     _check_keys(place, message, *FORMS[form])
     values = {name: value for name, value in message.items() if name not in ("version", "action")}
@@ -240,14 +244,14 @@ def _check_keys(
             raise BenchError(f"{place}: {shown(name)}", "an unknown key", known, "Remove or correct it.")
     for name in needed:
         if name not in message:
-            raise BenchError(f"{place}: {name}", "missing", known, "Add it.")
+            raise BenchError(f"{place}: {name}", "missing", known, f"Add the key {name}.")
     for name, value in message.items():
         if name == "action":
             continue
         wanted = _VALUES[name]
         if any(misfits(value, wanted.schema, name)) or not wanted.holds(value):
             found = "something else, not repeated here" if wanted.secret else shown(value)
-            raise BenchError(f"{place}: {name}", found, wanted.expected, "Correct it.")
+            raise BenchError(f"{place}: {name}", found, wanted.expected, f"Correct the value of {name}.")
 
 
 def _read_object(place: str, payload: bytes) -> dict[str, Any]:
@@ -266,7 +270,9 @@ def _read_object(place: str, payload: bytes) -> dict[str, Any]:
         read: dict[str, Any] = {}
         for name, value in pairs:
             if name in read:
-                raise BenchError(f"{place}: {shown(name)}", "given twice", "each key once", "Remove one.")
+                raise BenchError(
+                    f"{place}: {shown(name)}", "given twice", "each key once", "Remove one of the two."
+                )
             read[name] = value
         return read
 
@@ -287,7 +293,7 @@ def _read_object(place: str, payload: bytes) -> dict[str, Any]:
 
 def too_long(place: str, length: int) -> BenchError:
     """Return the error for a message of `length` bytes."""
-    return BenchError(place, f"{length} bytes", f"at most {LONGEST_MESSAGE} bytes", "Send less.")
+    return BenchError(place, f"{length} bytes", f"at most {LONGEST_MESSAGE} bytes", "Send a shorter message.")
 
 
 # Answers ---------------------------------------------------------------------------------------------

@@ -43,7 +43,7 @@ class CampaignArchive:
     @contextmanager
     def _store(self) -> Iterator[CampaignStore]:
         if not is_there(self._url):
-            place, expected = f"bench {self._settings.id}", "its database, as on the bench's own computer"
+            place, expected = f"bench {self._settings.id}", "the database on the bench's computer"
             raise Refused(place, "no campaigns on this computer", expected, "Use the page of that computer.")
         with open_database(self._url) as engine:
             yield CampaignStore(engine)

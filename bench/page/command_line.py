@@ -46,7 +46,12 @@ class CommandLine:
         """
         place = f"golfbench {arguments[0]}"
         if not self._free.acquire(blocking=False):
-            raise Refused(place, "too many commands at a time", "one after the other", "Try again.")
+            raise Refused(
+                place,
+                "too many commands at a time",
+                f"at most {MAX_COMMANDS} commands",
+                "Retry when a command has ended.",
+            )
         try:
             code, output, said = self._run(place, self.arguments(*arguments))
         finally:

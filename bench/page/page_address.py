@@ -45,7 +45,12 @@ def checked_address(address: PageAddress) -> tuple[str, ...]:
         ip = ip_address(address.host)
     except ValueError:
         expected = "an IP address of this machine, or 0.0.0.0 for all"
-        raise BenchError("--host", repr(address.host), expected, "Correct it.") from None
+        raise BenchError(
+            "--host",
+            repr(address.host),
+            expected,
+            "Give --host 127.0.0.1 or another address of this machine.",
+        ) from None
     if not ip.is_loopback and not address.identity:
         expected = "a certificate for this machine: commands and tokens must not be readable on the network"
         cure = "Make one: golfbench certificates DIR NAME --address HOST, then add --identity DIR/NAME."

@@ -124,13 +124,16 @@ class Child:
                     deadline = time.monotonic() + timeout
             if ended:
                 raise NotStarted(
-                    f"{self.name} process", self.ending, "it to become ready", "See its output above."
+                    f"{self.name} process",
+                    self.ending,
+                    "a ready process",
+                    "See the output of the process above.",
                 )
             select.select([stdout] if stdout else [], [], [], 0.1)
         raise NotStarted(
             f"{self.name} process",
             f"not ready after {timeout:g} s",
-            "it to become ready",
+            "a ready process",
             "Check the load of the machine with `golfbench doctor`, then start again.",
         )
 

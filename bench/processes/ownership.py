@@ -122,7 +122,9 @@ def take_bench(bench_id: str, memory: Path = MEMORY) -> Ownership:
         except FileNotFoundError:
             if path.parent.is_dir():
                 continue  # the last owner is just removing it
-            raise NoBenchFolder(str(path), "no parent folder", "an existing one", "Mount /dev/shm.") from None
+            raise NoBenchFolder(
+                str(path), "no parent folder", "an existing parent folder", "Mount /dev/shm, then retry."
+            ) from None
         except OSError as error:
             raise NoBenchFolder(
                 str(path),

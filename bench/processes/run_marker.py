@@ -33,7 +33,7 @@ class RunMarker:
                 str(self.path.parent),
                 str(error.strerror),
                 "a folder that can be created",
-                "Correct bench.data_dir.",
+                "Set bench.data_dir to a folder with write access.",
             ) from error
         before: Mapping[str, Any] = {}
         with suppress(OSError, ValueError):  # missing or corrupt: start without state

@@ -197,12 +197,15 @@ def replay_start(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> Rep
             place,
             f"a record with {metadata.get('lost_records', 'some')} cycles lost",
             "every cycle, as the controller has a memory",
-            "Replay another record.",
+            "Replay a record without lost cycles.",
         )
     begin = metadata.get("begin")
     if not isinstance(begin, int | float):
         raise BenchError(
-            f"{place}: begin", repr(begin), "the loop time at the record's time zero, s", "Restore it."
+            f"{place}: begin",
+            repr(begin),
+            "the loop time at the record's time zero, s",
+            "Restore the record from a copy.",
         )
     first = int(np.searchsorted(cycles["tick"], snapshot["tick"][0], side="right"))
     recorded = cycles[first:]
@@ -232,7 +235,7 @@ def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParam
     configuration = metadata.get("configuration")
     if not isinstance(configuration, Mapping):
         raise BenchError(
-            f"{place}: configuration", "missing", "the bench's settings", "Replay another record."
+            f"{place}: configuration", "missing", "the bench's settings", "Replay a record of this version."
         )
     file, faults, built, defaults = (
         Path(f"{place}: configuration"),
@@ -254,7 +257,7 @@ def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParam
         return build_controller(built.pop("plant"), profile, **built), tuple(defaults)
     except ValueError as error:
         raise BenchError(
-            str(file), str(error), "settings of a controller", "Replay another record."
+            str(file), str(error), "settings of a controller", "Replay a record of this version."
         ) from None
 
 

@@ -225,7 +225,10 @@ class Series:
         cause = engine.cause
         if not engine.request(Request.RESET):
             raise Refused(
-                "reset after a stop", CAUSE_TEXT[cause], "a bench that can be reset", "Check the plant."
+                "reset after a stop",
+                CAUSE_TEXT[cause],
+                "a bench that can be reset",
+                "Check [plant] with golfbench check.",
             )
         self._arm()
 

@@ -120,7 +120,10 @@ class CampaignStore:
             found = connection.execute(query).mappings().first()
         if found is None:
             raise BenchError(
-                f"campaign {campaign}", "no such campaign", "the id of one", "`golfbench campaign list`"
+                f"campaign {campaign}",
+                "no such campaign",
+                "the ID of a campaign",
+                "See golfbench campaign list.",
             )
         return CampaignEntry(**found)
 
@@ -231,7 +234,12 @@ class CampaignStore:
         last = self.last_shot(campaign)
         if not 1 <= note.shot <= last:
             expected = f"a shot from 1 to {last}" if last else "a shot, once there is one"
-            raise Refused(f"campaign {campaign}", f"no shot {note.shot}", expected, "Name another one.")
+            raise Refused(
+                f"campaign {campaign}",
+                f"no shot {note.shot}",
+                expected,
+                "Give --shot with a number of this campaign.",
+            )
         self._execute(insert(NOTES).values(campaign=campaign, **note._asdict()))
 
     def notes(self, campaign: str) -> list[ShotNote]:

@@ -161,7 +161,10 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         engine = create_engine(url, connect_args=_connect_arguments(url), pool_pre_ping=pings)
     except ModuleNotFoundError as error:
         raise BenchError(
-            place, f"no Python package {error.name}", "the database's driver", f"Install {error.name}."
+            place,
+            f"package {error.name} is not installed",
+            "the database's driver",
+            f"Run pip install {error.name}.",
         ) from error
     if url.get_backend_name() == "sqlite":
         event.listen(engine, "connect", _prepare_reading if read_only else _prepare_sqlite)
@@ -252,7 +255,9 @@ def _has_tables(connection: Connection, place: str) -> bool:
         return False
     if SchemaVersionRow.__tablename__ not in tables:
         found = f"tables {', '.join(sorted(tables)[:5])}, but no {SchemaVersionRow.__tablename__}"
-        raise BenchError(place, found, "a database of golfbench, or an empty one", "Name another one.")
+        raise BenchError(
+            place, found, "a database of golfbench, or an empty one", "Set bench.database to another one."
+        )
     version = connection.scalar(select(func.max(SchemaVersionRow.version)))
     if version != SCHEMA_VERSION:
         cure = "Use the version of golfbench that wrote it, or name another database: bench.database."

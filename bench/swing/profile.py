@@ -223,7 +223,7 @@ def _check_keys(
         cure = did_you_mean(key, allowed, _CURE)
         raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(allowed))}", cure)
     for key in sorted(known - set(raw)):
-        raise BenchError(f"{path}: {key}", "nothing", "this key", _CURE)
+        raise BenchError(f"{path}: {key}", "missing", f"the key {key}", _CURE)
     for key, (kind, text) in scalars.items():
         if type(raw[key]) is not kind or (kind is float and not np.isfinite(raw[key])):
             raise BenchError(f"{path}: {key}", format_value(raw[key]), text, _CURE)

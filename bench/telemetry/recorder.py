@@ -77,7 +77,9 @@ def read_swing(path: Path) -> tuple[np.ndarray[Any, Any], dict[str, Any]]:
     try:
         table = pq.read_table(path, memory_map=False)
     except FileNotFoundError as error:
-        raise BenchError(str(path), "no such file", "a swing's record", "check the name") from error
+        raise BenchError(
+            str(path), "no such file", "a swing's record (.parquet)", "Correct the path of the record."
+        ) from error
     except (OSError, pa.ArrowException) as error:
         raise BenchError(
             str(path), f"unreadable: {error}", "a swing's record (Parquet)", "restore it from a copy"

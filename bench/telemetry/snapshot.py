@@ -151,7 +151,10 @@ def read_snapshot(metadata: Mapping[str, Any], place: str) -> np.ndarray[Any, An
     place = f"{place}: snapshot"
     if not isinstance(entry, Mapping):
         raise BenchError(
-            place, "none", "the controller's memory before the first tick to replay", "Replay another record."
+            place,
+            "missing",
+            "the controller's memory before the first tick",
+            "Replay a record of this version.",
         )
     dtype = _LAYOUTS.get(str(entry.get("layout")))
     if dtype is None:

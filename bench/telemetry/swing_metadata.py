@@ -88,7 +88,10 @@ class RunMetadata:
             entries: dict[str, Any] = json.loads(json.dumps(given, allow_nan=False))
         except (TypeError, ValueError) as error:
             raise BenchError(
-                "metadata of records", str(error), "what JSON can hold, no NaN", "Report this mistake."
+                "metadata of records",
+                str(error),
+                "values that JSON can hold, no NaN",
+                "Report this error with the record.",
             ) from error
         return entries
 

@@ -22,9 +22,17 @@ def record_files(places: Sequence[Path]) -> list[Path]:
             files.append(place)
         else:
             raise BenchError(
-                str(place), "no such file or folder", "a record or a folder of records", "Correct the path."
+                str(place),
+                "no such file or folder",
+                "a record or a folder of records",
+                "Correct the path of the records.",
             )
     if not files:
-        found, expected = "no record (.parquet)", "at least one"
-        raise BenchError(", ".join(map(str, places)) or "records", found, expected, "Name another folder.")
+        found, expected = "no record (.parquet)", "at least one record"
+        raise BenchError(
+            ", ".join(map(str, places)) or "records",
+            found,
+            expected,
+            "Give a folder such as data/campaigns/ID/swings.",
+        )
     return files

@@ -70,7 +70,9 @@ def checked_memory(text: str) -> str:
         BenchError: it is invalid.
     """
     if not _SIZE.fullmatch(text):
-        raise BenchError("--memory-limit", repr(text), 'a size such as "2GB" or "25%"', "Correct it.")
+        raise BenchError(
+            "--memory-limit", repr(text), 'a size such as "2GB" or "25%"', "Give --memory-limit 2GB or 25%."
+        )
     return text
 
 
@@ -201,8 +203,8 @@ class RerunWindow:
                 what = "does not listen" if self.alive else f"ended with {self._process.returncode}"
                 raise ViewerFailed(
                     "Rerun's viewer",
-                    f"{what}: {lines[-1][:200] if lines else 'it said nothing'}",
-                    "it to open its window and listen",
+                    f"{what}: {lines[-1][:200] if lines else 'no output'}",
+                    "an open window and port",
                     "Try --web, or --save FILE.",
                 )
             time.sleep(0.05)

@@ -182,7 +182,7 @@ def test_a_sequence_ends_when_a_stop_is_asked_for(
     server: MachineServer, driver: WatchedDriver, asked: list[bool]
 ) -> None:
     asked.append(True)
-    with pytest.raises(Refused, match="stopped by its operator"):
+    with pytest.raises(Refused, match="stopped by the operator"):
         server.obey(Run((Segment(5.0, OPENING),), BOUNDS))
     assert driver.commands[-1] == PASSIVE
     asked.clear()
@@ -249,7 +249,7 @@ def test_a_swing_that_is_stopped_is_brought_to_rest(
 ) -> None:
     server.obey(ArmFor(bench_of(configuration, slow)))
     asked.append(True)
-    with pytest.raises(Refused, match="stopped by its operator"):
+    with pytest.raises(Refused, match="stopped by the operator"):
         server.obey(Swing(slow, ball=False))
     server.close()
 

@@ -283,7 +283,7 @@ ROW = r"angle_rad = \[\n  \[[^\]]*\]"
     ("pattern", "text", "place", "found", "expected"),
     [
         ('golfer = "nobody"', 'golfr = "nobody"', "golfr", "an unknown key", "golfer"),
-        ('golfer = "nobody"\n', "", "golfer", "nothing", "this key"),
+        ('golfer = "nobody"\n', "", "golfer", "missing", "the key golfer"),
         ('golfer = "nobody"', "golfer = 3", "golfer", "3", "a text"),
         ('schema = "[^"]*"', 'schema = "other/7"', "schema", "'other/7'", "golfbench-profile/1"),
         ("period_s = 0.001", 'period_s = "fast"', "period_s", '"fast"', "seconds"),
