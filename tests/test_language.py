@@ -49,9 +49,9 @@ CONSTRUCTIONS = {
 
 MAX_SHORT_ACTIONS = 5
 """Errors whose action has at most three words and no value."""
-MAX_CLAUSES = 2
+MAX_CLAUSES = 0
 """Errors that expect "it …", "to …", "this …" or "one"."""
-MAX_NOTHINGS = 2
+MAX_NOTHINGS = 0
 """Errors that found "nothing" where a value is missing."""
 
 MAX_LINES = 60

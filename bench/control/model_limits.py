@@ -109,7 +109,7 @@ def load_limits(path: Path) -> ModelLimits:
         cure = did_you_mean(key, known, _CURE)
         raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}", cure)
     for key in sorted(known - raw.keys()):
-        raise BenchError(f"{path}: {key}", "nothing", "this key", _CURE)
+        raise BenchError(f"{path}: {key}", "missing", f"the key {key}", _CURE)
     if raw["schema"] != SCHEMA:
         raise BenchError(f"{path}: schema", format_value(raw["schema"]), format_value(SCHEMA), _CURE)
     made_for = _made_for(f"{path}: made_for", raw["made_for"])
@@ -144,7 +144,7 @@ def _table(path: Path, kind: str, table: Any) -> dict[str, Triple]:
     for row in sorted(table.keys() - rows):
         raise BenchError(f"{path}: {kind}.{row}", "an unknown row", f"one of {', '.join(rows)}", _CURE)
     for row in sorted(REQUIRED - table.keys()):
-        raise BenchError(f"{path}: {kind}.{row}", "nothing", "this row", _CURE)
+        raise BenchError(f"{path}: {kind}.{row}", "missing", f"the row {row}", _CURE)
     return {row: _limits(f"{path}: {kind}.{row}", limits) for row, limits in table.items()}
 
 

@@ -105,7 +105,7 @@ def test_air_that_never_comes_is_refused_in_words(
     with pytest.raises(CommandRefused) as caught:
         bench.swing(patience=0.2)
     assert caught.value.found == "refused in state ARMED: the chambers are not at their planned pressures yet"
-    assert caught.value.cure == "Wait, then ask again."
+    assert caught.value.cure == "Wait, then retry."
 
 
 def test_homing_waits_for_chambers_that_vent(running: RunningPlane, bench: BenchClient) -> None:
@@ -151,8 +151,8 @@ def test_chambers_that_never_empty_are_refused_in_words(
     running.desk.state, running.desk.vents = State.READY, 1000
     with pytest.raises(CommandRefused) as caught:
         bench.arm(patience=0.2)
-    assert caught.value.found == "refused in state READY: the chambers are not proven empty yet"
-    assert caught.value.cure == "Wait, then ask again."
+    assert caught.value.found == "refused in state READY: the chambers are not verified empty yet"
+    assert caught.value.cure == "Wait, then retry."
 
 
 def test_a_robot_that_never_rests_is_refused_in_words(
@@ -163,7 +163,7 @@ def test_a_robot_that_never_rests_is_refused_in_words(
     with pytest.raises(CommandRefused) as caught:
         bench.reset(patience=0.2)
     assert caught.value.found == "refused in state ESTOP: a joint still moves"
-    assert caught.value.cure == "Wait until the robot rests, then ask again."
+    assert caught.value.cure == "Wait until the robot rests, then retry."
 
 
 def test_a_refusal_says_state_reason_and_cure(bench: BenchClient) -> None:
