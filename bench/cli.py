@@ -303,11 +303,11 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
             return [json.dumps(error.record())], error.exit_code
         case BenchError():
             lines = (f"error: {error.place}", f"  found:    {error.found}", f"  expected: {error.expected}")
-            return ["\n".join((*lines, f"  to do:    {error.cure}"))], error.exit_code
+            return ["\n".join((*lines, f"  action:   {error.cure}"))], error.exit_code
         case DriverError():
             return [f"error: {error}"], ExitCode.DEVICE
         case FileNotFoundError() if not _has_working_directory():
-            text = "error: working directory: it was deleted\n  to do:    cd to a folder that exists"
+            text = "error: working directory: it was deleted\n  action:   cd to a folder that exists"
             return [text], ExitCode.FILE
         case OSError(filename=str() | bytes() | Path()):
             return [f"error: {error.filename!s}: {error.strerror}"], ExitCode.FILE
@@ -316,7 +316,7 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
         case _:
             cause = f"internal error: {type(error).__name__}: {error}"
             return [
-                f"{cause}\n  to do:    report it with the output of golfbench --debug ..."
+                f"{cause}\n  action:   report it with the output of golfbench --debug ..."
             ], ExitCode.INTERNAL
 
 

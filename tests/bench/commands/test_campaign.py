@@ -457,7 +457,7 @@ def test_abort_asks_for_a_confirmation_that_names_the_campaign(
     assert state_of(user, two[0]) == state
     assert code == (ExitCode.OK if state == "aborted" else ExitCode.REFUSED)
     if code:
-        assert f"to do: golfbench campaign abort --yes {two[0]}" in text
+        assert f"action: golfbench campaign abort --yes {two[0]}" in text
 
 
 def test_a_resumed_campaign_leaves_a_report_and_compares_its_figures(

@@ -171,7 +171,7 @@ def test_a_disarming_is_told_with_its_cause(running: RunningPlane, golfbench: Go
     running.desk.state, running.desk.cause = State.READY, Cause.LEASE
     _, _, err = golfbench("swing")
     assert "found:    READY: disarmed, as the lease lapsed or was released" in err
-    assert "to do:    Take it, then arm. Next: golfbench arm --wait." in err
+    assert "action:   Take it, then arm. Next: golfbench arm --wait." in err
 
 
 def test_ctrl_c_while_waiting_tells_that_the_robot_continues(
@@ -238,7 +238,7 @@ def test_a_fault_ends_the_waiting(running: RunningPlane, golfbench: Golfbench) -
     fault.join()
     assert code == ExitCode.REFUSED
     assert "found:    FAULT in phase STANDING: the bench was switched on" in err
-    assert "to do:    Reset to begin. Next: golfbench reset." in err
+    assert "action:   Reset to begin. Next: golfbench reset." in err
 
 
 def test_the_verbs_renew_the_lease(running: RunningPlane, golfbench: Golfbench) -> None:
@@ -270,7 +270,7 @@ def test_a_refusal_exits_with_1_and_says_state_and_reason(
         "error: arm of bench bench1\n"
         "  found:    refused in state ESTOP: not possible in this state\n"
         "  expected: state READY\n"
-        "  to do:    Clear the cause, then reset. Next: golfbench reset.\n"
+        "  action:   Clear the cause, then reset. Next: golfbench reset.\n"
     )
 
 
