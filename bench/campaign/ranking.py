@@ -16,7 +16,7 @@ from bench.campaign.analysis import Comparison, Pair
 
 @dataclass(frozen=True)
 class RankedLevel:
-    """One level at its place, the one with most first."""
+    """One level at its place, in descending order."""
 
     rank: int
     name: str
@@ -33,7 +33,7 @@ class RankedLevel:
 
 
 def ranking(comparison: Comparison | None) -> tuple[RankedLevel, ...]:
-    """Return the compared levels in order, most first; empty without a comparison."""
+    """Return the compared levels in descending order; empty without a comparison."""
     if comparison is None or not comparison.pairs:
         return ()
     pairs = comparison.pairs

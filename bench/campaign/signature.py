@@ -67,7 +67,7 @@ def _deviations(record: CampaignRecord) -> str:
     if events:
         stated.append(f"{events} events during the campaign")
     if excluded or events:
-        stated[-1] += ", see What does not count, and why"
+        stated[-1] += ", see Excluded and failed shots"
     return "; ".join(stated) or "none"
 
 

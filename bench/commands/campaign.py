@@ -368,8 +368,8 @@ def report(
     ] = None,
     units: Units = "si",
     issue: Annotated[bool, flag("--issue", "Issue the report: number, date and name are stored.")] = False,
-    by: Annotated[str, option("Who issues it.", "NAME", shown="user@host")] = "",
-    reason: Annotated[str, option("Why a report is issued again.", "TEXT")] = "",
+    by: Annotated[str, option("Person who issues the report.", "NAME", shown="user@host")] = "",
+    reason: Annotated[str, option("Reason of an amended report.", "TEXT")] = "",
     json_: Annotated[
         bool, flag("--json", "Print the same figures as JSON instead of writing the page.")
     ] = False,
@@ -531,7 +531,7 @@ def mark(
     context: typer.Context,
     campaign: Id,
     comment: Annotated[str, argument("COMMENT", "What was seen.")] = "",
-    shot: Annotated[int | None, option("Shot.", "NUMBER", shown="the last one")] = None,
+    shot: Annotated[int | None, option("Shot number.", "NUMBER", shown="the last one")] = None,
     by: Annotated[str, option("Who saw it.", "NAME", shown="user@host")] = "",
 ) -> None:
     """Mark a shot, with a comment; it counts as before. The report shows marks and comments."""
@@ -548,8 +548,8 @@ def exclude(
     context: typer.Context,
     campaign: Id,
     shot: Annotated[int, argument("SHOT", "Number of the shot.")],
-    reason: Annotated[str, option("Why.", "TEXT")],
-    by: Annotated[str, option("Who decides.", "NAME", shown="user@host")] = "",
+    reason: Annotated[str, option("Reason.", "TEXT")],
+    by: Annotated[str, option("Person responsible.", "NAME", shown="user@host")] = "",
     undo: Annotated[bool, flag("--undo", "Let an excluded shot count again.")] = False,
 ) -> None:
     """Exclude a shot from the results, with the reason. Nothing is deleted; the report lists it.

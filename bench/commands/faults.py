@@ -193,7 +193,7 @@ def table(
 def hazard_file_of(
     matrix: Annotated[Path, argument("MATRIX", "Result of faults run, matrix.json.")],
     output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
-    judgement: Annotated[Path | None, option("The judgement.", "TOML", shown="golfbench's own")] = None,
+    judgement: Annotated[Path | None, option("Assessment file.", "TOML", shown="golfbench's own")] = None,
 ) -> None:
     """Write the hazard file: failure modes, safety functions and hazards to people, as in sim/HAZARDS.md."""
     from bench.faults.hazard_file import FILE, hazard_file, load_judgement

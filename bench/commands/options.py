@@ -37,7 +37,7 @@ def argument(metavar: str, text: str, *, shown: str | bool = True) -> Any:
     return typer.Argument(metavar=metavar, help=text, show_default=shown)
 
 
-Json = Annotated[bool, flag("--json", "Print JSON for a program to read.")]
+Json = Annotated[bool, flag("--json", "Print JSON.")]
 ClubName = Annotated[str | None, option("Club of the configuration.", "NAME", shown="the mounted one")]
 """Option of a command that simulates: this club on its site instead of the mounted one."""
 ProfileName = Annotated[

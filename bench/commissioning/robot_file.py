@@ -50,7 +50,7 @@ def robot_file(
     """
     lines = [
         f"# Commissioned on {made.isoformat()}: values with standard errors, and the steps that found them.",
-        "# Stayed a guess, as configured: " + "; ".join(GUESSES) + ".",
+        "# Not measured, as configured: " + "; ".join(GUESSES) + ".",
         f"base = {json.dumps(base)}",
     ]
     tables: dict[str, list[str]] = {}

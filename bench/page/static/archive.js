@@ -1,4 +1,4 @@
-// Campaigns of before with their reports and landing points, and records to download.
+// Previous campaigns with their reports and landing points, and records to download.
 
 import { ask } from "./ask.js";
 import { by, make } from "./dom.js";
@@ -43,7 +43,7 @@ function campaigns() {
       one.report ? make("a", { href: `/report/${encodeURIComponent(one.id)}`, target: "_blank", rel: "noopener" }, "Report") : "",
       one.ended && !one.report && one.shots ? action("Write report", one.id, writeReport) : "",
       one.ended || one.runner ? "" : action("Resume", one.id, resume))));
-  return make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Campaigns of before" }, make("table", {}, make("thead", {}, make("tr", {}, ...head, make("td", {}))), make("tbody", {}, ...body)));
+  return make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Previous campaigns" }, make("table", {}, make("thead", {}, make("tr", {}, ...head, make("td", {}))), make("tbody", {}, ...body)));
 }
 
 const action = (label, id, act) => make("button", { type: "button", "aria-label": `${label} of ${id}`, on: { click: (event) => act(id, event.target) } }, label);

@@ -77,7 +77,7 @@ function tell(text, bad) {
 function show(found) {
   checked = found;
   by("commission-preview").replaceChildren(...(found === null ? [] : [
-    make("p", {}, "Checked: it will do these steps, each within its bounds."),
+    make("p", {}, "Check passed. Steps, each within its bounds:"),
     make("ol", { class: "steps numbered", start: 0 }, ...found.steps.map((step) => make("li", {}, step.title, make("br"), make("span", { class: "muted" }, step.bounds)))),
   ]));
   refresh();
@@ -120,7 +120,7 @@ function words(c) {
   if (c.unreadable) return "cannot be read";
   if (finished(c)) return "all steps done";
   const steps = `${c.done} of ${c.steps.length} steps done`;
-  return c.process !== null ? `running, ${steps}` : c.wrong ? `the machine is wrong, ${steps}` : `not running, ${steps}`;
+  return c.process !== null ? `running, ${steps}` : c.wrong ? `machine fault, ${steps}` : `not running, ${steps}`;
 }
 
 const MARKS = { now: "➜ ", wrong: "✗ ", next: "· ", "": "· " };
@@ -133,7 +133,7 @@ function step(s, at) {
 }
 
 function wrong(w) {
-  return make("div", { class: "prompt", role: "alert" }, make("p", {}, make("strong", {}, `The machine is wrong: ${w.place}`)),
+  return make("div", { class: "prompt", role: "alert" }, make("p", {}, make("strong", {}, `Machine fault: ${w.place}`)),
     make("p", {}, `Found ${w.found}; expected ${w.expected}.`), make("p", {}, w.cure));
 }
 

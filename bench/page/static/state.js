@@ -41,7 +41,7 @@ function figures() {
   const loop = view.loop;
   rows("loop", [
     ["Rate", `${number(loop.rate_hz, 1)} Hz`],
-    ["Woken late, p50 / p99", `${micro(loop.wake_p50_s)} / ${micro(loop.wake_p99_s)}`],
+    ["Wake-up latency p50 / p99", `${micro(loop.wake_p50_s)} / ${micro(loop.wake_p99_s)}`],
     ["Work, p99", micro(loop.tick_p99_s)],
     ["Skipped, late ticks", `${loop.skipped}, ${loop.late}`],
     ["Tick", String(view.tick)],

@@ -26,7 +26,7 @@ function redraw() {
   ].map(pair));
   const when = view.time_utc ? new Date(view.time_utc).toLocaleString() : "";
   const source = view.sources.launch ? `launch: ${view.sources.launch}, carry: ${view.sources.carry}` : "";
-  const name = view.stored ? `Swing ${view.number ?? "–"}` : "Swing of now, its record follows";
+  const name = view.stored ? `Swing ${view.number ?? "–"}` : "Preliminary, record pending";
   const line = make("p", { class: "muted" }, [name, when, view.club, view.ball, view.reason, source].filter(Boolean).join("; "));
   const plots = make("div", { class: "plots" });
   if (view.path.length) plots.append(path(), speed(), tracking());

@@ -45,7 +45,7 @@ def test_a_wrong_machine_is_named_repaired_and_measured(browser: Any, tmp_path: 
         tab.text("#commission-preview").to_contain_text(STEPS[0].bounds_text)
         tab.page.click("#commission-start")
         for one in (tab, viewer):
-            one.text("#commissionings .prompt").to_contain_text("The machine is wrong: vents", timeout=STEP)
+            one.text("#commissionings .prompt").to_contain_text("Machine fault: vents", timeout=STEP)
             one.text("#commissionings .prompt").to_contain_text("The vents stay shut")
         viewer.text("#commissionings button:has-text('Resume')").to_be_disabled()
         (folder,) = (path.parent for path in tmp_path.glob("data/commissioning/*/commissioning.json"))
