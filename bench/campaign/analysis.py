@@ -1,13 +1,13 @@
 """Analysis of a campaign, fixed by its plan beforehand: levels described and compared.
 
-Confirmatory: block effects fixed (`bench.campaign.block_model`), the drift taken out by the control ball
-when the plan says so, and the delivery by the plan's covariates. Balls are random where a model had more
-than one, and each level has a scatter of its own (`bench.campaign.unit_errors`): a statement on a difference
-holds for balls that were not hit, or for "this ball" where there was one only. All pairs of a section err
-together with the plan's level (the distribution of the largest |t|, single step: a pair differs exactly if
-its joint interval leaves out 0); two one-sided tests (TOST), adjusted by Holm, say "the same". Before the
-plan's end a look has its share of the error (`bench.campaign.looks`). In a split-plot clubs are judged by
-their mountings and, within each club, balls by their shots (`bench.campaign.split_plot`).
+Confirmatory: block effects fixed (`bench.campaign.block_model`), the drift taken out by the control ball when
+the plan says so, and the delivery by the plan's covariates. Balls are random where a model had more than one,
+and each level has its own variance (`bench.campaign.unequal_variances`): a statement on a difference holds
+for balls that were not hit, or for "this ball" where there was one only. All pairs of a section err together
+with the plan's level (the distribution of the largest |t|, single step: a pair differs exactly if its joint
+interval leaves out 0); two one-sided tests (TOST), adjusted by Holm, say "the same". Before the plan's end an
+interim analysis spends its share of the error rate (`bench.campaign.interim_analysis`). In a split-plot the
+unit for clubs is the mounting and, within each club, for balls the shot (`bench.campaign.split_plot`).
 """
 
 from __future__ import annotations
@@ -23,14 +23,12 @@ import numpy as np
 from scipy import special
 
 from bench.campaign.block_model import Array, BlockFit, Codes, Contrast, fit_blocks, holm
-from bench.campaign.common_errors import common_errors
 from bench.campaign.gate import OUTSIDE
-from bench.campaign.looks import Look, look_now
+from bench.campaign.interim_analysis import Look, look_now
 from bench.campaign.plan import CampaignPlan, controls_per_block, levels
 from bench.campaign.power import power_of_shift, same_power_of_error
+from bench.campaign.randomization import Role
 from bench.campaign.repeatability import variance_components
-from bench.campaign.scatter import ScatterRatio, scatter_ratios
-from bench.campaign.sequence import Role
 from bench.campaign.split_plot import (
     are_pooled,
     ball_columns,
@@ -40,7 +38,9 @@ from bench.campaign.split_plot import (
     shots_within,
     within_club,
 )
-from bench.campaign.unit_errors import JointErrors, UnitErrors, UnitLayout, together, units_of
+from bench.campaign.systematic_uncertainty import common_errors
+from bench.campaign.unequal_variances import JointErrors, UnitErrors, UnitLayout, together, units_of
+from bench.campaign.variance_ratio import ScatterRatio, scatter_ratios
 from bench.shot.shot import Shot, ShotStatus
 
 COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}
@@ -170,7 +170,7 @@ class SectionAnalysis:
 def analyse(
     plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str, looks: Sequence[int] | None = None
 ) -> SectionAnalysis:
-    """Return the analysis of one section's `shots`; `looks` as `bench.campaign.looks.look_now` takes them."""
+    """Return the analysis of one section's `shots`; `looks` as `look_now` takes them."""
     return _analysed(plan, shots, number, name, look_now(plan, shots, looks))
 
 

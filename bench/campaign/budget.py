@@ -17,9 +17,9 @@ import numpy as np
 from scipy import stats
 
 from bench.campaign.analysis import mean_error
+from bench.campaign.conformity import COVERAGE
 from bench.campaign.plan import CampaignPlan, StatedCalibration, levels
-from bench.campaign.ruling import COVERAGE
-from bench.campaign.sequence import Role, sections
+from bench.campaign.randomization import Role, sections
 from bench.campaign.split_plot import independent_codes
 from bench.shot.shot import Shot, ShotStatus
 from sim.air import Air

@@ -16,12 +16,12 @@ from bench.campaign.analysis import SectionAnalysis, values_of
 from bench.campaign.block_model import Array
 from bench.campaign.control_chart import ControlChart
 from bench.campaign.dispersion import DispersionEllipse
+from bench.campaign.display_units import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.findings import Findings, SectionViews
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.quantities import QUANTITY_NAMES
-from bench.campaign.reader_units import DisplayUnit, UnitSystem, display_unit
+from bench.campaign.randomization import Role, sections
 from bench.campaign.repeatability import FIGURES
-from bench.campaign.sequence import Role, sections
 from bench.campaign.verdicts import NAMES
 from bench.shot.plot_style import STYLE, colour_of, marker_of, styled, to_svg
 from bench.shot.shot import Shot, ShotStatus

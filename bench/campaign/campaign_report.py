@@ -8,12 +8,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.campaign.bench_setup import PromptKind
 from bench.campaign.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
 from bench.campaign.campaign_plots import campaign_figures
 from bench.campaign.campaign_record import ISSUE, CampaignRecord
 from bench.campaign.carry import measured_of
+from bench.campaign.conformity import DECISION_RULE
 from bench.campaign.control_chart import LEAST_VALUES, NELSON
 from bench.campaign.digest import NO_DATA, SHOT_DIGITS, parts_digests, shot_digests, whole_digest
+from bench.campaign.display_units import DisplayUnit, UnitSystem, display_unit, number_text, two_digits
 from bench.campaign.equipment import (
     EquipmentTable,
     ball_table,
@@ -24,14 +27,11 @@ from bench.campaign.equipment import (
 )
 from bench.campaign.exclusions import reasons_by_hand
 from bench.campaign.findings import Findings, as_flown, findings, findings_record
-from bench.campaign.fitting import PromptKind
 from bench.campaign.interruptions import software_versions
+from bench.campaign.iso17025 import STATEMENT, calibration_table, item_table, particulars
 from bench.campaign.page import TABLE, flat, page_template, shot_figures
 from bench.campaign.plan import levels
 from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
-from bench.campaign.reader_units import DisplayUnit, UnitSystem, display_unit, number_text, two_digits
-from bench.campaign.ruling import DECISION_RULE
-from bench.campaign.signature import STATEMENT, calibration_table, item_table, particulars
 from bench.campaign.verdicts import confidence_words, quantity_name
 from bench.shot.plot_style import marker_svg
 from bench.shot.shot import Shot, ShotStatus

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bench.campaign.analysis import COLUMN
 from bench.campaign.block_model import Array
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.sequence import Role
+from bench.campaign.randomization import Role
 from bench.shot.shot import Shot, ShotStatus
 
 _MEAN_RANGE = 1.128379167

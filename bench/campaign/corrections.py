@@ -12,12 +12,12 @@ import numpy as np
 from sqlalchemy import Engine
 
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.refreshing import Arm, Drift
+from bench.campaign.relearning import Arm, Drift
 from bench.campaign.swings import Profiles
 from bench.config import Configuration
 from bench.design.planned_openings import require_planned_openings
+from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, Swinger, learn, prepare
-from bench.learning.learner import LearningSettings
 from bench.learning.store import Conditions, Learned, keep, learned_swings, newest_that_holds, stored
 from bench.simulation.series import Bench
 from bench.store.records import CampaignEntry

@@ -18,7 +18,7 @@ from scipy import stats
 
 from bench.campaign.block_model import Array, Codes
 from bench.campaign.plan import CampaignPlan, levels
-from bench.campaign.sequence import Role
+from bench.campaign.randomization import Role
 from bench.shot.shot import Shot, ShotStatus
 
 SHARE = 0.95

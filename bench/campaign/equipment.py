@@ -11,8 +11,8 @@ from math import degrees
 from typing import Any, NamedTuple
 
 from bench.campaign.carry import Measured
+from bench.campaign.display_units import UnitSystem, display_unit
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.reader_units import UnitSystem, display_unit
 from bench.golfer import followed_texts
 from bench.shot.shot import Shot
 from sim.ball import Ball

@@ -9,16 +9,16 @@ from math import isfinite
 from typing import Any
 
 from bench.campaign.analysis import SectionAnalysis, analyse
+from bench.campaign.conformity import RuleFinding, judge_rules
 from bench.campaign.control_chart import ControlChart, control_charts
 from bench.campaign.dispersion import DispersionEllipse, dispersion_ellipses
+from bench.campaign.display_units import UnitSystem
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.quantities import LevelQuantities, level_quantities
+from bench.campaign.randomization import sections
 from bench.campaign.ranking import RankedLevel, ranking
-from bench.campaign.reader_units import UnitSystem
 from bench.campaign.repeatability import Repeatability, repeatability
-from bench.campaign.ruling import RuleFinding, judge_rules
-from bench.campaign.sequence import sections
-from bench.campaign.series import SeriesSize, series_needed
+from bench.campaign.sample_size import SeriesSize, series_needed
 from bench.campaign.split_plot import within_club
 from bench.campaign.verdicts import Verdict, section_notes, section_verdicts
 from bench.shot.shot import Shot

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import jinja2
 
-from bench.campaign.reader_units import UnitSystem, display_unit
+from bench.campaign.display_units import UnitSystem, display_unit
 from bench.shot.shot import Shot
 
 

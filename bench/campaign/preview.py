@@ -12,10 +12,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from bench.campaign.fitting import LoadList, load_lists, places
+from bench.campaign.bench_setup import LoadList, load_lists, places
 from bench.campaign.plan import CampaignPlan, levels
-from bench.campaign.sequence import PlannedShot, Role, all_trials, hits_needed, is_mounted, sections
-from bench.campaign.series import SeriesSize, alpha_at_end, foreseen, series_needed
+from bench.campaign.randomization import PlannedShot, Role, all_trials, hits_needed, is_mounted, sections
+from bench.campaign.sample_size import SeriesSize, alpha_at_end, foreseen, series_needed
 from bench.campaign.split_plot import within_club
 from bench.store.records import Hit
 

@@ -9,10 +9,10 @@ from itertools import pairwise
 from statistics import median
 from typing import Any
 
-from bench.campaign.course import is_settled
 from bench.campaign.plan import CampaignPlan
+from bench.campaign.randomization import Arm, PlannedShot, Role, all_trials, is_mounted, sections
 from bench.campaign.runner import Watcher
-from bench.campaign.sequence import Arm, PlannedShot, Role, all_trials, is_mounted, sections
+from bench.campaign.shot_sequence import is_settled
 from bench.network.messages import CAMPAIGN_VERSION, LastShot
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignEntry, CampaignState

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.campaign.analysis import Spread, spread
 from bench.campaign.plan import CampaignPlan, levels
-from bench.campaign.sequence import Role
+from bench.campaign.randomization import Role
 from bench.campaign.split_plot import independent_codes
 from bench.shot.shot import Shot, ShotStatus
 

@@ -21,9 +21,9 @@ from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
     from bench.campaign.carry import Measured
+    from bench.campaign.display_units import UnitSystem
     from bench.campaign.findings import Findings
     from bench.campaign.plan import CampaignPlan
-    from bench.campaign.reader_units import UnitSystem
     from bench.campaign.runner import RunOutcome
     from bench.campaign.swings import Profiles
     from bench.commands.campaign_baseline import Band, Checked
@@ -62,7 +62,7 @@ class Outputs(NamedTuple):
 def _outputs(
     json_: bool, junit: Path | None, report_to: Path | None, check: Path | None, units: Literal["us", "si"]
 ) -> Outputs:
-    from bench.campaign.reader_units import UnitSystem
+    from bench.campaign.display_units import UnitSystem
     from bench.commands.campaign_baseline import read_baseline
 
     return Outputs(json_, junit, report_to, read_baseline(check) if check else [], UnitSystem(units))
@@ -79,8 +79,8 @@ def check(
 
     Exits with 2 and lists all mistakes; with 1 if a calibration blocks arming.
     """
+    from bench.campaign.plan_requirements import START_SERIES, free_space, needs, needs_series, needs_words
     from bench.campaign.preview import preview_record, show_preview
-    from bench.campaign.suitability import START_SERIES, free_space, needs, needs_series, needs_words
     from bench.campaign.swings import arming_problems
 
     plan, configuration, profiles = _checked(context, file)
@@ -133,7 +133,7 @@ def _store(configuration: Configuration) -> Iterator[CampaignStore]:
 @contextmanager
 def _found(context: typer.Context, campaign: str) -> Iterator[tuple[CampaignStore, CampaignEntry]]:
     """Open the campaigns of the configured bench; yield them with the entry of `campaign`."""
-    from bench.campaign.operate import find_campaign
+    from bench.campaign.runner_control import find_campaign
 
     with _store(context.ensure_object(Session).configuration()) as store:
         yield store, find_campaign(store, campaign)
@@ -170,7 +170,7 @@ def run(
     Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C,
     143 after SIGTERM.
     """
-    from bench.campaign.operate import measured_balls, new_entry
+    from bench.campaign.runner_control import measured_balls, new_entry
 
     plan, configuration, profiles = _checked(context, file)
     if expect not in ("", plan.digest):
@@ -203,7 +203,7 @@ def _calibrations(
     plan: CampaignPlan, configuration: Configuration, store: CampaignStore, now: datetime, *, sim: bool
 ) -> dict[str, Any] | None:
     """Return the bench's calibrations in force `now`; None for a simulation without any."""
-    from bench.campaign.operate import bench_calibrations
+    from bench.campaign.runner_control import bench_calibrations
 
     found = bench_calibrations(plan, configuration, store, now)
     return None if sim and not found["in_force"] else found
@@ -228,8 +228,8 @@ def resume(
     143 after SIGTERM.
     """
     from bench.campaign.carry import measured_of
-    from bench.campaign.operate import ask, is_running, require_resumable
     from bench.campaign.plan_file import plan_from_record
+    from bench.campaign.runner_control import ask, is_running, require_resumable
 
     configuration = context.ensure_object(Session).configuration()
     plan = _checked(context, file)[0] if file else None
@@ -252,7 +252,7 @@ def _bench_facts(
     """Return the facts to record about the running bench; it can swing `plan`."""
     from bench.campaign.bench_calibrations import calibration_versions
     from bench.campaign.notifications import read_services
-    from bench.campaign.operate import bench_facts
+    from bench.campaign.runner_control import bench_facts
     from bench.network.client import BenchClient
 
     if configuration.notifications.file:
@@ -278,7 +278,7 @@ def _run(
     from bench.campaign.campaign_record import load_record
     from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.findings import findings, findings_record
-    from bench.campaign.look_events import note_look
+    from bench.campaign.interim_events import note_look
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
     from bench.commands.campaign_junit import junit_xml
@@ -315,10 +315,10 @@ def _take(
     by: str,
 ) -> RunOutcome:
     """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
-    from bench.campaign.broadcast import Together
-    from bench.campaign.fitting import PromptKind
+    from bench.campaign.bench_setup import PromptKind
     from bench.campaign.notifications import notifying
-    from bench.campaign.operate import run_campaign, run_start
+    from bench.campaign.progress_publisher import Together
+    from bench.campaign.runner_control import run_campaign, run_start
     from bench.commands.campaign_keys import mark_keys
     from bench.commands.campaign_screen import CampaignScreen, campaign_bar
     from bench.commands.campaign_terminal import TerminalOperator
@@ -380,11 +380,11 @@ def report(
     """
     from bench.campaign.campaign_record import load_record
     from bench.campaign.campaign_report import write_campaign_report
+    from bench.campaign.display_units import UnitSystem
     from bench.campaign.findings import findings, findings_record
-    from bench.campaign.look_events import note_look
-    from bench.campaign.operate import standing_now
-    from bench.campaign.reader_units import UnitSystem
-    from bench.campaign.signature import issue_report
+    from bench.campaign.interim_events import note_look
+    from bench.campaign.iso17025 import issue_report
+    from bench.campaign.runner_control import standing_now
 
     with _found(context, campaign) as (store, entry):
         record = load_record(store, entry)
@@ -451,7 +451,7 @@ def verify(
 
 
 def _request(context: typer.Context, campaign: str, request: str) -> None:
-    from bench.campaign.operate import ask
+    from bench.campaign.runner_control import ask
 
     data_dir = context.ensure_object(Session).configuration().bench.data_dir
     with _found(context, campaign) as (store, entry):
@@ -573,7 +573,7 @@ def answer(
     ] = None,
 ) -> None:
     """Confirm a campaign's prompt: the club is mounted, the feeder is filled."""
-    from bench.campaign.operate import answer
+    from bench.campaign.runner_control import answer
 
     data_dir, now = context.ensure_object(Session).configuration().bench.data_dir, datetime.now(UTC)
     with _found(context, campaign) as (store, entry):
@@ -678,7 +678,7 @@ def list_campaigns(
 
     Excluded: hit outside the delivery's bounds, or excluded by hand.
     """
-    from bench.campaign.operate import standing_now
+    from bench.campaign.runner_control import standing_now
     from bench.commands.campaign_screen import listing, listing_record
 
     configuration = context.ensure_object(Session).configuration()

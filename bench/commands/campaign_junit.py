@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 from xml.etree import ElementTree
 
+from bench.campaign.randomization import Role
 from bench.campaign.runner import RunOutcome
-from bench.campaign.sequence import Role
 from bench.commands.campaign_baseline import Checked
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignEntry, CampaignState

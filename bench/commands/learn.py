@@ -23,7 +23,7 @@ from bench.lifecycle import CAUSE_TEXT
 if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.learning.learn import LearningProblem, LearningResult, Swinger
-    from bench.learning.recorded import Recorded
+    from bench.learning.recorded_swings import Recorded
     from bench.learning.store import Learned
     from bench.simulation.series import Bench
     from sim.plant import PlantParameters
@@ -79,7 +79,7 @@ def learn(
     """
     from bench.config import database_url
     from bench.design.planned_openings import require_planned_openings
-    from bench.learning.recorded import read_recorded
+    from bench.learning.recorded_swings import read_recorded
     from bench.learning.store import Conditions, keep, stored
     from bench.readiness import assess_bench
     from bench.simulation.series import Bench
@@ -198,8 +198,8 @@ def _learn_live(
 def _problem(bench: Bench, origin: _Origin, bar: Progress) -> LearningProblem:
     """Return the model's response, or that of the identified robot once it has learned."""
     from bench.config import load_configuration
-    from bench.learning.beginning import begun_on
     from bench.learning.learn import prepare
+    from bench.learning.warm_start import begun_on
 
     task = bar.add_task("the model's response", total=1.0)
     problem = prepare(bench, lambda part: bar.update(task, completed=part))
@@ -215,8 +215,8 @@ def _result(
     problem: LearningProblem, swinger: Swinger, swings: int, bar: Progress, task: TaskID
 ) -> LearningResult:
     """Learn with `swinger`, one step of the bar's `task` a swing."""
+    from bench.learning.ilc import LearningSettings
     from bench.learning.learn import learn as learned
-    from bench.learning.learner import LearningSettings
 
     return learned(
         problem,

@@ -19,10 +19,10 @@ from bench.commissioning.steps import LEARNED_FILE, SWING_FILE, StepResult
 from bench.commissioning.swung_robot import SwingSeries, SwungRobot
 from bench.commissioning.wrong_machine import WrongMachine
 from bench.config import Configuration
-from bench.learning.figures import Figures, Tolerance, figures_of
+from bench.learning.delivery_measurement import delivery_from_encoders, strike_from_mark
+from bench.learning.delivery_metrics import Figures, Tolerance, figures_of
+from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, LearningResult, ObservedSwing, learn, prepare
-from bench.learning.learner import LearningSettings
-from bench.learning.measured import delivery_from_encoders, strike_from_mark
 from bench.simulation.series import SeriesSwing
 from bench.swing.profile import load_profile, save_profile
 

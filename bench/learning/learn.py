@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.learning.figures import Figures, Tolerance, figures_of, planned_figures
-from bench.learning.learner import Beginning, Learner, LearnerTrial, LearningSettings
-from bench.learning.measured import delivery_from_encoders
-from bench.learning.response import Model, Response
+from bench.learning.delivery_measurement import delivery_from_encoders
+from bench.learning.delivery_metrics import Figures, Tolerance, figures_of, planned_figures
+from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings
+from bench.learning.sensitivities import Model, Response
 from bench.lifecycle import Cause
 from bench.simulation.series import Bench, Series
 from bench.swing.correction import Basis, Correction, basis_of

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import Refused
-from bench.learning.figures import UNKNOWN
+from bench.learning.delivery_measurement import figures_from
+from bench.learning.delivery_metrics import UNKNOWN
 from bench.learning.learn import LearningProblem, ObservedSwing
-from bench.learning.measured import figures_from
 from bench.learning.source import Source
 from bench.lifecycle import Answer, Cause, Request
 from bench.network.bench_operator import BenchOperator, SwingRecord

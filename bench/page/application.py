@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from bench.page.answers import InvalidBody, UnknownName, json_answer
 from bench.page.campaign_service import CampaignService
 from bench.page.commissioning_service import CommissioningService
-from bench.page.guard import Application, Guard
 from bench.page.page_access import PageRole
 from bench.page.page_service import Call, PageService, Pool
+from bench.page.request_filter import Application, Guard
 from bench.page.start_service import StartService
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from bench.errors import BenchError
 from bench.lifecycle import State
 from bench.network.client import BenchClient, checked_status
 from bench.network.zenoh_session import NoAnswer, open_client
-from bench.page.state_words import state_view
+from bench.page.state_text import state_view
 from bench.viewer.feed import Feed
 
 if TYPE_CHECKING:

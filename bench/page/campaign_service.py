@@ -6,10 +6,10 @@ from typing import Any
 
 from bench.errors import Refused
 from bench.page.answers import Asked, InvalidBody, UnknownName
+from bench.page.background_command import BackgroundCommand
 from bench.page.campaign_archive import REQUESTS, CampaignArchive
 from bench.page.command_line import CommandLine
 from bench.page.downloads import REPORT, Download, Downloads
-from bench.page.lasting_command import LastingCommand
 from bench.store.records import ENDED
 
 LONGEST_COMMENT = 200
@@ -20,7 +20,11 @@ class CampaignService:
     """Campaigns, reports and records of one bench."""
 
     def __init__(
-        self, archive: CampaignArchive, downloads: Downloads, golfbench: CommandLine, runner: LastingCommand
+        self,
+        archive: CampaignArchive,
+        downloads: Downloads,
+        golfbench: CommandLine,
+        runner: BackgroundCommand,
     ) -> None:
         self._archive, self._downloads = archive, downloads
         self._golfbench, self._runner = golfbench, runner

@@ -14,10 +14,10 @@ from typing import Any
 
 from bench.errors import Refused
 from bench.page.answers import Asked
+from bench.page.background_command import BackgroundCommand
 from bench.page.command_line import CommandLine
-from bench.page.commissioning_shelf import CommissioningShelf
+from bench.page.commissioning_store import CommissioningStore
 from bench.page.downloads import REPORT, Download
-from bench.page.lasting_command import LastingCommand
 
 LONGEST_FOLDER = 121
 
@@ -25,7 +25,7 @@ LONGEST_FOLDER = 121
 class CommissioningService:
     """Checks, starts and ends of commissionings, and their files."""
 
-    def __init__(self, golfbench: CommandLine, shelf: CommissioningShelf, command: LastingCommand) -> None:
+    def __init__(self, golfbench: CommandLine, shelf: CommissioningStore, command: BackgroundCommand) -> None:
         self._golfbench, self._shelf, self._command = golfbench, shelf, command
 
     def check(self, asked: Asked) -> Any:

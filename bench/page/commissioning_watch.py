@@ -7,7 +7,7 @@ from collections.abc import Callable
 from threading import Event, Thread
 from typing import Any
 
-from bench.page.commissioning_shelf import CommissioningShelf
+from bench.page.commissioning_store import CommissioningStore
 
 TOPIC = "commissioning"
 """Topic on which the page publishes the commissionings."""
@@ -20,7 +20,7 @@ _log = logging.getLogger("golfbench")
 class CommissioningWatch:
     """Looks at a shelf until it is closed."""
 
-    def __init__(self, shelf: CommissioningShelf, publish: Callable[[str, Any], None]) -> None:
+    def __init__(self, shelf: CommissioningStore, publish: Callable[[str, Any], None]) -> None:
         """`publish` gets topic and content."""
         self._shelf, self._publish = shelf, publish
         self._ended = Event()

@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 from bench.page.broadcaster import PageBroadcaster, PageReader, TooManyReaders, event_text
-from bench.page.guard import Receive, Scope, Send
+from bench.page.request_filter import Receive, Scope, Send
 
 SEND_TIME = 10.0
 """Max time for a reader to take a message, s; then its connection ends."""

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 from typing import Any
 
-from bench.page.guard import Application, Receive, Scope, Send
+from bench.page.request_filter import Application, Receive, Scope, Send
 
 HEAD_TIME = 10.0
 """Max time for the head of a request to arrive, s; slower connections end."""

@@ -17,6 +17,7 @@ from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
 from bench.errors import BenchError, ExitCode
 from bench.page.application import page_application
+from bench.page.background_command import BackgroundCommand
 from bench.page.bench_link import BenchLink, record_of
 from bench.page.bench_values import bench_values
 from bench.page.broadcaster import PageBroadcaster
@@ -24,16 +25,15 @@ from bench.page.campaign_archive import CampaignArchive, RunningCampaigns
 from bench.page.campaign_service import CampaignService
 from bench.page.command_line import CommandLine
 from bench.page.commissioning_service import CommissioningService
-from bench.page.commissioning_shelf import CommissioningShelf
+from bench.page.commissioning_store import CommissioningStore
 from bench.page.commissioning_watch import CommissioningWatch
 from bench.page.downloads import Downloads
-from bench.page.guard import Application
 from bench.page.http_protocol import http_protocol
 from bench.page.last_swing import SwingReader
-from bench.page.lasting_command import LastingCommand
 from bench.page.page_address import PageAddress, checked_address, page_access
 from bench.page.page_service import PageService
-from bench.page.plan_shelf import PlanShelf
+from bench.page.plan_catalogue import PlanCatalogue
+from bench.page.request_filter import Application
 from bench.page.start_service import StartService
 from bench.page.viewer_process import ViewerProcess
 from bench.processes.bench_folder import bench_folder
@@ -79,16 +79,16 @@ def serve_page(
         program = CommandLine(golfbench)
         stack.callback(program.close)
         log = settings.data_dir / "campaigns" / f".runner-of-{settings.id}.log"
-        runner = LastingCommand(program, log, broadcaster.publish, "runner", outcome=run_outcome)
+        runner = BackgroundCommand(program, log, broadcaster.publish, "runner", outcome=run_outcome)
         viewer = ViewerProcess(program, broadcaster.publish)
         stack.callback(viewer.close)
         campaigns = CampaignService(archive, downloads, program, runner)
-        plans = PlanShelf(settings.data_dir, {"balls": configuration.balls, "clubs": configuration.clubs})
+        plans = PlanCatalogue(settings.data_dir, {"balls": configuration.balls, "clubs": configuration.clubs})
         starts = StartService(service, program, plans, runner, viewer, lambda: bench_values(configuration))
-        shelf = CommissioningShelf(settings.data_dir, settings.id)
+        shelf = CommissioningStore(settings.data_dir, settings.id)
         watch = CommissioningWatch(shelf, broadcaster.publish)
         log = settings.data_dir / "commissioning" / f".process-of-{settings.id}.log"
-        command = LastingCommand(
+        command = BackgroundCommand(
             program, log, broadcaster.publish, "commissioner", expected=(ExitCode.REFUSED, -signal.SIGTERM)
         )
         commissionings = CommissioningService(program, shelf, command)

@@ -9,13 +9,13 @@ from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
 
 from bench.page.answers import Asked, InvalidBody, UnknownName, json_answer
+from bench.page.background_command import BackgroundCommand
 from bench.page.campaign_service import STARTED
 from bench.page.command_line import CommandLine
 from bench.page.entry_forms import FORMS, form_arguments
-from bench.page.lasting_command import LastingCommand
 from bench.page.page_access import PageRole
 from bench.page.page_service import PageService, Pool
-from bench.page.plan_shelf import PlanShelf
+from bench.page.plan_catalogue import PlanCatalogue
 from bench.page.viewer_process import ViewerProcess
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ class StartService:
         self,
         page: PageService,
         golfbench: CommandLine,
-        plans: PlanShelf,
-        runner: LastingCommand,
+        plans: PlanCatalogue,
+        runner: BackgroundCommand,
         viewer: ViewerProcess,
         values: Callable[[], dict[str, Any]],
     ) -> None:

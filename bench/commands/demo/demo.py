@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench.campaign.operate import bench_facts, new_entry, run_campaign
+from bench.campaign.runner_control import bench_facts, new_entry, run_campaign
 from bench.commands.campaign_screen import CampaignScreen, campaign_bar
 from bench.commands.demo.bench_process import BenchPlan
 from bench.commands.demo.result import demo_plan, new_folder, write_result

@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from bench.campaign.display_units import MPH, YARD
 from bench.campaign.findings import Findings
-from bench.campaign.reader_units import MPH, YARD
 from bench.campaign.verdicts import robot_words
 from bench.shot.shot import Shot, ShotStatus
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from bench.campaign.corrections import Robot
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.refreshing import Arm, Drift
-from bench.campaign.simulated import SimulatedShots
+from bench.campaign.relearning import Arm, Drift
+from bench.campaign.simulated_shots import SimulatedShots
 from bench.campaign.swings import Profiles
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters

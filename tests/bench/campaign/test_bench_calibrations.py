@@ -18,8 +18,8 @@ from bench.campaign.bench_calibrations import (
     speed_sensitivities,
 )
 from bench.campaign.interruptions import changed
-from bench.campaign.operate import bench_calibrations, new_entry, run_start
 from bench.campaign.plan_file import load_plan
+from bench.campaign.runner_control import bench_calibrations, new_entry, run_start
 from bench.campaign.swings import require_swings
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore

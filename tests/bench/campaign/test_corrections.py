@@ -15,9 +15,9 @@ from sqlalchemy import Engine
 
 from bench.campaign import corrections
 from bench.campaign.corrections import CampaignCorrections
-from bench.campaign.operate import new_entry
 from bench.campaign.plan_file import load_plan
-from bench.campaign.refreshing import Drift
+from bench.campaign.relearning import Drift
+from bench.campaign.runner_control import new_entry
 from bench.campaign.swings import require_swings
 from bench.config import database_url, load_configuration
 from bench.learning.learn import LearningProblem, Swinger

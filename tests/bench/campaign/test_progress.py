@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from bench.campaign.broadcast import Broadcast
-from bench.campaign.operate import new_entry
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.progress import CampaignProgress
-from bench.campaign.sequence import PlannedShot, all_trials
+from bench.campaign.progress_publisher import Broadcast
+from bench.campaign.randomization import PlannedShot, all_trials
+from bench.campaign.runner_control import new_entry
 from bench.commands.campaign_screen import ProgressScreen, campaign_bar, progress_lines, shot_line
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus

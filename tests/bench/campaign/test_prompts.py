@@ -18,8 +18,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from bench.campaign.course import Step
-from bench.campaign.fitting import (
+from bench.campaign.bench_setup import (
     Fitting,
     Preparation,
     PromptKind,
@@ -32,12 +31,13 @@ from bench.campaign.fitting import (
     require_count,
 )
 from bench.campaign.gate import Centre
-from bench.campaign.operate import answer, course_of, new_entry
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.preview import preview_record, show_preview
+from bench.campaign.randomization import Arm, PlannedShot, Role, all_trials
 from bench.campaign.runner import Runner, RunOutcome, Watcher
-from bench.campaign.sequence import Arm, PlannedShot, Role, all_trials
+from bench.campaign.runner_control import answer, course_of, new_entry
+from bench.campaign.shot_sequence import Step
 from bench.campaign.swings import require_swings
 from bench.commands.campaign_screen import CampaignBar
 from bench.commands.campaign_terminal import TerminalOperator

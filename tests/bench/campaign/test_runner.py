@@ -20,11 +20,15 @@ from typing import Any
 import pytest
 from sqlalchemy import make_url
 
-from bench.campaign.course import Step
-from bench.campaign.fitting import Preparation, PromptKind, sample_for
+from bench.campaign.bench_setup import Preparation, PromptKind, sample_for
 from bench.campaign.gate import Centre
 from bench.campaign.interruptions import RunStart, changed
-from bench.campaign.operate import (
+from bench.campaign.plan import CampaignPlan
+from bench.campaign.plan_file import load_plan
+from bench.campaign.randomization import Arm, PlannedShot, Role
+from bench.campaign.relearning import Drift
+from bench.campaign.runner import Hindrance, Runner, RunOutcome, ShotPostponed, Watcher
+from bench.campaign.runner_control import (
     CANNOT_CHANGE_A_SHOT,
     ask,
     course_of,
@@ -34,12 +38,8 @@ from bench.campaign.operate import (
     run_start,
     runner_lock,
 )
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.plan_file import load_plan
-from bench.campaign.refreshing import Drift
-from bench.campaign.runner import Hindrance, Runner, RunOutcome, ShotPostponed, Watcher
-from bench.campaign.sequence import Arm, PlannedShot, Role
-from bench.campaign.simulated import Taken
+from bench.campaign.shot_sequence import Step
+from bench.campaign.simulated_shots import Taken
 from bench.campaign.swings import require_swings
 from bench.config import Configuration, database_url, load_configuration
 from bench.errors import BenchError, Refused
@@ -444,7 +444,7 @@ def test_a_figure_that_is_not_known_is_not_looked_at_unless_the_centre_is(make: 
 
 
 def _trials(plan: CampaignPlan) -> Any:
-    from bench.campaign.sequence import all_trials
+    from bench.campaign.randomization import all_trials
 
     return all_trials(plan)
 

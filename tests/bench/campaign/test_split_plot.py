@@ -16,20 +16,20 @@ from rich.console import Console
 from scipy import stats
 
 from bench.campaign.analysis import SectionAnalysis, analyse
+from bench.campaign.bench_setup import Fitting, PromptKind, missing, sample_for
 from bench.campaign.campaign_record import CampaignRecord
 from bench.campaign.campaign_report import render_campaign_report
-from bench.campaign.course import Step
 from bench.campaign.findings import findings, findings_record
-from bench.campaign.fitting import Fitting, PromptKind, missing, sample_for
 from bench.campaign.gate import Centre
-from bench.campaign.operate import new_entry
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.plan_requirements import needs, needs_words
 from bench.campaign.preview import outlook, outlook_words, show_preview
 from bench.campaign.progress import CampaignProgress
-from bench.campaign.sequence import PlannedShot, all_trials, sections
+from bench.campaign.randomization import PlannedShot, all_trials, sections
+from bench.campaign.runner_control import new_entry
+from bench.campaign.shot_sequence import Step
 from bench.campaign.split_plot import as_split_plot, fully_randomised
-from bench.campaign.suitability import needs, needs_words
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignState, Standing

@@ -20,8 +20,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from bench.campaign.operate import new_entry
 from bench.campaign.plan_file import load_plan
+from bench.campaign.runner_control import new_entry
 from bench.commands.campaign import _local_store, _marker
 from bench.commands.campaign_keys import HINT, LONGEST, MarkLine, mark_keys
 from bench.commands.campaign_screen import CampaignBar

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration, shipped_configuration
-from bench.learning.figures import Tolerance, figures_of, planned_figures
+from bench.learning.delivery_measurement import delivery_from_encoders, figures_from, strike_from_mark
+from bench.learning.delivery_metrics import Tolerance, figures_of, planned_figures
+from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
-from bench.learning.learner import LearningSettings
-from bench.learning.measured import delivery_from_encoders, figures_from, strike_from_mark
 from bench.lifecycle import Cause
 from bench.simulation import variation
 from bench.simulation.series import Bench, Series

@@ -16,10 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from bench.campaign.operate import new_entry
 from bench.campaign.plan_file import load_plan
 from bench.campaign.progress import CampaignProgress
-from bench.campaign.sequence import all_trials
+from bench.campaign.randomization import all_trials
+from bench.campaign.runner_control import new_entry
 from bench.config import load_configuration
 from bench.errors import BenchError
 from bench.network.client import BenchClient

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 from bench.lifecycle import State
-from bench.page import guard, http_protocol
+from bench.page import http_protocol, request_filter
 from bench.page.broadcaster import MAX_READERS
 from tests.bench.fake_bench_service import RunningPlane
 from tests.bench.page.running_page import HURRY, RunningPage
@@ -213,7 +213,7 @@ def test_a_head_that_does_not_end_is_cut_off(page: RunningPage, monkeypatch: pyt
 
 
 def test_a_body_that_does_not_end_is_cut_off(page: RunningPage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guard, "BODY_TIME", 0.2)
+    monkeypatch.setattr(request_filter, "BODY_TIME", 0.2)
     head = "".join(f"{name}: {value}\r\n" for name, value in page.own().items())
     text = f"POST /api/command/arm HTTP/1.1\r\nHost: {page.host}\r\n{head}Content-Length: 100\r\n\r\n{{"
     with raw(page, text.encode()) as one:

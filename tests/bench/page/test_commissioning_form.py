@@ -22,7 +22,7 @@ from bench.commissioning.folder_lock import folder_lock
 from bench.config import Configuration
 from bench.errors import Refused
 from bench.network.free_port import free_port
-from bench.page.commissioning_shelf import CommissioningShelf
+from bench.page.commissioning_store import CommissioningStore
 from bench.page.page_address import PageAddress
 from tests.bench.page.noting_program import NotingProgram
 from tests.bench.page.running_page import HURRY, RunningPage, running_page
@@ -71,7 +71,7 @@ def asked(page: RunningPage, path: str, **content: Any) -> tuple[int, Any]:
 
 
 def test_steps_findings_and_faults_are_shown(tmp_path: Path) -> None:
-    shelf = CommissioningShelf(tmp_path, "bench1")
+    shelf = CommissioningStore(tmp_path, "bench1")
     assert shelf.view()["commissionings"] == []
     assert [one["title"] for one in shelf.view()["steps"]] == [step.title for step in ALL_STEPS]
     stored(tmp_path, "first-day", done=2, wrong=True)
@@ -88,7 +88,7 @@ def test_steps_findings_and_faults_are_shown(tmp_path: Path) -> None:
 def test_a_state_that_cannot_be_read_says_why(tmp_path: Path) -> None:
     folder = stored(tmp_path, "first-day")
     (folder / "commissioning.json").write_text("{")
-    (one,) = CommissioningShelf(tmp_path, "bench1").view()["commissionings"]
+    (one,) = CommissioningStore(tmp_path, "bench1").view()["commissionings"]
     assert "Begin again in another folder" in one["unreadable"]
 
 
@@ -101,7 +101,7 @@ def test_only_listed_names_are_taken(tmp_path: Path) -> None:
     (robots / "linked.toml").symlink_to("/etc/passwd")
     (tmp_path / "commissioning" / "linked").symlink_to(folder)
     (folder / "robot.toml").symlink_to("/etc/passwd")
-    shelf = CommissioningShelf(tmp_path, "bench1")
+    shelf = CommissioningStore(tmp_path, "bench1")
     assert shelf.view()["robots"] == ["other"]
     assert [one["name"] for one in shelf.view()["commissionings"]] == ["first-day"]
     assert shelf.folder("first-day") == folder

@@ -23,12 +23,12 @@ from bench.errors import BenchError, Refused
 from bench.network.free_port import free_port
 from bench.page import command_line, viewer_process
 from bench.page.answers import InvalidBody
+from bench.page.background_command import BackgroundCommand
 from bench.page.command_line import MAX_COMMANDS, CommandLine, fault_of
 from bench.page.entry_forms import FORMS, form_arguments
-from bench.page.lasting_command import LastingCommand
 from bench.page.page_address import PageAddress
 from bench.page.page_server import run_outcome
-from bench.page.plan_shelf import PlanShelf
+from bench.page.plan_catalogue import PlanCatalogue
 from bench.page.viewer_process import ViewerProcess
 from tests.bench.fake_bench_service import FakeDesk, running_plane
 from tests.bench.page.conftest import publishing
@@ -133,7 +133,7 @@ def test_plans_are_the_shipped_ones_and_those_of_the_bench(tmp_path: Path) -> No
         '[design]\nclubs = ["driver", "mine", "other"]\n[clubs.mine]\nlike = "driver"\n'
     )
     (folder / "odd.toml").write_text('clubs = 3\n[design]\nclubs = "driver"\nballs = [1, 2]\n')
-    shelf = PlanShelf(tmp_path, {"balls": ["tour", "range"], "clubs": ["driver"]})
+    shelf = PlanCatalogue(tmp_path, {"balls": ["tour", "range"], "clubs": ["driver"]})
     listed = {one["name"]: one for one in shelf.listed()}
     assert listed["mine"] == {
         "name": "mine",
@@ -184,7 +184,7 @@ def test_a_plan_is_checked_and_started_as_at_the_command_line(
 
 def test_a_runner_outlives_its_page(tmp_path: Path, program: NotingProgram) -> None:
     log, said = tmp_path / "data" / "runner.log", list[Any]()
-    runner = LastingCommand(
+    runner = BackgroundCommand(
         CommandLine(program.command), log, lambda topic, content: said.append(content), "runner"
     )
     runner.start("x-1", "campaign", "resume", "--", "x-1")
@@ -207,7 +207,7 @@ def test_a_suspended_campaign_ends_with_its_reason(tmp_path: Path) -> None:
     words = json.dumps(record, indent=2)
     program = CommandLine([sys.executable, "-c", f"print({words!r}); raise SystemExit(1)"])
     log = tmp_path / "log"
-    runner = LastingCommand(
+    runner = BackgroundCommand(
         program, log, lambda topic, content: said.append(content), "runner", outcome=run_outcome
     )
     runner.start("x", "campaign", "run")
@@ -217,7 +217,7 @@ def test_a_suspended_campaign_ends_with_its_reason(tmp_path: Path) -> None:
 
 def test_a_page_without_a_place_for_the_log_starts_nothing(tmp_path: Path, program: NotingProgram) -> None:
     (tmp_path / "data").write_text("no folder")
-    runner = LastingCommand(
+    runner = BackgroundCommand(
         CommandLine(program.command), tmp_path / "data" / "log", lambda *_: None, "runner"
     )
     with pytest.raises(BenchError):

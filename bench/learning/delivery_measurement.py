@@ -1,0 +1,162 @@
+"""Delivery of a swing by its declared source: encoders and model, launch monitor, marks on the face."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import cos, radians, sin
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+
+from bench.learning.delivery_metrics import UNKNOWN, Figures, figures_of
+from bench.learning.source import Source
+from bench.lifecycle import Phase
+from sim.impact import Delivery, delivery_from_plane, face_axes, face_gap, impact_parameters
+from sim.kinematics import forward_kinematics
+from sim.plant import PlantParameters
+
+Array = NDArray[np.float64]
+Cycles = np.ndarray[Any, Any]
+
+
+_BEFORE = 0.015
+"""Distance (m) of face and ball at which the last reading before the contact is looked for. The contact may
+come so far before the model's: off the face's centre, with lengths known to 2 mm, with a ball teed up by
+hand. A reading after it would take the ball's blow for the club's speed."""
+_LOW = 0.1
+"""m above the ball below which the head is at the bottom of the swing."""
+_READINGS, _READINGS_BESIDE_PLAN = 5, 16
+"""Number of readings before the contact that a polynomial is fitted to: of the angles, or of their difference
+to the modelled swing, which changes more slowly."""
+_ORDER, _ORDER_BESIDE_PLAN = 2, 3
+"""Of the polynomial. The difference bends where friction lets the right arm go, some 10 ms before the ball:
+a parabola was wrong by 0.2 to 0.3 % of the speed with the driver, a cubic is by 0.1 %."""
+_LATE = 60
+"""Ticks by which a robot may come later or earlier than the modelled one."""
+_SEARCHED = (-0.0015, 0.0035)
+"""s around the last reading."""
+_DOWN = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
+
+
+def delivery_from_encoders(
+    cycles: Cycles, plant: PlantParameters, plan: Array | None = None
+) -> Delivery | None:
+    """Return how the club came to the ball, from the raw counts before the contact; None without a crossing.
+
+    The angles of the last readings are carried on by a parabola to where face and ball touch: an estimator
+    that has to be ready for the impact's jump says less. With `plan` (k, 3), the modelled swing without a
+    ball tick by tick, a cubic is that of the difference to it, laid where its head is where the robot's is: a
+    robot that comes later is not compared with a model that has run into its cushions. A latency that
+    all encoders share does not matter.
+    """
+    robot, site, encoders = plant.robot, plant.site, plant.encoders
+    per_rad = np.array(encoders.sign) * encoders.counts_per_revolution / (2 * np.pi)
+    angle = (cycles["encoder_count"] + 0.5 - np.array(encoders.zero_count)) / per_rad
+    angle += 2 * np.pi * np.round((cycles["angle"] - angle) / (2 * np.pi))
+    head = forward_kinematics(robot, angle)
+    # The first crossing forwards at the bottom of the swing; the club also comes by above.
+    ahead, low = site.ball_x - head[:, 0] > _BEFORE, head[:, 1] < site.ball_y + _LOW
+    crossings = np.flatnonzero(ahead[:-1] & ~ahead[1:] & low[1:] & np.isin(cycles["phase"], _DOWN)[1:])
+    readings, order = (_READINGS, _ORDER) if plan is None else (_READINGS_BESIDE_PLAN, _ORDER_BESIDE_PLAN)
+    if not crossings.size or crossings[0] < readings:
+        return None
+    last = int(crossings[0]) + 1
+    curve = _nothing if plan is None else _beside(plan, plant, last, float(head[last - 1, 0]))
+    if curve is None:
+        return None
+    times: Array = plant.tick * np.arange(1 - readings, 1, dtype=np.float64)
+    powers = np.vander(times, order + 1, increasing=True)
+    fitted = np.linalg.lstsq(powers, angle[last - readings : last] - curve(times), rcond=None)[0]
+    face = impact_parameters(robot.club, plant.ball, robot.lie)
+
+    def pose(at: float) -> Any:
+        return forward_kinematics(robot, np.asarray(curve(at)) + at ** np.arange(order + 1) @ fitted)
+
+    def gap(at: float) -> float:
+        x, y, theta = map(float, pose(at))
+        return float(face_gap(x, y, theta, site.ball_x, site.ball_y, face))
+
+    if not gap(_SEARCHED[0]) > 0.0 > gap(_SEARCHED[1]):
+        return None
+    contact, step = float(brentq(gap, *_SEARCHED)), 1e-6
+    motion = (pose(contact + step) - pose(contact - step)) / (2 * step)
+    try:
+        return delivery_from_plane(
+            tuple(pose(contact)),
+            tuple(motion),
+            (site.ball_x, site.ball_y),
+            robot.club,
+            robot.lie,
+            "encoders+model",
+        )
+    except ValueError:
+        return None
+
+
+def _nothing(time: Array | float) -> Array:
+    return np.zeros((*np.shape(time), 3))
+
+
+def _beside(
+    plan: Array, plant: PlantParameters, last: int, x: float
+) -> Callable[[Array | float], Array] | None:
+    """Return the angles of `plan` (k, 3) by the time (s) from where its head comes to `x` (m) on.
+
+    That is looked for around row `last`; None where it does not come. Rows of `plan` after that count
+    no more, it is carried on instead: soon after the ball's place, a swing without a ball is in its cushions.
+    """
+    first = max(last - _LATE - _READINGS_BESIDE_PLAN, 0)
+    near = plan[first : last + _LATE]
+    head = forward_kinematics(plant.robot, near)
+    low = head[:, 1] < plant.site.ball_y + _LOW
+    crossings = np.flatnonzero((head[:-1, 0] <= x) & (x < head[1:, 0]) & low[1:])
+    if not crossings.size:
+        return None
+    k = int(crossings[0])
+    row = k + (x - head[k, 0]) / (head[k + 1, 0] - head[k, 0])
+    if row < _READINGS_BESIDE_PLAN:
+        return None
+    used = near[: k + 2]
+    spline = CubicSpline(np.arange(len(used)), used)
+    return lambda time: np.asarray(spline(row + np.asarray(time) / plant.tick))
+
+
+def strike_from_mark(toe_mm: float, high_mm: float, plant: PlantParameters) -> float:
+    """Return the in-plane strike (m) of a mark on the face, mm towards the toe and up from its centre.
+
+    A planar robot can strike along one line of the face only; the mark is projected on it.
+    """
+    robot = plant.robot
+    normal, up, toe = face_axes(1.5 * np.pi, impact_parameters(robot.club, plant.ball, robot.lie))
+    line = np.cross((0.0, cos(robot.lie), sin(robot.lie)), normal)
+    line /= np.linalg.norm(line)
+    return 1e-3 * float(toe_mm * (line @ np.array(toe)) + high_mm * (line @ np.array(up)))
+
+
+def figures_from(
+    source: Source,
+    cycles: Cycles,
+    plant: PlantParameters,
+    plan: Array | None = None,
+    *,
+    mark: tuple[float, float] | None = None,
+    club_speed: float | None = None,
+    attack_deg: float | None = None,
+) -> Figures:
+    """Return the figures of the swing in `cycles` by `source`; missing ones come from the encoders.
+
+    `mark`: mm towards the toe and up. `club_speed` (m/s) and `attack_deg` are a launch monitor's.
+    """
+    figures = figures_of(delivery_from_encoders(cycles, plant, plan))
+    if figures is UNKNOWN or source == "encoders+model":
+        return figures
+    if source == "impact-marks":
+        return figures if mark is None else figures._replace(strike=strike_from_mark(*mark, plant))
+    return figures._replace(
+        strike=figures.strike if mark is None else strike_from_mark(*mark, plant),
+        speed=figures.speed if club_speed is None else club_speed,
+        attack=figures.attack if attack_deg is None else radians(attack_deg),
+    )

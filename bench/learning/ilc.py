@@ -1,0 +1,310 @@
+"""The learner: chooses the next correction from the deliveries of the swings before.
+
+Norm-optimal iterative learning control (Bristow, Tharayil & Alleyne 2006) on a few smooth weights. A step
+minimises
+
+    sum ((figure - target) / tolerance)^2 + path_weight^2 mean ((path - planned path) / path_scale)^2
+    + effort^2 |weights|^2
+
+as predicted, within bounds on the weights and a trust radius around the best swing so far. The prediction is
+linear: the model's response is the prior mean, every swing is an observation of it, with the scatter between
+swings as noise and less weight the farther its weights are from the best one's (Bayesian linear regression).
+So the response becomes the robot's own, and one lucky swing is not taken for a good one. A stopped swing
+counts as failed: its record up to the stop still counts for the path, and the radius is halved. Without
+planned air at the address the first swing after arming begins with other air than those that follow: it
+counts with more noise for the next step, and confirms nothing.
+
+For an identified robot more is known before the first swing: where to begin, the expected delivery there, and
+a better response.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from bench.learning.delivery_metrics import Figures, Tolerance
+from bench.learning.sensitivities import Response
+from bench.swing.correction_bounds import GREATEST_WEIGHT
+from drivers.base.ranges import Above, AtLeast
+
+Array = NDArray[np.float64]
+
+_STOPPED = 1e6
+"""Added to the cost of a swing without a delivery: any swing that strikes the ball is better."""
+_OFFSET = 1e4
+"""Prior standard deviation of a figure without correction, tolerances: unknown."""
+
+Four = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class LearningSettings:
+    """Settings of the learner."""
+
+    swings: Annotated[int, AtLeast(1)] = 12
+    """Max number of learning swings."""
+    path_weight: Annotated[float, AtLeast(0)] = 1.0
+    """Weight of a path that is `path_scale` off on average, against one tolerance of one figure."""
+    path_scale: Annotated[float, Above(0)] = 0.01
+    """rad"""
+    effort: Annotated[float, AtLeast(0)] = 0.2
+    """Cost of one weight."""
+    radius: Annotated[float, Above(0)] = 1.5
+    """Longest first step, norm of the weights."""
+    greatest_radius: Annotated[float, Above(0)] = 3.0
+    least_radius: Annotated[float, Above(0)] = 0.1
+    bound: Annotated[float, Above(0)] = GREATEST_WEIGHT
+    """Max size of each weight."""
+    scatter: Four = (0.3, 0.4, 0.2, 0.2)
+    """Standard deviation between swings alike: strike, speed, lean, attack, in tolerances."""
+    path_scatter: Annotated[float, Above(0)] = 0.003
+    """rad"""
+    unsettled: Four = (1.0, 7.0, 0.7, 1.5)
+    """Standard deviation by which the first swing after arming differs from the next ones, in tolerances."""
+    path_unsettled: Annotated[float, Above(0)] = 0.02
+    """rad"""
+    doubt: Annotated[float, AtLeast(0)] = 0.5
+    """Share by which the robot's response differs from the model's."""
+    bend: Annotated[float, AtLeast(0)] = 0.1
+    """Share of the response by which a step of one weight bends it."""
+    enough: Annotated[float, Above(0)] = 0.5
+    """Share of the tolerances within which every predicted figure must lie for the best swing to be repeated,
+    and the mean of it and its repetition for confirmation."""
+    confirm: Annotated[float, Above(0)] = 1.0
+    """Share within which the repetition must lie."""
+
+
+class LearnerTrial(NamedTuple):
+    """Observation of one swing."""
+
+    point: Array
+    """Weights of its correction."""
+    figures: Array
+    """(4,), NaN where unknown or if the swing was stopped."""
+    path: Array
+    """(r, 3) rad at the response's rows; NaN from a stop on."""
+    settled: bool = True
+    """Whether it began with planned air, or with that a swing had left, not with that of arming."""
+
+
+class Beginning(NamedTuple):
+    """Knowledge of the robot before its first swing."""
+
+    point: Array
+    """Weights (m,) around which the response is known."""
+    response: Response
+    """Expected response there."""
+    offset: Four
+    """Standard deviation of the figures expected, in tolerances."""
+    path_offset: float
+    """Standard deviation of the expected path, rad."""
+    doubt: float
+    """As in `LearningSettings`."""
+    radius: float
+    """As in `LearningSettings`."""
+
+
+class Learner:
+    """Proposes a `point`, notes the swing made with it, proposes the next one; the best point is kept."""
+
+    def __init__(
+        self,
+        response: Response,
+        target: Figures,
+        plan: Array,
+        tolerance: Tolerance,
+        settings: LearningSettings,
+        beginning: Beginning | None = None,
+    ):
+        """`response` is the model's without correction, `plan` (r, 3) the planned path at its rows, rad.
+
+        `beginning` overrides the response.
+        """
+        s, self._settings = settings, settings
+        self._target, self._scale = target.array, tolerance.scale(target)
+        self._plan = plan
+        self._path_factor = s.path_weight / s.path_scale / np.sqrt(plan.size)
+        expected = response if beginning is None else beginning.response
+        self._prior = np.vstack(
+            [expected.by_figures / self._scale[:, None], self._path_factor * expected.by_path]
+        )
+        self._noise = self._rows(s.scatter, s.path_scatter)
+        self._unsettled = self._rows(s.unsettled, s.path_unsettled)
+        self._size = np.linalg.norm(self._prior, axis=1) + 1e-9
+        self._origin = np.zeros(self._prior.shape[1]) if beginning is None else beginning.point
+        self._known = beginning is not None
+        self._doubt, self._offset = s.doubt, np.full(len(self._prior), _OFFSET)
+        self._expected = np.zeros(len(self._prior))
+        self._radius = s.radius
+        self.trials: list[LearnerTrial] = []
+        self._errors: list[Array] = []
+        self._best = 0
+        self.point = self._origin
+        """Weights of the next swing."""
+        if beginning is not None:
+            self._doubt, self._radius = beginning.doubt, beginning.radius
+            self._offset = self._rows(beginning.offset, beginning.path_offset)
+            self._expected = self._error(expected.figures, expected.path)
+            at, matrix = self._prediction()
+            self.point = self._origin if self._near(at[:4]) else self._next(at, matrix)
+
+    def _rows(self, figures: Four, path: float) -> Array:
+        """Return the vector with `figures` for the figures and `path` for each value of the path."""
+        return np.concatenate([figures, np.full(self._plan.size, self._path_factor * path)])
+
+    def _error(self, figures: Array, path: Array) -> Array:
+        """Return the errors of figures and path, in the units of the cost."""
+        return np.concatenate([self.error(figures), self._path_factor * (path - self._plan).ravel()])
+
+    @property
+    def best(self) -> LearnerTrial:
+        """Swing with the least cost."""
+        return self.trials[self._best]
+
+    def error(self, figures: Array) -> Array:
+        """Return (figures - target) in tolerances."""
+        return np.asarray((figures - self._target) / self._scale)
+
+    def _reached(self, number: int, share: float) -> bool:
+        """Return whether a swing is within `share` of every tolerance; unknown figures do not count."""
+        figures = self.trials[number].figures
+        known = self.error(figures)[~np.isnan(figures)]
+        return bool(known.size and np.max(np.abs(known)) <= share)
+
+    def _alike(self, number: int) -> list[int]:
+        """Return the swings with the correction of swing `number` and the same start."""
+        one = self.trials[number]
+        return [
+            k
+            for k, trial in enumerate(self.trials)
+            if trial.settled == one.settled and np.array_equal(trial.point, one.point)
+        ]
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether a swing and its repetition were well within the tolerances."""
+        last = len(self.trials) - 1
+        alike = self._alike(last)
+        if len(alike) < 2 or not self.trials[last].settled or not self._reached(last, self._settings.confirm):
+            return False
+        return self._near(self._mean(last))
+
+    @property
+    def chosen(self) -> int:
+        """Swing whose correction is kept: the least mean error, repeated ones preferred."""
+        costs = {}
+        for k in range(len(self.trials)):
+            alike = self._alike(k)
+            errors = np.array([self._errors[n] for n in alike])
+            known = np.isfinite(errors[:, :4]).all(axis=0) & np.isfinite(errors[:, :4]).any()
+            if not known.any():
+                costs[k] = _STOPPED * (2.0 - float(np.isfinite(errors).mean()))
+                continue
+            mean = errors[:, :4].mean(axis=0)[known]
+            variance = (self._noise[:4] ** 2 + self._begun(k) ** 2)[known] / len(alike)
+            costs[k] = float(np.sum(mean**2) + np.sum(variance))
+        return min(costs, key=lambda k: (costs[k], -k))
+
+    @property
+    def scatter(self) -> Array:
+        """Standard deviation (4,) between swings alike, tolerances; the declared one without such swings."""
+        squares, count = np.zeros(4), 0
+        for first in range(len(self.trials)):
+            alike = self._alike(first)
+            if alike[0] != first or len(alike) < 2:
+                continue
+            errors = np.array([self.error(self.trials[k].figures) for k in alike])
+            errors = errors[np.isfinite(errors).all(axis=1)]
+            if len(errors) > 1:
+                squares += np.sum((errors - errors.mean(axis=0)) ** 2, axis=0)
+                count += len(errors) - 1
+        return np.sqrt(squares / count) if count else np.array(self._settings.scatter)
+
+    def note(self, trial: LearnerTrial) -> None:
+        """Note the swing made with `trial.point` and set the next `point`."""
+        self.trials.append(trial)
+        self._errors.append(self._error(trial.figures, trial.path))
+        last, s = len(self.trials) - 1, self._settings
+        if last and self._cost(last) >= self._cost(self._best):
+            # An unsettled one does not judge the step.
+            if trial.settled or np.isnan(trial.figures).all():
+                self._radius = max(0.5 * self._radius, s.least_radius)
+        else:
+            self._best = last
+            self._radius = min(1.5 * self._radius, s.greatest_radius) if last else self._radius
+        at, matrix = self._prediction()
+        near = self._near(at[:4]) and (len(self._alike(self._best)) < 2 or self._near(self._mean(self._best)))
+        self.point = self.best.point if near else self._next(at, matrix)
+
+    def _near(self, figures: Array) -> bool:
+        """Return whether errors (4,) are well within the tolerances; unknown ones do not count."""
+        known = figures[np.isfinite(figures)]
+        return bool(known.size and np.abs(known).max() <= self._settings.enough)
+
+    def _mean(self, number: int) -> Array:
+        """Return the mean error (4,) of the swings alike to swing `number`."""
+        errors = [self._errors[k][:4] for k in self._alike(number)]
+        return np.asarray(np.mean(errors, axis=0))
+
+    def _begun(self, number: int) -> Array:
+        """Return the standard deviation (4,) of a swing's figures due to its start."""
+        return np.zeros(4) if self.trials[number].settled else self._unsettled[:4]
+
+    def _cost(self, number: int) -> float:
+        errors, point = self._errors[number], self.trials[number].point
+        known = np.isfinite(errors)
+        missing = 0.0 if known[:4].any() else _STOPPED * float(2.0 - known.mean())
+        begun = float(np.sum(self._begun(number) ** 2))
+        return float(
+            np.sum(errors[known] ** 2) + self._settings.effort**2 * np.sum(point**2) + missing + begun
+        )
+
+    def _start(self) -> Array:
+        """Return the weights from which the next step starts."""
+        return self.best.point if self.trials else self._origin
+
+    def _prediction(self) -> tuple[Array, Array]:
+        """Return errors at the best point and their derivatives, NaN where still unknown."""
+        s, origin, start = self._settings, self._origin, self._start() - self._origin
+        at, matrix = self._expected + self._prior @ start, self._prior.copy()
+        if not self._known:
+            at[:] = np.nan
+        if not self.trials:
+            return at, matrix
+        points = np.array([trial.point for trial in self.trials]) - origin
+        unsettled = np.array([not trial.settled for trial in self.trials])
+        errors = np.array(self._errors)
+        products, distance = points @ points.T, np.sum((points - start) ** 2, axis=1)
+        for k, size in enumerate(self._size):
+            known = np.isfinite(errors[:, k])
+            if not known.any():
+                continue
+            seen, spread = points[known], (self._doubt * size) ** 2 / len(start)
+            noise = self._noise[k] ** 2 + (s.bend * size * distance[known]) ** 2
+            noise += unsettled[known] * self._unsettled[k] ** 2
+            offset = self._offset[k] ** 2
+            covariance = offset + spread * products[np.ix_(known, known)] + np.diag(noise)
+            surprise = errors[known, k] - self._expected[k] - seen @ self._prior[k]
+            weights = np.linalg.solve(covariance, surprise)
+            matrix[k] += spread * seen.T @ weights
+            at[k] = self._expected[k] + offset * weights.sum() + matrix[k] @ start
+        return at, matrix
+
+    def _next(self, errors: Array, matrix: Array) -> Array:
+        s, start = self._settings, self._start()
+        known = np.isfinite(errors)
+        errors, matrix = errors[known], matrix[known]
+        unit, damping = np.eye(len(start)), 0.01
+        while True:
+            # The damping keeps a step within the radius; unlike the effort it does not pull it towards zero.
+            left = np.vstack([matrix, s.effort * unit, damping * unit])
+            right = -np.concatenate([errors, s.effort * start, np.zeros(len(start))])
+            step = np.asarray(lsq_linear(left, right, (-s.bound - start, s.bound - start + 1e-9)).x)
+            if np.linalg.norm(step) <= self._radius:
+                return start + step
+            damping *= 1.6

@@ -1,0 +1,79 @@
+"""Units of a report: one system in all of it, the figures those of SI converted."""
+
+from __future__ import annotations
+
+import re
+from math import inf, nan
+
+import pytest
+
+from bench.campaign.campaign_record import CampaignRecord
+from bench.campaign.campaign_report import render_campaign_report
+from bench.campaign.display_units import UnitSystem, display_unit, number_text, two_digits
+from bench.campaign.findings import findings
+from bench.campaign.page import TABLE
+from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
+from tests.bench.campaign.test_campaign_report import _record, _words
+from tests.benchmarks.campaign_statistics import Truth
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+SI_ONLY = re.compile(r"\d (?:m|m/s|mm|°C|hPa|g)\b(?!²)")
+US_ONLY = re.compile(r"\d (?:yd|mph|in|°F|inHg|oz)\b")
+
+
+@pytest.fixture(scope="module")
+def record() -> CampaignRecord:
+    return _record("symmetry", Truth(deviation=1.5, difference=6.0))
+
+
+def _page(record: CampaignRecord, units: UnitSystem) -> str:
+    return render_campaign_report(record, findings(record.plan, record.shots, None, units), units)
+
+
+def _figures(page: str) -> str:
+    """Return the text before the set-up, which is a record; and the labels of pictures are paths."""
+    return _words(page[: page.index('id="setup"')])
+
+
+@pytest.mark.parametrize(("units", "foreign"), [(UnitSystem.SI, US_ONLY), (UnitSystem.US, SI_ONLY)])
+def test_one_system_of_units_in_a_whole_report(
+    record: CampaignRecord, units: UnitSystem, foreign: re.Pattern[str]
+) -> None:
+    page = _figures(_page(record, units))
+    assert foreign.findall(page) == []
+    heads = re.findall(r"<small>([^<]+)</small></th>", _page(record, units))
+    wanted = {"yd", "mph", "in"} if units is UnitSystem.US else {"m", "m/s", "mm"}
+    other = {"m", "m/s", "mm"} if units is UnitSystem.US else {"yd", "mph", "in"}
+    assert wanted <= set(heads)
+    assert not other & set(heads)
+
+
+def test_the_verdict_is_the_same_in_other_units(record: CampaignRecord) -> None:
+    pair = findings(record.plan, record.shots).sections[0].confirmatory.pairs[0]  # type: ignore[union-attr]
+    page = _words(_page(record, UnitSystem.US))
+    assert f"pole has {pair.difference / 0.9144:.2f} yd more carry (launch monitor) than seam" in page
+    assert "find a difference of 4 yd" in page
+    assert "77.0 °F, 29.92 inHg, 50 %" in page
+
+
+def test_every_quantity_of_a_page_has_a_unit_in_both_systems() -> None:
+    columns = {*QUANTITIES, *QUANTITY_NAMES, *(quantity.column for quantity in TABLE)}
+    for column in columns:
+        si, us = (display_unit(column, units) for units in UnitSystem)
+        assert (si.unit == us.unit) == (si.size == us.size)
+
+
+def test_figures_as_text() -> None:
+    assert display_unit("carry_m", UnitSystem.US).text(182.88) == "200.0"
+    assert display_unit("air_temperature_k", UnitSystem.US).text(296.15) == "73.4"
+    assert display_unit("carry_side_m").text(-0.04) == "0.0"
+    assert display_unit("carry_m").text(None) == "–"
+    assert [number_text(value, 1) for value in (nan, inf, -inf, -2.25)] == ["–", "∞", "−∞", "−2.2"]
+    assert [two_digits(value) for value in (0.0123, 1.26, 126.0, 0.0, nan)] == [
+        "0.012",
+        "1.3",
+        "126",
+        "0",
+        "–",
+    ]

@@ -1,0 +1,117 @@
+"""A swing is relearned when its delivery has drifted, and only then."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.campaign.gate import Centre
+from bench.campaign.plan import CampaignPlan
+from bench.campaign.plan_file import load_plan
+from bench.campaign.randomization import Arm, PlannedShot, Role
+from bench.campaign.relearning import Drift, Drifts
+from bench.campaign.shot_sequence import Step
+from bench.config import load_configuration
+from bench.shot.shot import Shot, ShotStatus
+
+NOW = datetime(2026, 11, 22, tzinfo=UTC)
+
+
+@pytest.fixture(scope="module")
+def plan() -> CampaignPlan:
+    plan = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
+    return replace(plan, learning=replace(plan.learning, refresh=True))
+
+
+def step(block: int, swing: str = "default") -> Step:
+    return Step(PlannedShot(Role.TEST, 1, block, 1, Arm(swing, "driver", "tour")), 1, Centre())
+
+
+class Blocks:
+    """Shots of block after block, with a delivery that the tests choose."""
+
+    def __init__(self, plan: CampaignPlan) -> None:
+        self.drifts, self.random = Drifts(plan), np.random.default_rng(1)
+
+    def block(
+        self, number: int, speed: float, swing: str = "default", shots: int = 5, **changes: Any
+    ) -> Iterator[Drift | None]:
+        for _ in range(shots):
+            yield self.drifts.before(step(number, swing))
+            values = {
+                "club_speed_mps": speed + 0.03 * self.random.standard_normal(),
+                "attack_angle_deg": 1.0,
+                "dynamic_loft_deg": 11.0,
+                "strike_x_mm": 0.1 * self.random.standard_normal(),
+                "strike_y_mm": -2.0,
+                "status": ShotStatus.VALID,
+                "reason": "",
+                "delivery_source": "simulated",
+                "role": "test",
+            } | changes
+            shot = Shot(1, number, 1, "driver", "tour", time_utc=NOW, swing=swing, section=1, **values)  # type: ignore[arg-type]
+            self.drifts.note(shot)
+
+
+def test_what_scatters_has_not_drifted(plan: CampaignPlan) -> None:
+    blocks = Blocks(plan)
+    found = [drift for number in range(1, 12) for drift in blocks.block(number, 42.0)]
+    assert found == [None] * 55
+
+
+def test_a_drift_is_told_once_at_the_next_blocks_begin(plan: CampaignPlan) -> None:
+    blocks = Blocks(plan)
+    told = [
+        list(blocks.block(number, speed)) for number, speed in enumerate((42.0, 42.05, 42.3, 42.3, 42.3), 1)
+    ]
+    assert told[:3] == [[None] * 5] * 3
+    assert told[3][0] == Drift(("default", "driver"), told[3][0].text)  # type: ignore[union-attr]
+    assert "head speed has drifted by +2." in told[3][0].text
+    assert told[3][1:] == [None] * 4
+    assert told[4] == [None] * 5  # what came after is the new measure
+
+
+def test_a_swing_is_learned_when_it_is_up_again(plan: CampaignPlan) -> None:
+    blocks = Blocks(plan)
+    for number, speed in ((1, 42.0), (2, 42.4)):
+        assert not any(blocks.block(number, speed))
+    assert not any(blocks.block(3, 38.0, "driver-90mph"))
+    assert any(blocks.block(4, 42.4))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"role": "warm-up"},
+        {"status": ShotStatus.EXCLUDED, "reason": "no launch"},
+        {"club_speed_mps": None},
+        {"strike_y_mm": None},
+    ],
+)
+def test_shots_that_do_not_count_say_nothing(plan: CampaignPlan, changes: dict[str, Any]) -> None:
+    blocks = Blocks(plan)
+    for number, speed in ((1, 42.0), (2, 44.0), (3, 46.0)):
+        assert not any(blocks.block(number, speed, **changes))
+
+
+def test_too_few_shots_say_nothing(plan: CampaignPlan) -> None:
+    blocks = Blocks(plan)
+    assert not any(d for number in range(1, 6) for d in blocks.block(number, 40.0 + number, shots=1))
+
+
+def test_small_blocks_are_taken_together(plan: CampaignPlan) -> None:
+    blocks = Blocks(plan)
+    speeds = (*[42.0] * 4, *[42.5] * 6)
+    told = [list(blocks.block(number, speed, shots=2)) for number, speed in enumerate(speeds, 1)]
+    assert [drift[0] is not None for drift in told] == [False] * 6 + [True] + [False] * 3
+
+
+def test_a_plan_that_does_not_ask_for_it_is_left_alone(plan: CampaignPlan) -> None:
+    blocks = Blocks(replace(plan, learning=replace(plan.learning, refresh=False)))
+    assert not any(d for number in range(1, 6) for d in blocks.block(number, 40.0 + number))

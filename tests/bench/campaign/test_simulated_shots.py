@@ -1,0 +1,131 @@
+"""A simulated shot depends on plan and number only; what goes wrong is told as what it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.campaign.gate import Centre
+from bench.campaign.plan import CampaignPlan, Simulation
+from bench.campaign.plan_file import load_plan
+from bench.campaign.randomization import all_trials
+from bench.campaign.shot_sequence import Step
+from bench.campaign.simulated_shots import SimulatedShots, Taken
+from bench.campaign.swings import require_swings
+from bench.config import Configuration
+from bench.shot.shot import ShotStatus
+from bench.simulation.swing_operator import never
+from bench.telemetry.cycle_record import CYCLE
+from tests.bench.campaign.as_designed import AsDesigned
+
+
+@pytest.fixture(scope="module")
+def plan(configuration: Configuration) -> CampaignPlan:
+    plan = load_plan(Path("clubs"), configuration)
+    faulty = replace(
+        plan.simulation, missing_launch=(2,), missed_ball=(3,), feeder_jam=(4,), door_opened=(5,)
+    )
+    return replace(plan, simulation=faulty)
+
+
+@pytest.fixture(scope="module")
+def source(plan: CampaignPlan, configuration: Configuration) -> SimulatedShots:
+    return SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never)
+
+
+def _take(source: SimulatedShots, plan: CampaignPlan, number: int, sample: int = 1) -> Taken:
+    return source.take(Step(all_trials(plan)[number], 1, Centre()), number, sample)
+
+
+def test_a_shot_is_the_same_whatever_was_swung_before(
+    source: SimulatedShots, plan: CampaignPlan, configuration: Configuration
+) -> None:
+    for number in (1, 3, 7):
+        _take(source, plan, number)
+    again = _take(source, plan, 6)
+    fresh = _take(
+        SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never), plan, 6
+    )
+    assert again.shot == fresh.shot
+    assert again.cycles is not None
+    assert fresh.cycles is not None
+    for name in CYCLE.names or ():
+        np.testing.assert_array_equal(again.cycles[name], fresh.cycles[name], err_msg=name)
+
+
+def test_shots_differ_by_number_and_by_ball(source: SimulatedShots, plan: CampaignPlan) -> None:
+    speeds = {_take(source, plan, number, sample).shot.ball_speed_mps for number, sample in ((8, 1), (8, 2))}
+    assert len(speeds) == 2
+    assert _take(source, plan, 9).shot.club_speed_mps != _take(source, plan, 10).shot.club_speed_mps
+
+
+def test_what_goes_wrong_is_an_outcome_of_its_own(source: SimulatedShots, plan: CampaignPlan) -> None:
+    unseen, missed, jam = (_take(source, plan, number) for number in (2, 3, 4))
+    assert (unseen.shot.status, unseen.shot.reason) == (ShotStatus.EXCLUDED, "the launch monitor saw no ball")
+    assert unseen.shot.club_speed_mps is not None
+    assert unseen.shot.ball_speed_mps is None
+    assert unseen.struck
+    assert (missed.shot.status, missed.shot.reason) == (ShotStatus.FAILED, "no ball on the tee")
+    assert missed.cycles is not None
+    assert not missed.struck
+    assert (jam.shot.status, jam.cycles, jam.struck) == (ShotStatus.FAILED, None, False)
+    assert ("guard", "guard opened; a simulated bench resets and arms itself") in _take(
+        source, plan, 5
+    ).events
+
+
+def test_the_simulated_monitor_misreads_doubles_and_goes_away_as_planned(
+    plan: CampaignPlan, configuration: Configuration
+) -> None:
+    faulty = replace(plan.simulation, launch_misread=1.0, missing_launch=(), monitor_away=(6,))
+    source = SimulatedShots(
+        replace(plan, simulation=faulty),
+        configuration,
+        AsDesigned(require_swings(plan, configuration)),
+        never,
+    )
+    misread = _take(source, plan, 6)
+    assert misread.shot.status is ShotStatus.EXCLUDED
+    assert misread.shot.reason
+    assert misread.shot.ball_speed_mps is not None  # kept, and not counted
+    assert (misread.shot.carry_m, misread.shot.launch_source) == (None, "simulated")
+    assert [kind for kind, _ in misread.events if kind == "suspended"] == ["suspended"]
+    source._monitor = replace(source._monitor, misread=0.0, double=1.0)
+    assert "2 different launches" in _take(source, plan, 7).shot.reason
+    source._monitor = replace(source._monitor, double=0.0)
+    clean = _take(source, plan, 7).shot
+    assert (clean.status, clean.reason) == (ShotStatus.VALID, "")
+    assert (clean.carry_m or 0.0) > 100.0
+
+
+def test_a_loft_is_seen(source: SimulatedShots, plan: CampaignPlan) -> None:
+    taken = [_take(source, plan, number) for number in (6, 7, 8, 9, 10, 11)]
+    lofts = {one.shot.club: one.shot.dynamic_loft_deg or 0.0 for one in taken}
+    assert lofts["driver"] - lofts["driver-9"] == pytest.approx(1.5, abs=0.2)
+    assert lofts["driver-12"] - lofts["driver"] == pytest.approx(1.5, abs=0.2)
+
+
+def test_a_feeder_that_is_empty_or_brings_another_ball(
+    plan: CampaignPlan, configuration: Configuration
+) -> None:
+    s = replace(plan.simulation, missed_ball=(), feeder_empty=(2,), wrong_ball=(3,))
+
+    def take(number: int, simulation: Simulation, *, identify: bool) -> Taken:
+        handling = replace(plan.ball_handling, identify=identify)
+        changed = replace(plan, simulation=simulation, ball_handling=handling)
+        profiles = require_swings(changed, configuration)
+        return _take(SimulatedShots(changed, configuration, AsDesigned(profiles), never), changed, number)
+
+    empty = take(2, s, identify=False)
+    assert (empty.shot.reason, empty.cycles) == ("feeder empty: no ball came", None)
+    noticed = take(3, s, identify=True)
+    assert noticed.shot.reason == "feeder: ball tour 2 came, tour 1 was to come"
+    assert not noticed.struck
+    unnoticed = take(3, s, identify=False)
+    right = take(3, replace(s, wrong_ball=()), identify=False)
+    assert unnoticed.shot.status is ShotStatus.VALID
+    assert unnoticed.shot.sample == right.shot.sample
+    assert unnoticed.shot.ball_speed_mps != right.shot.ball_speed_mps, "another ball was struck"

@@ -1,0 +1,199 @@
+"""The learner on a linear robot that differs from the model, with scatter, stops and unknown figures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bench.learning.delivery_metrics import Figures, Tolerance
+from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings
+from bench.learning.sensitivities import Response
+
+Array = NDArray[np.float64]
+
+TARGET = Figures(0.0, 43.0, 0.0, 0.03)
+TOLERANCE = Tolerance()
+WEIGHTS, ROWS = 12, 8
+
+
+class Robot:
+    """Answers to weights like its model, but for a share of the response and an offset."""
+
+    def __init__(self, seed: int, offset: float = 15.0, doubt: float = 0.3, scatter: float = 0.1) -> None:
+        random = np.random.default_rng(seed)
+        self.random, self.scale = random, TOLERANCE.scale(TARGET)
+        figures = random.normal(0, 10, (4, WEIGHTS)) * self.scale[:, None]
+        path = random.normal(0, 0.02, (3 * ROWS, WEIGHTS))
+        plan = random.normal(0, 1, (ROWS, 3))
+        self.model = Response(TARGET.array, plan, np.arange(ROWS), figures, path, plan)
+        self.figures = figures * (1 + doubt * random.normal(0, 1, figures.shape))
+        self.path = path * (1 + doubt * random.normal(0, 1, path.shape))
+        self.offset = offset * random.normal(0, 1, 4) * self.scale
+        self.scatter = scatter
+
+    def swing(self, point: Array) -> LearnerTrial:
+        noise = self.scatter * self.random.normal(0, 1, 4) * self.scale
+        figures = TARGET.array + self.offset + self.figures @ point + noise
+        return LearnerTrial(point, figures, self.model.path + (self.path @ point).reshape(ROWS, 3))
+
+
+def learned(robot: Robot, settings: LearningSettings) -> Learner:
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, settings)
+    for _ in range(settings.swings + 1):
+        learner.note(robot.swing(learner.point))
+        if learner.confirmed:
+            break
+    return learner
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_robot_unlike_its_model_is_learned_within_twelve_swings(seed: int) -> None:
+    robot = Robot(seed)
+    learner = learned(robot, LearningSettings())
+    before, after = learner.trials[0], learner.trials[learner.chosen]
+    assert np.abs(learner.error(before.figures)).max() > 3.0
+    robot.scatter = 0.0
+    assert np.abs(learner.error(robot.swing(after.point).figures)).max() < 1.0
+    assert len(learner.trials) <= 13
+
+
+def test_it_ends_when_a_swing_within_the_tolerances_was_repeated() -> None:
+    learner = learned(Robot(1), LearningSettings())
+    assert learner.confirmed
+    assert len(learner.trials) < 13
+    assert np.array_equal(learner.trials[-1].point, learner.trials[-2].point)
+    assert (learner.scatter < 0.5).all()
+
+
+def test_weights_stay_within_their_bound_and_steps_within_the_radius() -> None:
+    settings = LearningSettings(bound=0.4, radius=0.5, greatest_radius=0.5)
+    learner = learned(Robot(2, offset=200.0), settings)
+    points = np.array([trial.point for trial in learner.trials])
+    assert np.abs(points).max() <= 0.4 + 1e-6
+    assert np.linalg.norm(points[1]) <= 0.5 + 1e-9
+    assert np.abs(points).max() > 0.39
+
+
+def test_a_stop_counts_as_failed_and_halves_the_step() -> None:
+    robot = Robot(3)
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner.note(robot.swing(learner.point))
+    first = learner.point.copy()
+    path = robot.swing(first).path
+    path[ROWS // 2 :] = np.nan
+    learner.note(LearnerTrial(first, np.full(4, np.nan), path))
+    assert learner.chosen == 0
+    assert np.linalg.norm(learner.point) <= 0.5 * LearningSettings().radius + 1e-9
+    assert not np.allclose(learner.point, first)
+
+
+def test_the_path_of_stopped_swings_leads_back_to_the_plan() -> None:
+    """Before any swing reached the ball the path alone is learned from."""
+    robot = Robot(4)
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    off = robot.path @ np.full(WEIGHTS, 0.3)
+    for _ in range(5):
+        path = robot.model.path + (off + robot.path @ learner.point).reshape(ROWS, 3)
+        learner.note(LearnerTrial(learner.point, np.full(4, np.nan), path))
+    last = robot.model.path - learner.trials[learner.chosen].path
+    assert np.linalg.norm(last) < 0.6 * np.linalg.norm(off)
+
+
+def test_a_figure_that_nobody_measures_is_not_asked_for() -> None:
+    robot = Robot(5)
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    for _ in range(13):
+        trial = robot.swing(learner.point)
+        trial.figures[2] = np.nan
+        learner.note(trial)
+        if learner.confirmed:
+            break
+    errors = learner.error(learner.trials[learner.chosen].figures)
+    assert np.isnan(errors[2])
+    assert np.nanmax(np.abs(errors)) < 1.0
+
+
+def test_the_best_is_kept_whatever_came_later() -> None:
+    robot = Robot(0, scatter=0.0)
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner.note(robot.swing(learner.point))
+    good = LearnerTrial(learner.point, TARGET.array, robot.model.path)
+    learner.note(good)
+    for part in (0.5, 0.8, 0.9):
+        learner.note(
+            LearnerTrial(part * good.point, TARGET.array + 30 * TOLERANCE.scale(TARGET), robot.model.path)
+        )
+    assert learner.trials[learner.chosen].point is good.point
+
+
+def begun(robot: Robot, point: Array) -> Beginning:
+    """What is known of a robot whose figures without correction are known to be `robot.offset` off."""
+    figures = TARGET.array + robot.offset + robot.model.by_figures @ point
+    path = robot.model.path + (robot.model.by_path @ point).reshape(ROWS, 3)
+    about = robot.model._replace(figures=figures, path=path)
+    return Beginning(point, about, (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1)
+
+
+def test_the_first_swing_after_arming_confirms_nothing_and_is_not_kept() -> None:
+    robot = Robot(1, offset=0.0, scatter=0.0)
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    for settled in (False, False, True):
+        learner.note(robot.swing(np.zeros(WEIGHTS))._replace(settled=settled))
+        assert not learner.confirmed
+    assert learner.chosen == 2
+    learner.note(robot.swing(np.zeros(WEIGHTS)))
+    assert learner.confirmed
+
+
+def test_a_first_swing_that_began_otherwise_does_not_mislead_the_next_steps() -> None:
+    """It is ten tolerances of head speed off what the same weights deliver later."""
+    used = {}
+    for told in (True, False):
+        used[told] = 0
+        for seed in range(6):
+            robot = Robot(seed, doubt=0.1)
+            learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+            first = robot.swing(learner.point)
+            first.figures[1] += 10 * robot.scale[1]
+            learner.note(first._replace(settled=not told))
+            while not learner.confirmed:
+                learner.note(robot.swing(learner.point))
+            used[told] += len(learner.trials)
+    assert used[True] < used[False]
+
+
+def test_what_is_expected_of_an_identified_robot_outweighs_one_swing() -> None:
+    robot = Robot(2, offset=0.1, scatter=0.0)
+    zero = np.zeros(WEIGHTS)
+    learner = Learner(
+        robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), begun(robot, zero)
+    )
+    assert np.array_equal(learner.point, zero)
+    unlucky = LearnerTrial(zero, TARGET.array + 0.6 * robot.scale, robot.model.path)
+    learner.note(unlucky)
+    assert np.array_equal(learner.point, zero)
+    alone = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    alone.note(unlucky)
+    assert not np.array_equal(alone.point, zero)
+
+
+def test_what_is_expected_to_be_off_is_corrected_before_the_first_swing() -> None:
+    robot = Robot(3, offset=3.0, doubt=0.05)
+    known = begun(robot, np.zeros(WEIGHTS))._replace(radius=1.5)
+    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), known)
+    robot.scatter = 0.0
+    off = np.abs(learner.error(robot.swing(learner.point).figures)).max()
+    assert off < 0.5 * np.abs(robot.offset / robot.scale).max()
+
+
+def test_a_mean_beside_the_target_is_stepped_from_not_repeated_for_ever() -> None:
+    robot = Robot(4, offset=0.0, scatter=0.0)
+    zero = np.zeros(WEIGHTS)
+    learner = Learner(
+        robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), begun(robot, zero)
+    )
+    for _ in range(4):
+        learner.note(LearnerTrial(zero, TARGET.array + 0.55 * robot.scale, robot.model.path))
+    assert not learner.confirmed
+    assert not np.array_equal(learner.point, zero)
