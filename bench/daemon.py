@@ -22,7 +22,7 @@ import numpy as np
 
 from bench.calibration.archive import calibration_of
 from bench.config import Configuration
-from bench.design.validate import beyond_range
+from bench.design.static_checks import beyond_range
 from bench.errors import BenchError, ExitCode
 from bench.interrupt import StopFlag, stop_on_signals
 from bench.lifecycle import CAUSE_TEXT, Block, Cause, Phase, Reaction, Refusal, Request, State

@@ -17,7 +17,7 @@ from bench.calibration.values import CalibrationKind
 from bench.calibration.wiring_digest import is_rewired
 from bench.config import Configuration, contradictions, unheard_phases
 from bench.control.model_limits import LimitsInUse
-from bench.design.validate import Check, check_profile, other_rate, rate_faults
+from bench.design.static_checks import Check, check_profile, other_rate, rate_faults
 from bench.errors import BenchError
 from bench.lifecycle import Block
 from bench.network.bench_service import ArmingBlock

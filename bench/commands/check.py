@@ -13,7 +13,7 @@ from bench.commands.output import plain_table
 from bench.commands.session import Session
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.config.text import configuration_text
-from bench.design.validate import Check
+from bench.design.static_checks import Check
 from bench.readiness import assess_bench
 
 

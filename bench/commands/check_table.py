@@ -6,7 +6,7 @@ from typing import Any
 
 from rich.table import Table
 
-from bench.design.check import TrialOutcome, TrialSummary
+from bench.design.stop_verification import TrialOutcome, TrialSummary
 
 SCHEMA_VERSION = 1
 

@@ -52,7 +52,7 @@ def compare(
 
     Same swing, same simulated robot, same seeds; pressure sensors only where it is said.
     """
-    from bench.design.validate import require_possible
+    from bench.design.static_checks import require_possible
     from bench.learning.delivery_metrics import planned_figures
     from bench.simulation.series import Bench
     from bench.simulation.variation import drawn

@@ -172,7 +172,7 @@ def _golfers_own(c: Configuration) -> list[tuple[SwingMotion, SwingMotion]]:
 
     NAME-full needs the ranges of the variant `golfers`, NAME those of the shipped robot.
     """
-    from bench.design.validate import beyond_range
+    from bench.design.static_checks import beyond_range
     from bench.golfer import golfer_motion, robot_motion
     from bench.swing.golfers import GOLFERS
     from bench.swing.library import find_profile, profile_names

@@ -116,7 +116,7 @@ def _simulate(
     configuration: Configuration, name: str, club: str | None, ball: str | None, output: Path, json_: bool
 ) -> None:
 
-    from bench.design.outcome import outcome_record, outcome_table, write_outcome
+    from bench.design.swing_result import outcome_record, outcome_table, write_outcome
     from bench.readiness import assess_bench
     from bench.shot.recorded_shot import FlightConditions
     from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
@@ -157,7 +157,7 @@ def check(
     ratings of stops and chambers. Exits with 1 if any of them ends unsafe.
     """
     from bench.commands.check_table import check_record, check_table
-    from bench.design.check import SwingCheck, summarise
+    from bench.design.stop_verification import SwingCheck, summarise
     from bench.readiness import assess_bench
 
     configuration = context.ensure_object(Session).configuration()
@@ -350,7 +350,7 @@ def _with_motion(
     The speed (m/s) and attack (rad) in `asked` and the `times` of backswing and downswing (s) override those
     of golfer and profile.
     """
-    from bench.design.follow import demand_like, demand_measured, demand_near
+    from bench.design.golfer_tracking import demand_like, demand_measured, demand_near
     from bench.swing.golfers import Golfer, human_downswing
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
@@ -409,7 +409,7 @@ def _save_design(
 ) -> None:
     """Design a swing, save it at `path`, print its delivery, cushions and deviation from `golfer`."""
     from bench.design.designer import design_swing
-    from bench.design.follow import gave_way
+    from bench.design.golfer_tracking import gave_way
     from bench.golfer import GolferSwing, compare_motions, followed_golfer, golfer_motion, robot_motion
     from bench.swing.profile import save_profile
 

@@ -34,7 +34,7 @@ def tune(
     Deterministic. Whole swings prove the gains, also on a worn robot. Exits with 1 if the configured robot
     does not swing with them.
     """
-    from bench.design.validate import require_possible
+    from bench.design.static_checks import require_possible
     from bench.simulation.series import Bench
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from bench.config import Configuration
 from bench.design.designer import DesignFailed, SwingDemand, design_swing
-from bench.design.follow import demand_near
+from bench.design.golfer_tracking import demand_near
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 

@@ -1,7 +1,7 @@
 """Outlines that the clearance checks use, as bodies that can collide.
 
-`bench/control/envelope.py` and `bench/design/validate.py` take the club as the line from the wrist to the
-centre of the face with a sole at `plant.site.sole_depth` below it, the frame as a disc of
+`bench/control/envelope.py` and `bench/design/static_checks.py` take the club as the line from the wrist to
+the centre of the face with a sole at `plant.site.sole_depth` below it, the frame as a disc of
 `envelope.frame_radius` round R1, and the ground as a line. Here the same settings become solids; the checks'
 numbers stay their own.
 """

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
-from bench.design.check import TRIALS, SwingCheck, TrialOutcome
+from bench.design.stop_verification import TRIALS, SwingCheck, TrialOutcome
 from bench.lifecycle import Answer, Cause, Phase, Reaction, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep

@@ -9,7 +9,7 @@ import pytest
 
 from bench.config import load_configuration
 from bench.control.braking import lifted_angle
-from bench.design.check import TRIALS, SwingCheck
+from bench.design.stop_verification import TRIALS, SwingCheck
 from bench.simulation.simulated_bench import simulate_swing
 from sim.kinematics import forward_kinematics
 from tests.bench.design.bag_demands import DEMANDS, mounted

@@ -30,7 +30,7 @@ from bench.design.designer import (
     slope_of,
     top_pose,
 )
-from bench.design.follow import demand_near
+from bench.design.golfer_tracking import demand_near
 from bench.design.optimal_control import (
     BAR,
     STATES,
@@ -42,7 +42,7 @@ from bench.design.optimal_control import (
     solve_downswing,
 )
 from bench.design.refine import KNOT, correction
-from bench.design.validate import profile_faults
+from bench.design.static_checks import profile_faults
 from bench.errors import BenchError
 from bench.lifecycle import Cause, Phase
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing, simulate_swings

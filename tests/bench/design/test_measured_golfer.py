@@ -10,7 +10,7 @@ import pytest
 
 from bench.config import load_configuration
 from bench.design.designer import SwingDemand, furthest_cock, top_pose, wrist_range
-from bench.design.follow import demand_measured
+from bench.design.golfer_tracking import demand_measured
 from bench.errors import BenchError
 from bench.golfer import GolferSwing
 from tests.bench.golfer.synthetic import BALL, TOP, golfer_swing

@@ -122,7 +122,7 @@ def test_the_collision_bodies_are_those_of_the_clearance_checks(plant: PlantPara
     outline = collision_outline(plant, FRAME_RADIUS)
     q = np.array([state[0] for state in states(plant)])
     height, distance = clearances(plant, outline, q)
-    # As bench/design/validate.py and bench/control/envelope.py compute them.
+    # As bench/design/static_checks.py and bench/control/envelope.py compute them.
     face = forward_kinematics(plant.robot, q)
     assert height == pytest.approx(face[:, 1] - plant.site.sole_depth - plant.site.ground, abs=1e-12)
     points = joint_positions(plant.robot, q)

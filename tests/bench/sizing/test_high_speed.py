@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bench.config import VARIANTS, load_configuration
-from bench.design.check import TRIALS, SwingCheck
+from bench.design.stop_verification import TRIALS, SwingCheck
 from bench.sizing.catalogue import shipped_catalogue
 from bench.sizing.hardware import Hardware
 from bench.sizing.study import SizingDemand, candidate_configuration, candidate_text

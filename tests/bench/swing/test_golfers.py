@@ -10,7 +10,7 @@ import pytest
 
 from bench.config import load_configuration
 from bench.design.designer import SwingDemand, top_pose
-from bench.design.follow import RUN_UP, demand_like, gave_way
+from bench.design.golfer_tracking import RUN_UP, demand_like, gave_way
 from bench.swing.golfers import (
     GOLFERS,
     Golfer,

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from bench.cli import app
 from bench.design.designer import SwingDemand, top_pose
-from bench.design.follow import demand_near
+from bench.design.golfer_tracking import demand_near
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters

@@ -11,7 +11,7 @@ import pytest
 
 from bench.control.settings import EnvelopeSettings
 from bench.design.air_limits import force_bounds, needed_force, steady_speed, stop_forces
-from bench.design.validate import (
+from bench.design.static_checks import (
     beyond_range,
     check_profile,
     other_rate,
