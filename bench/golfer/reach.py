@@ -68,6 +68,8 @@ def with_club_held(plant: PlantParameters, golfer: GolferSwing) -> GolferSwing:
         )
     wrist *= (reached / distance)[:, None]
     held = inverse_kinematics(robot, np.column_stack([wrist + shaft, theta_t]))
+    held[:, 0] = np.unwrap(held[::-1, 0])[::-1]  # continuous up to the ball: the top may be beyond -pi
+    held[:, 2] = theta_t - held[:, 0] - held[:, 1]
     held[:, 2] += 2 * np.pi * np.round((golfer.angle[down, 2] - held[:, 2]) / (2 * np.pi))
     angle = np.full_like(golfer.angle, np.nan)
     angle[down] = held

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
-from bench.golfer import GolferSwing, with_club_held
+from bench.golfer import GolferSwing, beyond_ranges, with_club_held
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.kinematics import forward_kinematics
@@ -29,7 +29,11 @@ def swing() -> NDArray[np.float64]:
 @pytest.fixture
 def golfer() -> GolferSwing:
     """A golfer whose club moves as the robot's does in its default swing, and whose body does not."""
-    angle = swing()
+    return with_the_club_of(swing())
+
+
+def with_the_club_of(angle: NDArray[np.float64]) -> GolferSwing:
+    """Return a golfer whose club moves as a robot's at `angle` (n, 3; rad), and whose body does not."""
     pose = forward_kinematics(PLANT.robot, angle)
     time = np.arange(1.0 - len(angle), 0.5) / 1e3
     body = angle + [0.3, -0.2, -0.1]
@@ -54,6 +58,17 @@ def test_the_club_of_a_robot_is_held_at_its_own_angles(golfer: GolferSwing, plan
     assert (held.name, held.follow) == ("Ann", "club")
     assert np.isnan(held.angle[:TOP]).all()
     assert held.angle[TOP:] == pytest.approx(swing()[TOP:], abs=1e-9)
+
+
+def test_a_shoulder_that_turns_back_beyond_half_a_turn_is_continuous(plant: PlantParameters) -> None:
+    far = swing()
+    far[:, 0] = far[-1, 0] + 2.5 * (far[:, 0] - far[-1, 0])
+    assert far[TOP, 0] < -np.pi < far[-1, 0]
+    held = with_club_held(plant, with_the_club_of(far))
+    assert held.angle[TOP:] == pytest.approx(far[TOP:], abs=1e-9)
+    assert beyond_ranges(plant, held.angle[TOP:])[0] == pytest.approx(
+        plant.shoulder.lower - far[TOP:, 0].min()
+    )
 
 
 def test_a_club_that_the_arm_hardly_reaches_is_held_as_near_as_it_can(
