@@ -17,7 +17,7 @@ delivers depends on its instant more than where the shoulder still drives.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import degrees, pi
+from math import degrees
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +37,8 @@ RUN_UP = 0.08
 """s in which the shoulder reaches the golfer's speed before his or her top, 156 rad/s2 at the most."""
 _LEAST_RUN_UP = 0.02
 _INSIDE = 0.15, 0.012
-"""From the ends of shoulder (rad) and rod (m) at the top: the loop needs room. The wrist cocks no further
-than the demand's, where its lever still holds it."""
+"""From the ends of shoulder (rad) and rod (m) at the top: the loop needs room, and from a rod pressed against
+its stop there is no plan. The wrist cocks no further than where its lever still holds it."""
 
 _WRIST_INSIDE = 0.1
 """Distance of the wrist at the top from where its lever holds it (rad): the swing up ends up to 0.06 off."""
@@ -101,13 +101,12 @@ def demand_measured(
     """
     require_club(golfer)
     angle = golfer.angle[golfer.top_row :]
-    furthest = plant.wrist.upper - wrist_range(plant, demand)[0] - _WRIST_INSIDE
     demand = replace(
         demand,
         head_speed=golfer.head_speed if speed is None else speed,
         attack=golfer.attack if attack is None else attack,
         backswing_time=golfer.backswing or demand.backswing_time,
-        top_cock=min(plant.wrist.upper - float(angle[0, 2]), furthest),
+        top_cock=plant.wrist.upper - wrist_range(plant, demand)[0] - _WRIST_INSIDE,
     )
     rows = np.linspace(0, len(angle) - 1, _ROWS).round().astype(int)
     return _following(plant, demand, angle[rows], golfer.downswing_time, np.ptp(angle, axis=0))
@@ -123,24 +122,21 @@ def _following(
     plant: PlantParameters, demand: SwingDemand, angle: Array, time: float, ranges: Array
 ) -> SwingDemand:
     """Return `demand` with a downswing of about `time` (s) close to `angle` (n, 3), rad by `ranges`."""
-    top = angle[0]
-    extension = float(right_arm_length(plant.robot, top[1])) - plant.robot.l56
-    shoulder = max(float(top[0]), plant.shoulder.lower + _INSIDE[0])
-    extension = max(extension, plant.right_arm.lower + _INSIDE[1])
+    robot, wrist = plant.robot, plant.wrist.upper
+    rods = np.array([plant.right_arm.lower + _INSIDE[1], plant.right_arm.upper])
+    arms = theta2_from_right_arm(robot, robot.l56 + rods)
     furthest = furthest_cock(plant) if demand.top_cock is None else demand.top_cock
-    cock = min(plant.wrist.upper - float(top[2]), furthest)
-    least = [
-        shoulder,
-        float(theta2_from_right_arm(plant.robot, plant.robot.l56 + extension)),
-        plant.wrist.upper - cock,
-    ]
+    lowest = plant.shoulder.lower + _INSIDE[0], arms[0], wrist - furthest
+    follow = np.clip(angle, lowest, [plant.shoulder.upper, arms[1], wrist])
+    shoulder, arm, cocked = follow[0].tolist()
+    extension = float(right_arm_length(robot, arm)) - robot.l56
     return replace(
         demand,
         downswing_time=(_TIME[0] * time, _TIME[1] * time),
         top_shoulder=shoulder,
-        top_extension=extension,
-        top_cock=cock,
-        follow=np.clip(angle, least, [plant.shoulder.upper, 1.5 * pi, plant.wrist.upper]),
+        top_extension=min(extension, plant.right_arm.upper - _INSIDE[1]),
+        top_cock=wrist - cocked,
+        follow=follow,
         ranges=ranges,
     )
 

@@ -12,7 +12,8 @@ from bench.config import load_configuration
 from bench.design.designer import SwingDemand, furthest_cock, top_pose, wrist_range
 from bench.design.golfer_tracking import demand_measured
 from bench.errors import BenchError
-from bench.golfer import GolferSwing
+from bench.golfer import GolferSwing, beyond_ranges
+from sim.kinematics import right_arm_length
 from tests.bench.golfer.synthetic import BALL, TOP, golfer_swing
 
 
@@ -52,6 +53,21 @@ def test_a_demand_follows_the_body_from_rest_with_the_whole_range_of_the_wrist(g
     held_from = wrist_range(plant, demand)[0]
     assert held_from + 0.08 < top_pose(plant, demand)[2] < held_from + 0.12  # where its lever holds it
     assert top_pose(plant, demand)[0] == pytest.approx(deep.angle[deep.top_row, 0])
+
+
+def test_a_top_beyond_the_stroke_of_the_right_arm_stays_off_both_end_stops(golfer: GolferSwing) -> None:
+    plant = load_configuration(Path("golfers")).plant
+    lower, upper = plant.right_arm.lower, plant.right_arm.upper
+    for turned in (-0.6, 0.9):
+        beyond = replace(golfer, angle=golfer.angle + [0.0, turned, 0.0])
+        assert beyond_ranges(plant, beyond.angle[golfer.top_row :])[1] > 0.0
+
+        demand = demand_measured(plant, beyond, SwingDemand())
+
+        assert lower + 0.01 < demand.top_extension < upper - 0.01
+        assert demand.follow is not None
+        rods = right_arm_length(plant.robot, demand.follow[:, 1]) - plant.robot.l56
+        assert lower < rods.min() <= rods.max() <= upper + 1e-9
 
 
 def test_a_body_without_a_club_is_no_demand(golfer: GolferSwing) -> None:
