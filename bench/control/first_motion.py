@@ -20,7 +20,7 @@ _ANSWER = 0.05
 """Angle along with the reference by which a joint answers (rad)."""
 _LEAST = 0.005
 """Opening beyond the dead band at first."""
-_GROWTH, _LIFT = 0.02, 0.05
+_GROWTH, _LIFT = 0.02, 0.12
 """Growth of the bound while the reference moves, before and after the answer (1/s): chambers that are hardly
 charged would throw a joint whose valve opens at once."""
 _FASTER = 3.0
