@@ -120,7 +120,7 @@ def run_campaign(
     start: RunStart = RunStart(),  # noqa: B008 - a value
     cause: Callable[[], str] = lambda: "Ctrl-C",
 ) -> RunOutcome:
-    """Start or resume a campaign where it was begun; run it until its end or a stop.
+    """Start or resume a campaign where it was started; run it until its end or a stop.
 
     On the running bench every shot is stored at once. A bench in lock-step has the calibrations that were in
     force when the campaign began. `cause` names what `interrupted` it.

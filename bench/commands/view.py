@@ -61,7 +61,7 @@ def view(
         )
     if golfer is not None and shot is None and not campaign:
         found, expected = "without --shot or --campaign", "a recorded swing next to it"
-        raise BenchError("--golfer", found, expected, "Add --shot RECORD.parquet.")
+        raise BenchError("--golfer", found, expected, "Add --shot RECORD.parquet or --campaign NAME.")
     where = _Where(save, web, connect, port, memory_limit)
     _check(*where[:4])
     checked_memory(memory_limit)

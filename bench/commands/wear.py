@@ -61,7 +61,7 @@ def wear(records: Records, json_: Json = False) -> None:
         exit_unless(not near)
         return
     console = Console()
-    console.print(_table(found, f"{len(swings)} swings: greatest residuals, % of their limits"))
+    console.print(_table(found, f"{len(swings)} swings: largest residuals, % of their limits"))
     for one in near:
         console.print(
             f"{one.joint} {one.kind} is near its limit: {_PARTS[one.kind].format(joint=one.joint)}. "

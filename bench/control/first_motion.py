@@ -1,6 +1,6 @@
 """First motion after power-up and after each opening of the guard, with the valves hardly open.
 
-Whoever was inside may have exchanged hoses, cables or a coupling. A loop whose valve or encoder is reversed
+A person inside may have exchanged hoses, cables or a coupling. A loop whose valve or encoder is reversed
 runs away from its reference, as fast as its valve lets it. So a joint's valve opens no further than a little
 beyond its dead band until the joint has answered: until it has moved along with its reference. Meanwhile its
 speed is limited, and its bound grows slowly: a worn valve has a wider band. Chambers are hardly charged
@@ -61,7 +61,7 @@ def bound_first(s: Any, p: Any, i: int, opening: float) -> float:
     free = s.answered[i] != 0 and is_free(s, p, i)
     if free or not (s.moving or s.phase == Phase.HOMING) or not np.isfinite(opening):
         return opening
-    most = p.move_band[i] + _LEAST + s.answer_bound[i]
+    most: float = p.move_band[i] + _LEAST + s.answer_bound[i]
     return min(max(opening, -most), most)
 
 

@@ -231,7 +231,7 @@ says that arm and wrist move before the shoulder.
 turn looks for its stop, `home_pushed` and `home_at` since when and where it presses against it (s, rad).
 `zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
 `answered` are the joints that moved along with their references since power-up and the guard's last opening;
-`answer_way` and `answer_from` are its direction and the angle (rad) at its begin, `answer_bound` is the
+`answer_way` and `answer_from` are its direction and the angle (rad) where it began, `answer_bound` is the
 opening beyond the dead band that the joint's valve is allowed.
 `stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s),
 `let_off` are the actuators that `bench.control.escape` moves even in PASSIVE.

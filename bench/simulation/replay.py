@@ -155,7 +155,7 @@ class Replay:
 
 
 class ReplayStart(NamedTuple):
-    """Where a replay begins: the inputs that follow, and the controller of then."""
+    """Start of a replay: the inputs that follow, and the recorded controller."""
 
     recorded: Cycles
     """Records with the record's times, from the tick after the snapshot on."""

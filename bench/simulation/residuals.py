@@ -30,7 +30,7 @@ _FEW, _ENOUGH = 5, 10
 
 
 def residual_shares(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> NDArray[np.float64]:
-    """Return the greatest residuals of a record by comparison and joint, (5, 3), as shares of their limits.
+    """Return the largest residuals of a record by comparison and joint, (5, 3), as shares of their limits.
 
     The limits are those that the bench used, KINDS in order; 0 where nothing was compared.
 
