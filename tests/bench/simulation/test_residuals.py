@@ -12,7 +12,7 @@ import pytest
 from bench.cli import main
 from bench.config import Configuration
 from bench.control.model import KINDS
-from bench.simulation.residuals import margins, residual_shares
+from bench.simulation.residuals import NEAR, margins, residual_shares
 from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -60,7 +60,7 @@ def test_wear_command_worn_valve_names_its_joint_before_a_swing_is_stopped(
     c = configuration.for_profile(profile, path)
     bench = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
     latest = []
-    for number, band in enumerate((0.0, 0.008)):
+    for number, band in enumerate((0.0, 0.011)):
         powered = PoweredBench(bench)
         powered.engine.stepper.plant = build_plant(_worn(c.plant, band))
         assert powered.arm()
@@ -70,7 +70,8 @@ def test_wear_command_worn_valve_names_its_joint_before_a_swing_is_stopped(
         record = tmp_path / f"{number}.parquet"
         write_swing(record, swing.cycles, bench.metadata(metadata))
         latest.append(residual_shares(*read_swing(record), str(record)).max())
-    assert latest[0] < 0.8 < latest[1] < 1.0
+    assert latest[0] < 0.8
+    assert NEAR <= latest[1] < 1.0
     with pytest.raises(SystemExit) as ended:
         main(["wear", str(tmp_path / "1.parquet")])
     assert ended.value.code == 1
