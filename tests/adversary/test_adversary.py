@@ -24,7 +24,7 @@ DAY = (
     ("ask", "reset", None),
     ("wait", 3000, None),
     ("ask", "home", None),
-    ("wait", 20000, None),
+    ("wait", 25000, None),
     ("ask", "arm", None),
     ("wait", 9000, None),
     ("ask", "tee", None),

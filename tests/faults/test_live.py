@@ -102,5 +102,5 @@ def test_a_node_without_readings_lets_nobody_reset(tmp_path: Path) -> None:
     with played_nodes(file), running_bench(file, clock="wall") as bench, bench.client.lease("test"):
         record = bench.wait_until(lambda record: not record["encoder_valid"].all())
         assert record["encoder_valid"].tolist() == [1, 1, 0]
-        with pytest.raises(CommandRefused, match="an encoder gives no valid readings"):
+        with pytest.raises(CommandRefused, match="an encoder yields no valid readings"):
             bench.client.reset()

@@ -447,7 +447,7 @@ def test_a_refusal_that_passes_is_waited_for(plan: CampaignPlan, monkeypatch: py
             raise refused(Verb.ARM, "READY", Refusal.NOT_VENTED)
 
     bench = Venting()
-    with pytest.raises(Suspended, match="not proven empty"):
+    with pytest.raises(Suspended, match="not verified empty"):
         take(plan, bench, simulated=True)
     assert len(bench.asked) > 1
 

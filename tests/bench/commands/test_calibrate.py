@@ -255,7 +255,7 @@ def test_counts_of_a_locked_robot_are_their_median_also_across_the_range_end(tic
     ("counts", "valid", "text"),
     [
         ([[1, 2, 3]] * 5, True, "5 cycles"),
-        ([[1, 2, 3]] * 50, False, "shoulder: readings that are not valid"),
+        ([[1, 2, 3]] * 50, False, "shoulder: invalid readings"),
         ([[1, 2, n] for n in range(50)], True, "wrist: it moved by 49 counts"),
     ],
 )

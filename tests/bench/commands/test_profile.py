@@ -110,7 +110,7 @@ def test_what_is_tried_without_a_name_is_the_configurations_profile(
 
 @pytest.mark.parametrize("command", ["check", "limits"])
 def test_a_profile_of_another_club_is_not_judged_with_the_mounted_one(command: str, run: Run) -> None:
-    answer = run("swing", command, "wrong.toml")
+    answer = run("profile", command, "wrong.toml")
     assert answer.code == ExitCode.BAD_INPUT
     assert '"putter"' in answer.err
     assert '"driver", the mounted one' in answer.err

@@ -178,7 +178,7 @@ def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configurat
     assert loaded.plant == known.plant
     assert loaded.envelope.following == following
     assert "0.0123  # ± 0.0001; valves" in path.read_text()
-    assert "guess" in path.read_text()
+    assert "Not measured" in path.read_text()
     model = loaded.envelope.model
     assert model.check == "always"
     assert model.standard_errors == {"wrist.valve.centre": 1e-4, "shoulder.valve.natural_frequency": 5.0}

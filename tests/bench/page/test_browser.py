@@ -184,6 +184,6 @@ def swing_and_stop(tab: Tab) -> None:
     tab.text("#swing-card").to_be_visible()
     tab.text("#swing .plots figure").to_have_count(3)
     tab.text("#swing").to_contain_text("Club speed")
-    tab.text("#swing").not_to_contain_text("its record follows")
+    tab.text("#swing").not_to_contain_text("record pending")
     tab.page.click("#estop")
     tab.text("#state-word").to_have_text("ESTOP")

@@ -47,7 +47,7 @@ def test_stall_note_names_the_trouble_of_the_device_before_cables() -> None:
 
 def test_refusal_names_the_trouble_of_the_device_before_cables() -> None:
     trouble = "another master has commanded node 1"
-    assert refusal_words(Refusal.READINGS, trouble) == ("an encoder gives no valid readings", trouble)
+    assert refusal_words(Refusal.READINGS, trouble) == ("an encoder yields no valid readings", trouble)
     assert refusal_words(Refusal.READINGS, "") == REFUSAL_WORDS[Refusal.READINGS]
     assert refusal_words(Refusal.GUARD, trouble) == REFUSAL_WORDS[Refusal.GUARD]
 

@@ -130,8 +130,8 @@ def test_a_snapshot_that_is_no_good_is_refused() -> None:
     huge = base64.b64encode(zlib.compress(b"\0" * (SNAPSHOT.itemsize + 1))).decode()
     torn = base64.b64encode(base64.b64decode(entry["data"])[:-9]).decode()
     cases: list[tuple[Any, str]] = [
-        (None, "found none"),
-        ("text", "found none"),
+        (None, "found missing"),
+        ("text", "found missing"),
         ({**entry, "layout": "0"}, "layout 0"),
         ({**entry, "data": "%"}, "not readable"),
         ({**entry, "data": 3}, "not readable"),
