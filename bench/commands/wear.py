@@ -13,7 +13,6 @@ from bench.commands.options import Json, argument
 from bench.commands.output import finite, plain_table
 from bench.commands.progress import progress_of
 from bench.commands.session import exit_unless, show_json
-from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.simulation.residuals import Margin
@@ -39,12 +38,9 @@ def wear(records: Records, json_: Json = False) -> None:
 
     from bench.simulation.residuals import margins, residual_shares
     from bench.telemetry.recorder import read_swing
+    from bench.viewer.recorded_series import record_files
 
-    files = [
-        file for path in records for file in (sorted(path.rglob("*.parquet")) if path.is_dir() else [path])
-    ]
-    if not files:
-        raise BenchError("wear", "no record", "Parquet files of swings", "Name a folder of records.")
+    files = record_files(records)
     swings = []
     with progress_of("replaying swings", len(files)) as show:
         for done, file in enumerate(files):
