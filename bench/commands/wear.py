@@ -32,7 +32,7 @@ _PARTS = {
 def wear(records: Records, json_: Json = False) -> None:
     """Show how near recorded swings come to the limits of the model-based check, and the trend: wear.
 
-    Exits with 1 if one is near its limit, or will be within 200 swings.
+    Exits with 1 if one is near its limit, or the trend reaches it within as many swings again (at most 200).
     """
     import numpy as np
 

@@ -24,7 +24,7 @@ from drivers.base import JOINTS
 NEAR = 0.9
 """Share of a limit that is near it. Healthy robots reach 0.8: limits are a quarter above what those show."""
 AHEAD = 200
-"""Swings ahead within which a growing residual is not to reach its limit."""
+"""Max swings ahead within which a growing residual is not to reach its limit: no more than were recorded."""
 _FEW, _ENOUGH = 5, 10
 """Swings of a median, and least number of swings of a trend."""
 
@@ -63,7 +63,7 @@ class Margin(NamedTuple):
     growth: float
     """Growth per swing; NaN with too few swings, 0 if it may as well be none."""
     near: bool
-    """Whether the latest are near the limit, or come there within `AHEAD` swings."""
+    """Whether the latest are near the limit, or come there within as many swings again, `AHEAD` at most."""
 
 
 def margins(shares: NDArray[np.float64]) -> list[Margin]:
@@ -74,7 +74,7 @@ def margins(shares: NDArray[np.float64]) -> list[Margin]:
             column = shares[:, k, i]
             before, latest = float(np.median(column[:_FEW])), float(np.median(column[-_FEW:]))
             growth = _growth(column)
-            ahead = latest + AHEAD * growth if growth > 0.0 else latest
+            ahead = latest + min(AHEAD, len(column)) * growth if growth > 0.0 else latest
             found.append(Margin(kind, joint, before, latest, growth, latest >= NEAR or ahead >= 1.0))
     return sorted(found, key=lambda one: -one.latest)
 

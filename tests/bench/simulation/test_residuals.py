@@ -25,13 +25,21 @@ def _steady(swings: int) -> np.ndarray:
 
 
 def test_margins_growing_residual_is_near_before_its_limit() -> None:
-    shares = _steady(40)
-    shares[:, KINDS.index("flow"), 2] += 0.003 * np.arange(40)
+    shares = _steady(120)
+    shares[:, KINDS.index("flow"), 2] += 0.003 * np.arange(120)
     worst, *others = margins(shares)
     assert (worst.kind, worst.joint, worst.near) == ("flow", "wrist", True)
     assert worst.growth == pytest.approx(0.003)
     assert worst.latest < 0.9
     assert not any(one.near or one.growth for one in others)
+
+
+def test_margins_trend_of_few_swings_is_not_continued_far() -> None:
+    shares = _steady(10)
+    shares[:, KINDS.index("velocity"), 2] += 0.005 * np.arange(10)  # as a robot that warms up
+    worst = margins(shares)[0]
+    assert (worst.kind, worst.near) == ("velocity", False)
+    assert worst.growth > 0.0
 
 
 def test_margins_scattering_residual_has_no_trend() -> None:
