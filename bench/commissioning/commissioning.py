@@ -15,6 +15,7 @@ import numpy as np
 
 from bench.calibration.values import SeenInputs
 from bench.commissioning.diagnosed_robot import DiagnosedRobot
+from bench.commissioning.driver_machine import Stalled
 from bench.commissioning.following import with_following_limits
 from bench.commissioning.healthy_limits import HealthyLimits
 from bench.commissioning.inputs_check import (
@@ -51,6 +52,8 @@ from sim.plant import PlantParameters
 
 STATE_FILE = "commissioning.json"
 _VERSION = 1
+_REPEATS = 3
+"""Max repetitions of a measuring step that a stall of the computer ended."""
 
 INPUTS_STEP = InputsStep()
 """The step before all others."""
@@ -182,8 +185,7 @@ def read_state(folder: Path) -> Commissioning:
         ]
         wrong = None if content["wrong"] is None else WrongFound(**content["wrong"])
         digest, configuration, simulated = (content[k] for k in ("digest", "configuration", "simulated"))
-        robot = str(content.get("robot", ""))  # not in the first version's files
-        return Commissioning(folder, digest, configuration, simulated, robot, done, wrong)
+        return Commissioning(folder, digest, configuration, simulated, content["robot"], done, wrong)
     except FileNotFoundError:
         cure = "Begin without --resume."
         raise BenchError(str(path), "no such file", "a commissioning that was begun", cure) from None
@@ -278,7 +280,7 @@ def commission(
 
     Raises:
         WrongMachine: a step found the machine wrong; the state says so.
-        Refused: an interlock ended a step; it is repeated when resumed.
+        Refused: an interlock ended a step, or stalls ended it again and again; it is repeated when resumed.
     """
     known = KnownRobot(nominal, state.values)
     try:
@@ -286,7 +288,7 @@ def commission(
             on_step(step)
             counted = _CountedMachine(machine, step.title, progress)
             with _noting_what_is_wrong(state, step, now):
-                state.done.append(_do(step, state, counted, known, now, observe))
+                state.done.append(_do(step, state, counted, known, now, observe, progress))
             state.save()
             known.add(state.done[-1].values)
     finally:
@@ -378,14 +380,36 @@ def _do(
     known: KnownRobot,
     now: Callable[[], datetime],
     observe: Callable[[], tuple[str, ...]],
+    progress: Callable[[str], None],
 ) -> DoneStep:
     begun = machine.time
-    traces = step.measure(machine, known)
+    traces, stalls = _measured(step, machine, known, progress)
     file = f"records/{STEPS.index(step) + 1}-{step.name}.npz"
     write_traces(state.folder / file, traces)
     result = step.estimate(traces, known)
-    result = result._replace(notes=(*result.notes, *observe()))
+    result = result._replace(notes=(*result.notes, *stalls, *observe()))
     return _done(step, file, result, now(), machine.time - begun)
+
+
+def _measured(
+    step: CommissioningStep, machine: CommissionedMachine, known: KnownRobot, progress: Callable[[str], None]
+) -> tuple[Traces, tuple[str, ...]]:
+    """Return the traces of `step` and the stalls after which it was repeated, from the vented machine.
+
+    Raises:
+        Stalled: after the last repetition.
+    """
+    stalls: tuple[str, ...] = ()
+    while True:
+        try:
+            if stalls:
+                machine.vent()
+            return step.measure(machine, known), stalls
+        except Stalled as stall:
+            if len(stalls) == _REPEATS:
+                raise
+            stalls = (*stalls, f"repeated: {stall.found}")
+            progress(f"{step.title}: {stalls[-1]}")
 
 
 def write_traces(path: Path, traces: Traces) -> None:

@@ -61,6 +61,10 @@ _RESUME = "continue with --resume."
 """Cure of what ended a step of `golfbench commission`."""
 
 
+class Stalled(Refused):
+    """A stall of the computer ended a motion; its step can be repeated."""
+
+
 def stopped_by_operator(place: str = "commission", cure: str = _RESUME) -> Refused:
     """Return the error of a motion that was asked to end."""
     return Refused(place, "stopped by the operator", "a motion without a stop", cure[0].upper() + cure[1:])
@@ -357,15 +361,17 @@ class DriverMachine:
         """Make the machine passive.
 
         Raises:
-            Refused: always.
+            Stalled: a stall of the computer explains it.
+            Refused: otherwise.
         """
         self.make_passive()
-        text, cure = self._trouble.text, self._trouble.cure
+        expected, text, cure = "a machine that reads and may move", self._trouble.text, self._trouble.cure
         if self._trouble.of_device and self._stall and self._now - self._stalled_at < _STALL_FELT:
             stall = f"this program stood still for {1e3 * self._stall:.0f} ms, a stall of the computer"
             text = f"{text}, after {stall}"
             cure = f"End other programs, see golfbench doctor, then {self._again}"
-        raise Refused(self._place, text, "a machine that reads and may move", cure)
+            raise Stalled(self._place, text, expected, cure)
+        raise Refused(self._place, text, expected, cure)
 
     def _problem(self) -> _Trouble:
         """Return why the machine may not move."""

@@ -25,7 +25,7 @@ from bench.commissioning.commissioning import (
     commission,
     read_state,
 )
-from bench.commissioning.driver_machine import SimulatedMachine
+from bench.commissioning.driver_machine import SimulatedMachine, Stalled
 from bench.commissioning.folder_lock import commissioning_process, folder_lock
 from bench.commissioning.known_robot import FoundValue, KnownRobot
 from bench.commissioning.machine import CommissionedMachine, MotionBounds, Segment
@@ -58,11 +58,13 @@ class _Found:
 
     title, bounds_text = "Nothing", "nothing moves"
 
-    def __init__(self, name: str, failing: bool = False) -> None:
-        self.name, self.failing, self.runs = name, failing, 0
+    def __init__(self, name: str, failing: bool = False, stalls: int = 0) -> None:
+        self.name, self.failing, self.stalls, self.runs = name, failing, stalls, 0
 
     def measure(self, machine: object, known: KnownRobot) -> Traces:
         self.runs += 1
+        if self.runs <= self.stalls:
+            raise Stalled("commission", f"stall {self.runs}", "a machine that reads and may move", "End it.")
         return {}
 
     def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
@@ -109,6 +111,19 @@ def test_state_is_kept_after_each_step_and_resumed(
     assert (first.runs, second.runs) == (1, 2)
     assert known.plant.supply.pressure == 7e5
     assert read_state(tmp_path).wrong is None
+
+
+def test_step_that_a_stall_ended_is_repeated_at_most_three_times(
+    tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late, stuck = _Found("late", stalls=3), _Found("stuck", stalls=9)
+    monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (late, stuck))
+    state = begin(tmp_path, configuration, simulated=True, resume=False)
+    with pytest.raises(Stalled, match="stall 4"):
+        _run(state, configuration)
+    (done,) = read_state(tmp_path).done
+    assert done.notes == ("done", "repeated: stall 1", "repeated: stall 2", "repeated: stall 3")
+    assert (late.runs, stuck.runs) == (4, 4)
 
 
 def test_another_robot_is_not_resumed(tmp_path: Path, configuration: Configuration) -> None:

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from bench.commissioning.driver_machine import DriverMachine
+from bench.commissioning.driver_machine import DriverMachine, Stalled
 from bench.commissioning.machine import MotionBounds, Segment
 from bench.errors import Refused
 from sim.driver import SimDriver
@@ -43,19 +43,25 @@ class JumpingClock:
 
 
 @pytest.mark.parametrize(
-    ("stall", "found", "cure"),
+    ("stall", "error", "found", "cure"),
     [
-        (0.0, r"went passive: node 10 reports error 8250h$", "link"),
-        (0.06, r"went passive: node 10 .*, after this program stood still for 61 ms", "golfbench doctor"),
+        (0.0, Refused, r"went passive: node 10 reports error 8250h$", "link"),
+        (
+            0.06,
+            Stalled,
+            r"went passive: node 10 .*, after this program stood still for 61 ms",
+            "golfbench doctor",
+        ),
     ],
 )
 def test_driver_machine_that_goes_passive_reports_the_stall_before_it(
-    stall: float, found: str, cure: str
+    stall: float, error: type[Refused], found: str, cure: str
 ) -> None:
     driver = TroubledDriver(build_plant(PLANT))
     clock = JumpingClock(driver, stall)
     with DriverMachine(driver, PLANT, clock) as machine:  # type: ignore[arg-type]  # a clock that jumps
         with pytest.raises(Refused) as refused:
             machine.run((Segment(0.3, (0.0, 0.0, 0.0)),), BOUNDS)
+        assert type(refused.value) is error
         assert re.search(found, refused.value.found)
         assert cure in refused.value.cure
