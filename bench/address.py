@@ -1,4 +1,4 @@
-"""Where a bench is reached: its name, its addresses, and the certificate for other machines.
+"""Where a bench is reached: its name, its addresses, its database, and the certificate for other machines.
 
 A client of a running bench needs nothing else of the configuration, reads nothing else and is stopped by no
 mistake in the rest.
@@ -11,12 +11,17 @@ from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from bench.configuration_files import PRINT, find_configuration, read_layers
 from bench.errors import BenchError
 from bench.from_toml import Builder, Mistake, errors_of, format_value
 
+if TYPE_CHECKING:
+    from sqlalchemy import URL
+
+DATABASE_FILE = "golfbench.sqlite"
+"""SQLite's file in the folder of records."""
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 """Name of a person or machine in a certificate."""
 
@@ -93,6 +98,29 @@ def load_address(path: Path | None = None) -> BenchAddress:
     if address is None or faults:
         raise ExceptionGroup(f"{file} has no valid address of a bench", faults)
     return address
+
+
+def database_url(database: str, data_dir: Path) -> URL:
+    """Return where the database is: the URL `database`, or SQLite's file in `data_dir` when that is empty.
+
+    Raises:
+        BenchError: `database` is not the URL of a database that several processes can open.
+    """
+    from sqlalchemy import URL, make_url  # slow to import, and needed only here
+    from sqlalchemy.exc import ArgumentError, NoSuchModuleError
+
+    if not database:
+        return URL.create("sqlite", database=str(data_dir / DATABASE_FILE))
+    cure = 'Correct it, or leave it empty ("") for SQLite in data_dir.'
+    wanted = "a URL such as sqlite:////var/lib/golfbench/bench.sqlite or postgresql+psycopg://host/golfbench"
+    try:
+        url = make_url(database)
+        url.get_dialect()
+    except (ArgumentError, NoSuchModuleError, ValueError):
+        raise BenchError("bench.database", "not a URL that SQLAlchemy knows", wanted, cure) from None
+    if url.get_backend_name() == "sqlite" and url.database in {None, "", ":memory:"}:
+        raise BenchError("bench.database", "SQLite without a file", wanted, cure)
+    return url
 
 
 def _defaults() -> dict[str, Any]:

@@ -9,24 +9,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from enum import StrEnum
 from typing import Any, NamedTuple
 
 from bench.campaign.plan import CampaignPlan
+from bench.campaign.prompts import Numbered, PromptKind, places
 from bench.campaign.randomization import PlannedShot, Role, block_trials, sections, warm_up_arms
 from bench.campaign.shot_sequence import Step
-from bench.errors import Refused
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.records import Hit, Prompt
-
-
-class PromptKind(StrEnum):
-    """Kind of a prompt."""
-
-    CLUB = "club"
-    BALLS = "balls"
-    BENCH = "bench"
-    """Restart the bench: no simulation does that by itself."""
 
 
 class Preparation(NamedTuple):
@@ -35,10 +25,6 @@ class Preparation(NamedTuple):
     kind: PromptKind
     text: str
     content: Mapping[str, Any]
-
-
-Numbered = tuple[str, int]
-"""A ball: its model and the number on it."""
 
 
 class Fitting(NamedTuple):
@@ -103,37 +89,6 @@ def missing(
         f"{handling.temperature_tolerance:g} °C for {handling.conditioning_time / 3600:g} h."
     )
     return Preparation(PromptKind.BALLS, text, {"balls": [list(ball) for ball in balls]})
-
-
-def places(balls: Sequence[Numbered]) -> list[str]:
-    """Return the places of the magazine with their balls, the first to be hit first."""
-    return [f"{place}. {name} {number}" for place, (name, number) in enumerate(balls, 1)]
-
-
-def balls_of(prompt: Prompt) -> list[Numbered]:
-    """Return the load list of `prompt`; empty if it asks for something else."""
-    return [(str(name), int(number)) for name, number in prompt.content.get("balls", ())]
-
-
-def require_count(prompt: Prompt, count: int) -> None:
-    """Refuse a number of loaded balls that is not that of the load list.
-
-    Raises:
-        Refused: too few or too many, or `prompt` asks for no balls.
-    """
-    balls = balls_of(prompt)
-    place, found = f"before shot {prompt.before_shot}", f"{count} balls loaded"
-    if not balls:
-        expected = f"no number, as the prompt reads: {prompt.text}"
-        raise Refused(place, found, expected, "Answer without a number of balls.")
-    if count < len(balls):
-        cure = (
-            f"Load the rest from {places(balls)[count]} on, if the others are by the list; then answer again."
-        )
-    else:
-        cure = "Empty the feeder and load it by the list; then answer again."
-    if count != len(balls):
-        raise Refused(place, found, f"{len(balls)}, as listed", cure)
 
 
 class LoadList(NamedTuple):

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.campaign.bench_setup import PromptKind
 from bench.campaign.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
 from bench.campaign.campaign_plots import campaign_figures
 from bench.campaign.campaign_record import ISSUE, CampaignRecord
@@ -31,6 +30,7 @@ from bench.campaign.interruptions import software_versions
 from bench.campaign.iso17025 import STATEMENT, calibration_table, item_table, particulars
 from bench.campaign.page import TABLE, flat, page_template, shot_figures
 from bench.campaign.plan import levels
+from bench.campaign.prompts import PromptKind
 from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
 from bench.campaign.verdicts import confidence_words, quantity_name
 from bench.shot.plot_style import marker_svg

@@ -17,11 +17,12 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, NamedTuple, Self
 
-from bench.campaign.bench_setup import Preparation, PromptKind
+from bench.campaign.bench_setup import Preparation
 from bench.campaign.carry import Measured, ShotCarry, require_carry
 from bench.campaign.corrections import CorrectedProfiles
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_requirements import START_SERIES, needs_series, series_words
+from bench.campaign.prompts import PromptKind
 from bench.campaign.relearning import Drift
 from bench.campaign.runner import Hindrance, ShotPostponed, Suspended
 from bench.campaign.shot_sequence import Step

@@ -13,10 +13,10 @@ from zlib import crc32
 
 import numpy as np
 
-from bench.campaign.bench_setup import PromptKind
 from bench.campaign.carry import Measured, ShotCarry
 from bench.campaign.corrections import CorrectedProfiles
 from bench.campaign.plan import CampaignPlan, Simulation
+from bench.campaign.prompts import PromptKind
 from bench.campaign.relearning import Drift
 from bench.campaign.shot_sequence import Step
 from bench.campaign.simulated_monitor import MonitorResult, hear

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -13,7 +12,7 @@ import typer
 
 from bench.commands.calibrate_aerodynamics import user_name
 from bench.commands.options import flag, option
-from bench.commands.session import Session
+from bench.commands.session import Session, at_terminal
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
@@ -125,7 +124,7 @@ def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]
     from bench.commissioning.regulator import by_person, turned_once
     from bench.processes.ownership import take_bench
 
-    if sys.stdin is None or not sys.stdin.isatty():
+    if not at_terminal():
         cure = "Run it in a terminal beside the machine."
         raise BenchError("calibrate inputs", "no terminal", "a person who acts and reads", cure)
 

@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import typer
 from rich.console import Console
 
+from bench.commands.campaign_new import new
 from bench.commands.options import Json, argument, flag, option
 from bench.commands.session import Session, exit_unless, show_json, user_name
 from bench.errors import BenchError, Refused
 from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
+    from bench.address import BenchSettings
     from bench.campaign.carry import Measured
     from bench.campaign.display_units import UnitSystem
     from bench.campaign.findings import Findings
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from bench.store.records import CampaignEntry, Hit, ShotNote
 
 app = typer.Typer(help="Campaigns (test series): plan, run, evaluate and store them.", no_args_is_help=True)
+app.command()(new)
 
 File = Annotated[Path, argument("FILE", "Plan, a TOML file, or the name of a shipped plan.")]
 Id = Annotated[str, argument("ID", "Campaign id, or its unambiguous beginning.")]
@@ -119,13 +122,12 @@ def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configur
 
 
 @contextmanager
-def _store(configuration: Configuration) -> Iterator[CampaignStore]:
-    """Open the campaigns of the configured bench."""
-    from bench.config import database_url
+def _store(settings: BenchSettings) -> Iterator[CampaignStore]:
+    """Open the campaigns of the bench."""
+    from bench.address import database_url
     from bench.store.campaigns import CampaignStore
     from bench.store.database import open_database
 
-    settings = configuration.bench
     with open_database(database_url(settings.database, settings.data_dir)) as engine:
         yield CampaignStore(engine)
 
@@ -133,21 +135,21 @@ def _store(configuration: Configuration) -> Iterator[CampaignStore]:
 @contextmanager
 def _found(context: typer.Context, campaign: str) -> Iterator[tuple[CampaignStore, CampaignEntry]]:
     """Open the campaigns of the configured bench; yield them with the entry of `campaign`."""
-    from bench.campaign.runner_control import find_campaign
+    from bench.campaign.campaign_control import find_campaign
 
-    with _store(context.ensure_object(Session).configuration()) as store:
+    with _store(context.ensure_object(Session).address().bench) as store:
         yield store, find_campaign(store, campaign)
 
 
 def _hits_before(configuration: Configuration) -> Counter[Hit]:
     """Return the hits that the balls of the configured bench have taken; creates no database."""
-    from bench.config import database_url
+    from bench.address import database_url
     from bench.store.database import is_there
 
     settings = configuration.bench
     if not is_there(database_url(settings.database, settings.data_dir)):
         return Counter()
-    with _store(configuration) as store:
+    with _store(configuration.bench) as store:
         return store.hits(settings.id)
 
 
@@ -181,7 +183,7 @@ def run(
             "Run golfbench campaign check on the plan again.",
         )
     outputs = _outputs(json_, junit, report_to, check_, units)
-    with _store(configuration) as store:
+    with _store(configuration.bench) as store:
         measured = measured_balls(plan, store, configuration.bench.id)
         facts = {} if sim else _bench_facts(plan, configuration, measured, store)
         now = datetime.now(UTC)
@@ -227,9 +229,10 @@ def resume(
     Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C,
     143 after SIGTERM.
     """
+    from bench.campaign.campaign_control import ask, is_running
     from bench.campaign.carry import measured_of
     from bench.campaign.plan_file import plan_from_record
-    from bench.campaign.runner_control import ask, is_running, require_resumable
+    from bench.campaign.runner_control import require_resumable
 
     configuration = context.ensure_object(Session).configuration()
     plan = _checked(context, file)[0] if file else None
@@ -315,12 +318,13 @@ def _take(
     by: str,
 ) -> RunOutcome:
     """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
-    from bench.campaign.bench_setup import PromptKind
     from bench.campaign.notifications import notifying
     from bench.campaign.progress_publisher import Together
+    from bench.campaign.prompts import PromptKind
     from bench.campaign.runner_control import run_campaign, run_start
     from bench.commands.campaign_keys import mark_keys
-    from bench.commands.campaign_screen import CampaignScreen, campaign_bar
+    from bench.commands.campaign_runner_screen import CampaignScreen
+    from bench.commands.campaign_screen import campaign_bar
     from bench.commands.campaign_terminal import TerminalOperator
 
     typer.echo(f"campaign {entry.id}", err=True)
@@ -378,13 +382,13 @@ def report(
 
     With --issue the report of a finished campaign gets a number, also each amendment.
     """
+    from bench.campaign.campaign_control import standing_now
     from bench.campaign.campaign_record import load_record
     from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.display_units import UnitSystem
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.interim_events import note_look
     from bench.campaign.iso17025 import issue_report
-    from bench.campaign.runner_control import standing_now
 
     with _found(context, campaign) as (store, entry):
         record = load_record(store, entry)
@@ -397,7 +401,7 @@ def report(
     found = findings(record.plan, record.shots, looks, UnitSystem(units))
     if json_:
         return show_json({"campaign": entry.id, "findings": findings_record(found)})
-    data_dir = context.ensure_object(Session).configuration().bench.data_dir
+    data_dir = context.ensure_object(Session).address().bench.data_dir
     record = replace(record, standing=standing_now(data_dir, entry.id, record.standing))
     path = output or data_dir / "campaigns" / entry.id / "report.html"
     write_campaign_report(path, record, found, UnitSystem(units))
@@ -420,7 +424,7 @@ def verify(
     from bench.campaign.campaign_record import load_record
     from bench.campaign.verification import missing_records, verify_page
 
-    data_dir = context.ensure_object(Session).configuration().bench.data_dir
+    data_dir = context.ensure_object(Session).address().bench.data_dir
     with _found(context, campaign) as (store, entry):
         record = load_record(store, entry)
         missing = missing_records(store.shots(record.entry.id), data_dir)
@@ -451,9 +455,9 @@ def verify(
 
 
 def _request(context: typer.Context, campaign: str, request: str) -> None:
-    from bench.campaign.runner_control import ask
+    from bench.campaign.campaign_control import ask
 
-    data_dir = context.ensure_object(Session).configuration().bench.data_dir
+    data_dir = context.ensure_object(Session).address().bench.data_dir
     with _found(context, campaign) as (store, entry):
         typer.echo(f"{entry.id} {ask(store, data_dir, entry.id, request, user_name())}")
 
@@ -474,16 +478,16 @@ def watch(
     from bench.commands.campaign_screen import ProgressScreen, campaign_bar
     from bench.network.client import BenchClient
 
-    configuration = context.ensure_object(Session).configuration()
+    address = context.ensure_object(Session).address()
 
     def running() -> dict[str, Any] | None:
         found = [one for one in client.campaigns() if str(one.get("campaign")).startswith(campaign)]
         return found[0] if found else None
 
-    with BenchClient.connect(configuration) as client, campaign_bar() as bar:
+    with BenchClient.connect(address) as client, campaign_bar() as bar:
         message = running()
         if message is None:
-            place = f"campaign {campaign}" if campaign else f"bench {configuration.bench.id}"
+            place = f"campaign {campaign}" if campaign else f"bench {address.bench.id}"
             raise Refused(
                 place, "no runner publishes it", "a running campaign", "See golfbench campaign list."
             )
@@ -492,7 +496,7 @@ def watch(
         screen, event, stood, last = ProgressScreen(bar), None, None, message
         bar.console.print(f"campaign {message['campaign']}", highlight=False, markup=False, soft_wrap=True)
         with ExitStack() as stack:
-            if store := _local_store(stack, configuration, message["campaign"]):
+            if store := _local_store(stack, address.bench, message["campaign"]):
                 store_mark = _marker(store, message["campaign"])
                 stack.enter_context(mark_keys(bar, user_name(), lambda: last, store_mark))
             while message is not None:
@@ -511,15 +515,15 @@ def watch(
         typer.echo(f"{last['state']}; {shots}; its runner has ended")
 
 
-def _local_store(stack: ExitStack, configuration: Configuration, campaign: str) -> CampaignStore | None:
+def _local_store(stack: ExitStack, settings: BenchSettings, campaign: str) -> CampaignStore | None:
     """Open the database of `campaign` in `stack` if this machine reaches it; None otherwise."""
-    from bench.config import database_url
+    from bench.address import database_url
     from bench.store.database import is_there
 
-    if not is_there(database_url(configuration.bench.database, configuration.bench.data_dir)):
+    if not is_there(database_url(settings.database, settings.data_dir)):
         return None
     try:
-        store = stack.enter_context(_store(configuration))
+        store = stack.enter_context(_store(settings))
         store.entry(campaign)
     except BenchError:  # watching needs no database
         return None
@@ -573,9 +577,9 @@ def answer(
     ] = None,
 ) -> None:
     """Confirm a campaign's prompt: the club is mounted, the feeder is filled."""
-    from bench.campaign.runner_control import answer
+    from bench.campaign.campaign_control import answer
 
-    data_dir, now = context.ensure_object(Session).configuration().bench.data_dir, datetime.now(UTC)
+    data_dir, now = context.ensure_object(Session).address().bench.data_dir, datetime.now(UTC)
     with _found(context, campaign) as (store, entry):
         text, goes_on = answer(store, data_dir, entry.id, by or user_name(), now, balls)
     after = "goes on" if goes_on else f"has no runner: golfbench campaign resume {entry.id}"
@@ -630,8 +634,8 @@ def air(
     from bench.store.air_readings import AirReading, add_reading, newest_reading
     from sim.air import Air
 
-    configuration = context.ensure_object(Session).configuration()
-    bench = configuration.bench.id
+    address = context.ensure_object(Session).address()
+    bench = address.bench.id
     given = {"--temperature": temperature, "--pressure": pressure, "--humidity": humidity}
     if missing := [name for name, value in given.items() if value is None]:
         if len(missing) < len(given):
@@ -641,7 +645,7 @@ def air(
                 "all three values",
                 f"Add the options {', '.join(missing)}.",
             )
-    with _store(configuration) as store:
+    with _store(address.bench) as store:
         if temperature is not None and pressure is not None and humidity is not None:
             try:
                 read = Air(temperature + 273.15, 100.0 * pressure, humidity / 100.0)
@@ -678,13 +682,13 @@ def list_campaigns(
 
     Excluded: hit outside the delivery's bounds, or excluded by hand.
     """
-    from bench.campaign.runner_control import standing_now
-    from bench.commands.campaign_screen import listing, listing_record
+    from bench.campaign.campaign_control import standing_now
+    from bench.commands.campaign_list import listing, listing_record
 
-    configuration = context.ensure_object(Session).configuration()
-    with _store(configuration) as store:
+    address = context.ensure_object(Session).address()
+    with _store(address.bench) as store:
         found = [
-            (entry, standing_now(configuration.bench.data_dir, entry.id, standing), counts)
+            (entry, standing_now(address.bench.data_dir, entry.id, standing), counts)
             for entry, standing, counts in store.entries()
             if bench in (None, entry.bench)
         ]

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, RenderableType
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-from rich.table import Column, Table
 from rich.text import Text
 
 from bench.campaign.interruptions import duration_text
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.progress import CampaignProgress
-from bench.shot.shot import Shot, ShotStatus
-from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
+from bench.shot.shot import ShotStatus
+from bench.store.records import ENDED, CampaignState
 
 _SELDOM = 2.0
 """Min time between plain lines for valid shots, s."""
@@ -31,7 +26,6 @@ _FIGURES = (
     ("spin_rpm", "spin", 0, "rpm"),
     ("carry_m", "carry", 1, "m"),
 )
-Listed = Sequence[tuple[CampaignEntry, Standing, Counter[str]]]
 
 
 class CampaignBar(Progress):
@@ -67,7 +61,7 @@ class CampaignBar(Progress):
 
 
 def campaign_bar() -> CampaignBar:
-    """Return a bar on standard error; without a terminal it shows nothing, see `CampaignScreen`."""
+    """Return a bar on standard error; without a terminal it shows nothing, see `ProgressScreen`."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     return CampaignBar(*columns, console=console, transient=True, disable=not console.is_terminal)
@@ -113,33 +107,6 @@ class ProgressScreen:
             self._bar.console.print(escape(text), highlight=False)
 
 
-class CampaignScreen(CampaignProgress):
-    """Shows the progress of the campaign that this process runs."""
-
-    def __init__(self, entry: CampaignEntry, plan: CampaignPlan, bar: CampaignBar) -> None:
-        super().__init__(entry, plan)
-        self._screen = ProgressScreen(bar)
-
-    def shot(self, shot: Shot) -> None:
-        """Show a shot; stored ones at once, when the run begins."""
-        super().shot(shot)
-        if not self._replaying:
-            self._screen.show(self.message)
-
-    def say(self, text: str) -> None:
-        """Show an event."""
-        super().say(text)
-        self._screen.say(text)
-
-    def standing(self, state: CampaignState, reason: str) -> None:
-        """Show the work done so far."""
-        before = self.message["state"], self._replaying
-        super().standing(state, reason)
-        self._screen.show(self.message)
-        if (state, False) != before and reason:
-            self._screen.say(f"{state}: {reason}")
-
-
 def progress_lines(message: Mapping[str, Any]) -> list[str]:
     """Return the lines of `message` for a person: time, balls, last shot, next work by hand."""
     lines = []
@@ -177,45 +144,3 @@ def _left(message: Mapping[str, Any]) -> str:
         return ""
     end = datetime.now().astimezone() + timedelta(seconds=message["seconds_left"])
     return f"{duration_text(message['seconds_left'])} left, until {end:%H:%M}"
-
-
-def listing(found: Listed, console: Console) -> Table:
-    """Return the campaigns as a table for `console`, wider than it where whole ids do not fit."""
-    longest = max((len(entry.id) for entry, _, _ in found), default=0)
-    bench = max((len(entry.bench) for entry, _, _ in found), default=0)
-    identity = Column("campaign", width=longest, no_wrap=True), Column("bench", min_width=bench, no_wrap=True)
-    others = (Column("begun, UTC", min_width=10), Column("state", min_width=9), "shots", "valid", "excluded")
-    table = Table(*identity, *others, box=SIMPLE_HEAD)
-    for entry, standing, counts in found:
-        reason = [Text(standing.reason, style="dim", no_wrap=False)] if standing.reason else []
-        table.add_row(
-            Group(Text(entry.id), *reason),
-            Text(entry.bench),
-            f"{entry.date:%Y-%m-%d %H:%M}",
-            f"{standing.state}{' (sim)' if entry.simulated else ''}",
-            str(sum(counts.values())),
-            str(counts[ShotStatus.VALID]),
-            str(counts[ShotStatus.EXCLUDED]),
-        )
-    whole = console.measure(table, options=console.options.update(max_width=1000)).minimum
-    table.width = max(console.width, whole)
-    return table
-
-
-def listing_record(found: Listed) -> list[dict[str, Any]]:
-    """Return the campaigns for a program to read."""
-    return [
-        {
-            "id": entry.id,
-            "bench": entry.bench,
-            "name": entry.name,
-            "date": entry.date.isoformat(),
-            "simulated": entry.simulated,
-            "seed": entry.seed,
-            "plan": entry.digest,
-            "state": str(standing.state),
-            "reason": standing.reason,
-            "shots": {str(status): counts[status] for status in ShotStatus},
-        }
-        for entry, standing, counts in found
-    ]

@@ -17,7 +17,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from bench.campaign.bench_setup import Numbered, PromptKind, balls_of, places, require_count
+from bench.campaign.prompts import Numbered, PromptKind, balls_of, places, require_count
 from bench.commands.campaign_keys import MarkKeys, in_foreground
 from bench.commands.campaign_screen import CampaignBar
 from bench.commands.session import user_name

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -16,7 +15,7 @@ from rich.progress import Progress
 from bench.commands.options import flag, option
 from bench.commands.output import plain_table
 from bench.commands.progress import paused, progress_bar
-from bench.commands.session import Session, show_json
+from bench.commands.session import Session, at_terminal, show_json
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
@@ -122,15 +121,10 @@ def _require_somebody_at_the_regulator(*, simulated: bool, regulator: str | None
     Raises:
         BenchError: nothing has moved.
     """
-    if simulated or regulator is not None or _at_terminal():
+    if simulated or regulator is not None or at_terminal():
         return
     cure = "Name a program that turns the pressure regulator, or run the command in a terminal."
     raise BenchError("commission --regulator", "neither a program nor a terminal", "one of them", cure)
-
-
-def _at_terminal() -> bool:
-    """Return whether a person can answer questions."""
-    return sys.stdin is not None and sys.stdin.isatty()
 
 
 def _commission(
@@ -319,7 +313,7 @@ def _hands_of_person(
 
     supply = configuration.plant.supply
     turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else by_program(regulator)
-    person, gauge = (ask_mark, ask_gauge) if _at_terminal() else (None, None)
+    person, gauge = (ask_mark, ask_gauge) if at_terminal() else (None, None)
     return Hands(turned_once(turn), say, person, act=saying(say), gauge=gauge)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import json
 import socket
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
 def user_name() -> str:
     """Return the default name of who commands, user@host."""
     return f"{getpass.getuser()}@{socket.gethostname()}"
+
+
+def at_terminal() -> bool:
+    """Return whether a person can answer questions."""
+    return sys.stdin is not None and sys.stdin.isatty()
 
 
 def exit_unless(holds: object) -> None:

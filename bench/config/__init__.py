@@ -1,8 +1,8 @@
 """The configuration of a bench: its values, the files they come from, the rules they keep."""
 
-from bench.address import NAME, BenchSettings, NetworkSettings
+from bench.address import DATABASE_FILE, NAME, BenchSettings, NetworkSettings, database_url
 from bench.config.files import load_configuration
-from bench.config.rules import DATABASE_FILE, contradictions, database_url, unheard_phases
+from bench.config.rules import contradictions, unheard_phases
 from bench.config.settings import Configuration, DriverSettings, LoopSettings, SwingSettings
 from bench.configuration_files import (
     SHIPPED,

@@ -8,9 +8,9 @@ from importlib.metadata import entry_points
 from math import asin, ceil, degrees, hypot, pi, radians
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bench.address import address_mistakes
+from bench.address import address_mistakes, database_url
 from bench.config.safety import check_safety
 from bench.config.settings import Configuration
 from bench.control.measured_plant import value_at
@@ -27,9 +27,6 @@ from drivers.base.ranges import short
 from sim.faults import MAX_DELAY
 from sim.plant import HISTORY
 
-if TYPE_CHECKING:
-    from sqlalchemy import URL
-
 LONGEST_SUBSTEP = 0.00025
 """s; the plant's delivery is converged up to this internal step."""
 
@@ -42,31 +39,6 @@ the max delay of a tick."""
 
 LEAST_RELIEF = 1.1
 """Least opening pressure of the manifold's relief valve over the regulated one."""
-
-DATABASE_FILE = "golfbench.sqlite"
-
-
-def database_url(database: str, data_dir: Path) -> URL:
-    """Return where the database is: the URL `database`, or SQLite's file in `data_dir` when that is empty.
-
-    Raises:
-        BenchError: `database` is not the URL of a database that several processes can open.
-    """
-    from sqlalchemy import URL, make_url  # slow to import, and needed only here
-    from sqlalchemy.exc import ArgumentError, NoSuchModuleError
-
-    if not database:
-        return URL.create("sqlite", database=str(data_dir / DATABASE_FILE))
-    cure = 'Correct it, or leave it empty ("") for SQLite in data_dir.'
-    wanted = "a URL such as sqlite:////var/lib/golfbench/bench.sqlite or postgresql+psycopg://host/golfbench"
-    try:
-        url = make_url(database)
-        url.get_dialect()
-    except (ArgumentError, NoSuchModuleError, ValueError):
-        raise BenchError("bench.database", "not a URL that SQLAlchemy knows", wanted, cure) from None
-    if url.get_backend_name() == "sqlite" and url.database in {None, "", ":memory:"}:
-        raise BenchError("bench.database", "SQLite without a file", wanted, cure)
-    return url
 
 
 def _address(c: Configuration, tree: Tree) -> Iterator[Mistake]:

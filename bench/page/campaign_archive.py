@@ -12,14 +12,14 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Any
 
-from bench.campaign.bench_setup import balls_of, places
+from bench.campaign.campaign_control import answer, ask, is_running, standing_now
 from bench.campaign.control_chart import control_charts
 from bench.campaign.dispersion import dispersion_ellipses
 from bench.campaign.exclusions import with_exclusions
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
+from bench.campaign.prompts import balls_of, places
 from bench.campaign.randomization import Role, sections
-from bench.campaign.runner_control import answer, ask, is_running, standing_now
 from bench.config import Configuration, database_url
 from bench.errors import BenchError, Refused
 from bench.shot.shot import Shot, ShotStatus

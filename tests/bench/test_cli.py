@@ -147,6 +147,27 @@ def test_a_command_of_a_running_bench_loads_no_model(command: str, tmp_path: Pat
     assert not loaded & NO_CLIENTS
 
 
+@pytest.mark.parametrize("command", ["campaign list", "campaign stop nothing", "campaign watch"])
+def test_command_of_stored_campaigns_loads_no_model(command: str, tmp_path: Path) -> None:
+    code = (
+        "import sys; import bench.cli\n"
+        "def show(code): print(*sys.modules)\n"
+        "bench.cli.leave = show; bench.cli.main(sys.argv[1:])"
+    )
+    file = tmp_path / "bench.toml"
+    network = f'[network]\nendpoint = "tcp/127.0.0.1:{free_port()}"\n'
+    file.write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n{network}')
+    done = subprocess.run(
+        [sys.executable, "-c", code, "--config", str(file), *command.split()],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    loaded = {name.partition(".")[0] for name in done.stdout.splitlines()[-1].split()}
+    assert loaded & {"sqlalchemy", "zenoh"}
+    assert not loaded & (NO_CLIENTS - {"pydantic", "sqlalchemy"})
+
+
 def _pages(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
     yield path, command
     for name, below in getattr(command, "commands", {}).items():

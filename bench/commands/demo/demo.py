@@ -16,7 +16,8 @@ from pathlib import Path
 from rich.console import Console
 
 from bench.campaign.runner_control import bench_facts, new_entry, run_campaign
-from bench.commands.campaign_screen import CampaignScreen, campaign_bar
+from bench.commands.campaign_runner_screen import CampaignScreen
+from bench.commands.campaign_screen import campaign_bar
 from bench.commands.demo.bench_process import BenchPlan
 from bench.commands.demo.result import demo_plan, new_folder, write_result
 from bench.config import Configuration, database_url

@@ -19,8 +19,8 @@ import pytest
 
 from bench.calibration.archive import add_calibration
 from bench.calibration.values import ClubInMount, EncoderZeros
-from bench.campaign.bench_setup import PromptKind
 from bench.campaign.budget import uncertainty_budgets
+from bench.campaign.campaign_control import ask
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings
@@ -28,10 +28,11 @@ from bench.campaign.gate import Centre
 from bench.campaign.live_shots import LiveShots, require_live
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.prompts import PromptKind
 from bench.campaign.randomization import Arm, PlannedShot, Role
 from bench.campaign.relearning import Drift
 from bench.campaign.runner import Hindrance, Suspended, Watcher
-from bench.campaign.runner_control import ask, bench_facts, new_entry, run_campaign
+from bench.campaign.runner_control import bench_facts, new_entry, run_campaign
 from bench.campaign.shot_sequence import Step
 from bench.campaign.swings import Profiles, require_swings
 from bench.config import database_url, load_configuration

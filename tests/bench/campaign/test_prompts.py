@@ -18,25 +18,16 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from bench.campaign.bench_setup import (
-    Fitting,
-    Preparation,
-    PromptKind,
-    balls_of,
-    coming_balls,
-    fitting_after,
-    load_lists,
-    missing,
-    places,
-    require_count,
-)
+from bench.campaign.bench_setup import Fitting, Preparation, coming_balls, fitting_after, load_lists, missing
+from bench.campaign.campaign_control import answer
 from bench.campaign.gate import Centre
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.preview import preview_record, show_preview
+from bench.campaign.prompts import PromptKind, balls_of, places, require_count
 from bench.campaign.randomization import Arm, PlannedShot, Role, all_trials
 from bench.campaign.runner import Runner, RunOutcome, Watcher
-from bench.campaign.runner_control import answer, course_of, new_entry
+from bench.campaign.runner_control import course_of, new_entry
 from bench.campaign.shot_sequence import Step
 from bench.campaign.swings import require_swings
 from bench.commands.campaign_screen import CampaignBar

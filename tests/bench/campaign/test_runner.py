@@ -20,23 +20,22 @@ from typing import Any
 import pytest
 from sqlalchemy import make_url
 
-from bench.campaign.bench_setup import Preparation, PromptKind, sample_for
+from bench.campaign.bench_setup import Preparation, sample_for
+from bench.campaign.campaign_control import ask, is_running, runner_lock
 from bench.campaign.gate import Centre
 from bench.campaign.interruptions import RunStart, changed
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.prompts import PromptKind
 from bench.campaign.randomization import Arm, PlannedShot, Role
 from bench.campaign.relearning import Drift
 from bench.campaign.runner import Hindrance, Runner, RunOutcome, ShotPostponed, Watcher
 from bench.campaign.runner_control import (
     CANNOT_CHANGE_A_SHOT,
-    ask,
     course_of,
-    is_running,
     new_entry,
     require_resumable,
     run_start,
-    runner_lock,
 )
 from bench.campaign.shot_sequence import Step
 from bench.campaign.simulated_shots import Taken

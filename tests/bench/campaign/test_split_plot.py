@@ -16,7 +16,7 @@ from rich.console import Console
 from scipy import stats
 
 from bench.campaign.analysis import SectionAnalysis, analyse
-from bench.campaign.bench_setup import Fitting, PromptKind, missing, sample_for
+from bench.campaign.bench_setup import Fitting, missing, sample_for
 from bench.campaign.campaign_record import CampaignRecord
 from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings, findings_record
@@ -26,6 +26,7 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.plan_requirements import needs, needs_words
 from bench.campaign.preview import outlook, outlook_words, show_preview
 from bench.campaign.progress import CampaignProgress
+from bench.campaign.prompts import PromptKind
 from bench.campaign.randomization import PlannedShot, all_trials, sections
 from bench.campaign.runner_control import new_entry
 from bench.campaign.shot_sequence import Step

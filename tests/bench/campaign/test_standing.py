@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.campaign.runner_control import standing_now
+from bench.campaign.campaign_control import standing_now
 from bench.processes.file_lock import try_lock
 from bench.store.records import CampaignState, Standing
 

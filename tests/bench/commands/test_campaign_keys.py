@@ -176,13 +176,13 @@ def test_watching_marks_only_where_the_campaigns_database_is(tmp_path: Path) -> 
     shipped = load_configuration(Path("shipped"))
     configuration = replace(shipped, bench=replace(shipped.bench, data_dir=tmp_path / "data"))
     with ExitStack() as stack:
-        assert _local_store(stack, configuration, "two-1") is None
+        assert _local_store(stack, configuration.bench, "two-1") is None
         assert not (tmp_path / "data").exists(), "a machine that only watches gets no database"
         entry = new_entry(load_plan(Path("two-balls"), shipped), shipped, NOW, simulated=True)
         with open_database(database_url("", tmp_path / "data")) as engine:
             CampaignStore(engine).begin(entry)
-        assert _local_store(stack, configuration, "two-1") is None
-        store = _local_store(stack, configuration, entry.id)
+        assert _local_store(stack, configuration.bench, "two-1") is None
+        store = _local_store(stack, configuration.bench, entry.id)
         assert store is not None
         with pytest.raises(Refused, match="a shot, once there is one"):
             _marker(store, entry.id)(note(1, "too early"))

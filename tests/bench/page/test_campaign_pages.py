@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.campaign.runner_control import runner_lock
+from bench.campaign.campaign_control import runner_lock
 from bench.config import Configuration, database_url
 from bench.lifecycle import State
 from bench.page.campaign_archive import CampaignArchive, RunningCampaigns
