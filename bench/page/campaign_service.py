@@ -1,16 +1,254 @@
-"""Requests of the page about campaigns and files."""
+"""Requests of the page about campaigns and files: from the database of the configured bench.
+
+Requests go through the database to the runner, as `golfbench campaign pause` and the others send them. The
+control chart of a running campaign is of its control ball; landing points of the compared balls appear when
+it has ended, since each look before costs confidence.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from typing import Any
 
-from bench.errors import Refused
+from bench.campaign.campaign_control import answer, ask, is_running, standing_now
+from bench.campaign.control_chart import control_charts
+from bench.campaign.dispersion import dispersion_ellipses
+from bench.campaign.exclusions import with_exclusions
+from bench.campaign.plan import CampaignPlan
+from bench.campaign.plan_file import plan_from_record
+from bench.campaign.prompts import balls_of, places
+from bench.campaign.randomization import Role, sections
+from bench.config import Configuration, database_url
+from bench.errors import BenchError, Refused
 from bench.page.answers import Asked, InvalidBody, UnknownName
-from bench.page.background_command import BackgroundCommand
-from bench.page.campaign_archive import REQUESTS, CampaignArchive
-from bench.page.command_line import CommandLine
+from bench.page.command_line import BackgroundCommand, CommandLine
 from bench.page.downloads import REPORT, Download, Downloads
-from bench.store.records import ENDED
+from bench.shot.shot import Shot, ShotStatus
+from bench.store.campaigns import CampaignStore
+from bench.store.database import is_there, open_database
+from bench.store.records import ENDED, CampaignState, Prompt, ShotNote
+
+MAX_LISTED = 50
+"""Max number of listed campaigns."""
+REQUESTS = {"pause": "pause", "stop": "stop", "abort": "abort", "resume": ""}
+"""Requests to a campaign's runner, by their name on the page."""
+
+
+class CampaignArchive:
+    """The campaigns of one bench on this machine."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        self._settings = configuration.bench
+        self._url = database_url(self._settings.database, self._settings.data_dir)
+
+    @contextmanager
+    def _store(self) -> Iterator[CampaignStore]:
+        if not is_there(self._url):
+            place, expected = f"bench {self._settings.id}", "the database on the bench's computer"
+            raise Refused(place, "no campaigns on this computer", expected, "Use the page of that computer.")
+        with open_database(self._url) as engine:
+            yield CampaignStore(engine)
+
+    def listed(self) -> list[dict[str, Any]]:
+        """Return the newest campaigns, the newest first; empty without a database."""
+        if not is_there(self._url):
+            return []
+        with self._store() as store:
+            found = [
+                (entry, standing_now(self._settings.data_dir, entry.id, standing), counts)
+                for entry, standing, counts in store.entries()[:MAX_LISTED]
+            ]
+        folder = self._settings.data_dir / "campaigns"
+        return [
+            {
+                "id": entry.id,
+                "title": entry.title,
+                "date": entry.date.isoformat(timespec="seconds"),
+                "simulated": entry.simulated,
+                "state": str(standing.state),
+                "reason": standing.reason,
+                "shots": sum(counts.values()),
+                "valid": counts[ShotStatus.VALID],
+                "report": (folder / entry.id / "report.html").is_file(),
+                "ended": standing.state in ENDED,
+                "runner": standing.state not in ENDED and is_running(self._settings.data_dir, entry.id),
+            }
+            for entry, standing, counts in found
+        ]
+
+    def state(self, campaign: str) -> CampaignState:
+        """Return the state of `campaign`.
+
+        Raises:
+            BenchError: no such campaign.
+        """
+        with self._store() as store:
+            standing = store.standing(store.entry(campaign).id)
+        return standing_now(self._settings.data_dir, campaign, standing).state
+
+    def detail(self, campaign: str) -> dict[str, Any]:
+        """Return prompt, control charts and, after its end, landing points of `campaign`.
+
+        Raises:
+            BenchError: there is no such campaign here.
+        """
+        with self._store() as store:
+            entry = store.entry(campaign)
+            plan = plan_from_record(entry.plan, f"campaign {entry.id}")
+            taken = [stored.shot for stored in store.shots(entry.id)]
+            shots = with_exclusions(taken, store.exclusions(entry.id))
+            prompts = store.prompts(entry.id)
+            state = standing_now(self._settings.data_dir, entry.id, store.standing(entry.id)).state
+        return {
+            "campaign": entry.id,
+            "title": entry.title,
+            "state": str(state),
+            "prompt": _prompt(prompts),
+            "charts": _charts(plan, shots),
+            "landing": _landing(plan, shots) if state in ENDED else None,
+            "runner": is_running(self._settings.data_dir, entry.id),
+        }
+
+    def has_runner(self, campaign: str) -> bool:
+        """Return whether a process runs `campaign`; raises as `state`."""
+        self.state(campaign)
+        return is_running(self._settings.data_dir, campaign)
+
+    def request(self, campaign: str, name: str, by: str) -> str:
+        """Pass the request `name` of REQUESTS by `by` on to the runner; return what will happen.
+
+        Raises:
+            BenchError: no such campaign, it is over, or it has no runner.
+        """
+        with self._store() as store:
+            entry = store.entry(campaign)
+            return ask(store, self._settings.data_dir, entry.id, REQUESTS[name], by)
+
+    def answer(self, campaign: str, prompt: int, by: str, balls: int | None) -> str:
+        """Confirm that prompt number `prompt` is done, by `by` with so many loaded `balls`; return its text.
+
+        Raises:
+            BenchError: it is not the one that waits, or not so many balls were to be loaded.
+        """
+        with self._store() as store:
+            entry = store.entry(campaign)
+            waiting = _open_prompt(store.prompts(entry.id))
+            if waiting is None or waiting.number != prompt:
+                place, found = f"campaign {entry.id}", "this prompt does not wait any more"
+                raise Refused(place, found, "the prompt that waits", "Read the present prompt.")
+            now = datetime.now(UTC)
+            return answer(store, self._settings.data_dir, entry.id, by, now, balls)[0]
+
+    def mark(self, campaign: str, shot: int, by: str, comment: str) -> None:
+        """Mark `shot` with a `comment` of `by`.
+
+        Raises:
+            BenchError: there is no such campaign or shot.
+        """
+        with self._store() as store:
+            store.add_note(store.entry(campaign).id, ShotNote(shot, datetime.now(UTC), by, comment))
+
+
+def _open_prompt(prompts: list[Prompt]) -> Prompt | None:
+    return prompts[-1] if prompts and prompts[-1].answered is None else None
+
+
+def _prompt(prompts: list[Prompt]) -> dict[str, Any] | None:
+    prompt = _open_prompt(prompts)
+    if prompt is None:
+        return None
+    balls = balls_of(prompt)
+    return {
+        "number": prompt.number,
+        "before_shot": prompt.before_shot,
+        "kind": prompt.kind,
+        "text": prompt.text,
+        "places": places(balls),
+    }
+
+
+def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
+    """Return the control charts of the section of the last shot."""
+    if not shots:
+        return []
+    mine = [shot for shot in shots if shot.section == shots[-1].section]
+    return [
+        {
+            "column": chart.column,
+            "shots": list(chart.shots),
+            "values": list(chart.values),
+            "centre": chart.centre,
+            "deviation": chart.deviation,
+            "signals": sorted({shot for signal in chart.signals for shot in signal.shots}),
+        }
+        for chart in control_charts(plan, mine)
+    ]
+
+
+def _landing(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
+    """Return landing points and ellipses of each section."""
+    found = []
+    for section in sections(plan):
+        mine = [shot for shot in shots if shot.section == section.number]
+        points = [
+            {
+                "level": str(getattr(shot, plan.design.compare)),
+                "side": shot.carry_side_m,
+                "carry": shot.carry_m,
+            }
+            for shot in mine
+            if shot.role == Role.TEST
+            and shot.status is ShotStatus.VALID
+            and shot.carry_m is not None
+            and shot.carry_side_m is not None
+        ]
+        ellipses = [
+            {
+                "level": one.name,
+                "centre": one.centre,
+                "long": one.long_axis,
+                "short": one.short_axis,
+                "tilt": one.tilt,
+                "area": one.area,
+            }
+            for one in dispersion_ellipses(plan, mine)
+        ]
+        found.append({"section": section.name, "points": points, "ellipses": ellipses})
+    return found
+
+
+class RunningCampaigns:
+    """What the page shows of running campaigns: their messages, with prompt and charts of the database."""
+
+    def __init__(self, archive: CampaignArchive) -> None:
+        self._archive = archive
+        self._details: dict[str, tuple[Any, dict[str, Any] | None]] = {}
+        self._shown: list[dict[str, Any]] | None = None
+
+    def changed(self, running: list[dict[str, Any]]) -> list[dict[str, Any]] | None:
+        """Return what to show of the `running` campaigns; None if that is as it was."""
+        shown = [{"progress": message, "detail": self._detail(message)} for message in running]
+        if shown == self._shown:
+            return None
+        self._shown = shown
+        self._details = {
+            str(message.get("campaign")): self._details[str(message.get("campaign"))] for message in running
+        }
+        return shown
+
+    def _detail(self, message: dict[str, Any]) -> dict[str, Any] | None:
+        """Return the detail of a campaign, read again when its message has changed; None if not here."""
+        name, key = str(message.get("campaign")), [message.get(part) for part in ("shots", "state", "reason")]
+        known = self._details.get(name)
+        if known is None or known[0] != key:
+            try:
+                self._details[name] = key, self._archive.detail(name)
+            except (BenchError, ExceptionGroup, OSError):
+                self._details[name] = key, None
+        return self._details[name][1]
+
 
 LONGEST_COMMENT = 200
 STARTED = "{}: its runner starts, checks plan and bench, then takes the bench"

@@ -1,23 +1,148 @@
 """Requests of the page about commissionings: `golfbench commission --sim`, beside the page.
 
 It measures a simulated robot in a process of its own. The running bench is not touched, and needs no lease.
+Each commissioning has a folder in `commissioning` beside the bench's records; robots other than the
+configured one are configurations in the folder `robots` there. A request names what is listed and nothing
+else.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import os
+import re
 import signal
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
+from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
-from bench.errors import Refused
+from bench.commissioning.commissioning import ALL_STEPS, STATE_FILE, Commissioning, read_state
+from bench.commissioning.folder_lock import commissioning_process
+from bench.errors import BenchError, Refused
 from bench.page.answers import Asked
-from bench.page.background_command import BackgroundCommand
-from bench.page.command_line import CommandLine
-from bench.page.commissioning_store import CommissioningStore
-from bench.page.downloads import REPORT, Download
+from bench.page.command_line import BackgroundCommand, CommandLine
+from bench.page.downloads import REPORT, Download, plain_file
+from bench.page.start_service import is_toml_to_name
+
+MAX_LISTED = 10
+"""Max number of listed commissionings."""
+MAX_ROBOTS = 100
+FILES = {"report": "report.html", "robot": "robot.toml"}
+"""Files of a commissioning by their names on the page."""
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
+
+
+class CommissioningStore:
+    """The commissionings of one bench."""
+
+    def __init__(self, data_dir: Path, bench: str) -> None:
+        self._folder, self._robots, self._bench = data_dir / "commissioning", data_dir / "robots", bench
+
+    def view(self) -> dict[str, Any]:
+        """Return steps, robots and commissionings, the newest first, as the page shows them."""
+        return {
+            "steps": [{"title": step.title, "bounds": step.bounds_text} for step in ALL_STEPS],
+            "robots": [path.stem for path in self._robot_files()],
+            "folder": str(self._robots),
+            "commissionings": [_described(folder) for folder in self._folders()],
+        }
+
+    def new(self, now: datetime) -> Path:
+        """Return the folder of a commissioning that begins `now`."""
+        return self._folder / f"{self._bench}-{now:%Y%m%dT%H%M%SZ}"
+
+    def folder(self, name: str) -> Path:
+        """Return the folder of the commissioning called `name`.
+
+        Raises:
+            Refused: no such commissioning is listed.
+        """
+        for path in self._folders():
+            if path.name == name:
+                return path
+        raise Refused("commissioning", "an unknown name", "one of the listed ones", "Load the page again.")
+
+    def robot(self, name: str) -> Path:
+        """Return the file of the robot called `name`.
+
+        Raises:
+            Refused: no such robot is listed.
+        """
+        for path in self._robot_files():
+            if path.stem == name:
+                return path
+        cure = f"Put its configuration into {self._robots}."
+        raise Refused("robot", "an unknown name", "one of the listed ones", cure)
+
+    def file(self, name: str, kind: str) -> Path | None:
+        """Return the file `kind` of FILES of commissioning `name`; None if it does not exist."""
+        found = FILES.get(kind)
+        try:
+            return None if found is None else plain_file(self.folder(name) / found)
+        except Refused:
+            return None
+
+    def _folders(self) -> list[Path]:
+        try:
+            found = [path for path in self._folder.iterdir() if _is_one(path)]
+            found.sort(key=lambda path: (path / STATE_FILE).stat().st_mtime_ns, reverse=True)
+        except OSError:
+            return []
+        return found[:MAX_LISTED]
+
+    def _robot_files(self) -> list[Path]:
+        try:
+            found = sorted(self._robots.glob("*.toml"))[:MAX_ROBOTS]
+        except OSError:
+            return []
+        return [path for path in found if is_toml_to_name(path)]
+
+
+def _is_one(path: Path) -> bool:
+    plain = bool(_NAME.fullmatch(path.name)) and not path.is_symlink()
+    return plain and plain_file(path / STATE_FILE) is not None
+
+
+def _described(folder: Path) -> dict[str, Any]:
+    """Return a commissioning for the page; one that cannot be read says why."""
+    named = {"name": folder.name, "process": commissioning_process(folder)}
+    try:
+        state = read_state(folder)
+    except BenchError as error:
+        return named | {"unreadable": str(error)}
+    wrong = state.wrong
+    return named | {
+        "unreadable": "",
+        "robot": Path(state.robot).stem if state.robot else "",
+        "steps": _steps(state),
+        "done": len(state.done),
+        "wrong": None if wrong is None else wrong._asdict(),
+        "files": [kind for kind, file in FILES.items() if plain_file(folder / file) is not None],
+    }
+
+
+def _steps(state: Commissioning) -> list[dict[str, Any]]:
+    """Return what each step found, in the order of the steps."""
+    done = {step.name: step for step in state.done}
+    found = []
+    for step in ALL_STEPS:
+        one = done.get(step.name)
+        found.append(
+            {
+                "title": step.title,
+                "done": one is not None,
+                "seconds": None if one is None else one.seconds,
+                "values": 0 if one is None else len(one.values),
+                "notes": [] if one is None else list(one.notes),
+            }
+        )
+    return found
+
 
 LONGEST_FOLDER = 121
 
@@ -74,3 +199,44 @@ class CommissioningService:
 def _wanted(asked: Asked) -> tuple[str, str]:
     """Return the names of robot and resumed commissioning; empty: the configured one, a new one."""
     return asked.text("robot", LONGEST_FOLDER, 0), asked.text("resume", LONGEST_FOLDER, 0)
+
+
+TOPIC = "commissioning"
+"""Topic on which the page publishes the commissionings."""
+_LOOK = 1.0
+"""Period of the looks, s."""
+
+_log = logging.getLogger("golfbench")
+
+
+class CommissioningWatch:
+    """Publishes the commissionings of a shelf whenever one has changed, in a thread of its own."""
+
+    def __init__(self, shelf: CommissioningStore, publish: Callable[[str, Any], None]) -> None:
+        """`publish` gets topic and content."""
+        self._shelf, self._publish = shelf, publish
+        self._ended = Event()
+        self._thread = Thread(target=self._work, name="page-commissioning", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._ended.set()
+        self._thread.join()
+
+    def _work(self) -> None:
+        shown: dict[str, Any] | None = None
+        while True:
+            try:
+                view = self._shelf.view()
+            except OSError as error:  # a folder that goes while it is read
+                _log.debug("page: commissionings: %s", error)
+            else:
+                if view != shown:
+                    self._publish(TOPIC, view)
+                    shown = view
+            if self._ended.wait(_LOOK):
+                return

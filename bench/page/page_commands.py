@@ -1,7 +1,12 @@
-"""Commands of the page, each a method of `BenchClient`: sent once, from what was on the screen."""
+"""Commands of the page, each a method of `BenchClient`: sent once, from what was on the screen.
+
+A lease belongs to the browser tab that took it, by a secret ticket. The tab renews it while it is open and
+connected. A tablet that is switched off or out of reach lets it expire, and an armed bench disarms.
+"""
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
@@ -85,3 +90,84 @@ class CommandNumbers:
                 f"a state of the last {MAX_AGE:g} s",
                 "Wait until the page shows the present state, then click again.",
             )
+
+
+LEASE = 15.0
+"""Duration of a lease from each renewal, s."""
+MAX_TICKETS = 16
+"""Max number of tickets; the bench gives out one lease at a time, older tickets are of lost leases."""
+
+
+class PageLease(NamedTuple):
+    """A lease of one tab."""
+
+    ticket: str
+    holder: str
+    seconds: float
+    """Duration from each renewal, s."""
+
+
+class _Held(NamedTuple):
+    client: BenchClient
+    until: float
+
+
+class PageLeases:
+    """The leases by ticket."""
+
+    def __init__(
+        self, connect: Callable[[], BenchClient], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """`connect` returns a new client without a lease."""
+        self._connect, self._clock = connect, clock
+        self._held: dict[str, _Held] = {}
+        self._lock = Lock()
+
+    def take(self, holder: str) -> PageLease:
+        """Take the bench's lease for `holder`; raises as `BenchClient.take_lease`."""
+        client = self._connect()
+        client.take_lease(holder, LEASE)
+        ticket = secrets.token_urlsafe(24)
+        with self._lock:
+            now = self._clock()
+            self._held = {t: held for t, held in self._held.items() if held.until > now}
+            while len(self._held) >= MAX_TICKETS:
+                del self._held[next(iter(self._held))]
+            self._held[ticket] = _Held(client, now + LEASE)
+        return PageLease(ticket, holder, LEASE)
+
+    def renew(self, ticket: str) -> float:
+        """Renew the lease for LEASE from now; return its seconds. Raises as `BenchClient.renew_lease`."""
+        client = self.client(ticket)
+        try:
+            seconds = client.renew_lease()
+        except Refused:
+            self._forget(ticket)
+            raise
+        with self._lock:
+            if ticket in self._held:
+                self._held[ticket] = _Held(client, self._clock() + seconds)
+        return seconds
+
+    def release(self, ticket: str) -> dict[str, float]:
+        """Release the lease; an armed bench disarms. Return its seconds: 0."""
+        client = self.client(ticket)
+        self._forget(ticket)
+        client.release_lease()
+        return {"seconds": 0.0}
+
+    def client(self, ticket: str) -> BenchClient:
+        """Return the client that holds the lease of `ticket`.
+
+        Raises:
+            Refused: no lease, or it has expired.
+        """
+        with self._lock:
+            held = self._held.get(ticket)
+        if held is None or self._clock() > held.until:
+            raise Refused("lease", "not held by this page", "the lease of the bench", "Take the lease first.")
+        return held.client
+
+    def _forget(self, ticket: str) -> None:
+        with self._lock:
+            self._held.pop(ticket, None)

@@ -17,24 +17,18 @@ from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
 from bench.errors import BenchError, ExitCode
 from bench.page.application import page_application
-from bench.page.background_command import BackgroundCommand
 from bench.page.bench_link import BenchLink, record_of
-from bench.page.bench_values import bench_values
 from bench.page.broadcaster import PageBroadcaster
-from bench.page.campaign_archive import CampaignArchive, RunningCampaigns
-from bench.page.campaign_service import CampaignService
-from bench.page.command_line import CommandLine
-from bench.page.commissioning_service import CommissioningService
-from bench.page.commissioning_store import CommissioningStore
-from bench.page.commissioning_watch import CommissioningWatch
+from bench.page.campaign_service import CampaignArchive, CampaignService, RunningCampaigns
+from bench.page.command_line import BackgroundCommand, CommandLine
+from bench.page.commissioning_service import CommissioningService, CommissioningStore, CommissioningWatch
 from bench.page.downloads import Downloads
-from bench.page.http_protocol import http_protocol
+from bench.page.entry_forms import bench_values
 from bench.page.last_swing import SwingReader
-from bench.page.page_address import PageAddress, checked_address, page_access
+from bench.page.page_access import PageAddress, checked_address, page_access
 from bench.page.page_service import PageService
-from bench.page.plan_catalogue import PlanCatalogue
-from bench.page.request_filter import Application
-from bench.page.start_service import StartService
+from bench.page.request_filter import Application, http_protocol
+from bench.page.start_service import PlanCatalogue, StartService
 from bench.page.viewer_process import ViewerProcess
 from bench.processes.bench_folder import bench_folder
 from bench.processes.plan import RING_FILE

@@ -15,13 +15,10 @@ from bench.network.command import CommandAnswer
 from bench.network.lease import LONGEST_HOLDER
 from bench.page.answers import Asked, InvalidBody, UnknownName, body_of, json_answer, refusal_answer, text_in
 from bench.page.bench_link import BenchLink
-from bench.page.broadcaster import PageBroadcaster
-from bench.page.downloads import Download
-from bench.page.event_stream import EventStream
+from bench.page.broadcaster import EventStream, PageBroadcaster
+from bench.page.downloads import Download, static_files
 from bench.page.page_access import SESSION, PageAccess, PageRole
-from bench.page.page_commands import COMMANDS, STOPS, CommandNumbers
-from bench.page.page_leases import PageLeases
-from bench.page.static_files import static_files
+from bench.page.page_commands import COMMANDS, STOPS, CommandNumbers, PageLeases
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -14,8 +14,15 @@ from bench.errors import BenchError, Refused
 from bench.network.free_port import free_port
 from bench.page import page_service
 from bench.page.application import page_application
-from bench.page.page_access import MAX_SESSIONS, SESSION, PageAccess, PageRole, read_tokens
-from bench.page.page_address import PageAddress, checked_address
+from bench.page.page_access import (
+    MAX_SESSIONS,
+    SESSION,
+    PageAccess,
+    PageAddress,
+    PageRole,
+    checked_address,
+    read_tokens,
+)
 from bench.page.page_commands import COMMANDS
 from bench.page.request_filter import Guard
 from tests.bench.certified import Folder

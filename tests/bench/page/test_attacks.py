@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 from bench.lifecycle import State
-from bench.page import http_protocol, request_filter
+from bench.page import request_filter
 from bench.page.broadcaster import MAX_READERS
 from tests.bench.fake_bench_service import RunningPlane
 from tests.bench.page.running_page import HURRY, RunningPage
@@ -203,7 +203,7 @@ def test_a_hundred_slow_readers_slow_nothing(page: RunningPage, running: Running
 
 
 def test_a_head_that_does_not_end_is_cut_off(page: RunningPage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_protocol, "HEAD_TIME", 0.2)
+    monkeypatch.setattr(request_filter, "HEAD_TIME", 0.2)
     for text in (b"", b"GET / HTTP/1.1\r\nHost: "):
         with raw(page, text) as one:
             try:

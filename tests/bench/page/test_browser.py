@@ -14,7 +14,7 @@ import pytest
 from bench.lifecycle import Request
 from bench.network.free_port import free_port
 from bench.network.lease import SHORTEST
-from bench.page import page_leases
+from bench.page import page_commands
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.page.browser_tab import Tab, listens, open_tab, until_accepted
 from tests.bench.page.conftest import publishing
@@ -125,7 +125,7 @@ def test_a_lost_bench_is_said_within_two_seconds(
 def test_a_lost_lease_is_said_and_nothing_is_taken_again(
     browser: Any, page: RunningPage, desk: FakeDesk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(page_leases, "LEASE", SHORTEST)
+    monkeypatch.setattr(page_commands, "LEASE", SHORTEST)
     with open_tab(browser, page.url) as tab:
         tab.take_lease()
         tab.page.route("**/api/lease", lambda route: route.abort())  # the tablet is out of reach

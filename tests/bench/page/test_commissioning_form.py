@@ -22,8 +22,8 @@ from bench.commissioning.folder_lock import folder_lock
 from bench.config import Configuration
 from bench.errors import Refused
 from bench.network.free_port import free_port
-from bench.page.commissioning_store import CommissioningStore
-from bench.page.page_address import PageAddress
+from bench.page.commissioning_service import CommissioningStore
+from bench.page.page_access import PageAddress
 from tests.bench.page.noting_program import NotingProgram
 from tests.bench.page.running_page import HURRY, RunningPage, running_page
 

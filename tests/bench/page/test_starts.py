@@ -23,12 +23,11 @@ from bench.errors import BenchError, Refused
 from bench.network.free_port import free_port
 from bench.page import command_line, viewer_process
 from bench.page.answers import InvalidBody
-from bench.page.background_command import BackgroundCommand
-from bench.page.command_line import MAX_COMMANDS, CommandLine, fault_of
+from bench.page.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, fault_of
 from bench.page.entry_forms import FORMS, form_arguments
-from bench.page.page_address import PageAddress
+from bench.page.page_access import PageAddress
 from bench.page.page_server import run_outcome
-from bench.page.plan_catalogue import PlanCatalogue
+from bench.page.start_service import PlanCatalogue
 from bench.page.viewer_process import ViewerProcess
 from tests.bench.fake_bench_service import FakeDesk, running_plane
 from tests.bench.page.conftest import publishing
