@@ -41,10 +41,9 @@ from bench.network.status_words import LATCHED, MOVING, block_text
 from bench.network.zenoh_session import close_session, open_daemon
 from bench.processes.child import Child
 from bench.processes.correction import CORRECTED_FILE
-from bench.processes.launch_monitor_plan import LaunchMonitorPlan
 from bench.processes.loop_link import LoopLink
 from bench.processes.ownership import Ownership, take_bench
-from bench.processes.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
+from bench.processes.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LaunchMonitorPlan, LoopPlan
 from bench.processes.publisher import PublisherPlan
 from bench.processes.recorder import RecorderPlan
 from bench.processes.run_marker import RunMarker
@@ -61,8 +60,7 @@ from bench.processes.support import ManagedProcess
 from bench.processes.tick_timing import TimingReader, summary
 from bench.readiness import arming_block, assess, assess_bench
 from bench.shot.recorded_shot import FlightConditions
-from bench.shot.shot_join import ShotJoin
-from bench.shot.shot_message import shot_publication
+from bench.shot.shot_message import ShotJoin, shot_publication
 from bench.swing.correction import basis_of, digest_of
 from bench.telemetry.shot_id import run_id
 from bench.telemetry.snapshot import SNAPSHOT

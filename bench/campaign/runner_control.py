@@ -9,7 +9,7 @@ from functools import partial, reduce
 from operator import getitem
 from typing import Any
 
-from bench.calibration.aerodynamics_archive import newest_aerodynamics
+from bench.calibration.archive import newest_aerodynamics
 from bench.campaign.analysis import decide
 from bench.campaign.bench_calibrations import calibration_warnings, calibrations_in_force, speed_sensitivities
 from bench.campaign.campaign_control import bench_lock, require_free, runner_lock
@@ -21,7 +21,7 @@ from bench.campaign.live_shots import HOLDER, LiveShots, require_live
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
 from bench.campaign.plan_requirements import START_SERIES, needs, needs_series, series_words
-from bench.campaign.progress_publisher import Broadcast, Together
+from bench.campaign.progress import Broadcast, Together
 from bench.campaign.runner import BATCH, Operator, Runner, RunOutcome, ShotSource, Watcher
 from bench.campaign.shot_sequence import Course, course
 from bench.campaign.simulated_shots import SimulatedShots

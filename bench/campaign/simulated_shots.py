@@ -1,4 +1,8 @@
-"""Shots of the simulated bench in lock-step: each depends on plan and number only, never on earlier shots."""
+"""Shots of the simulated bench in lock-step: each depends on plan and number only, never on earlier shots.
+
+The simulated launch monitor has no sockets and no clock here: the bytes that it would send go straight to
+where the server would have them from, at the times they would come.
+"""
 
 from __future__ import annotations
 
@@ -19,21 +23,59 @@ from bench.campaign.plan import CampaignPlan, Simulation
 from bench.campaign.prompts import PromptKind
 from bench.campaign.relearning import Drift
 from bench.campaign.shot_sequence import Step
-from bench.campaign.simulated_monitor import MonitorResult, hear
 from bench.config import Configuration
 from bench.learning.learn import LearningProblem, Swinger, on_series
 from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot import Shot, ShotStatus
-from bench.shot.shot_matcher import told_figures
+from bench.shot.shot_matcher import NOT_TOLD, told_figures
 from bench.simulation.series import Series
 from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, SwingResult
 from bench.simulation.variation import Variation
 from bench.swing.library import find_profile
 from drivers.base import Launch
+from drivers.launch_monitor.conversation import Conversation
+from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
+from drivers.launch_monitor.plausibility import add_doubts
+from drivers.launch_monitor.record import LaunchRecord
 from sim.ball import Ball
 from sim.flight import fly
-from sim.launch_monitor import MonitorParameters
+from sim.launch_monitor import MonitorParameters, monitor_messages
 from sim.plant import PlantParameters
+
+
+class MonitorResult(NamedTuple):
+    """Result of a shot at the launch monitor."""
+
+    launch: LaunchRecord | None
+    reason: str
+    """Why its figures are missing or invalid; empty if they are valid."""
+
+
+def hear(
+    launch: Launch,
+    number: int,
+    club_speed: float | None,
+    parameters: MonitorParameters,
+    window: MatchWindow,
+    carry: float | None = None,
+) -> MonitorResult:
+    """Return what a bench hears of ball `number` that left with `launch`; `club_speed` (m/s) is its own.
+
+    `carry` (m) is the monitor's.
+    """
+    talk, records = Conversation(0.0), list[LaunchRecord]()
+    for delay, message in monitor_messages(launch, number, parameters, carry=carry):
+        records += talk.receive(message, delay).records
+    late = window.latest + window.patience
+    swing = SwingImpact(str(number), 0.0)
+    found: Match = next(
+        one for one in match([swing], records, late + 1.0, window).decided if one.shot == swing.shot
+    )
+    if found.outcome is MatchOutcome.NO_LAUNCH or found.launch is None:
+        return MonitorResult(None, NOT_TOLD)
+    record = add_doubts(found.launch, club_speed)
+    return MonitorResult(record, "; ".join(filter(None, (found.reason, record.reason))))
+
 
 BEGIN = datetime(2026, 1, 1, 8, 0, tzinfo=UTC)
 """Virtual time of a simulated campaign's first shot, fixed so that it is repeatable."""

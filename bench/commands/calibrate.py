@@ -203,8 +203,7 @@ app.command()(aerodynamics)
 @app.command("list")
 def list_all(context: typer.Context, json_: Json = False) -> None:
     """Show all calibrations of this bench, also superseded ones."""
-    from bench.calibration.aerodynamics_archive import list_aerodynamics
-    from bench.calibration.archive import calibration_of, list_calibrations
+    from bench.calibration.archive import calibration_of, list_aerodynamics, list_calibrations
     from bench.calibration.ball_aerodynamics import AerodynamicsEntry
     from bench.calibration.calibration import Entry
     from bench.commands.calibration_tables import listing
@@ -276,8 +275,7 @@ def _add(
     """Check `content` against its ranges and this bench, store it, and say so."""
     from bench.calibration.archive import keep_calibration
     from bench.calibration.plausible import require_plausible
-    from bench.calibration.value_words import in_words
-    from bench.calibration.values import values_of
+    from bench.calibration.values import in_words, values_of
 
     values = values_of(kind, content, f"calibrate {kind}")
     configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)

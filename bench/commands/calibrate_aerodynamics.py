@@ -144,7 +144,7 @@ def _keep(
     json_: bool,
 ) -> None:
     """Store the fit unless `store` is false, and print it."""
-    from bench.calibration.aerodynamics_archive import add_aerodynamics
+    from bench.calibration.archive import add_aerodynamics
     from bench.calibration.ball_aerodynamics import AerodynamicsEntry
     from bench.config import database_url
     from bench.store.database import open_database

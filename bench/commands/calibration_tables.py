@@ -9,8 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.calibration.calibration import Calibration, Entry
-from bench.calibration.value_words import in_words
-from bench.calibration.values import CalibrationKind
+from bench.calibration.values import CalibrationKind, in_words
 from bench.commands.output import plain_table
 
 

@@ -319,13 +319,12 @@ def _take(
 ) -> RunOutcome:
     """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
     from bench.campaign.notifications import notifying
-    from bench.campaign.progress_publisher import Together
+    from bench.campaign.progress import Together
     from bench.campaign.prompts import PromptKind
     from bench.campaign.runner_control import run_campaign, run_start
-    from bench.commands.campaign_keys import mark_keys
     from bench.commands.campaign_runner_screen import CampaignScreen
     from bench.commands.campaign_screen import campaign_bar
-    from bench.commands.campaign_terminal import TerminalOperator
+    from bench.commands.campaign_terminal import TerminalOperator, mark_keys
 
     typer.echo(f"campaign {entry.id}", err=True)
     with deferred_interrupt(terminate=True) as asked, campaign_bar() as bar:
@@ -474,8 +473,8 @@ def watch(
 
     Ctrl-C ends the watching only. On the bench's own computer the key m marks the last shot.
     """
-    from bench.commands.campaign_keys import mark_keys
     from bench.commands.campaign_screen import ProgressScreen, campaign_bar
+    from bench.commands.campaign_terminal import mark_keys
     from bench.network.client import BenchClient
 
     address = context.ensure_object(Session).address()

@@ -29,7 +29,7 @@ def identify(context: typer.Context, records: Records, output: Output = None, js
     Use swings made with the control of --config, none of them the first after arming.
     """
     from bench.learning.identify import identify as identified
-    from bench.learning.plant_file import plant_file, write_plant_file
+    from bench.learning.identify import plant_file, write_plant_file
     from bench.learning.recorded_swings import read_recorded
     from bench.simulation.series import Bench
 

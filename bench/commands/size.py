@@ -119,8 +119,7 @@ def _search(
     Raises:
         BenchError: a part is not in the catalogue, or absorbers are no pair.
     """
-    from bench.sizing.candidates import SizingGrid
-    from bench.sizing.search import SizingSearch
+    from bench.sizing.search import SizingGrid, SizingSearch
 
     vanes, cylinders, valves, absorbers, frames, hoses, vents = parts
     pressures, levers, angles = numbers

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from bench.control.linear_plant import Frozen
     from bench.control.machine_gains import MachineGains
     from bench.simulation.series import Bench
-    from bench.tuning.along_swing import Judged
-    from bench.tuning.proof import Proof
+    from bench.tuning.along_swing import Judged, Proof
 
 
 def tune(
@@ -95,7 +94,7 @@ def _machine(bench: Bench) -> MachineGains | None:
 def _proofs(bench: Bench, bar: Progress) -> dict[str, Proof]:
     """Return a whole swing of the nominal and one of the worn robot."""
     from bench.simulation.variation import WORN
-    from bench.tuning.proof import proof
+    from bench.tuning.along_swing import proof
 
     robots = {"nominal": bench.model, "worn": WORN.applied_to(bench.model)}
     return {

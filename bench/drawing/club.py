@@ -6,10 +6,20 @@ from math import cos, pi, sin, sqrt
 
 import numpy as np
 
-from bench.drawing.bodies import DrawnBody, Part
+from bench.drawing.bodies import (
+    CHROME,
+    COMPOSITE,
+    HEAD,
+    MOUNT,
+    SHAFT_STEEL,
+    STEEL,
+    DrawnBody,
+    Material,
+    Part,
+    envelope,
+)
 from bench.drawing.layers import GAP, LEVER_HEIGHT, MOUNT_HEIGHT, PIN, bore_radius
 from bench.drawing.links import layers_of, lever_parts
-from bench.drawing.materials import CHROME, COMPOSITE, HEAD, MOUNT, SHAFT_STEEL, STEEL, Material, envelope
 from bench.drawing.solids import Bar, Ellipsoid, Solid, Tube, Turn
 from sim.plant import PlantParameters, Site
 from sim.robot import Club, RobotParameters

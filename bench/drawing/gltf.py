@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.drawing.bodies import DrawnBody, Part
+from bench.drawing.bodies import Colour, DrawnBody, Part
 from bench.drawing.drawing import PlacedBody
-from bench.drawing.materials import Colour
 from bench.drawing.mesh import Mesh, joined_meshes
 from bench.telemetry.whole_file import whole_file
 

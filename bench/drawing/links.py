@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import cos, sin, sqrt
 
-from bench.drawing.bodies import DrawnBody, Part
+from bench.drawing.bodies import ALUMINIUM, CHROME, CYLINDER, STEEL, DrawnBody, Part, envelope
 from bench.drawing.layers import (
     GAP,
     LEVER_HEIGHT,
@@ -18,7 +18,6 @@ from bench.drawing.layers import (
     rod_radius,
     wrist_ways,
 )
-from bench.drawing.materials import ALUMINIUM, CHROME, CYLINDER, STEEL, envelope
 from bench.drawing.solids import Bar, Bore, Tube
 from sim.plant import PlantParameters
 from sim.robot import Body

@@ -1,13 +1,16 @@
-"""Surfaces of solids as triangles, in numpy alone: what viewers, URDF and glTF need."""
+"""Surfaces of solids as triangles, in numpy alone: what viewers, URDF and glTF need; STL files of them."""
 
 from __future__ import annotations
 
+import struct
 from math import pi
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.telemetry.whole_file import whole_file
 from sim.vectors import Vector
 
 Array = NDArray[np.float64]
@@ -132,3 +135,17 @@ def ellipsoid_mesh(half: Vector, centre: Vector, turn: Any, cut: float | None) -
         vertices = np.vstack([np.tile([cut, 0.0, 0.0], (len(c), 1)), rim])
         parts.append(Mesh(vertices, np.tile([1.0, 0.0, 0.0], (2 * len(c), 1)), _grid(2, len(c))))
     return placed_mesh(_outwards(joined_meshes(parts)), turn, centre)
+
+
+_FACET = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("unused", "<u2")])
+
+
+def write_stl(path: Path, mesh: Mesh) -> None:
+    """Write `mesh` (m) to `path`. Raises NotStored."""
+    corners = mesh.vertices[mesh.triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facets = np.zeros(len(corners), _FACET)
+    facets["normal"] = across / np.linalg.norm(across, axis=1)[:, None]
+    facets["corners"] = corners
+    with whole_file(path) as stream:
+        stream.write(b"golfbench, m".ljust(80) + struct.pack("<I", len(facets)) + facets.tobytes())

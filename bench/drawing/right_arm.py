@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from math import pi, sqrt
 
-from bench.drawing.bodies import DrawnBody, Part
+from bench.drawing.bodies import ACETAL, ALUMINIUM, CHROME, CYLINDER, STEEL, DrawnBody, Part
 from bench.drawing.layers import PIN, bore_radius, rod_radius
 from bench.drawing.links import layers_of
-from bench.drawing.materials import ACETAL, ALUMINIUM, CHROME, CYLINDER, STEEL
 from bench.drawing.solids import Tube
 from sim.plant import PlantParameters
 

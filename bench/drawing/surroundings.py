@@ -6,10 +6,9 @@ from math import cos, sin, sqrt
 
 import numpy as np
 
-from bench.drawing.bodies import DrawnBody, Part
+from bench.drawing.bodies import BALL, CYLINDER, FRAME, GUARD, STEEL, TEE, DrawnBody, Part
 from bench.drawing.layers import GAP
 from bench.drawing.links import layers_of
-from bench.drawing.materials import BALL, CYLINDER, FRAME, GUARD, STEEL, TEE
 from bench.drawing.placement import ball_at_rest, plane_to_golf
 from bench.drawing.solids import Bar, Ellipsoid, Tube
 from sim.plant import PlantParameters

@@ -22,9 +22,8 @@ from bench.drawing.bodies import DrawnBody
 from bench.drawing.collision import CollisionOutline
 from bench.drawing.drawing import draw
 from bench.drawing.gltf import by_colour
-from bench.drawing.mesh import joined_meshes
+from bench.drawing.mesh import joined_meshes, write_stl
 from bench.drawing.placement import Array, plane_to_golf
-from bench.drawing.stl import write_stl
 from bench.telemetry.whole_file import whole_file
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator

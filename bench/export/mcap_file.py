@@ -24,10 +24,17 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from bench.export.changes import changes
-from bench.export.foxglove_scene import fixed_frames, moving_frames, scene, stamp
-from bench.export.foxglove_schemas import FRAME_TRANSFORMS, LOG, SCENE_UPDATE, enumeration
-from bench.export.record import ExportRecord
+from bench.export.foxglove_scene import (
+    FRAME_TRANSFORMS,
+    LOG,
+    SCENE_UPDATE,
+    enumeration,
+    fixed_frames,
+    moving_frames,
+    scene,
+    stamp,
+)
+from bench.export.record import ExportRecord, changes
 from bench.shot.recorded_shot import recorded_shot
 from bench.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, Field
 from bench.telemetry.enumerations import ENUMERATIONS

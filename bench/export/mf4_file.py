@@ -17,8 +17,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from bench.errors import BenchError
-from bench.export.changes import changes
-from bench.export.record import ExportRecord
+from bench.export.record import ExportRecord, changes
 from bench.telemetry.cycle_record import FIELDS, Field, unit_of
 from bench.telemetry.enumerations import ENUMERATIONS
 from bench.telemetry.whole_file import whole_file

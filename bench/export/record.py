@@ -1,13 +1,15 @@
-"""A record to export: cycles and metadata as stored, and the columns."""
+"""A record to export: cycles and metadata as stored, the columns, and the changes in it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.telemetry.cycle_record import arrow_schema
 from bench.telemetry.recorder import read_swing
 
@@ -53,3 +55,22 @@ def columns() -> list[ExportColumn]:
         ExportColumn(field.name, field.metadata[b"unit"].decode(), field.metadata[b"description"].decode())
         for field in arrow_schema()
     ]
+
+
+class Change(NamedTuple):
+    """A cycle that differs from the one before."""
+
+    row: int
+    cause: Cause
+    """Cause of a stop; NONE without one."""
+    text: str
+
+
+def changes(cycles: np.ndarray[Any, Any]) -> Iterator[Change]:
+    """Yield each change in `cycles`, the first cycle included."""
+    keys = np.stack([cycles[name].astype(int) for name in ("state", "phase", "reaction", "trip")], axis=1)
+    before = np.vstack([np.full((1, 4), -1), keys[:-1]])
+    for row in np.flatnonzero(np.any(keys != before, axis=1)):
+        state, phase, reaction, cause = keys[row].tolist()
+        text = f"{State(state).name}, phase {Phase(phase).name}, reaction {Reaction(reaction).name}"
+        yield Change(int(row), Cause(cause), f"{text}: {CAUSE_TEXT[Cause(cause)]}" if cause else text)

@@ -8,8 +8,10 @@ the angles shows in the openings. Openings are smoothed: their quick part is dit
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,10 +19,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
+from bench.config import Configuration
 from bench.errors import BenchError, Refused
 from bench.simulation.series import Bench, Series, quiet
 from bench.simulation.variation import Variation
 from bench.swing.profile import Profile
+from sim.plant import PlantParameters
 from sim.robot import Club
 
 Array = NDArray[np.float64]
@@ -215,3 +219,50 @@ def _errors(bench: Bench, values: Array, seen: Array) -> Array:
         return np.full(int(known.sum()), 20.0)
     simulated = np.mean([np.where(np.isfinite(swing), swing, seen + 20.0) for swing in swings], axis=0)
     return np.asarray(np.clip((simulated - seen)[known], -50.0, 50.0))
+
+
+_ACTUATORS = ("shoulder", "right_arm", "wrist")
+
+
+def plant_file(plant: PlantParameters, found: Identified, configuration: Configuration) -> str:
+    """Return TOML with the identified parameters of `plant`, on top of the file of `configuration`.
+
+    Each parameter's standard error stands above it; uncertain ones are marked.
+    """
+    base = str(configuration.files[-1].resolve())
+    lines = ["# Identified from recorded swings: value, standard error."]
+    for name, value, error, known in zip(NAMES, found.values, found.error, found.known, strict=True):
+        unit = "ms more" if name == NAMES[-1] else "of the nominal"
+        doubt = "" if known else "; NOT identified, a guess"
+        lines.append(f"# {name}: {value:.4f} {unit}, {error:.4f}{doubt}")
+    lines += [f"base = {json.dumps(base)}", ""]
+    for name, actuator in zip(_ACTUATORS, plant.actuators, strict=True):
+        friction = actuator.friction
+        lines += [
+            f"[plant.{name}]",
+            f"area_a = {actuator.area_a!r}",
+            f"area_b = {actuator.area_b!r}",
+            f"dead_volume = {actuator.dead_volume!r}",
+            f"[plant.{name}.friction]",
+            f"viscous = {friction.viscous!r}",
+            f"coulomb = {friction.coulomb!r}",
+            f"static = {friction.static!r}",
+            f"[plant.{name}.valve]",
+            f"conductance = {actuator.valve.conductance!r}",
+            "",
+        ]
+    lines += [
+        "[plant.supply]",
+        f"pressure = {plant.supply.pressure!r}",
+        "[plant.encoders]",
+        f"latency = {plant.encoders.latency!r}",
+        f"[clubs.{plant.robot.club.name}]",
+        f"head_mass = {plant.robot.club.head_mass!r}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def write_plant_file(path: Path, text: str) -> None:
+    """Write `text` to `path`; OSError if it cannot be written."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")

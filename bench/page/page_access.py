@@ -1,6 +1,6 @@
 """Where the page is reached, and who may do what: by certificate, by token, or by being on this machine.
 
-The roles are those of `bench.network.access_control`: a viewer looks and may stop, an operator commands. On
+The roles are those of `bench.network.zenoh_session`: a viewer looks and may stop, an operator commands. On
 the loopback without TLS and tokens everybody is an operator, as for the bench itself.
 """
 

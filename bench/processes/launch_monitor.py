@@ -23,7 +23,10 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import Any
 
+import numpy as np
+
 from bench.errors import BenchError, ExitCode
+from bench.lifecycle import State
 from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
 from bench.processes.child_process import (
     Condition,
@@ -33,8 +36,7 @@ from bench.processes.child_process import (
     send_event,
     send_failure,
 )
-from bench.processes.launch_monitor_plan import LaunchMonitorPlan
-from bench.shot.arming_watch import ArmingWatch
+from bench.processes.plan import LaunchMonitorPlan
 from bench.shot.recorded_shot import FlightConditions, shot_to_json, warm_up_shots
 from bench.shot.shot_matcher import LaunchBook, Told
 from bench.shot.shot_message import ShotPublication, launch_to_json, shortened, shot_publication
@@ -43,8 +45,46 @@ from bench.telemetry.ring import RingReader
 from drivers.base import DriverError
 from drivers.base.shared_record import SharedMemoryError
 from drivers.launch_monitor.client import SimulatorClient
-from drivers.launch_monitor.presence import ShotPresence
 from drivers.launch_monitor.server import LaunchMonitorServer
+
+SEEN_WITHIN = 120.0
+"""Time after a struck ball within which the monitor must have sent something, s: two shots of a series."""
+
+
+class ShotPresence:
+    """Judges by the balls that the bench struck; times in s on one clock."""
+
+    def __init__(self) -> None:
+        self._unanswered: float | None = None
+        """Impact of the first ball since the monitor was last seen."""
+
+    def note_struck(self, impact: float) -> None:
+        """Note a struck ball."""
+        if self._unanswered is None:
+            self._unanswered = impact
+
+    def is_present(self, seen: float | None, now: float) -> bool:
+        """Return whether a monitor last `seen` at that time has not left a ball unanswered for too long."""
+        if self._unanswered is not None and seen is not None and seen >= self._unanswered:
+            self._unanswered = None
+        return self._unanswered is None or now - self._unanswered <= SEEN_WITHIN
+
+
+class ArmingWatch:
+    """Follows the state of the bench; for one run of its loop."""
+
+    def __init__(self) -> None:
+        self._armed = False
+
+    def take(self, cycles: np.ndarray[Any, Any]) -> bool:
+        """Return whether the bench was armed within `cycles`, which continue those of the last call."""
+        if not len(cycles):
+            return False
+        armed = cycles["state"] == State.ARMED
+        before = np.concatenate([[self._armed], armed[:-1]])
+        self._armed = bool(armed[-1])
+        return bool(np.any(armed & ~before))
+
 
 POLL = 0.01
 """Polling period, s."""

@@ -1,4 +1,4 @@
-"""Parameters of the loop process."""
+"""Parameters of the loop and the launch monitor processes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ from bench.config import Configuration
 from bench.lifecycle import Cause
 from bench.swing.profile import Profile
 from bench.telemetry.zero_shift import CalibratedShifts
+from drivers.launch_monitor.settings import LaunchMonitorSettings
+from sim.air import Air
+from sim.flight import Wind
+from sim.plant import PlantParameters
+from sim.turf import Turf
 
 RING_FILE, TIMING_FILE, SNAPSHOT_FILE = "ring", "timing", "snapshot"
 """Names of the files written by the loop in the bench's folder."""
@@ -31,3 +36,23 @@ class LoopPlan:
     """Whether only the passive command is sent."""
     calibrated: CalibratedShifts | None = None
     """What the encoders said of their zeros at their calibration; None without one."""
+
+
+@dataclass(frozen=True)
+class LaunchMonitorPlan:
+    """Parameters sent by the supervisor; a module of its own, without the imports of the process."""
+
+    run: str
+    """Id of the bench's run."""
+    ring: Path
+    heartbeat: Path
+    """File of the HEARTBEAT record."""
+    settings: LaunchMonitorSettings
+    plant: PlantParameters
+    air: Air
+    wind: Wind
+    turf: Turf
+    club: str = "DR"
+    """Code of the club in the player message to monitors."""
+    wall: bool = True
+    """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""

@@ -1,7 +1,8 @@
 """The loop, linearised at instants of a simulated swing: its margins, and how it is damped.
 
 Up to the top this tells how the loop behaves. At the top dry friction holds the joints, and the downswing
-ends before most of the growing modes of a frozen instant matter: reported, but not judged.
+ends before most of the growing modes of a frozen instant matter: reported, but not judged. Gains are
+proved on whole simulated swings.
 """
 
 from __future__ import annotations
@@ -10,15 +11,17 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.control.gain_table import gains_at
 from bench.control.gains import Gains
 from bench.control.linear_loop import Estimator, estimator_response, least_damping, loop_responses
 from bench.control.linear_plant import Frozen, Point
 from bench.control.margins import Margins, margins_of
-from bench.errors import BenchError
+from bench.errors import BenchError, Refused
 from bench.lifecycle import CAUSE_TEXT
 from bench.simulation.series import Bench, Series, quiet
+from sim.plant import PlantParameters
 
 
 class JointLoop(NamedTuple):
@@ -98,3 +101,37 @@ def judge(
             loops.append(JointLoop(frozen.point.name, i, margins))
     ratios = {frozen.point.name: least_damping(frozen, estimator, gains(frozen), period) for frozen in plants}
     return Judged(tuple(loops), ratios)
+
+
+Array = NDArray[np.float64]
+
+
+class Proof(NamedTuple):
+    """One robot's swing with the gains of one bench."""
+
+    backswing: Array
+    """Root mean square of the following error up to the top, (3,) rad."""
+    downswing: Array
+    """Root mean square of the following error in the downswing, up to the impact window, (3,) rad."""
+    failure: str
+    """Why the swing failed; empty if it did not."""
+
+
+def proof(bench: Bench, plant: PlantParameters) -> Proof:
+    """Return the second swing of the bench's profile on the robot `plant`."""
+    nothing = np.full(3, np.nan)
+    try:
+        series = Series(bench, plant)
+        series.swing(bench.profile)
+        swing = series.swing(bench.profile)
+    except Refused:
+        return Proof(nothing, nothing, "the robot does not come to rest at its address")
+    if swing.cause:
+        return Proof(nothing, nothing, f"stopped: {CAUSE_TEXT[swing.cause]}")
+    begins = bench.profile.begins
+    error = swing.cycles["reference_angle"] - swing.cycles["plant_angle"]
+
+    def rms(first: int, last: int) -> Array:
+        return np.asarray(np.sqrt(np.mean(error[first:last] ** 2, axis=0)))
+
+    return Proof(rms(begins[1], begins[3]), rms(begins[3], begins[5]), "")

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from sqlalchemy import Engine
 
-from bench.calibration.aerodynamics_archive import add_aerodynamics, list_aerodynamics, newest_aerodynamics
 from bench.calibration.aerodynamics_fit import FlightUncertainty, MeasuredFlight, fit_aerodynamics
+from bench.calibration.archive import add_aerodynamics, list_aerodynamics, newest_aerodynamics
 from bench.calibration.ball_aerodynamics import BallAerodynamics, aerodynamics_from_record
 from bench.calibration.flight_table import read_flights
 from bench.config import database_url

@@ -12,8 +12,7 @@ import pytest
 
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.progress import CampaignProgress
-from bench.campaign.progress_publisher import Broadcast
+from bench.campaign.progress import Broadcast, CampaignProgress
 from bench.campaign.randomization import PlannedShot, all_trials
 from bench.campaign.runner_control import new_entry
 from bench.commands.campaign_screen import ProgressScreen, campaign_bar, progress_lines, shot_line

@@ -5,7 +5,7 @@ from math import degrees
 
 import pytest
 
-from bench.campaign.simulated_monitor import MonitorResult, hear
+from bench.campaign.simulated_shots import MonitorResult, hear
 from bench.shot.shot_matcher import NOT_TOLD
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchWindow

@@ -14,9 +14,10 @@ from bench.learning.identify import (
     NAMES,
     Identified,
     identify,
+    plant_file,
     variation_of,
+    write_plant_file,
 )
-from bench.learning.plant_file import plant_file, write_plant_file
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

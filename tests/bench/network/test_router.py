@@ -18,10 +18,9 @@ import zenoh
 from bench.config import VARIANTS, Configuration
 from bench.errors import BenchError
 from bench.lifecycle import Request
-from bench.network.access_control import access_control
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
-from bench.network.zenoh_session import NoAnswer, open_client
+from bench.network.zenoh_session import NoAnswer, access_control, open_client
 from tests.bench.certified import Folder, client_of
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.lifecycle import State
-from bench.shot.arming_watch import ArmingWatch
+from bench.processes.launch_monitor import ArmingWatch
 
 R, A, S = State.READY, State.ARMED, State.SWINGING
 

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
-from bench.shot.shot_join import LONGEST_WAIT, ShotJoin
-from bench.shot.shot_message import ShotPublication, shot_publication
+from bench.shot.shot_message import LONGEST_WAIT, ShotJoin, ShotPublication, shot_publication
 from drivers.launch_monitor.matching import MatchOutcome
 
 

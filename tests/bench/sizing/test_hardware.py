@@ -9,9 +9,9 @@ import pytest
 
 from bench.config import load_configuration
 from bench.errors import BenchError
-from bench.sizing.candidates import SizingGrid, cheaper, without_repeats
 from bench.sizing.catalogue import PRICES, in_series, shipped_catalogue
 from bench.sizing.hardware import Hardware, highest_pressure, parts_of, relief_pressure
+from bench.sizing.search import SizingGrid, cheaper, without_repeats
 from bench.sizing.study import SizingDemand, candidate_configuration, candidate_text
 
 SHIPPED = load_configuration(Path("shipped"))

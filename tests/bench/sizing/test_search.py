@@ -11,7 +11,6 @@ import pytest
 
 from bench.simulation.local_engine import InProcess
 from bench.sizing import search as module
-from bench.sizing.candidates import SizingGrid
 from bench.sizing.catalogue import shipped_catalogue
 from bench.sizing.hardware import Hardware, parts_of
 from bench.sizing.picture import draw_front
@@ -24,7 +23,7 @@ from bench.sizing.point import (
     plan_of,
     swing_of,
 )
-from bench.sizing.search import SizingRun, SizingSearch
+from bench.sizing.search import SizingGrid, SizingRun, SizingSearch
 from bench.sizing.study import SizingDemand
 
 PARTS = shipped_catalogue()

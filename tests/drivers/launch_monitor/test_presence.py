@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from drivers.launch_monitor.presence import ShotPresence
+from bench.processes.launch_monitor import ShotPresence
 
 
 def test_a_monitor_is_present_while_no_ball_is_struck() -> None:
