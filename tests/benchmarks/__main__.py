@@ -17,7 +17,6 @@ from tests.benchmarks.row import Row
 BENCHMARKS = (
     "adversary",
     "campaign_kills",
-    "campaign_show",
     "campaign_speed",
     "campaign_statistics",
     "canopen_reactions",

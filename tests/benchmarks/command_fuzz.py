@@ -2,13 +2,12 @@
 
 `fuzz` sends them to any command plane: random bytes, broken and mutated JSON, wrong types, unknown verbs, too
 long, repeated, out of order, without a lease. `run` does so against a plane in a process of its own, whose
-memory is watched, and then against `golfbench run`, whose loop's timing is compared with and without it.
+memory is watched.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import random
 import subprocess
@@ -19,16 +18,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-import numpy as np
 import psutil
 import zenoh
 
 from bench.config import Configuration
-from bench.network.bench_service import BenchStatus, CountStatus
+from bench.network.bench_service import CountStatus
 from bench.network.client import BenchClient
 from bench.network.command import (
     LAST_SEQUENCE,
@@ -40,11 +36,8 @@ from bench.network.command import (
 )
 from bench.network.lease import new_key
 from bench.network.zenoh_session import open_client
-from bench.processes.plan import TIMING_FILE
-from bench.processes.tick_timing import BUCKETS, SEGMENTS, TimingReader, percentile
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.benchmarks.row import Row
-from tests.running_bench import running_bench, write_configuration
 
 MESSAGES = 100_000
 WINDOW = 512
@@ -250,9 +243,6 @@ def uncounted(tally: Tally, before: CountStatus, after: CountStatus) -> int:
     return sum(abs(counted[name] - seen[name]) for name in seen)
 
 
-# Against a plane alone -------------------------------------------------------------------------------
-
-
 @contextmanager
 def plane_process() -> Iterator[tuple[Configuration, psutil.Process]]:
     """Yield the configuration and the process of a command plane in front of a desk without a bench."""
@@ -266,8 +256,8 @@ def plane_process() -> Iterator[tuple[Configuration, psutil.Process]]:
         process.terminate()
 
 
-def fuzz_plane(count: int = MESSAGES) -> list[Row]:
-    """Fuzz a plane alone."""
+def fuzz_plane(count: int) -> list[Row]:
+    """Return the figures of `count` messages."""
     memory: list[float] = []
     with plane_process() as (configuration, process):
         with BenchClient.connect(configuration) as client:
@@ -296,121 +286,11 @@ def fuzz_plane(count: int = MESSAGES) -> list[Row]:
     ]
 
 
-# Against a running bench ----------------------------------------------------------------------------
-
-CONDITIONS = ("quiet", "other", "fuzz")
-"""Nothing; the same messages to a plane that is not this bench's, which keeps the machine as busy; to it."""
-
-
-class Timing:
-    """How a loop kept time under one condition, pooled over its windows."""
-
-    def __init__(self) -> None:
-        self.count = np.zeros((len(SEGMENTS), BUCKETS), np.int64)
-        self.ticks = self.skipped = self.late = 0
-
-    def add(self, before: np.ndarray[Any, Any], after: np.ndarray[Any, Any]) -> None:
-        """Add what happened between two snapshots of the loop's timing."""
-        self.count += after["count"][0] - before["count"][0]
-        self.ticks += int(after["ticks"][0] - before["ticks"][0])
-        self.skipped += int(after["skipped"][0] - before["skipped"][0])
-        self.late += int(after["late"][0] - before["late"][0])
-
-    def microseconds(self, segment: str, share: float) -> float:
-        """Return a percentile of a segment's durations."""
-        return percentile(self.count[SEGMENTS.index(segment)], share) / 1000
-
-
-def fuzz_bench(count: int = MESSAGES, windows: int = 8) -> list[Row]:
-    """Fuzz a running bench with `count` messages in `windows`, between as many without."""
-    timings = {condition: Timing() for condition in CONDITIONS}
-    sent: Counter[str] = Counter()
-    name = "running bench under fuzz"
-    with (
-        TemporaryDirectory() as folder,
-        running_bench(write_configuration(Path(folder), "fuzz"), clock="wall") as bench,
-        plane_process() as (other, _),
-        BenchClient.connect(bench.configuration) as client,
-        open_client(bench.configuration.network, bench.configuration.bench.id) as session,
-        open_client(other.network, other.bench.id) as other_session,
-        TimingReader(bench.folder / TIMING_FILE) as reader,
-    ):
-        key = use_up(client)
-        began, before, missing = client.status(), client.status()["counts"], 0
-        memory = [_memory(began)]
-        length = 3.0
-        for window in range(windows):
-            # Each condition comes first, second and last in turn.
-            for place in range(3):
-                condition = CONDITIONS[(window + place) % 3]
-                start = reader.snapshot()
-                match condition:
-                    case "quiet":
-                        time.sleep(length)
-                    case "other":
-                        fuzz(other_session, other.bench.id, count // windows, key, seed=window)
-                    case _:
-                        tally = fuzz(
-                            session, bench.configuration.bench.id, count // windows, key, seed=window
-                        )
-                        sent.update(tally.answered)
-                        length = tally.seconds
-                        after = client.status()["counts"]
-                        missing += uncounted(tally, before, after)
-                        before = after
-                timings[condition].add(start, reader.snapshot())
-            memory.append(_memory(client.status()))
-            before = client.status()["counts"]
-        ended = client.status()
-    rows = [
-        Row(name, "answered", sent.total(), "messages", f"{dict(sent)}, {count // windows} in each window"),
-        Row(name, "neither answered nor counted", missing, "messages", at_most=0),
-        Row(name, "loop restarted or state left", _left(began, ended), "", ended["state"], at_most=0),
-        Row(name, "growth of the supervisor's memory", memory[-1] - memory[1], "MiB", at_most=8.0),
-    ]
-    for segment, share in itertools.product(("wake_up", "tick"), (0.5, 0.99, 0.999)):
-        quiet, other_, fuzzed = (timings[c].microseconds(segment, share) for c in CONDITIONS)
-        note = f"{quiet:.0f} µs quiet, {other_:.0f} µs while another plane is fuzzed"
-        rows.append(Row(name, f"{segment} p{100 * share:g}", fuzzed, "µs", note))
-        if share < 0.999:
-            # The tail beyond is the machine's.
-            figure = f"{segment} p{100 * share:g}, fuzzed over another plane fuzzed"
-            rows.append(Row(name, figure, fuzzed / other_, "", at_most=1.5))
-    for what in ("late", "skipped"):
-        share_ = {c: 1e5 * getattr(t, what) / t.ticks for c, t in timings.items()}
-        note = f"{share_['quiet']:.0f} quiet, {share_['other']:.0f} while another plane is fuzzed"
-        rows.append(Row(name, what, share_["fuzz"], "of 100,000 ticks", note))
-    return rows
-
-
-def _memory(status: BenchStatus) -> float:
-    """Return the resident memory (MiB) of the supervisor, the parent of the loop."""
-    loop = psutil.Process(status["processes"]["loop"]["pid"])
-    parent = loop.parent()
-    return float("nan") if parent is None else parent.memory_info().rss / 2**20
-
-
-def _left(before: BenchStatus, after: BenchStatus) -> int:
-    """Return 0 if the loop is the same and the bench stands as it stood."""
-    same = all(before["processes"]["loop"][k] == after["processes"]["loop"][k] for k in ("pid", "alive"))
-    return int(not same or after["state"] not in ("ESTOP", "FAULT") or after["swings"] != before["swings"])
-
-
 def run(arguments: Sequence[str] = ()) -> list[Row]:
-    """Fuzz a plane alone, then a running bench."""
+    """Fuzz a plane in a process of its own."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks command_fuzz")
-    parser.add_argument("--messages", type=int, default=MESSAGES, metavar="N", help="to each of the two")
-    parser.add_argument("--windows", type=int, default=8, metavar="N", help="of each condition")
-    parser.add_argument("--alone", action="store_true", help="only a command plane without a bench")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="write the figures there, JSON")
-    chosen = parser.parse_args(arguments)
-    rows = fuzz_plane(chosen.messages)
-    if not chosen.alone:
-        rows += fuzz_bench(chosen.messages, chosen.windows)
-    if chosen.output:
-        figures = [{**row._asdict(), "holds": row.holds} for row in rows]
-        chosen.output.write_text(json.dumps(figures, indent=1) + "\n")
-    return rows
+    parser.add_argument("--messages", type=int, default=MESSAGES, metavar="N")
+    return fuzz_plane(parser.parse_args(arguments).messages)
 
 
 def serve(port: int) -> None:

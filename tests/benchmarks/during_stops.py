@@ -6,8 +6,7 @@
 At instants over the whole swing a stop is asked for; `--delays` (ms) later a part breaks, and the robot
 is watched until it rests. A row is a kind of fault: how many of its cases end unsafe, and the worst load. The
 The table's cases are known: `--shift` (ms) moves all instants, and other delays are cases that nobody has
-looked at before. `--check off` leaves the model-based check out, `--energy` sets the ratings of the cushions
-(shoulder, right arm, wrist, J), and `--json` writes every case.
+looked at before. `--check off` leaves the model-based check out.
 
 With `--healthy` nothing breaks: each stop is of another plant, a `healthy_plant` of its seed, at an instant
 drawn over the swing, and ends as the stopping table says, without another cause.
@@ -16,7 +15,6 @@ drawn over the swing, and ends as the stopping table says, without another cause
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -152,15 +150,6 @@ def named_instants(profile: Profile, shift: int) -> list[Instant]:
     return [replace(instant, tick=max(instant.tick + shift, 1)) for instant in named]
 
 
-def dense_instants(profile: Profile, every: int, shift: int) -> list[Instant]:
-    """Return an instant every so many ticks from the last third of the downswing to 60 ms past the impact."""
-    downswing, committed = profile.begins[3:5]
-    first = committed - (committed - downswing) // 3 + shift
-    last = round((profile.impact_time + 0.06) / profile.period)
-    names = [Phase(int(phase)).name.lower().replace("_", "-") for phase in profile.phases]
-    return [Instant(names[tick], tick, f"at {tick} ms") for tick in range(first, last, every)]
-
-
 StopDraw = tuple[Instant, str, Break, int]
 """Instant, stop, what breaks, and ms from the stop to that."""
 
@@ -208,17 +197,6 @@ class HealthyStops:
         return lambda seed: healthy_stop(self.configuration, self.profile, seed)
 
 
-def with_cushions(c: Configuration, energy: Sequence[float] | None) -> Configuration:
-    """Return `c` with cushions rated for `energy` (shoulder, right arm, wrist, J); None: as they are."""
-    if energy is None:
-        return c
-    shoulder, arm, wrist = (
-        replace(actuator, stop=replace(actuator.stop, energy=rating))
-        for actuator, rating in zip(c.plant.actuators, energy, strict=True)
-    )
-    return replace(c, plant=replace(c.plant, shoulder=shoulder, right_arm=arm, wrist=wrist))
-
-
 def healthy_stop(c: Configuration, profile: Profile, seed: int) -> str:
     """Return how the stop of the robot of `seed` was escalated; empty if it was not, or did not begin."""
     random = np.random.default_rng(seed)
@@ -250,30 +228,22 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--check", choices=("always", "off"), default="always", help="By the model.")
     parser.add_argument("--delays", type=int, nargs="+", default=DELAYS, metavar="MS")
     parser.add_argument("--shift", type=int, default=0, metavar="MS", help="Move all instants.")
-    parser.add_argument("--every", type=int, default=0, metavar="MS", help="Dense instants around the blow.")
     parser.add_argument("--stops", nargs="+", default=list(STOPS), choices=list(STOPS))
     parser.add_argument("--faults", default="", metavar="PART", help="Only those with it in their name.")
-    parser.add_argument("--energy", type=float, nargs=3, default=None, metavar="J")
     parser.add_argument("--healthy", type=int, default=0, metavar="N", help="Stop N healthy robots.")
     parser.add_argument("--first", type=int, default=0, help="Seed of the first.")
-    parser.add_argument("--json", type=Path, metavar="FILE")
     add_engine_options(parser)
     options = parser.parse_args(arguments)
     c = load_configuration(Path(options.configuration) if options.configuration else shipped_configuration())
-    c = with_cushions(c, options.energy)
     profile = load_profile(find_profile(options.profile or c.swing.profile))
     if options.healthy:
         seeds = range(options.first, options.first + options.healthy)
         return [_escalated(swept(options, HealthyStops(c, profile), seeds, "stopping", c), profile, seeds)]
     instants = named_instants(profile, options.shift)
-    if options.every:
-        instants = dense_instants(profile, options.every, options.shift)
     wanted = [broken for broken in breaks() if options.faults in broken.fault.name]
     draws = list(product(instants, options.stops, wanted, options.delays))
     study = Stops(c, profile, options.check == "always")
     found = swept(options, study, draws, "stopping", c, group=lambda draw: draw[0])
-    if options.json:
-        options.json.write_text(json.dumps([case._asdict() for case in found]))
     return [
         _summary(kind, [case for case in found if case.kind == kind])
         for kind in dict.fromkeys(case.kind for case in found)

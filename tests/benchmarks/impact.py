@@ -1,4 +1,4 @@
-"""Impact: ball speed, launch and spin of the bag against published averages; the off-centre map; the bag.
+"""Impact: ball speed, launch and spin of the bag against published averages; gear effect; the bag.
 
 `--fit` fits restitution, its slope and the loss factor again to every other tour row and prints them.
 """
@@ -13,10 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
-from scipy.optimize import least_squares
 
 from bench.config import load_configuration
 from sim.flight import Launch, fly
@@ -48,10 +46,6 @@ YARD = 0.9144
 BAG = ("Driver", "3-wood", "Hybrid", "5-iron", "7-iron", "9-iron", "PW")
 WEDGE = (78 * MPH, radians(-5.0), radians(50.0))
 """Speed, attack and dynamic loft of a full 56 degree wedge; assumption, no average is published."""
-_FLOWN_UNITS = (2.5, 2.0)
-"""Errors of carry (yd) and descent (deg) that count alike."""
-
-Array = NDArray[np.float64]
 
 
 def _print_table(table: Table) -> None:
@@ -112,9 +106,6 @@ def _fitted(values: Fitted) -> Table:
 
 # --- Over the face ----------------------------------------------------------------------------------
 
-TOES, HEIGHTS = (-20, -10, 0, 10, 20), (10, 0, -10)
-"""mm from the centre of the face."""
-
 
 def _struck(club: Club, x: float, y: float) -> Launch:
     """Return the launch of a 100 mph drive at (x, y) mm from the face's centre, the loft 13 degrees."""
@@ -131,25 +122,6 @@ def _parts(launch: Launch) -> tuple[float, float, float, float, float]:
         launch.spin * cos(launch.spin_axis) / RPM,
         launch.spin * sin(launch.spin_axis) / RPM,
     )
-
-
-def _face_table(club: Club) -> Table:
-    table = _table(
-        "driver, 100 mph, loft 13 deg, off centre (toe, high mm)",
-        *("toe, high", "ball mph", "launch", "direction", "back rpm", "side rpm"),
-    )
-    for y in HEIGHTS:
-        for x in TOES:
-            speed, launch, direction, back, side = _parts(_struck(club, x, y))
-            table.add_row(
-                f"{x:+d} {y:+d}",
-                f"{speed:.1f}",
-                f"{launch:.1f}",
-                f"{direction:+.1f}",
-                f"{back:.0f}",
-                f"{side:+.0f}",
-            )
-    return table
 
 
 def _gear_rows(club: Club) -> list[Row]:
@@ -251,14 +223,11 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     )
     lofted, with_loft = _errors("averages with a published loft", lofted_averages(), bag)
     shown, found = _bag_table(bag)
-    flown, flown_rows = _flight_table(flown_averages())
-    for table in (tours, lofted, _face_table(bag["wood1"]), shown, flown):
+    for table in (tours, lofted, shown):
         _print_table(table)
     if given.fit:
         _print_table(_fitted(fit(averages, bag)))
     pairs = list(zip(averages, errors, strict=True))
-    before = {name: _before(club) for name, club in bag.items()}
-    shipped = [error_of(a, club_of(a.club, before)) for a in averages if a.held_out]
     carries = [model - tour for row in found for model, tour in [row["carry"]]]
     descents = [model - tour for row in found for model, tour in [row["descent"]]]
     own = [_descent(f) for f in flown_averages() if f.average.club in BAG]
@@ -270,14 +239,12 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
             False,
         ),
         *_rms_rows("fitted", [e for a, e in pairs if not a.held_out], False),
-        *_rms_rows("held out, contact without compliance", shipped, False),
         *_rms_rows("published loft", with_loft, False),
         *_gear_rows(bag["wood1"]),
         Row(NAME, "descent of the bag", _rms(descents), "deg rms", f"{len(descents)} rows"),
         Row(
             NAME, "descent from the tours' own launches", _rms(own), "deg rms", "what the flight model misses"
         ),
-        *flown_rows,
         Row(
             NAME,
             "carry of the bag",
@@ -285,52 +252,6 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
             "yd rms",
             f"{len(carries)} rows",
         ),
-    ]
-
-
-def _flown(flown: FlownAverage, drag: float = 1.0, lift: float = 1.0) -> tuple[Array, float]:
-    """Fly the tour's own launch; return errors (2,) of carry (yd) and descent (deg), and the apex, yd."""
-    a = flown.average
-    ball = replace(BALL, drag_factor=drag, lift_factor=lift)
-    flight = fly(Launch(a.ball_speed, a.launch, 0.0, a.spin, 0.0), ball=ball)
-    carry, descent = flight.carry - flown.carry, flight.landing_angle - flown.landing_angle
-    return np.array([carry / YARD, degrees(descent)]), flight.apex / YARD
-
-
-def _factors(rows: Sequence[FlownAverage]) -> Array:
-    """Return the factors (2,) on drag and lift with which `rows` come nearest to carry and descent."""
-
-    def errors(factors: Array) -> Array:
-        return np.concatenate([_flown(row, *factors)[0] / _FLOWN_UNITS for row in rows])
-
-    return np.asarray(least_squares(errors, np.array([1.0, 1.1]), diff_step=(1e-3, 1e-3)).x)
-
-
-def _flight_table(rows: Sequence[FlownAverage]) -> tuple[Table, list[Row]]:
-    """Return what the flight model misses from the tours' own launches, and what it lacks."""
-    table = _table(
-        "flown from the tours' own launches; factors on drag and lift that meet carry and descent",
-        *("average", "", "carry, yd", "descent, deg", "apex, yd", "drag", "lift", "apex with them, yd"),
-    )
-    for row in rows:
-        (carry, descent), apex = _flown(row)
-        factors = _factors([row])
-        table.add_row(
-            row.average.name,
-            "held out" if row.average.held_out else "fitted",
-            f"{carry:+.1f}",
-            f"{descent:+.1f}",
-            f"{apex:.0f}",
-            *(f"{factor:.2f}" for factor in factors),
-            f"{_flown(row, *factors)[1]:.0f}",
-        )
-    held = [row for row in rows if row.average.held_out]
-    common = _factors([row for row in rows if not row.average.held_out])
-    note = f"drag x {common[0]:.2f}, lift x {common[1]:.2f} of the fitted rows"
-    before, after = (_rms([_flown(row, *f)[0][1] for row in held]) for f in (np.ones(2), common))
-    return table, [
-        Row(NAME, "held out: descent from the tours' own launches", before, "deg rms", f"{len(held)} rows"),
-        Row(NAME, "the same with common factors on drag and lift", after, "deg rms", note),
     ]
 
 
@@ -343,9 +264,3 @@ def _descent(flown: FlownAverage) -> float:
 
 def _rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _before(club: Club) -> Club:
-    """Return `club` with the contact of the shipped driver, and its bands of restitution."""
-    e = {0.882: 0.83, 0.817: 0.80}.get(club.restitution, 0.72)
-    return replace(club, restitution=e, restitution_slope=0.0, tangential_stiffness=0.0)

@@ -1,6 +1,6 @@
 """The loop's timing beside `cyclictest`, in alternating pairs with the other core loaded.
 
-    python -m tests.benchmarks loop_timing --pairs 20 --seconds 15 --rate 1000 --output pairs.json
+    python -m tests.benchmarks loop_timing --pairs 20 --seconds 15 --rate 1000
 
 Long, so only by name. A pair is one run of the loop process against the plant's process, swinging all the
 time, and one of `cyclictest` at the same priority, interval and core; which comes first changes from pair to
@@ -12,12 +12,9 @@ the hypervisor took from the loop's core, in ticks of the kernel's accounting (1
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import platform
 import subprocess
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -103,15 +100,14 @@ def busy_core(cpu: int) -> Iterator[None]:
             process.kill()
 
 
-def loop_run(options: argparse.Namespace) -> tuple[LoopRun, Timing, dict[str, Any]]:
-    """Return one run of the loop, what its counters counted in it, and what it told when ready."""
+def loop_run(options: argparse.Namespace) -> tuple[LoopRun, Timing]:
+    """Return one run of the loop, and what its counters counted in it."""
     with running_loop(configured(options.rate, options.priority, options.cpu)) as loop:
         loop.wait_for_swing()
         swings, stops, steal, before = loop.swings, loop.stops, _steal(options.cpu), loop.timing.snapshot()
         loop.live(options.seconds)
         after, steal = loop.timing.snapshot(), _steal(options.cpu) - steal
         told = summary(after, before)
-        ready = loop.ready
         swings, stops = loop.swings - swings, loop.stops - stops
     wake_up = told["segments"]["wake_up"]
     latencies = Latencies(
@@ -126,14 +122,13 @@ def loop_run(options: argparse.Namespace) -> tuple[LoopRun, Timing, dict[str, An
     counted = after.copy()
     for name in _SUMMED:
         counted[name] -= before[name]
-    return run, counted, ready
+    return run, counted
 
 
-def measure(options: argparse.Namespace) -> tuple[list[Pair], Timing, dict[str, Any]]:
-    """Return the pairs, the loop's counters summed over all, and what the loop told when ready."""
+def measure(options: argparse.Namespace) -> tuple[list[Pair], Timing]:
+    """Return the pairs, and the loop's counters summed over all."""
     pairs: list[Pair] = []
     total = np.zeros(1, TIMING)
-    ready: dict[str, Any] = {}
 
     def cyclic() -> tuple[Latencies, int]:
         steal, interval = _steal(options.cpu), round(1e6 / options.rate)
@@ -144,13 +139,13 @@ def measure(options: argparse.Namespace) -> tuple[list[Pair], Timing, dict[str, 
         for k in progress.track(range(options.pairs), description="pairs of loop and cyclictest"):
             first = ("loop", "cyclictest")[k % 2]
             before = cyclic() if first == "cyclictest" else None
-            run, counted, ready = loop_run(options)
+            run, counted = loop_run(options)
             latencies, steal = before or cyclic()
             for name in _SUMMED:
                 total[name] += counted[name]
             total["longest"] = np.maximum(total["longest"], counted["longest"])
             pairs.append(Pair(first, run, latencies, steal))
-    return pairs, total, ready
+    return pairs, total
 
 
 # Judging ---------------------------------------------------------------------------------------------
@@ -224,35 +219,8 @@ def table(pairs: list[Pair], rate: float) -> Table:
     return shown
 
 
-def document(
-    options: argparse.Namespace, pairs: list[Pair], total: Timing, ready: dict[str, Any]
-) -> dict[str, Any]:
-    """Return everything as plain values."""
-    return {
-        "machine": platform.platform(),
-        "cores": os.cpu_count(),
-        "rate_hz": options.rate,
-        "seconds": options.seconds,
-        "priority": options.priority,
-        "cpu": options.cpu,
-        "busy_cpu": options.busy_cpu,
-        "loop": ready,
-        "pairs": [
-            {
-                "first": pair.first,
-                "loop": {**pair.loop._asdict(), "wake_up": pair.loop.wake_up._asdict()},
-                "cyclictest": {**pair.cyclictest._asdict(), "steal": pair.cyclictest_steal},
-                "ratio": {share: pair.ratio(share) for share in SHARES},
-            }
-            for pair in pairs
-        ],
-        "counters": {name: total[name][0].tolist() for name in (*_SUMMED, "longest")},
-        "figures": [{**row._asdict(), "holds": row.holds} for row in rows(pairs, total, options.rate)],
-    }
-
-
 def run(arguments: Sequence[str] = ()) -> list[Row]:
-    """Measure all pairs, print them, write them where `--output` says; 40 s a pair by default."""
+    """Measure all pairs and print them; 40 s a pair by default."""
     cores = sorted(os.sched_getaffinity(0))
     parser = argparse.ArgumentParser(
         prog="python -m tests.benchmarks loop_timing",
@@ -265,12 +233,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--priority", type=int, default=PRIORITY, help="of SCHED_FIFO")
     parser.add_argument("--cpu", type=int, default=cores[0], help="the loop's and cyclictest's core")
     parser.add_argument("--busy-cpu", type=int, default=cores[-1], help="the core kept busy")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="write all pairs there, JSON")
     options = parser.parse_args(arguments)
-    started = time.time()
-    pairs, total, ready = measure(options)
+    pairs, total = measure(options)
     Console(width=max(132, Console().width)).print(table(pairs, options.rate))
-    if options.output:
-        text = json.dumps({"time": started, **document(options, pairs, total, ready)}, indent=1)
-        options.output.write_text(text + "\n")
     return rows(pairs, total, options.rate)

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from bench.config import Configuration, load_configuration
 from bench.lifecycle import Request, State
@@ -43,10 +42,8 @@ _NEXT = {
 class RunningLoop:
     """A loop at work. `turn` keeps it swinging and must be called many times a second."""
 
-    def __init__(self, link: LoopLink, loop: Child, timing: TimingReader, ready: dict[str, Any]) -> None:
+    def __init__(self, link: LoopLink, loop: Child, timing: TimingReader) -> None:
         self.link, self.loop, self.timing = link, loop, timing
-        self.ready = ready
-        """What the loop told when it was ready: granted real-time settings, tick of the warm-up."""
         self.swings = 0
         self.stops = 0
         """Faults and emergency stops after the first, from which it went on."""
@@ -124,7 +121,7 @@ def running_loop(configuration: Configuration) -> Iterator[RunningLoop]:
             pass_fds=(owner.descriptor,),
         )
         stack.callback(loop.end, 15.0)
-        ready = loop.wait_until_ready(START)
+        loop.wait_until_ready(START)
         link.connect()
         timing = stack.enter_context(TimingReader(owner.folder / TIMING_FILE))
-        yield RunningLoop(link, loop, timing, ready)
+        yield RunningLoop(link, loop, timing)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
-from argparse import Namespace
 
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from tests.benchmarks.cyclictest import HISTOGRAM_US, Latencies, read_histogram,
 from tests.benchmarks.loop_timing import (
     LoopRun,
     Pair,
-    document,
     median_interval,
     rows,
     steal_ticks,
@@ -119,9 +116,5 @@ def test_the_bootstrap_interval_holds_the_median() -> None:
     assert np.isnan(median_interval([])).all()
 
 
-def test_table_and_document_show_all_pairs() -> None:
-    pairs = [pair(1.0), pair(1.1)]
-    options = Namespace(rate=1000.0, seconds=15, priority=80, cpu=0, busy_cpu=1)
-    assert table(pairs, 1000.0).row_count == 2
-    told = json.loads(json.dumps(document(options, pairs, counters(60_000), {})))
-    assert [p["ratio"]["p99"] for p in told["pairs"]] == [1.0, pytest.approx(1.1)]
+def test_the_table_shows_all_pairs() -> None:
+    assert table([pair(1.0), pair(1.1)], 1000.0).row_count == 2
