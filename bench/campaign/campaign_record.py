@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
 from bench.campaign.exclusions import reasons_by_hand, with_exclusions
 from bench.campaign.plan import CampaignPlan
@@ -14,6 +15,7 @@ from bench.store.campaigns import CampaignStore
 from bench.store.records import (
     CampaignEntry,
     CampaignRun,
+    CampaignState,
     Event,
     Hit,
     Prompt,
@@ -79,3 +81,21 @@ def load_record(store: CampaignStore, entry: CampaignEntry) -> CampaignRecord:
         store.runs(entry.id),
         exclusions,
     )
+
+
+KIND = "look"
+
+
+def note_look(store: CampaignStore, record: CampaignRecord, occasion: str) -> list[int]:
+    """Store a look at an unfinished campaign; return the numbers of shots at which there was one, this too.
+
+    A second look at the same shots adds nothing: it is not counted. At the end of the plan there is
+    nothing to pay for.
+    """
+    shots = len(record.shots)
+    looks = [event.before_shot - 1 for event in record.events if event.kind == KIND]
+    if record.standing.state is CampaignState.FINISHED or not shots or shots in looks:
+        return looks
+    text = f"look at {shots} shots: {occasion}"
+    store.add(record.entry, (), [Event(datetime.now(UTC), shots + 1, KIND, text)])
+    return [*looks, shots]

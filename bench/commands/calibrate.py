@@ -274,7 +274,7 @@ def _add(
 ) -> None:
     """Check `content` against its ranges and this bench, store it, and say so."""
     from bench.calibration.archive import keep_calibration
-    from bench.calibration.plausible import require_plausible
+    from bench.calibration.calibration import require_plausible
     from bench.calibration.values import in_words, values_of
 
     values = values_of(kind, content, f"calibrate {kind}")

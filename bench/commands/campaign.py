@@ -278,10 +278,9 @@ def _run(
     by: str,
 ) -> None:
     """Run `entry` and print the outcome."""
-    from bench.campaign.campaign_record import load_record
+    from bench.campaign.campaign_record import load_record, note_look
     from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.findings import findings, findings_record
-    from bench.campaign.interim_events import note_look
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline
     from bench.commands.campaign_junit import junit_xml
@@ -382,11 +381,10 @@ def report(
     With --issue the report of a finished campaign gets a number, also each amendment.
     """
     from bench.campaign.campaign_control import standing_now
-    from bench.campaign.campaign_record import load_record
+    from bench.campaign.campaign_record import load_record, note_look
     from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.display_units import UnitSystem
     from bench.campaign.findings import findings, findings_record
-    from bench.campaign.interim_events import note_look
     from bench.campaign.iso17025 import issue_report
 
     with _found(context, campaign) as (store, entry):

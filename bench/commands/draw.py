@@ -63,11 +63,10 @@ def _write(
     """Write one format or all; return the files to name."""
     from importlib.util import find_spec
 
-    from bench.drawing.collision import collision_outline
     from bench.drawing.drawing import placed
     from bench.drawing.gltf import write_gltf
     from bench.drawing.step import write_step
-    from bench.drawing.urdf import write_urdf
+    from bench.drawing.urdf import collision_outline, write_urdf
 
     written = []
     bodies = placed(plant)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bench.network.bench_service import BenchStatus
     from bench.network.client import BenchClient
     from bench.network.command import CommandAnswer
+    from bench.shot.shot_message import ShotPublication
 
 PANEL = "A running bench"
 
@@ -152,7 +153,6 @@ def swing(
 
     Exits with 1 if the swing did not complete. Profiles: golfbench profile.
     """
-    from bench.commands.shot_lines import shot_lines
     from bench.errors import BenchError, Refused
     from bench.network.client import cure_of
 
@@ -358,3 +358,52 @@ def _tell(bench: BenchClient) -> None:
     from bench.network.status_words import state_line
 
     typer.echo(state_line(bench.status()))
+
+
+_MPH, _YARD = 0.44704, 0.9144
+
+
+def shot_lines(message: ShotPublication) -> list[str]:
+    """Return the figures of the shot in `message`, a line each for club, ball and what was wrong."""
+    shot, number = message["shot"] or {}, message["number"]
+    head = "swing" if number is None else f"swing {number}"
+    club = _joined(
+        _speed(shot, "club_speed_mps", "at the ball"),
+        _figure(shot, "attack_angle_deg", "attack {:+.2f}°"),
+        _figure(shot, "strike_x_mm", "strike {:+.1f} mm to the toe"),
+        _figure(shot, "strike_y_mm", "{:+.1f} mm up"),
+    )
+    ball = _joined(
+        _speed(shot, "ball_speed_mps", ""),
+        _figure(shot, "launch_angle_deg", "launch {:.1f}°"),
+        _figure(shot, "spin_rpm", "spin {:.0f} rpm"),
+        _carry(shot),
+    )
+    reason = message["reason"] or str(shot.get("reason") or "")
+    lines = [f"{head}: {club or 'no delivery'}"]
+    if ball:
+        lines.append(f"ball: {ball}")
+    if reason:
+        lines.append(reason)
+    return lines
+
+
+def _joined(*parts: str) -> str:
+    return ", ".join(filter(None, parts))
+
+
+def _figure(shot: Mapping[str, Any], name: str, form: str) -> str:
+    value = shot.get(name)
+    return "" if value is None else form.format(value)
+
+
+def _speed(shot: Mapping[str, Any], name: str, where: str) -> str:
+    value = shot.get(name)
+    return "" if value is None else f"{value:.2f} m/s ({value / _MPH:.1f} mph) {where}".rstrip()
+
+
+def _carry(shot: Mapping[str, Any]) -> str:
+    value, source = shot.get("carry_m"), shot.get("carry_source")
+    if value is None:
+        return ""
+    return f"carry {value:.1f} m ({value / _YARD:.1f} yd)" + (f" by {source}" if source else "")

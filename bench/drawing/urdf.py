@@ -6,6 +6,11 @@ the loop with a point constraint between them; `closure.json` beside the file na
 
 Root: `ground`, Z up, X along the target line, the origin below the point of impact. Joint values are those of
 the bench: shoulder, arm, wrist; rod and cylinder follow from them.
+
+The outlines that can collide are those of the clearance checks. `bench/control/envelope.py` and
+`bench/design/static_checks.py` take the club as the line from the wrist to the centre of the face with a sole
+at `plant.site.sole_depth` below it, the frame as a disc of `envelope.frame_radius` round R1, and the ground
+as a line. Here the same settings become solids; the checks' numbers stay their own.
 """
 
 from __future__ import annotations
@@ -19,7 +24,6 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 import numpy as np
 
 from bench.drawing.bodies import DrawnBody
-from bench.drawing.collision import CollisionOutline
 from bench.drawing.drawing import draw
 from bench.drawing.gltf import by_colour
 from bench.drawing.mesh import joined_meshes, write_stl
@@ -27,6 +31,32 @@ from bench.drawing.placement import Array, plane_to_golf
 from bench.telemetry.whole_file import whole_file
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
+
+_FRAME_LENGTH = 0.10
+
+
+class CollisionOutline(NamedTuple):
+    """Outlines in their bodies' frames (m); the club's line is as thick as its shaft."""
+
+    club_length: float
+    """Line of the club from R3 to the centre of the face."""
+    club_radius: float
+    sole_radius: float
+    """Ball round the centre of the face whose lowest point is the sole."""
+    frame_radius: float
+    """Cylinder round R1, `frame_length` long across the swing plane."""
+    frame_length: float
+    ground: float
+    """Height of the ground line in the swing plane."""
+
+
+def collision_outline(plant: PlantParameters, frame_radius: float) -> CollisionOutline:
+    """Return the outlines of a plant; `frame_radius` is the envelope's (m)."""
+    club, site = plant.robot.club, plant.site
+    return CollisionOutline(
+        club.length_to_face, club.shaft_radius, site.sole_depth, frame_radius, _FRAME_LENGTH, site.ground
+    )
+
 
 MESHES = "meshes"
 """Folder of the meshes beside the URDF."""

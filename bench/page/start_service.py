@@ -19,11 +19,10 @@ from bench.errors import BenchError, Refused
 from bench.from_toml import parse_toml, read_text
 from bench.page.answers import Asked, InvalidBody, UnknownName, json_answer
 from bench.page.campaign_service import STARTED
-from bench.page.command_line import BackgroundCommand, CommandLine
+from bench.page.command_line import BackgroundCommand, CommandLine, ViewerProcess
 from bench.page.entry_forms import FORMS, form_arguments
 from bench.page.page_access import PageRole
 from bench.page.page_service import PageService, Pool
-from bench.page.viewer_process import ViewerProcess
 
 if TYPE_CHECKING:
     from starlette.requests import Request

@@ -38,9 +38,8 @@ from bench.processes.child_process import (
 )
 from bench.processes.plan import LaunchMonitorPlan
 from bench.shot.recorded_shot import FlightConditions, shot_to_json, warm_up_shots
-from bench.shot.shot_matcher import LaunchBook, Told
+from bench.shot.shot_matcher import LaunchBook, SwingWatch, Told
 from bench.shot.shot_message import ShotPublication, launch_to_json, shortened, shot_publication
-from bench.shot.swing_watch import SwingWatch
 from bench.telemetry.ring import RingReader
 from drivers.base import DriverError
 from drivers.base.shared_record import SharedMemoryError

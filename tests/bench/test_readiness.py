@@ -32,7 +32,7 @@ from bench.network.bench_service import Reply
 from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
 from bench.network.status_words import ARMING_BLOCKED
-from bench.page.state_text import state_view
+from bench.page.bench_link import state_view
 from bench.readiness import HALF_BLIND, assess_bench
 from bench.store.database import open_database
 from tests.bench.fake_bench_service import FakeDesk

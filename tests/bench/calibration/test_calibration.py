@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.calibration.calibration import Calibration, Entry, apply
-from bench.calibration.plausible import require_plausible
+from bench.calibration.calibration import Calibration, Entry, apply, require_plausible
 from bench.calibration.values import (
     KINDS,
     BallPosition,

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.campaign.campaign_record import load_record
+from bench.campaign.campaign_record import load_record, note_look
 from bench.campaign.findings import findings
 from bench.campaign.interim_analysis import look_level, look_now, share_done, spent
-from bench.campaign.interim_events import note_look
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner_control import new_entry

@@ -11,11 +11,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from bench.drawing.collision import CollisionOutline, collision_outline
 from bench.drawing.links import lever_parts
 from bench.drawing.placement import address, plane_to_golf
 from bench.drawing.solids import Tube
-from bench.drawing.urdf import CLOSURE, joints, write_urdf
+from bench.drawing.urdf import CLOSURE, CollisionOutline, collision_outline, joints, write_urdf
 from sim.kane import forward_dynamics
 from sim.kinematics import forward_kinematics, joint_positions
 from sim.plant import PlantParameters

@@ -13,7 +13,6 @@ import pytest
 from bench.errors import BenchError, Refused
 from bench.network.free_port import free_port
 from bench.page import page_service
-from bench.page.application import page_application
 from bench.page.page_access import (
     MAX_SESSIONS,
     SESSION,
@@ -24,6 +23,7 @@ from bench.page.page_access import (
     read_tokens,
 )
 from bench.page.page_commands import COMMANDS
+from bench.page.page_server import page_application
 from bench.page.request_filter import Guard
 from tests.bench.certified import Folder
 from tests.bench.fake_bench_service import RunningPlane

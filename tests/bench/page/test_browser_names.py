@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
+from bench.page.bench_link import accepted_commands, state_view
 from bench.page.broadcaster import event_text
 from bench.page.entry_forms import described_forms
-from bench.page.state_text import accepted_commands, state_view
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.page.browser_tab import Tab, open_tab
 from tests.bench.page.running_page import RunningPage, running_page

@@ -21,14 +21,13 @@ import pytest
 from bench.config import Configuration
 from bench.errors import BenchError, Refused
 from bench.network.free_port import free_port
-from bench.page import command_line, viewer_process
+from bench.page import command_line
 from bench.page.answers import InvalidBody
-from bench.page.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, fault_of
+from bench.page.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, ViewerProcess, fault_of
 from bench.page.entry_forms import FORMS, form_arguments
 from bench.page.page_access import PageAddress
 from bench.page.page_server import run_outcome
 from bench.page.start_service import PlanCatalogue
-from bench.page.viewer_process import ViewerProcess
 from tests.bench.fake_bench_service import FakeDesk, running_plane
 from tests.bench.page.conftest import publishing
 from tests.bench.page.noting_program import NotingProgram
@@ -328,7 +327,7 @@ def test_the_viewer_is_opened_by_its_link_only_and_ends_with_the_page(
 
 
 def test_a_viewer_that_says_nothing_is_ended(program: NotingProgram, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viewer_process, "START", 0.2)
+    monkeypatch.setattr(command_line, "START", 0.2)
     silent = CommandLine((sys.executable, "-S", "-c", "import time; time.sleep(600)"))
     viewer = ViewerProcess(silent, lambda *_: None)
     with pytest.raises(BenchError, match="no URL"):

@@ -18,7 +18,7 @@ from bench.network.status_words import (
     STATE_WORDS,
     VENTING_WORDS,
 )
-from bench.page.state_text import accepted_commands, state_view
+from bench.page.bench_link import accepted_commands, state_view
 from bench.processes.status import NO_LAUNCH_MONITOR
 from tests.bench.fake_bench_service import FakeDesk
 

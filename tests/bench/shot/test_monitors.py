@@ -12,8 +12,7 @@ import pytest
 
 from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot import ShotStatus
-from bench.shot.shot_matcher import LaunchBook, Told
-from bench.shot.swing_watch import FinishedSwing
+from bench.shot.shot_matcher import FinishedSwing, LaunchBook, Told
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
 from drivers.launch_monitor.server import LaunchMonitorServer

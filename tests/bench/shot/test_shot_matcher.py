@@ -11,8 +11,16 @@ import pytest
 from bench.lifecycle import CAUSE_TEXT, Cause
 from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot import ShotStatus
-from bench.shot.shot_matcher import CLUB_ALONE, NO_BALL, NO_IMPACT, NOT_TOLD, REFUSED, LaunchBook, Told
-from bench.shot.swing_watch import FinishedSwing
+from bench.shot.shot_matcher import (
+    CLUB_ALONE,
+    NO_BALL,
+    NO_IMPACT,
+    NOT_TOLD,
+    REFUSED,
+    FinishedSwing,
+    LaunchBook,
+    Told,
+)
 from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
 from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord, RefusedRecord
 from sim.plant import PlantParameters, Site

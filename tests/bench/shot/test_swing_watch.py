@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.lifecycle import Cause, Phase, State
-from bench.shot.swing_watch import FinishedSwing, SwingWatch
+from bench.shot.shot_matcher import FinishedSwing, SwingWatch
 from bench.telemetry.shot_id import shot_id
 
 Cycles = np.ndarray[Any, Any]

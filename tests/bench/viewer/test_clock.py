@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.telemetry.cycle_record import CYCLE
-from bench.viewer.clock import ViewClock
+from bench.viewer.viewer import ViewClock
 
 
 def cycles(first_tick: int, count: int, start: float) -> np.ndarray:

@@ -20,10 +20,9 @@ import rerun as rr
 from bench.errors import BenchError
 from bench.network.free_port import free_port
 from bench.viewer.blueprint import live_blueprint
-from bench.viewer.page import LOOPBACK
 from bench.viewer.scene import log_static_scene
 from bench.viewer.signals import bench_time, log_styles, send_scalars
-from bench.viewer.window import RerunWindow, checked_memory, quiet_environment, rerun_program
+from bench.viewer.window import LOOPBACK, RerunWindow, checked_memory, quiet_environment, rerun_program
 from sim.plant import PlantParameters
 from tests.bench.telemetry.read_recording import Recording
 
