@@ -41,20 +41,11 @@ def view(
     ] = None,
     save: Annotated[Path | None, option("Write a Rerun file, .rrd; no window unless --web.", "FILE")] = None,
     web: Annotated[bool, flag("--web", "Show it in a browser on this machine.")] = False,
-    connect: Annotated[str | None, option("Send to a running Rerun viewer.", "URL")] = None,
-    port: Annotated[
-        int | None, option("Port of the web page.", low=1024, high=65535, shown="a free one")
-    ] = None,
-    memory_limit: Annotated[
-        str, option("Memory of the viewer; beyond it the oldest data are dropped.", "SIZE")
-    ] = "2GB",
 ) -> None:
     """Show a running bench, a past swing or a series in Rerun, on this machine only.
 
     A live view ends with Ctrl-C or when its window is closed; it reconnects if the bench restarts.
     """
-    from bench.viewer.window import checked_memory
-
     if shot is not None and campaign:
         raise BenchError(
             "--shot and --campaign", "both options", "one of the two", "Leave out --shot or --campaign."
@@ -62,9 +53,9 @@ def view(
     if golfer is not None and shot is None and not campaign:
         found, expected = "without --shot or --campaign", "a recorded swing next to it"
         raise BenchError("--golfer", found, expected, "Add --shot RECORD.parquet or --campaign NAME.")
-    where = _Where(save, web, connect, port, memory_limit)
-    _check(*where[:4])
-    checked_memory(memory_limit)
+    if save is not None and save.suffix != ".rrd":
+        raise BenchError("--save", str(save), "a name that ends in .rrd", "Name it so, or golfbench export.")
+    where = _Where(save, web)
     with ExitStack() as stack:
         if shot is not None or campaign:
             _view_records(stack, shot, campaign or [], golfer, where)
@@ -77,23 +68,11 @@ class _Where(NamedTuple):
 
     save: Path | None
     web: bool
-    connect: str | None
-    port: int | None
-    memory_limit: str
 
-
-def _check(save: Path | None, web: bool, connect: str | None, port: int | None) -> None:
-    """Refuse options that contradict each other."""
-    if web and connect is not None:
-        raise BenchError(
-            "--web and --connect", "both options", "one of the two", "Leave out --web or --connect."
-        )
-    if port is not None and not web:
-        raise BenchError(
-            "--port", "--port without --web", "--port together with --web", "Add --web, or leave out --port."
-        )
-    if save is not None and save.suffix != ".rrd":
-        raise BenchError("--save", str(save), "a name that ends in .rrd", "Name it so, or golfbench export.")
+    @property
+    def on_screen(self) -> bool:
+        """Whether there is a viewer, not a file alone."""
+        return self.web or self.save is None
 
 
 # Records ---------------------------------------------------------------------------------------------
@@ -102,6 +81,8 @@ def _check(save: Path | None, web: bool, connect: str | None, port: int | None) 
 def _view_records(
     stack: ExitStack, shot: Path | None, campaign: Sequence[Path], golfer: Path | None, where: _Where
 ) -> None:
+    import rerun as rr
+
     from bench.viewer.recording import layout_for, log_shots, write_recording
 
     with progress_bar() as progress:
@@ -110,18 +91,17 @@ def _view_records(
         if where.save is not None:
             write_recording(where.save, records, plant, name, swing)
             typer.echo(f"written: {where.save}")
-            if not where.web and where.connect is None:
+            if not where.on_screen:
                 return
         window = _window(stack, where)
-        recording = _recording(stack, name, [_sink(window, where.connect)], layout_for(records))
+        recording = _recording(stack, name, [rr.GrpcSink(window.url)], layout_for(records))
         task = progress.add_task("showing", total=len(records))
         log_shots(recording, records, plant, lambda: progress.advance(task), swing)
         recording.flush(timeout_sec=60.0)
     _say_where(window)
-    if window is not None:
-        with stop_on_signals() as wish:
-            while window.alive and not wish.wait(_TURN):
-                pass
+    with stop_on_signals() as wish:
+        while window.alive and not wish.wait(_TURN):
+            pass
 
 
 def _read(
@@ -167,23 +147,24 @@ def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
     from bench.viewer.recording import live_layout
     from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
 
-    c, (save, web, connect, _, _) = options.configuration(), where
+    c = options.configuration()
     session = open_client(c.network, c.bench.id)  # first: nobody waits half a minute for "no answer"
     stack.callback(close_session, session)
     around = FlightConditions(c.air, c.wind, c.turf)
     warm_up(c.plant, around)
     feed = stack.enter_context(Feed(session, c.bench.id, time.time))
     wish = stack.enter_context(stop_on_signals())
-    window = _window(stack, where) if web or connect or save is None else None
-    sinks = [] if window is None and connect is None else [_sink(window, connect)]
-    if save is not None:
+    window = _window(stack, where) if where.on_screen else None
+    sinks: list[Any] = [] if window is None else [rr.GrpcSink(window.url)]
+    if where.save is not None:
         # No table of contents at its end: that would be kept in memory, and a file cut short is readable so.
-        sinks.append(rr.FileSink(_writable(save), write_footer=False))
+        sinks.append(rr.FileSink(_writable(where.save), write_footer=False))
     recording = _recording(stack, f"bench {c.bench.id}", sinks, live_layout())
     live = LiveView(recording, feed, c.bench.id, c.plant, around)
-    _say_where(window)
+    if window is not None:
+        _say_where(window)
     typer.echo(f"showing bench {c.bench.id}; Ctrl-C ends it", err=True)
-    period = FILE_PERIOD if window is None and connect is None else PERIOD
+    period = FILE_PERIOD if window is None else PERIOD
     while not wish.is_made() and (window is None or window.alive):
         began = time.monotonic()
         live.turn(period)
@@ -218,23 +199,10 @@ def _writable(path: Path) -> Path:
 # Where it is shown -----------------------------------------------------------------------------------
 
 
-def _window(stack: ExitStack, where: _Where) -> RerunWindow | None:
+def _window(stack: ExitStack, where: _Where) -> RerunWindow:
     from bench.viewer.window import RerunWindow
 
-    if where.connect is not None:
-        return None
-    window = RerunWindow("web" if where.web else "window", where.memory_limit, web_port=where.port)
-    return stack.enter_context(window)
-
-
-def _sink(window: RerunWindow | None, connect: str | None) -> Any:
-    import rerun as rr
-
-    try:
-        return rr.GrpcSink(connect if window is None else window.url)
-    except (ValueError, RuntimeError) as error:
-        expected = "an address such as rerun+http://127.0.0.1:9876/proxy"
-        raise BenchError("--connect", str(connect), expected, f"Correct the address: {error}.") from None
+    return stack.enter_context(RerunWindow("web" if where.web else "window"))
 
 
 def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout) -> rr.RecordingStream:
@@ -247,6 +215,6 @@ def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout
     return recording
 
 
-def _say_where(window: RerunWindow | None) -> None:
-    if window is not None and window.page is not None:
+def _say_where(window: RerunWindow) -> None:
+    if window.page is not None:
         typer.echo(window.page)

@@ -13,7 +13,6 @@ import http.client
 import importlib.util
 import json
 import os
-import re
 import socket
 import subprocess
 import tempfile
@@ -56,12 +55,8 @@ def content_policy(data_port: int) -> str:
 class ViewerPage:
     """A server on the loopback that forwards the pages of Rerun's server at `source_port`."""
 
-    def __init__(self, port: int, source_port: int, data_port: int) -> None:
-        """Listen at `port`; 0 chooses a free one.
-
-        Raises:
-            OSError: the port is in use.
-        """
+    def __init__(self, source_port: int, data_port: int) -> None:
+        """Listen at a free port."""
         policy = content_policy(data_port)
 
         class Handler(BaseHTTPRequestHandler):
@@ -105,7 +100,7 @@ class ViewerPage:
                 if self.command == "GET":
                     self.wfile.write(body)
 
-        self._server = ThreadingHTTPServer((LOOPBACK, port), Handler)
+        self._server = ThreadingHTTPServer((LOOPBACK, 0), Handler)
         self._server.daemon_threads = True
         self.port = int(self._server.server_address[1])
         self._thread = threading.Thread(target=self._server.serve_forever, name="viewer page", daemon=True)
@@ -127,13 +122,14 @@ class ViewerPage:
 Kind = Literal["window", "web", "headless"]
 """On the screen, for a browser, or without display for screenshots."""
 
+MEMORY = "2GB"
+"""Memory of the viewer."""
 _START = 30.0
 """Startup time-out, s."""
 _END = 5.0
 _FORCED = "FORCE_RERUN_ANALYTICS"
 """Environment variable that would enable the statistics."""
 _PROXIES = tuple(f(f"{name}_proxy") for name in ("all", "http", "https") for f in (str.lower, str.upper))
-_SIZE = re.compile(r"[1-9][0-9]*(\.[0-9]+)?([kKMGT]i?B|%)")
 
 
 class ViewerFailed(BenchError):
@@ -161,19 +157,6 @@ def rerun_program() -> Path:
         "rerun-sdk with its viewer",
         "Reinstall rerun-sdk, or write a file with --save and open it on another machine.",
     )
-
-
-def checked_memory(text: str) -> str:
-    """Return a valid memory limit for Rerun, such as "2GB" or "25%".
-
-    Raises:
-        BenchError: it is invalid.
-    """
-    if not _SIZE.fullmatch(text):
-        raise BenchError(
-            "--memory-limit", repr(text), 'a size such as "2GB" or "25%"', "Give --memory-limit 2GB or 25%."
-        )
-    return text
 
 
 def quiet_environment(folder: Path, environment: Mapping[str, str]) -> dict[str, str]:
@@ -205,16 +188,13 @@ def quiet_environment(folder: Path, environment: Mapping[str, str]) -> dict[str,
 class RerunWindow:
     """A viewer that runs until closed by its user or at the end of a `with`."""
 
-    def __init__(
-        self, kind: Kind, memory_limit: str, port: int | None = None, web_port: int | None = None
-    ) -> None:
-        """Start the viewer and wait until it listens, at free ports unless given.
+    def __init__(self, kind: Kind, memory: str = MEMORY) -> None:
+        """Start the viewer and wait until it listens, at free ports; beyond `memory` old data are dropped.
 
         Raises:
-            BenchError: there is no screen, or `memory_limit` is invalid.
+            BenchError: there is no screen.
             ViewerFailed: it does not start.
         """
-        memory_limit = checked_memory(memory_limit)
         if kind == "window" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             expected, cure = "one for the viewer's window", "Use --web and a browser, or --save FILE."
             raise BenchError("screen", "none (neither DISPLAY nor WAYLAND_DISPLAY is set)", expected, cure)
@@ -224,14 +204,14 @@ class RerunWindow:
             folder = Path(self._folder.name)
             environment = quiet_environment(folder, os.environ)
             environment.setdefault("XDG_RUNTIME_DIR", str(folder))
-            self.port = free_port() if port is None else port
+            self.port = free_port()
             source_port = free_port() if kind == "web" else None
             arguments = ["--bind", LOOPBACK, "--port", str(self.port), "--hide-welcome-screen"]
             if source_port is not None:
                 arguments += ["--serve-web", "--web-viewer-port", str(source_port)]
-                arguments += ["--server-memory-limit", memory_limit]
+                arguments += ["--server-memory-limit", memory]
             else:
-                arguments += ["--memory-limit", memory_limit]
+                arguments += ["--memory-limit", memory]
             if kind == "headless":
                 arguments += ["--headless"]
             self._said = (folder / "said").open("w+b")
@@ -244,7 +224,7 @@ class RerunWindow:
             )
             self._wait_until_it_listens([port for port in (self.port, source_port) if port is not None])
             if source_port is not None:
-                self._page = _page(web_port or 0, source_port, self.port)
+                self._page = ViewerPage(source_port, self.port)
         except BaseException:
             self.close()
             raise
@@ -308,14 +288,6 @@ class RerunWindow:
                     "Try --web, or --save FILE.",
                 )
             time.sleep(0.05)
-
-
-def _page(port: int, source_port: int, data_port: int) -> ViewerPage:
-    try:
-        return ViewerPage(port, source_port, data_port)
-    except OSError as error:
-        cure = "Choose another port, or omit the option."
-        raise BenchError(f"--port {port}", error.strerror or str(error), "a free port", cure) from None
 
 
 def _listens(port: int) -> bool:

@@ -83,10 +83,7 @@ def test_a_golfer_is_shown_next_to_swings_that_reach_the_ball(
     ("options", "words"),
     [
         (["--shot", "x.parquet", "--campaign", "y"], "--shot and --campaign"),
-        (["--web", "--connect", "rerun+http://127.0.0.1:1/proxy"], "--web and --connect"),
-        (["--port", "9090"], "--web"),
         (["--save", "x.csv"], ".rrd"),
-        (["--memory-limit", "much"], "--memory-limit"),
         (["--shot", "absent.parquet"], "no such file"),
         (["--campaign", "absent"], "no such file"),
         (["--golfer", "anna.golfer.toml"], "without --shot or --campaign"),

@@ -22,7 +22,7 @@ from bench.network.free_port import free_port
 from bench.viewer.blueprint import live_blueprint
 from bench.viewer.scene import log_static_scene
 from bench.viewer.signals import bench_time, log_styles, send_scalars
-from bench.viewer.window import LOOPBACK, RerunWindow, checked_memory, quiet_environment, rerun_program
+from bench.viewer.window import LOOPBACK, RerunWindow, quiet_environment, rerun_program
 from sim.plant import PlantParameters
 from tests.bench.telemetry.read_recording import Recording
 
@@ -169,30 +169,11 @@ def test_a_viewer_that_dies_at_once_is_told_with_its_last_words(
         RerunWindow("web", "10MB")
 
 
-@pytest.mark.live
-def test_a_port_in_use_is_told() -> None:
-    with RerunWindow("web", "10MB") as window:
-        assert window._page is not None
-        with pytest.raises(BenchError, match="--port"):
-            RerunWindow("web", "10MB", web_port=window._page.port)
-
-
 def test_a_window_needs_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(BenchError, match="--web"):
         RerunWindow("window", "10MB")
-
-
-@pytest.mark.parametrize("text", ["", "0GB", "2", "GB", "-1GB", "2 GB", "2GB; rm", "50%%"])
-def test_what_is_no_size_is_refused(text: str) -> None:
-    with pytest.raises(BenchError, match="--memory-limit"):
-        checked_memory(text)
-
-
-@pytest.mark.parametrize("text", ["2GB", "1.5GiB", "25%", "512MB"])
-def test_sizes_are_taken(text: str) -> None:
-    assert checked_memory(text) == text
 
 
 @pytest.mark.live
