@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from math import degrees, radians
 from pathlib import Path
@@ -9,14 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from bench.commands.calibrate_aerodynamics import aerodynamics, user_name
 from bench.commands.calibrate_inputs import inputs
 from bench.commands.options import Json, argument, flag, option
+from bench.commands.output import plain_table
 from bench.commands.session import Session, exit_unless, show_json
 from bench.errors import BenchError, Refused
 
 if TYPE_CHECKING:
+    from bench.calibration.calibration import Calibration, Entry
     from bench.calibration.values import CalibrationKind
     from bench.config import Configuration
 
@@ -206,7 +211,6 @@ def list_all(context: typer.Context, json_: Json = False) -> None:
     from bench.calibration.archive import calibration_of, list_aerodynamics, list_calibrations
     from bench.calibration.ball_aerodynamics import AerodynamicsEntry
     from bench.calibration.calibration import Entry
-    from bench.commands.calibration_tables import listing
     from bench.config import database_url
     from bench.store.database import is_there, open_database
 
@@ -238,7 +242,6 @@ def show(context: typer.Context, json_: Json = False) -> None:
     Exits with 1 if the bench cannot be armed for lack of calibration.
     """
     from bench.calibration.archive import calibration_of
-    from bench.commands.calibration_tables import overview
 
     configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)
     calibration = calibration_of(configuration, now)
@@ -367,3 +370,49 @@ def _measured_valves(configuration: Configuration) -> dict[str, Any]:
         # An edge is known to about half a step of the ramp, and to the scatter around the fit.
         "uncertainty": float(SWEEP[1] - SWEEP[0]) / 2 + max(valve.residual for valve in found),
     }
+
+
+def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> Table:
+    """Return all `entries`, the newest of each kind last, each with who, how and why."""
+    from bench.calibration.values import CalibrationKind, in_words
+
+    table = Table.grid(padding=(0, 2, 1, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for entry in sorted(entries, key=lambda entry: (list(CalibrationKind).index(entry.kind), entry.version)):
+        title = Text.assemble(
+            (" ".join(filter(None, (entry.kind, entry.subject))), "bold"), f"\nversion {entry.version}\n"
+        )
+        title.append_text(_mark(entry, in_force, now))
+        lines = (
+            f"{entry.date:%Y-%m-%d %H:%M} to {entry.expires:%Y-%m-%d %H:%M} UTC, by {entry.by}",
+            in_words(entry.values),
+            "; ".join(filter(None, (entry.method, entry.note))),
+        )
+        table.add_row(title, Text("\n".join(lines)))
+    return table
+
+
+def overview(in_force: Calibration, now: datetime) -> Table:
+    """Return a table of what is in force, kind by kind."""
+    from bench.calibration.values import CalibrationKind, in_words
+
+    table = plain_table("kind", "version", "date (UTC)", "expires", "values", "")
+    for kind in CalibrationKind:
+        entry = in_force.of(kind)
+        if entry is None:
+            mark = Text("missing", "bold red") if in_force.required else Text("nominal", "dim")
+            table.add_row(kind, "", "", "", "as the configuration has it", mark)
+            continue
+        table.add_row(
+            *(" ".join(filter(None, (kind, entry.subject))), str(entry.version)),
+            *(f"{entry.date:%Y-%m-%d %H:%M}", f"{entry.expires:%Y-%m-%d}"),
+            *(in_words(entry.values), _mark(entry, in_force, now)),
+        )
+    return table
+
+
+def _mark(entry: Entry, in_force: Calibration, now: datetime) -> Text:
+    if in_force.of(entry.kind) != entry:
+        return Text("other club" if entry.subject not in {"", in_force.club} else "superseded", "dim")
+    return Text("expired", "bold red") if entry.expired(now) else Text("in force", "green")

@@ -282,8 +282,7 @@ def _run(
     from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.plan_file import plan_from_record
-    from bench.commands.campaign_baseline import check_baseline
-    from bench.commands.campaign_junit import junit_xml
+    from bench.commands.campaign_baseline import check_baseline, junit_xml
     from bench.store.records import CampaignState
     from bench.telemetry.whole_file import whole_file
 

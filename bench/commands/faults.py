@@ -131,9 +131,8 @@ def _matrix(
     study: FaultStudy, folder: Path, plan: MatrixPlan, compare: bool, engine: Engine
 ) -> dict[str, Any]:
 
-    from bench.faults.origin import origin_of
     from bench.faults.summary import compare as compared
-    from bench.faults.summary import summarise
+    from bench.faults.summary import origin_of, summarise
 
     outcomes, seconds = _outcomes(study, plan, folder / "cases.jsonl", engine)
     summary = summarise(

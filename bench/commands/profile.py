@@ -156,7 +156,7 @@ def check(
     Each reaction, each valve stuck open or shut, a silent bench, a missing ball and a fat shot, against the
     ratings of stops and chambers. Exits with 1 if any of them ends unsafe.
     """
-    from bench.commands.check_table import check_record, check_table
+    from bench.commands.profile_tables import check_record, check_table
     from bench.design.stop_verification import SwingCheck, summarise
     from bench.readiness import assess_bench
 

@@ -1,8 +1,9 @@
-"""A profile for people: its figures and phases in the terminal, its motion as a picture."""
+"""A profile for people: figures and phases, its motion as a picture, outcomes of its check."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,6 +16,9 @@ from bench.swing.motion import Motion, phase_times
 from bench.swing.profile import FollowedGolfer, Profile
 from drivers.base import ACTUATORS
 from sim.plant import PlantParameters
+
+if TYPE_CHECKING:
+    from bench.design.stop_verification import TrialOutcome, TrialSummary
 
 _BARS = " ▁▂▃▄▅▆▇█"
 _WIDTH = 64
@@ -157,3 +161,54 @@ def draw(profile: Profile, plant: PlantParameters, path: Path) -> None:
     axes[3].set_xlabel("time, s; dashed: planned contact; grey: phases")
     axes[3].set_xlim(0.0, profile.duration)
     figure.savefig(path, dpi=110)
+
+
+SCHEMA_VERSION = 1
+
+
+def check_table(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSummary]) -> Table:
+    """Return one row a fault: how many instants, the worst ends and when they began."""
+    unsafe = sum(bool(outcome.unsafe) for outcome in outcomes)
+    table = Table(
+        title=f"{name}: {len(outcomes)} cases, {unsafe} end unsafe",
+        caption="Shares are of the rating; instants are seconds from the start of the swing.",
+    )
+    table.add_column("fault")
+    for heading in ("cases", "unsafe", "most energy in a stop", "highest pressure", "clearance mm"):
+        table.add_column(heading, justify="right")
+    table.add_column("at rest after s", justify="right")
+    for summary in summaries:
+        stop, pressure = summary.worst_stop, summary.worst_pressure
+        lowest, slowest = summary.lowest, summary.slowest
+        table.add_row(
+            summary.fault,
+            str(summary.instants),
+            f"[red]{summary.unsafe}[/red]" if summary.unsafe else "0",
+            f"{100 * stop.stop_share:.0f} % {stop.stop} @{stop.time:.2f}",
+            f"{100 * pressure.pressure_share:.0f} % @{pressure.time:.2f}",
+            f"{1e3 * lowest.clearance:.0f} @{lowest.time:.2f}",
+            f"{slowest.rest_time:.2f} @{slowest.time:.2f}",
+        )
+    return table
+
+
+def check_record(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSummary]) -> dict[str, Any]:
+    """Return all outcomes as a JSON-ready record; a time that never came is null."""
+
+    def one(outcome: TrialOutcome) -> dict[str, Any]:
+        record = {key: getattr(outcome, key) for key in outcome.__dataclass_fields__}
+        rests = outcome.rest_time < float("inf")
+        return record | {
+            "phase": outcome.phase.name,
+            "cause": outcome.cause.name,
+            "rest_time": outcome.rest_time if rests else None,
+            "unsafe": outcome.unsafe,
+        }
+
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "profile": name,
+        "cases": len(outcomes),
+        "unsafe": {summary.fault: summary.unsafe for summary in summaries},
+        "outcomes": [one(outcome) for outcome in outcomes],
+    }

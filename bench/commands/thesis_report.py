@@ -18,14 +18,15 @@ from rich.padding import Padding
 from rich.text import Text
 
 from bench.commands.output import plain_table
-from bench.swing.tables import ADDRESS_ROD, thesis_swing
 from bench.swing.thesis_experiment import (
+    ADDRESS_ROD,
     DERIVATIVE,
     INTEGRAL,
     PROPORTIONAL,
     ExperimentSummary,
     ThesisExperiment,
     run_thesis_experiment,
+    thesis_swing,
 )
 from drivers.base import JOINTS
 

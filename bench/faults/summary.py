@@ -1,18 +1,25 @@
-"""Summary of a matrix: verdicts by breakage and phase, and the times of the reactions."""
+"""Summary of a matrix: verdicts by breakage and phase, times of the reactions, and what it was made from."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
+import subprocess
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
 from typing import Any
 
+from bench.config import Configuration
 from bench.faults.catalogue import FAMILIES
 from bench.faults.instants import phase_name
 from bench.faults.matrix import Skipped
 from bench.faults.verdict import CaseOutcome
 from bench.lifecycle import Phase
+from bench.swing.profile import Profile
+from drivers.base.machine_code import source_digest
 from sim.faults import MEANINGS, sort_of
 
 SCHEMA_VERSION = 3
@@ -182,3 +189,41 @@ def _compact(value: object) -> str:
 
 def _median(ticks: list[int]) -> int | None:
     return sorted(ticks)[len(ticks) // 2] if ticks else None
+
+
+SEED = 1
+"""Seed of the faults' random numbers, the same in all cases."""
+
+
+def origin_of(configuration: Configuration, profile: Profile, now: datetime) -> dict[str, Any]:
+    """Return what a matrix made `now` of `profile` and `configuration` can be made from again."""
+    effective = json.dumps(configuration.effective(), sort_keys=True, default=str)
+    swing = profile.angle.tobytes() + profile.valve.tobytes()
+    return {
+        "commit": commit(Path(__file__).parent),
+        "configuration": _digest(effective.encode()),
+        "profile": _digest(swing),
+        "sources": source_digest(),
+        "seed": SEED,
+        "time_utc": now.isoformat(timespec="seconds"),
+    }
+
+
+def commit(folder: Path) -> str | None:
+    """Return the commit of the checkout that `folder` is in, "+" where files differ; None outside."""
+    try:
+        run = subprocess.run(
+            ["git", "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=10.0,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return run.stdout.strip() or None
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]

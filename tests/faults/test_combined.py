@@ -15,7 +15,7 @@ from bench.faults.catalogue import FAMILIES, Breakage
 from bench.faults.combined import CATALOGUE
 from bench.faults.instants import ACCESS, INTO_A_STOP, START, Instant, dense_instants, instants_of
 from bench.faults.matrix import instants_for, plan_matrix
-from bench.faults.origin import commit, origin_of
+from bench.faults.summary import commit, origin_of
 from bench.lifecycle import Phase
 from bench.swing.profile import PHASES, Profile
 from sim.faults import Fault

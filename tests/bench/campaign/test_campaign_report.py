@@ -21,8 +21,7 @@ from bench.campaign.findings import findings, findings_record
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner import RunOutcome
 from bench.campaign.runner_control import new_entry
-from bench.commands.campaign_baseline import Band, check_baseline, read_baseline
-from bench.commands.campaign_junit import junit_xml
+from bench.commands.campaign_baseline import Band, check_baseline, junit_xml, read_baseline
 from bench.config import load_configuration
 from bench.errors import BenchError
 from bench.shot.shot import ShotStatus

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from bench.processes.thread_usage import ThreadUsage, UsageReader, stall_between
+from bench.processes.loop_process import ThreadUsage, UsageReader, stall_between
 from bench.processes.tick_timing import Stall
 
 MS = 1_000_000

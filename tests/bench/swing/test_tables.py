@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from bench.swing.tables import TOP, colon, joint_reference, thesis_swing
+from bench.swing.thesis_experiment import TOP, colon, joint_reference, thesis_swing
 from sim.kane import inverse_dynamics
 from sim.kinematics import forward_kinematics, right_arm_length
 from sim.robot import thesis_robot

@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 
 from bench.commands.thesis_report import Others, as_record, draw, simulate_thesis, statements
-from bench.swing.tables import joint_reference, thesis_swing
 from bench.swing.thesis_experiment import (
     FRICTION,
     LIMIT,
     PROPORTIONAL,
     ThesisExperiment,
     appendix_b_robot,
+    joint_reference,
     loop_rates,
     run_thesis_experiment,
+    thesis_swing,
 )
 from sim.kane import inverse_dynamics
 
