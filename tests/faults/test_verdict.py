@@ -5,10 +5,19 @@ from __future__ import annotations
 import numba
 import pytest
 
+from bench.faults import case
 from bench.faults.case import Workbench
 from bench.faults.catalogue import Breakage
 from bench.faults.instants import Instant
 from sim.faults import Fault
+
+
+def test_the_oldest_goes_when_there_are_too_many() -> None:
+    kept = dict[int, str]()
+    for number in range(case._KEPT + 3):
+        case._keep(kept, number, str(number))
+    assert list(kept) == list(range(3, case._KEPT + 3))
+
 
 LOST = Breakage(Fault("club head lost", "club head", "off"))
 
