@@ -13,23 +13,200 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from bench.commands.progress import progress_bar
+from bench.config import Configuration, load_configuration
+from bench.lifecycle import Request, State
+from bench.processes.child import Child
+from bench.processes.loop_link import LoopLink
+from bench.processes.ownership import take_bench
+from bench.processes.plan import TIMING_FILE, LoopPlan
 from bench.processes.real_time import PRIORITY
-from bench.processes.tick_timing import SEGMENTS, TIMING, percentile, summary
-from tests.benchmarks.cyclictest import Latencies, run_cyclictest
+from bench.processes.tick_timing import SEGMENTS, TIMING, TimingReader, percentile, summary
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from sim.live.exchange import PlantPlan
 from tests.benchmarks.row import Row
-from tests.benchmarks.running_loop import configured, running_loop
+from tests.ready_child import ready_child
+
+HISTOGRAM_US = 20_000
+"""Latencies from here on are counted together."""
+
+
+class Latencies(NamedTuple):
+    """Wake-up latencies of one run, us; percentiles round up to the resolution."""
+
+    wake_ups: int
+    p50: float
+    p99: float
+    p999: float
+    longest: float
+    late: int
+    """From 1 ms on."""
+
+
+def run_cyclictest(seconds: int, interval_us: int, priority: int, cpu: int) -> Latencies:
+    """Run it for `seconds` with one thread on core `cpu`.
+
+    Raises:
+        RuntimeError: it is not installed, not permitted, or says something unknown.
+    """
+    program = shutil.which("cyclictest")
+    if program is None:
+        raise RuntimeError("no cyclictest on the PATH; Debian: apt-get install rt-tests")
+    options = f"-q -m -a {cpu} -t1 -p {priority} -i {interval_us} -D {seconds} -h {HISTOGRAM_US}"
+    answer = subprocess.run(
+        [program, *options.split()], capture_output=True, text=True, check=False, cwd=Path("/")
+    )
+    if answer.returncode:
+        raise RuntimeError(f"cyclictest ended with {answer.returncode}: {answer.stderr.strip()}")
+    return read_histogram(answer.stdout)
+
+
+def read_histogram(output: str) -> Latencies:
+    """Return the latencies that `output` of cyclictest -h tells.
+
+    Raises:
+        RuntimeError: it tells none.
+    """
+    count: NDArray[np.int64] = np.zeros(HISTOGRAM_US + 1, np.int64)
+    longest = 0
+    for line in output.splitlines():
+        if line.startswith("# Max Latencies:"):
+            longest = int(line.split(":")[1])
+        elif line.startswith("# Histogram Overflows:"):
+            count[HISTOGRAM_US] += int(line.split(":")[1])
+        elif line and not line.startswith("#"):
+            microseconds, number = map(int, line.split())
+            count[microseconds] += number
+    total = int(count.sum())
+    if not total:
+        raise RuntimeError(f"cyclictest counted nothing: {output[:200]!r}")
+    # Its buckets are whole microseconds rounded down: a latency lies below the next one.
+    ranks = [np.ceil(share * total - 1e-9) for share in (0.5, 0.99, 0.999)]
+    p50, p99, p999 = (float(min(edge + 1, longest + 1)) for edge in np.searchsorted(np.cumsum(count), ranks))
+    return Latencies(total, p50, p99, p999, float(longest + 1), int(count[1000:].sum()))
+
+
+START = 180.0
+"""s that compiling may take."""
+PATIENCE = 120.0
+"""s in which the robot should be at its address."""
+PLANT_RATE = 4000.0
+"""Hz of the plant's internal steps at the shipped 1 kHz; kept at higher rates."""
+_TURN = 0.02
+
+_NEXT = {
+    State.ESTOP: Request.RESET,
+    State.FAULT: Request.RESET,
+    State.SAFE: Request.HOME,
+    State.READY: Request.ARM,
+    State.ARMED: Request.SWING,
+}
+"""What the supervisor asks for in each state; elsewhere it waits."""
+
+
+class RunningLoop:
+    """A loop at work. `turn` keeps it swinging and must be called many times a second."""
+
+    def __init__(self, link: LoopLink, loop: Child, timing: TimingReader) -> None:
+        self.link, self.loop, self.timing = link, loop, timing
+        self.swings = 0
+        self.stops = 0
+        """Faults and emergency stops after the first, from which it went on."""
+        self._state = State.STARTING
+
+    def turn(self) -> State:
+        """Beat, and ask for whatever comes next; return the state of the bench.
+
+        Raises:
+            RuntimeError: the loop ended.
+        """
+        if not self.loop.alive:
+            raise RuntimeError(f"the loop {self.loop.ending}")
+        self.link.beat(lease=1, support_ready=True)
+        state = State[self.link.state]
+        if state is State.SWINGING and self._state is not State.SWINGING:
+            self.swings += 1
+        if state in (State.FAULT, State.ESTOP) and self._state not in (state, State.STARTING):
+            self.stops += 1
+        self._state = state
+        if request := _NEXT.get(state):
+            self.link.request(request)
+        return state
+
+    def live(self, seconds: float) -> None:
+        """Take turns for `seconds`."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.turn()
+            time.sleep(_TURN)
+
+    def wait_for_swing(self) -> None:
+        """Take turns until the first swing.
+
+        Raises:
+            RuntimeError: there is none within PATIENCE.
+        """
+        end = time.monotonic() + PATIENCE
+        while self.turn() is not State.SWINGING:
+            if time.monotonic() > end:
+                raise RuntimeError(f"no swing within {PATIENCE:g} s; the bench is in {self._state.name}")
+            time.sleep(_TURN)
+
+
+def configured(rate: float, priority: int, cpu: int) -> Configuration:
+    """Return the shipped configuration at `rate` (Hz), real time required, swing following on swing.
+
+    The plant has a clock of its own: one in step with the loop would let it be late.
+    """
+    c = load_configuration(Path("shipped"))
+    return replace(
+        c,
+        driver=replace(c.driver, time="wall"),
+        loop=replace(c.loop, rate=rate, realtime="require", priority=priority, cpu=cpu),
+        plant=replace(c.plant, tick=1.0 / rate, substeps=max(1, round(PLANT_RATE / rate))),
+        lifecycle=replace(c.lifecycle, series=True, warning_time=0.1),
+    ).running()
+
+
+@contextmanager
+def running_loop(configuration: Configuration) -> Iterator[RunningLoop]:
+    """Yield a loop that is ready, with its plant; both are ended at the block's end."""
+    c = configuration
+    with ExitStack() as stack:
+        owner = stack.enter_context(take_bench(f"benchmark-{os.getpid()}"))
+        link = LoopLink(owner.folder)
+        stack.callback(link.close)
+        plan = PlantPlan(owner.folder, c.plant, c.driver.watchdog, priority=c.loop.priority - 1)
+        stack.callback(ready_child("sim.live.process", plan, START).end, 2.0)
+        profile = load_profile(find_profile(c.swing.profile))
+        loop = Child.start(
+            "loop",
+            "bench.processes.loop_process",
+            LoopPlan(c, profile, owner.folder, owner.descriptor),
+            pass_fds=(owner.descriptor,),
+        )
+        stack.callback(loop.end, 15.0)
+        loop.wait_until_ready(START)
+        link.connect()
+        timing = stack.enter_context(TimingReader(owner.folder / TIMING_FILE))
+        yield RunningLoop(link, loop, timing)
+
 
 P99_RATIO, P999_RATIO = 1.5, 2.0
 """Largest median ratio of the loop's wake-up latency to cyclictest's."""

@@ -28,8 +28,6 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from bench.errors import BenchError
 from bench.lifecycle import Cause, State
@@ -46,7 +44,6 @@ from tests.benchmarks.process_samples import (
     ProcessFigures,
     figures_of,
     folder_size,
-    growth,
     growths,
     stolen_time,
 )
@@ -316,7 +313,7 @@ class Course:
 
 
 def run(arguments: Sequence[str] = ()) -> list[Row]:
-    """Soak for `--minutes`; print the table, return the verdict."""
+    """Soak for `--minutes`; print each sample, return the verdict."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.benchmarks soak",
         description=__doc__,
@@ -358,7 +355,6 @@ def _soak(options: argparse.Namespace, folder: Path) -> list[Row]:
         records = _records(bench)
     for text in (*course.stops, *sampler.trouble, *filter(None, course.campaigns)):
         print(text)
-    show(sampler.samples)
     found = [read_swing(path)[1] for path in records]
     whole = [one for one in found if one["kind"] == "swing"]
     first, last = sampler.samples[0].figures, sampler.samples[-1].figures
@@ -468,38 +464,6 @@ def leaks(title: str, samples: Sequence[Sample]) -> list[Row]:
 
 def _words(one: Growth, unit: str) -> str:
     return f"{one.slope:+.2f} ({one.low:+.2f} to {one.high:+.2f}) {unit}/h"
-
-
-def show(samples: Sequence[Sample]) -> None:
-    """Print what each process held at first, at half and in the end, and its growth."""
-    table = Table(
-        title="processes: start / half / end, growth an hour in the second half", title_justify="left"
-    )
-    for column in ("process", "resident, MiB", "unique, MiB", "growth, MiB/h", "descriptors", "threads"):
-        table.add_column(column, justify="left" if column == "process" else "right")
-    times = [sample.since for sample in samples]
-    half = samples[len(samples) // 2]
-    for name in samples[-1].processes:
-        seen = [one.processes[name] for one in (samples[0], half, samples[-1]) if name in one.processes]
-        unique = growths(times, [sample.processes for sample in samples], "unique")[name]
-        table.add_row(
-            name,
-            " / ".join(f"{one.resident:.0f}" for one in seen),
-            " / ".join(f"{one.unique:.1f}" for one in seen),
-            _words(unique, "").removesuffix(" /h"),
-            " / ".join(f"{one.descriptors:.0f}" for one in seen),
-            " / ".join(f"{one.threads:.0f}" for one in seen),
-        )
-    console = Console(width=max(120, Console().width))
-    console.print(table)
-    others = Table(title="machine and disk: start / half / end, an hour", title_justify="left")
-    for column in ("figure", "start / half / end", "an hour"):
-        others.add_column(column, justify="left" if column == "figure" else "right")
-    for name in samples[-1].figures:
-        values = [one.figures[name] for one in samples]
-        seen_ = (values[0], half.figures[name], values[-1])
-        others.add_row(name, " / ".join(f"{v:,.4g}" for v in seen_), f"{growth(times, values).slope:+,.4g}")
-    console.print(others)
 
 
 def _after_the_change(

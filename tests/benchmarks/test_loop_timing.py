@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 
 from bench.processes.tick_timing import TickTiming, new_timing
-from tests.benchmarks.cyclictest import HISTOGRAM_US, Latencies, read_histogram, run_cyclictest
 from tests.benchmarks.loop_timing import (
+    HISTOGRAM_US,
+    Latencies,
     LoopRun,
     Pair,
     median_interval,
+    read_histogram,
     rows,
+    run_cyclictest,
     steal_ticks,
     table,
 )
