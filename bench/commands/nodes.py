@@ -13,7 +13,7 @@ import typer
 
 from bench.commands.options import flag, option
 from bench.commands.session import Session
-from bench.errors import BenchError, ExitCode
+from bench.errors import BenchError, ExitCode, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,22 +23,6 @@ if TYPE_CHECKING:
     from drivers.canopen.scan import ScannedNode
     from sim.nodes.personality import Personality
     from sim.nodes.plan import NodesPlan
-
-
-class UnknownFamily(BenchError):
-    """No device family of this name can be played."""
-
-
-class UnfitNodes(BenchError):
-    """The nodes on the bus would not be taken."""
-
-    exit_code = ExitCode.REFUSED
-
-
-class NotActed(BenchError):
-    """A hand at simulated nodes does nothing."""
-
-    exit_code = ExitCode.REFUSED
 
 
 class NoBus(BenchError):
@@ -54,7 +38,7 @@ def nodes_plan(configuration: Configuration, folder: Path, encoder: str = "", io
 
     Raises:
         ExceptionGroup: of BenchErrors, one for each fault that would never begin.
-        UnknownFamily: no such device family.
+        BenchError: no such device family.
     """
     from bench.config import unheard_phases
     from sim.nodes.personality import ENCODER, IO
@@ -84,7 +68,7 @@ def _family(name: str, role: str) -> Personality | None:
     try:
         return find_personality(name, role) if name else None
     except ValueError as error:
-        raise UnknownFamily(f"nodes --{role}", f"{name!r}", f"{error}", "Choose a known one.") from error
+        raise BenchError(f"nodes --{role}", f"{name!r}", f"{error}", "Choose a known one.") from error
 
 
 def nodes(
@@ -149,7 +133,7 @@ def turn_regulator(folder: Path | None, bar: str) -> None:
     """Turn the pressure regulator of the simulated nodes with their files in `folder` to `bar`, absolute.
 
     Raises:
-        NotActed: no nodes are there, or `bar` is neither a pressure nor `service`.
+        Refused: no nodes are there, or `bar` is neither a pressure nor `service`.
     """
     from bench.commissioning.regulator import SERVICE, of_simulation
 
@@ -159,7 +143,7 @@ def turn_regulator(folder: Path | None, bar: str) -> None:
     except ValueError:
         pressure = math.nan
     if not pressure > 0.0:
-        raise NotActed(place, repr(bar), f"bar absolute above 0, or {SERVICE!r}", "Give one of them.")
+        raise Refused(place, repr(bar), f"bar absolute above 0, or {SERVICE!r}", "Give one of them.")
     _at_nodes(folder, place, lambda there: of_simulation(there)(pressure))
 
 
@@ -167,27 +151,27 @@ def act_at(folder: Path | None, key: str) -> None:
     """Do at the inputs of the simulated nodes with their files in `folder` what a person does.
 
     Raises:
-        NotActed: no nodes are there, or nothing is called `key`.
+        Refused: no nodes are there, or nothing is called `key`.
     """
     from bench.commissioning.inputs import ACTS
     from bench.commissioning.regulator import act_in_simulation
 
     place = f"nodes --act {key}"
     if key not in ACTS:
-        raise NotActed(place, repr(key), f"one of {', '.join(ACTS)}", "Give one of them.")
+        raise Refused(place, repr(key), f"one of {', '.join(ACTS)}", "Give one of them.")
     _at_nodes(folder, place, lambda there: act_in_simulation(there)(ACTS[key]))
 
 
 def _at_nodes(folder: Path | None, place: str, act: Callable[[Path], None]) -> None:
-    """Do `act` at the simulated nodes with their files in `folder`; raises NotActed where none are."""
+    """Do `act` at the simulated nodes with their files in `folder`; raises Refused where none are."""
     from drivers.base.shared_record import SharedMemoryError
 
     if folder is None:
-        raise NotActed(place, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
+        raise Refused(place, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
     try:
         act(folder)
     except SharedMemoryError as error:
-        raise NotActed(place, str(error), "running nodes", f"Start them with --folder {folder}.") from error
+        raise Refused(place, str(error), "running nodes", f"Start them with --folder {folder}.") from error
 
 
 def show_scan(configuration: Configuration) -> None:
@@ -195,7 +179,7 @@ def show_scan(configuration: Configuration) -> None:
 
     Raises:
         NoBus: the bus cannot be opened.
-        UnfitNodes: a configured node is missing or would be refused.
+        Refused: a configured node is missing or would be refused.
     """
     from bench.calibration.archive import calibration_of
     from drivers.base import DriverError
@@ -218,7 +202,7 @@ def show_scan(configuration: Configuration) -> None:
         typer.echo("\n".join(_scan_lines(node)))
     refused = [str(node.number) for node in found if node.role and not node.taken]
     if refused:
-        raise UnfitNodes(
+        raise Refused(
             f"nodes --scan on {where}",
             f"node {', '.join(refused)} missing or refused",
             "every configured node taken",

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.commands.nodes import NotActed, nodes_plan, turn_regulator
+from bench.commands.nodes import nodes_plan, turn_regulator
 from bench.config import load_configuration
-from bench.errors import BenchError, ExitCode
+from bench.errors import BenchError, ExitCode, Refused
 from drivers.base.compiled import new_record
 from drivers.canopen.driver import CanopenDriver
 from drivers.registry import choose_driver, find_drivers
@@ -138,6 +138,6 @@ def test_a_regulator_that_cannot_be_turned_is_said(
 ) -> None:
     (tmp_path / "there").mkdir()
     with PlantFiles(tmp_path / "there") as files:
-        with pytest.raises(NotActed, match=said):
+        with pytest.raises(Refused, match=said):
             turn_regulator(None if folder is None else tmp_path / folder, bar)
         assert not files.surroundings.read(new_record(PLANT_SURROUNDINGS))
