@@ -43,6 +43,8 @@ _LIMITS = ("rod speed", "rod range", "cushion of the right arm", "cushion of the
 _PRICE = {"time": 5.0, "rise": 10.0, "speed": 10.0}
 """Prices of concessions, where deviations cost about one: a downswing twice as long, a rad, a m/s. They are
 linear, so that only necessary concessions are made, the speed last: a degree is worth some m/s."""
+_ITERATIONS = 600
+"""Max number of the optimizer's iterations."""
 _RADAU = 2
 _FRICTION_WIDTH = 0.02
 """Speed over which dry friction changes its sign, m/s or rad/s times ten: a step in the plant."""
@@ -298,7 +300,6 @@ class DownswingPlan(NamedTuple):
     speed: float
     solved: bool
     status: str
-    iterations: int
     binding: dict[str, float]
     """m/s of head speed gained for one per cent more of each limit; at a demanded speed at equal effort."""
     carried: Array
@@ -311,8 +312,6 @@ def solve_downswing(
     guess_time: float,
     guess: Array,
     intervals: int = 50,
-    watch: Any = None,
-    iterations: int = 600,
 ) -> DownswingPlan:
     """Solve `problem` from `guess` (intervals + 1, 16)."""
     ca = load_casadi()
@@ -429,7 +428,7 @@ def solve_downswing(
     options: dict[str, Any] = {
         "ipopt": {
             "print_level": 0,
-            "max_iter": iterations,
+            "max_iter": _ITERATIONS,
             "tol": 1e-5,
             "acceptable_tol": 1e-4,
             "sb": "yes",
@@ -460,7 +459,6 @@ def solve_downswing(
         float(values[2]),
         bool(stats["success"]),
         str(stats["return_status"]),
-        int(stats["iter_count"]),
         _gains(found, kinds, names, np.concatenate(lower), np.concatenate(upper)),
         np.array(values[3]).ravel(),
     )

@@ -8,7 +8,6 @@ together are the three joints' speeds. The same input gives the same openings; a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -34,6 +33,8 @@ _STAY = 0.3
 """Weight of the correction's size (of the stroke) beside those errors."""
 _PASSES = 3
 """Number of passes; each starts from the openings of the one before and may go as far again."""
+_ROUNDS = 30
+"""Max number of rounds of a pass."""
 
 
 class NotReached(RuntimeError):
@@ -52,15 +53,7 @@ def arrival_errors(arrival: Arrival, wanted: Array) -> Array:
     return np.asarray(np.concatenate([[arrival.error], arrival.head[2:6]]) - wanted)
 
 
-def refine(
-    shooter: Shooter,
-    plan: Array,
-    wanted: Array,
-    opening: float,
-    *,
-    rounds: int = 30,
-    watch: Callable[[int, float], None] = lambda count, worst: None,
-) -> Array:
+def refine(shooter: Shooter, plan: Array, wanted: Array, opening: float) -> Array:
     """Return openings (n, 3), one row a tick, with which the plant arrives as `wanted` (`arrival_errors`).
 
     `plan` (n, 3) are the planned openings, `opening` the max one.
@@ -70,7 +63,7 @@ def refine(
     """
     left = np.full(len(wanted), np.inf)
     for _ in range(_PASSES):
-        plan, left = _corrected(shooter, plan, wanted, opening, rounds, watch)
+        plan, left = _corrected(shooter, plan, wanted, opening)
         if np.abs(left[:_MET]).max() < 1.0:
             return plan
     if np.abs(left[:_MET]).max() < NEAR:
@@ -81,14 +74,7 @@ def refine(
     )
 
 
-def _corrected(
-    shooter: Shooter,
-    plan: Array,
-    wanted: Array,
-    opening: float,
-    rounds: int,
-    watch: Callable[[int, float], None],
-) -> tuple[Array, Array]:
+def _corrected(shooter: Shooter, plan: Array, wanted: Array, opening: float) -> tuple[Array, Array]:
     """Return openings, by least squares around `plan`, and the remaining errors in UNITS."""
     period, ticks = shooter.plant.parameters.tick, len(plan)
     shape = (int(np.ceil(ticks * period / KNOT)), 3)
@@ -113,9 +99,7 @@ def _corrected(
             return np.stack(list(pool.map(column, range(len(point)))), axis=1)
 
         def note(intermediate_result: Any) -> None:
-            worst = float(np.abs(intermediate_result.fun[:_MET]).max())
-            watch(int(intermediate_result.nit), worst)
-            if worst < 1.0:
+            if np.abs(intermediate_result.fun[:_MET]).max() < 1.0:
                 raise StopIteration
 
         found = least_squares(
@@ -123,7 +107,7 @@ def _corrected(
             np.zeros(shape[0] * 3),
             jac=slopes,
             bounds=(-0.5, 0.5),
-            max_nfev=rounds,
+            max_nfev=_ROUNDS,
             callback=note,
             xtol=1e-8,
             ftol=1e-6,

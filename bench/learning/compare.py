@@ -217,7 +217,7 @@ def _row(
         float(np.mean(np.concatenate(saturated))) if len(np.concatenate(saturated)) else float("nan"),
         float(np.mean([swing.air_used for swing in made])),
         stops[-1] if stops else Cause.NONE,
-        next((found for swing in made if (found := strayed(swing.cycles, profile, envelope))), None),
+        next((found for swing in made if (found := strayed(swing.cycles, envelope))), None),
     )
 
 
@@ -239,9 +239,7 @@ def _root_mean_square(values: Array) -> Array:
     )
 
 
-def strayed(
-    cycles: np.ndarray[Any, Any], profile: Profile, envelope: EnvelopeSettings
-) -> tuple[int, Phase] | None:
+def strayed(cycles: np.ndarray[Any, Any], envelope: EnvelopeSettings) -> tuple[int, Phase] | None:
     """Return joint and phase in which a following error is first greater than `envelope` allows, or None."""
     found: list[tuple[int, int, Phase]] = []
     error = np.abs(cycles["reference_angle"] - cycles["angle"])

@@ -170,7 +170,7 @@ def overrides(
         "wrist_lever": hardware.lever,
         "shoulder": _actuator(shipped.shoulder, (vane.displacement, vane.displacement), parts, 0),
         "right_arm": _actuator(shipped.right_arm, (arm.area_a, arm.area_b), parts, 1)
-        | _arm_stop(parts.absorbers[0], shipped.right_arm, arm),
+        | _arm_stop(parts.absorbers[0], shipped.right_arm),
         "wrist": _actuator(shipped.wrist, (wrist.area_a, wrist.area_b), parts, 2)
         | _wrist_stop(parts.absorbers[1]),
         "supply": _supply(parts, hardware, shipped),
@@ -227,7 +227,7 @@ def _set_ranges(plant: dict[str, Any], frame: FramePart, shipped: PlantParameter
     plant["wrist"]["lower_deg"] = degrees(shipped.wrist.upper - frame.wrist_cock)
 
 
-def _arm_stop(absorber: AbsorberPart, shipped: Actuator, cylinder: CylinderPart) -> dict[str, Any]:
+def _arm_stop(absorber: AbsorberPart, shipped: Actuator) -> dict[str, Any]:
     """Return the right arm's stop: its clearance grows with the absorber's stroke beyond the shipped one."""
     longer = max(absorber.stroke - shipped.stop.travel, 0.0)
     return {

@@ -53,14 +53,14 @@ def test_each_controller_differs_from_the_one_before_in_one_thing(bench: Bench) 
 def test_what_strays_is_told_by_joint_and_phase(bench: Bench) -> None:
     cycles = np.zeros(5, CYCLE)
     cycles["phase"] = [Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.DOWNSWING, Phase.IMPACT]
-    assert strayed(cycles, bench.profile, bench.envelope) is None
+    assert strayed(cycles, bench.envelope) is None
     cycles["reference_angle"][4] = 2.0  # not watched in the impact window
-    assert strayed(cycles, bench.profile, bench.envelope) is None
+    assert strayed(cycles, bench.envelope) is None
     cycles["reference_angle"][2:, 2] = 0.5
     cycles["reference_angle"][3, 0] = 0.5
-    assert strayed(cycles, bench.profile, bench.envelope) == (2, Phase.DOWNSWING)
+    assert strayed(cycles, bench.envelope) == (2, Phase.DOWNSWING)
     cycles["reaction"][2] = 1
-    assert strayed(cycles, bench.profile, bench.envelope) == (0, Phase.DOWNSWING)
+    assert strayed(cycles, bench.envelope) == (0, Phase.DOWNSWING)
 
 
 @pytest.mark.release
