@@ -8,10 +8,9 @@ import numpy as np
 
 from bench.drawing.bodies import DrawnBody
 from bench.drawing.club import club_body
-from bench.drawing.links import left_arm, shoulder_link, wrist_rod
+from bench.drawing.links import left_arm, right_arm_cylinder, right_arm_rod, shoulder_link, wrist_rod
 from bench.drawing.mesh import Mesh, placed_mesh
 from bench.drawing.placement import Array, address, body_poses, plane_to_golf
-from bench.drawing.right_arm import right_arm_cylinder, right_arm_rod
 from bench.drawing.surroundings import ball, drive, guard, stand, tee
 from sim.plant import PlantParameters
 

@@ -6,18 +6,20 @@ from bench.golfer.comparison import (
     HUNT_WIENS,
     MotionDeviation,
     SwingMotion,
+    beyond_ranges,
     compare_motions,
     deviation_texts,
     followed_golfer,
     followed_texts,
     golfer_motion,
     golfer_named,
+    require_club,
     robot_motion,
+    with_club_held,
 )
 from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer, save_golfer, summary
 from bench.golfer.measured_swing import ImportOptions, MeasuredSwing
 from bench.golfer.measuring import measure
-from bench.golfer.reach import beyond_ranges, require_club, with_club_held
 from bench.golfer.recording import read_capture
 from bench.golfer.roles import Roles, find_roles
 

@@ -12,8 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench.commands.demo.demo import demo_configuration
-from bench.commands.demo.result import demo_plan
+from bench.commands.demo.demo import demo_configuration, demo_plan
 from bench.config import load_configuration
 from bench.errors import ExitCode
 from bench.shot.shot import ShotStatus
