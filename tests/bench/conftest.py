@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from math import cos, pi, radians, sin
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,18 @@ BALL = (0.2315, -1.514)
 """Where the ball of the synthetic swing lies in the swing plane (m)."""
 
 Cycles = np.ndarray[Any, Any]
+
+
+@pytest.fixture
+def overlay(tmp_path: Path) -> Callable[[str], Path]:
+    """Return a function that writes an overlay of the shipped configuration."""
+
+    def write(text: str) -> Path:
+        path = tmp_path / "mine.toml"
+        path.write_text(f'base = "shipped"\n{text}\n', encoding="utf-8")
+        return path
+
+    return write
 
 
 @pytest.fixture(scope="session")

@@ -43,16 +43,6 @@ def shipped() -> Configuration:
     return load_configuration(Path("shipped"))
 
 
-@pytest.fixture
-def overlay(tmp_path: Path) -> Overlay:
-    def write(text: str) -> Path:
-        path = tmp_path / "mine.toml"
-        path.write_text(f'base = "shipped"\n{text}\n', encoding="utf-8")
-        return path
-
-    return write
-
-
 def faults(path: Path) -> list[BenchError]:
     with pytest.raises(ExceptionGroup) as raised:
         load_configuration(path)

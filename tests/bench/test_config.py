@@ -41,18 +41,6 @@ def default() -> Configuration:
     return load_configuration(shipped_configuration())
 
 
-@pytest.fixture
-def overlay(tmp_path: Path) -> Overlay:
-    """Return a function that writes an overlay of the shipped configuration."""
-
-    def write(text: str) -> Path:
-        path = tmp_path / "mine.toml"
-        path.write_text(f'base = "shipped"\n{text}\n', encoding="utf-8")
-        return path
-
-    return write
-
-
 def faults(path: Path) -> list[BenchError]:
     try:
         load_configuration(path)

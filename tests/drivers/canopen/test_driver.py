@@ -160,8 +160,8 @@ def test_waiting_for_a_missing_sample_ends_at_its_time(bench: Bench) -> None:
     assert bench.wire.now - before == pytest.approx(PERIOD + SETTINGS.answer_time, abs=1e-5)
 
 
-def test_a_late_sample_bears_the_time_of_the_sync_before(bench: Bench) -> None:
-    bench.run(5)
+def hold_back(bench: Bench) -> list[tuple[int, bytes]]:
+    """Keep the wrist's positions from the bus; return the list of those that were kept."""
     held: list[tuple[int, bytes]] = []
 
     def hold(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
@@ -171,6 +171,12 @@ def test_a_late_sample_bears_the_time_of_the_sync_before(bench: Bench) -> None:
         return [(identifier, data)]
 
     bench.wire.meddle = hold
+    return held
+
+
+def test_a_late_sample_bears_the_time_of_the_sync_before(bench: Bench) -> None:
+    bench.run(5)
+    held = hold_back(bench)
     bench.run(1)
     late_time = bench.readings[-1].time
     bench.wire.put(*held[0])
@@ -183,15 +189,7 @@ def test_a_late_sample_bears_the_time_of_the_sync_before(bench: Bench) -> None:
 
 def test_an_answer_later_than_the_next_sync_is_not_taken_for_one_to_that(bench: Bench) -> None:
     bench.run(5)
-    held: list[tuple[int, bytes]] = []
-
-    def hold(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
-        if identifier == 0x283:
-            held.append((identifier, data))
-            return []
-        return [(identifier, data)]
-
-    bench.wire.meddle = hold
+    held = hold_back(bench)
     bench.run(3)  # a node that stands still, then answers all SYNCs at once
     bench.wire.meddle = lambda identifier, data: (
         [*held, (identifier, data)] if identifier == 0x283 else [(identifier, data)]
