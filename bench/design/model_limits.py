@@ -59,10 +59,10 @@ _LONGEST_CORRECTION = 1.5
 """Longest correction drawn, the norm of its weights: learning's longest first step."""
 
 
-def gumbel_quantile(maxima: Array, exceeded: float = EXCEEDED) -> Array:
-    """Return what the next maximum exceeds with probability `exceeded`, by column of `maxima` (n, k)."""
+def gumbel_quantile(maxima: Array) -> Array:
+    """Return what the next maximum exceeds with probability EXCEEDED, by column of `maxima` (n, k)."""
     scale = maxima.std(axis=0, ddof=1) * sqrt(6.0) / pi
-    quantile: Array = maxima.mean(axis=0) + scale * (-log(-log(1.0 - exceeded)) - _EULER)
+    quantile: Array = maxima.mean(axis=0) + scale * (-log(-log(1.0 - EXCEEDED)) - _EULER)
     return quantile
 
 

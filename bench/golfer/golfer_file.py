@@ -96,11 +96,10 @@ class GolferSwing:
         return float((self.top_row - moving[0]) * STEP) if len(moving) and moving[0] > 20 else None
 
 
-def degrees_or_none(angle: Array, *, wrapped: bool = True) -> list[float | None]:
+def degrees_or_none(angle: Array) -> list[float | None]:
     """Return three angles (rad) in degrees, None where not measured; arm and wrist from 0 to 360."""
     found = np.degrees(angle)
-    if wrapped:
-        found[1:] %= 360.0
+    found[1:] %= 360.0
     return [None if np.isnan(value) else round(float(value), 2) for value in found]
 
 
