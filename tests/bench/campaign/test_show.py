@@ -19,9 +19,9 @@ from typing import Any
 
 import pytest
 
+from bench.campaign.campaign_control import ask
 from bench.campaign.plan_file import load_plan
 from bench.campaign.randomization import all_trials
-from bench.campaign.runner_control import ask
 from bench.config import database_url, load_configuration
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.network.free_port import free_port
