@@ -49,46 +49,48 @@ def new(
         option("Blocks.", "COUNT", low=2, high=1000, shown="as many as find the difference"),
     ] = None,
     carry: Annotated[
-        Carry, option("Which carry: of the launch monitor, of a reference ball, of measured balls.")
+        Carry, option("Carry as the launch monitor, a reference ball or measured balls yield it.")
     ] = "monitor",
     title: Annotated[str, option("Title of the report.", "TEXT", shown="the name")] = "",
 ) -> None:
-    """Write a commented plan; what no option states is asked for at the terminal.
+    """Write a commented plan from options; missing ones are questions at the terminal.
 
     Prints duration and resolution. Mistakes are listed all at once; the file is kept and can be corrected.
     """
     name = _plan_name(file)
-    _require_answers(
-        {
-            "--compare": compare,
-            "--ball": ball,
-            "--club": club,
-            "--deviation": deviation,
-            "--difference": difference,
-        }
-    )
+    answers = {"compare": compare, "ball": ball, "club": club, "swing": swing}
+    answers |= {"difference": difference, "deviation": deviation}
     configuration = context.ensure_object(Session).configuration()
-    balls, clubs = ", ".join(configuration.balls), ", ".join(configuration.clubs)
-    compared = _given(compare, "Compare ball, club or swing", _one_of(get_args(Compared)))
-    sections: dict[str, dict[str, Any]] = {
+    design, analysis = _answered(answers, configuration)
+    sections = {
         "campaign": {"name": name, "title": title or name.replace("-", " ").capitalize()},
-        "design": {
-            "compare": compared,
-            "balls": _given(ball, f"Balls, separated by commas ({balls})", _names),
-            "clubs": _given(club, f"Clubs, separated by commas ({clubs})", _names),
-        },
+        "design": design,
         "control": {"ball": control},
-        "analysis": {
-            "carry": carry,
-            "deviation": _given(deviation, "Expected standard deviation of one shot, m", _length),
-            "difference": _given(difference, "Smallest difference of carry worth finding, m", _length),
-        },
+        "analysis": {"carry": carry, **analysis},
     }
-    if swing or compared == "swing":
-        sections["design"]["swings"] = _given(swing, "Swings, separated by commas", _names)
     for line in _outlook(_write(file, sections, blocks, configuration)):
         typer.echo(line)
     typer.echo(f"Written: {file}. Shot order: golfbench campaign check {file}")
+
+
+def _answered(
+    given: Mapping[str, Any], configuration: Configuration
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the keys of [design] and [analysis] by the options `given`, and by answers at a terminal."""
+    _require_answers({name: value for name, value in given.items() if name != "swing"})
+    balls, clubs = ", ".join(configuration.balls), ", ".join(configuration.clubs)
+    compared = _given(given["compare"], "Compare ball, club or swing", _one_of(get_args(Compared)))
+    design = {
+        "compare": compared,
+        "balls": _given(given["ball"], f"Balls, separated by commas ({balls})", _names),
+        "clubs": _given(given["club"], f"Clubs, separated by commas ({clubs})", _names),
+    }
+    if given["swing"] or compared == "swing":
+        design["swings"] = _given(given["swing"], "Swings, separated by commas", _names)
+    return design, {
+        "deviation": _given(given["deviation"], "Expected standard deviation of one shot, m", _length),
+        "difference": _given(given["difference"], "Smallest difference of carry worth finding, m", _length),
+    }
 
 
 def _plan_name(file: Path) -> str:
@@ -111,14 +113,14 @@ def _require_answers(options: Mapping[str, object]) -> None:
     Raises:
         BenchError: it lists them.
     """
-    missing = [name for name, value in options.items() if not value]
+    missing = [f"--{name}" for name, value in options.items() if not value]
     if missing and not at_terminal():
         cure = f"Add {', '.join(missing)}."
         raise BenchError("campaign new", f"no {', '.join(missing)}", "these options, or a terminal", cure)
 
 
 def _given(value: T | None, question: str, read: Callable[[str], T]) -> T:
-    """Return `value`, asked for with `question` if there is none."""
+    """Return `value`, or the answer to `question` without one."""
     if value:
         return value
 

@@ -52,7 +52,7 @@ class FinishedSwing(NamedTuple):
     struck: bool
     """A ball lay on the tee until then."""
     cycles: Cycles
-    """Of the swing, and the one after it."""
+    """Cycles of the swing, and the one after it."""
 
 
 class SwingWatch:
@@ -62,7 +62,7 @@ class SwingWatch:
         """`run` is its id; `wall`: the loop's time is CLOCK_MONOTONIC, otherwise virtual."""
         self._run, self._wall = run, wall
         self._state = State.SWINGING
-        """Of the cycle before; a swing under way at the start has no beginning, and so no id."""
+        """State in the cycle before; a swing under way at the start has no beginning, and so no id."""
         self._parts: list[Cycles] | None = None
         self._behind: list[float] = []
         """CLOCK_MONOTONIC less loop's time, s, of each part: a loop in step with a plant slips."""

@@ -42,7 +42,7 @@ def test_new_plan_is_commented_and_long_enough_for_its_difference(call: Call, tm
 def test_new_plan_without_a_terminal_lists_all_missing_options(call: Call, tmp_path: Path) -> None:
     error = call("new", "two.toml", "--club", "driver").exception
     assert isinstance(error, BenchError)
-    assert error.found == "no --compare, --ball, --deviation, --difference"
+    assert error.found == "no --compare, --ball, --difference, --deviation"
     assert list(tmp_path.iterdir()) == []
 
 
