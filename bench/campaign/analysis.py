@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import sqrt
 from typing import NamedTuple
@@ -109,6 +109,19 @@ class Pair:
     """Power to find the difference worth finding, with the measured scatter."""
     verdict: str
     """"different", "same", "both" (different, but by less than the margin), "not enough shots" or "open"."""
+
+    def reversed(self) -> Pair:
+        """Return it as `second` less `first`."""
+        return replace(
+            self,
+            first=self.second,
+            second=self.first,
+            difference=-self.difference,
+            low=-self.high,
+            high=-self.low,
+            low_together=-self.high_together,
+            high_together=-self.low_together,
+        )
 
 
 class Covariates(NamedTuple):

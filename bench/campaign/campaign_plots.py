@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -15,12 +15,13 @@ from matplotlib.ticker import MaxNLocator
 from bench.campaign.analysis import SectionAnalysis, values_of
 from bench.campaign.block_model import Array
 from bench.campaign.control_chart import ControlChart
+from bench.campaign.differences import DifferenceTable, difference_tables, section_labels
 from bench.campaign.dispersion import DispersionEllipse
 from bench.campaign.display_units import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.findings import Findings, SectionViews
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.quantities import QUANTITY_NAMES
-from bench.campaign.randomization import Role, sections
+from bench.campaign.randomization import Role
 from bench.campaign.repeatability import FIGURES
 from bench.campaign.verdicts import NAMES
 from bench.shot.plot_style import STYLE, colour_of, marker_of, styled, to_svg
@@ -32,30 +33,141 @@ _MANY = 1500
 _DELIVERY = ("club_speed_mps", "attack_angle_deg", "dynamic_loft_deg", "strike_x_mm")
 
 
+class Picture(NamedTuple):
+    """A drawn figure with the text that belongs to it."""
+
+    svg: str
+    label: str
+    """Text in place of the picture."""
+    caption: str
+
+
+class SectionPictures(NamedTuple):
+    """Pictures of one section, in their order on the page."""
+
+    results: tuple[Picture, ...]
+    control: Picture | None
+    drift: Picture
+
+
+class CampaignPictures(NamedTuple):
+    """All pictures of a report."""
+
+    overview: Picture | None
+    """Picture of the first page; None if a single level has no landing points."""
+    sections: tuple[SectionPictures, ...]
+    delivery: Picture
+
+
 def campaign_figures(
     plan: CampaignPlan, shots: Sequence[Shot], found: Findings, units: UnitSystem = UnitSystem.SI
-) -> Mapping[str, Any]:
-    """Return the SVGs: "delivery", and for each section "dispersion", "levels", "drift" and "control".
-
-    "each" has a panel for each level where there are many; "each" and "control" are empty otherwise.
-    """
+) -> CampaignPictures:
+    """Return the pictures: the overview, those of each section, and the delivery."""
+    tables = difference_tables(plan, found.sections)
+    forest = next((table for table in tables if len(table.columns[0].compared) > 2), None)
     with mpl.rc_context(STYLE):
-        made: dict[str, Any] = {"delivery": to_svg(_delivery(shots, units), "delivery"), "sections": []}
-        for section, analysis, views in zip(sections(plan), found.sections, found.views, strict=True):
-            mine = [shot for shot in shots if shot.section == section.number and shot.role != Role.WARM_UP]
-            name = f"s{section.number}"
-            flown = _landing_points(plan, mine)
-            many = len(flown) > _FEW
-            made["sections"].append(
-                {
-                    "dispersion": to_svg(_dispersion(plan, mine, views, units), f"{name}d"),
-                    "each": to_svg(_each(flown, views, units), f"{name}e") if many else "",
-                    "levels": to_svg(_levels(plan, mine, analysis, units), f"{name}l"),
-                    "drift": to_svg(_drift(plan, mine, analysis, units), f"{name}t"),
-                    "control": to_svg(_control(views, units), f"{name}c") if views.control_charts else "",
-                }
-            )
-        return made
+        drawn, landings = [], []
+        every = zip(section_labels(plan), found.sections, found.views, strict=True)
+        for name, analysis, views in every:
+            mine = [shot for shot in shots if shot.section == analysis.number and shot.role != Role.WARM_UP]
+            landings.append(Landing(name, _landing_points(plan, mine), views))
+            drawn.append(_section_pictures(plan, mine, analysis, landings[-1], units))
+        overview = None
+        if forest is not None:
+            overview = _drawn(_forest(plan, forest, units), "overview", _forest_texts(plan, forest))
+        elif len(landings) > 1 or any(len(points) for _, points, _ in landings[0].levels):
+            overview = _drawn(_dispersion(plan, landings, shots, units), "overview", _landing_texts(landings))
+            if len(landings) == 1:
+                drawn[0] = drawn[0]._replace(results=drawn[0].results[:1])
+        return CampaignPictures(
+            overview, tuple(drawn), _drawn(_delivery(shots, units), "delivery", _delivery_texts(shots))
+        )
+
+
+def _drawn(figure: Figure, name: str, texts: tuple[str, str]) -> Picture:
+    return Picture(to_svg(figure, name), *texts)
+
+
+class Landing(NamedTuple):
+    """Landing points of a section."""
+
+    name: str
+    levels: Sequence[tuple[str, Array, Array]]
+    """(level, valid points, other points), each (n, 2) offline and carry, m."""
+    views: SectionViews
+
+
+def _section_pictures(
+    plan: CampaignPlan, mine: Sequence[Shot], analysis: SectionAnalysis, landing: Landing, units: UnitSystem
+) -> SectionPictures:
+    name, charts = f"s{analysis.number}", landing.views.control_charts
+    results = [
+        _drawn(_levels(plan, mine, analysis, units), f"{name}l", _level_texts(analysis)),
+        _drawn(_dispersion(plan, [landing], mine, units), f"{name}d", _landing_texts([landing])),
+    ]
+    if len(landing.levels) > _FEW:
+        results.append(_drawn(_each(landing.levels, landing.views, units), f"{name}e", _each_texts(landing)))
+    control = None
+    if charts:
+        control = _drawn(_control(landing.views, units), f"{name}c", _control_texts(charts))
+    drift = _drawn(_drift(plan, mine, analysis, units), f"{name}t", _drift_texts(mine, analysis))
+    return SectionPictures(tuple(results), control, drift)
+
+
+def _forest_texts(plan: CampaignPlan, table: DifferenceTable) -> tuple[str, str]:
+    label = f"Differences of all {table.factor}s to {table.reference} with their intervals."
+    caption = (
+        f"Difference to {table.reference} with its interval, all pairs of a panel simultaneously. "
+        "Filled: declared different; open: not."
+    )
+    if plan.analysis.margin:
+        caption += " Grey band: the margin within which they count as the same."
+    return label, caption
+
+
+def _landing_texts(landings: Sequence[Landing]) -> tuple[str, str]:
+    caption = "Dashed: target line."
+    if any(len(others) for landing in landings for _, _, others in landing.levels):
+        caption += " Filled: valid shots; open: not valid."
+    if any(landing.views.dispersion for landing in landings):
+        caption += " Ellipse: holds 95 % of a normal scatter with the mean and covariance seen."
+    speed = ", and carry against ball speed" if len(landings) == 1 else ""
+    return f"Landing points from above{speed}.", caption
+
+
+def _each_texts(landing: Landing) -> tuple[str, str]:
+    area = ", with the area of its ellipse" if landing.views.dispersion else ""
+    caption = f"Each level before all others (grey){area}. The dashed line is the target line."
+    return "Landing points of each level before those of all others.", caption
+
+
+def _level_texts(analysis: SectionAnalysis) -> tuple[str, str]:
+    caption = "Every valid shot."
+    if any(level.spread.n > 1 for level in analysis.levels):
+        caption = "Every valid shot; bars: mean and standard deviation of one shot, each with its interval."
+    return "Each level's shots, its standard deviation, and the club speed delivered.", caption
+
+
+def _drift_texts(shots: Sequence[Shot], analysis: SectionAnalysis) -> tuple[str, str]:
+    caption = "Level means taken off."
+    if sum(shot.role == Role.CONTROL and shot.status is ShotStatus.VALID for shot in shots) > 1:
+        caption += " Crosses: control ball."
+    if analysis.outliers:
+        caption += " Red lines: outliers (robust z above 3.5), which stay in the analysis."
+    return "The compared quantity over the campaign.", caption
+
+
+def _delivery_texts(shots: Sequence[Shot]) -> tuple[str, str]:
+    valid = all(shot.status is ShotStatus.VALID for shot in shots)
+    caption = "Valid shots." if valid else "Filled: valid shots; red and open: not valid."
+    return "Club speed, attack angle, dynamic loft and strike point of every shot.", caption
+
+
+def _control_texts(charts: Sequence[ControlChart]) -> tuple[str, str]:
+    caption = "Values in order; lines: mean and one, two and three standard deviations by the moving range."
+    if any(chart.signals for chart in charts):
+        caption += " Ringed: the last shot of a pattern, with the number of its rule."
+    return "Control charts of the control ball.", caption
 
 
 def _look(index: int, many: bool) -> dict[str, Any]:
@@ -79,6 +191,8 @@ _FEW = 4
 """Max number of levels that one picture of landing points keeps apart."""
 _COLUMNS = 5
 """Panels side by side."""
+_PANELS = 3
+"""Panels of differences side by side."""
 
 
 def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, Array, Array]]:
@@ -97,36 +211,86 @@ def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str
     return found
 
 
-def _dispersion(plan: CampaignPlan, shots: Sequence[Shot], views: SectionViews, units: UnitSystem) -> Figure:
-    """Landing points from above with ellipses, and carry against ball speed."""
-    figure = styled(3.8)
-    above, speed = figure.subplots(1, 2, width_ratios=[1, 1.1])
-    distance, fast = display_unit("carry_m", units), display_unit("ball_speed_mps", units)
-    many, flown = len(shots) > _MANY, _landing_points(plan, shots)
-    ellipses = {ellipse.name: ellipse for ellipse in views.dispersion}
+def _dispersion(
+    plan: CampaignPlan, landings: Sequence[Landing], shots: Sequence[Shot], units: UnitSystem
+) -> Figure:
+    """Landing points of each section from above; carry against ball speed if there is one section."""
+    alone, many = len(landings) == 1, len(shots) > _MANY
+    columns = 2 if alone else min(len(landings), _COLUMNS)
+    rows = -(-len(landings) // columns)
+    figure = styled(0.4 + (2.3 if columns < 4 else 1.9) * rows)
+    grid: np.ndarray[Any, Any] = figure.subplots(rows, columns, squeeze=False)
+    distance = display_unit("carry_m", units)
+    for axes in grid.ravel()[1 if alone else len(landings) :]:
+        axes.set_visible(alone)
+    for axes, landing in zip(grid.ravel(), landings, strict=False):
+        _draw_landing(axes, landing, distance, many)
+    if alone:
+        fast, speed = display_unit("ball_speed_mps", units), grid[0, 1]
+        for index, (name, mine) in enumerate(_by_level(plan, shots)):
+            both = [
+                (fast.of(s.ball_speed_mps), distance.of(s.carry_m))
+                for s in mine
+                if s.ball_speed_mps and s.carry_m is not None and s.status is ShotStatus.VALID
+            ]
+            speed.plot(*np.array(both, dtype=float).reshape(-1, 2).T, **_look(index, many), label=name)
+        speed.set(title="Carry against ball speed", xlabel=f"ball speed, {fast.unit}")
+        speed.set_ylabel(f"carry, {distance.unit}")
+    handles, names = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=10, fontsize=7)
+    return figure
+
+
+def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: bool) -> None:
+    ellipses = {ellipse.name: ellipse for ellipse in landing.views.dispersion}
     extent: list[Array] = []
-    for index, (name, points, others) in enumerate(flown):
+    for index, (name, points, others) in enumerate(landing.levels):
         style = _look(index, many)
-        if len(flown) > _FEW:
+        if len(landing.levels) > _FEW:
             style |= {"markersize": 2.5, "alpha": 0.5}
-        above.plot(*distance.of(points).T, **style, label=name)
-        above.plot(*distance.of(others).T, **{**style, "markerfacecolor": "none"})
+        axes.plot(*distance.of(points).T, **style, label=name)
+        axes.plot(*distance.of(others).T, **{**style, "markerfacecolor": "none"})
         extent += [points, others]
         if name in ellipses:
-            extent.append(_draw_ellipse(above, ellipses[name], style["color"], distance.size))
-    for index, (name, mine) in enumerate(_by_level(plan, shots)):
-        both = [
-            (fast.of(s.ball_speed_mps), distance.of(s.carry_m))
-            for s in mine
-            if s.ball_speed_mps and s.carry_m is not None and s.status is ShotStatus.VALID
-        ]
-        speed.plot(*np.array(both, dtype=float).reshape(-1, 2).T, **_look(index, many), label=name)
-    _from_above(above, np.concatenate(extent) / distance.size if extent else np.zeros((0, 2)))
-    unit = distance.unit
-    above.set(title="Landing points from above", xlabel=f"left  ←  offline, {unit}  →  right")
-    above.set_ylabel(f"carry, {unit}")
-    speed.set(title="Carry against ball speed", xlabel=f"ball speed, {fast.unit}", ylabel=f"carry, {unit}")
-    figure.legend(*speed.get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
+            extent.append(_draw_ellipse(axes, ellipses[name], style["color"], distance.size))
+    _from_above(axes, np.concatenate(extent) / distance.size)
+    title = landing.name or "Landing points from above"
+    axes.set(title=title, xlabel=f"left  ←  offline, {distance.unit}  →  right")
+    axes.set_ylabel(f"carry, {distance.unit}")
+
+
+def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Figure:
+    """Each level's difference to the reference with its interval, a panel per column of the table."""
+    unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
+    places = [n for n, one in enumerate(table.columns[0].compared) if one.level.name != table.reference]
+    rows = -(-len(table.columns) // _PANELS)
+    figure = styled((0.75 + 0.19 * len(places)) * rows)
+    grid: np.ndarray[Any, Any] = figure.subplots(
+        rows, min(len(table.columns), _PANELS), sharex=True, sharey=True, squeeze=False
+    )
+    for axes in grid.ravel()[len(table.columns) :]:
+        axes.set_visible(False)
+    for axes, column in zip(grid.ravel(), table.columns, strict=False):
+        axes.axvline(0, color=_INK, linewidth=0.8)
+        if plan.analysis.margin:
+            margin = plan.analysis.margin / unit.size
+            axes.axvspan(-margin, margin, color=_GREY, alpha=0.12, linewidth=0)
+        for row, place in enumerate(places):
+            pair = column.compared[place].pair
+            if pair is None:
+                continue
+            middle = pair.difference / unit.size
+            low, high = pair.low_together / unit.size, pair.high_together / unit.size
+            filled = {} if pair.verdict in {"different", "both"} else {"markerfacecolor": "white"}
+            reach = [[middle - low], [high - middle]]
+            style = {"color": colour_of(place), "marker": marker_of(place), "markersize": 5, "capsize": 3}
+            axes.errorbar([middle], [row], xerr=reach, **style, **filled)
+        axes.set_yticks(range(len(places)), [column.compared[place].level.name for place in places])
+        axes.set_ylim(len(places) - 0.4, -0.6)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        axes.set_title(column.name or f"Difference to {table.reference} in {name}, {unit.unit}")
+    if table.across:
+        figure.supxlabel(f"difference to {table.reference} in {name}, {unit.unit}", fontsize=8)
     return figure
 
 
@@ -175,7 +339,7 @@ def _levels(
     """Each level's shots with mean and interval, its scatter with interval, and the club speed delivered."""
     unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
     fast, found = display_unit("club_speed_mps", units), _by_level(plan, shots)
-    figure = styled(1.0 + 0.32 * max(len(found), 2))
+    figure = styled(0.8 + 0.24 * max(len(found), 2))
     result, scatter, club = figure.subplots(1, 3, sharey=True, width_ratios=[1.6, 0.9, 1])
     many = len(shots) > _MANY
     bar = {"color": _INK, "marker": "|", "markersize": 12, "capsize": 4, "linewidth": 1.4}
@@ -205,6 +369,8 @@ def _levels(
     scatter.set(title="SD of one shot", xlabel=unit.unit)
     scatter.set_xlim(left=0)
     club.set(title="Club speed delivered", xlabel=fast.unit)
+    for axes, ticks in ((result, 6), (scatter, 4), (club, 4)):
+        axes.xaxis.set_major_locator(MaxNLocator(ticks))
     return figure
 
 
@@ -217,7 +383,7 @@ def _spread_out(count: int) -> np.ndarray:
 def _drift(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis, units: UnitSystem) -> Figure:
     """The compared quantity over the shots less its level's mean, and the control ball's drift."""
     unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
-    figure = styled(2.5)
+    figure = styled(1.4)
     axes = figure.subplots()
     many = len(shots) > _MANY
     for index, (_, mine) in enumerate(_by_level(plan, shots)):
@@ -253,7 +419,7 @@ def _drift(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis,
 
 def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Figure:
     """The delivery over the campaign: valid and other shots."""
-    figure = styled(3.4)
+    figure = styled(2.4)
     grid: np.ndarray[Any, Any] = figure.subplots(2, 2, sharex=True)
     names = {column: text for column, text, _, _ in FIGURES}
     keys = list(dict.fromkeys((s.swing, s.club) for s in shots))
@@ -282,7 +448,7 @@ def _points(
 def _control(views: SectionViews, units: UnitSystem) -> Figure:
     """The control charts: values in order with one, two and three standard deviations, signals marked."""
     charts = views.control_charts
-    figure = styled(1.9 * len(charts) + 0.2)
+    figure = styled(1.5 * len(charts) + 0.2)
     grid: np.ndarray[Any, Any] = figure.subplots(len(charts), 1, sharex=True, squeeze=False)
     for axes, chart in zip(grid.ravel(), charts, strict=True):
         unit, many = display_unit(chart.column, units), len(chart.values) > _MANY

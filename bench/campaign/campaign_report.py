@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import zip_longest
+from math import inf
 from pathlib import Path
 from typing import Any
 
+from bench.campaign.analysis import Level, SectionAnalysis
 from bench.campaign.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
 from bench.campaign.campaign_plots import campaign_figures
 from bench.campaign.campaign_record import ISSUE, CampaignRecord
 from bench.campaign.carry import measured_of
 from bench.campaign.conformity import DECISION_RULE
 from bench.campaign.control_chart import LEAST_VALUES, NELSON
+from bench.campaign.differences import difference_tables, not_compared, section_labels
 from bench.campaign.digest import NO_DATA, SHOT_DIGITS, parts_digests, shot_digests, whole_digest
 from bench.campaign.display_units import DisplayUnit, UnitSystem, display_unit, number_text, two_digits
 from bench.campaign.equipment import (
@@ -25,13 +29,14 @@ from bench.campaign.equipment import (
     without_simulated_balls,
 )
 from bench.campaign.exclusions import reasons_by_hand
-from bench.campaign.findings import Findings, as_flown, findings, findings_record
+from bench.campaign.findings import Findings, SectionViews, as_flown, findings, findings_record
 from bench.campaign.interruptions import software_versions
 from bench.campaign.iso17025 import STATEMENT, calibration_table, item_table, particulars
-from bench.campaign.page import TABLE, flat, page_template, shot_figures
+from bench.campaign.page import BALL, CLUB, flat, page_template, shot_figures
 from bench.campaign.plan import levels
 from bench.campaign.prompts import PromptKind
 from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
+from bench.campaign.ranking import RankedLevel
 from bench.campaign.verdicts import confidence_words, quantity_name
 from bench.shot.plot_style import marker_svg
 from bench.shot.shot import Shot, ShotStatus
@@ -81,6 +86,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
     plan, entry, shots = record.plan, record.entry, record.shots
     template = page_template("campaign.html.j2", _filters(display_unit(plan.analysis.quantity, units), units))
     times = [shot.time_utc for shot in shots]
+    tables, compared = difference_tables(plan, found.sections), quantity_name(as_flown(plan, shots))
     return template.render(
         **_signed_part(record, found, units),
         **_lists(record, found, units),
@@ -98,11 +104,16 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         quantities=QUANTITIES,
         quantity_names=QUANTITY_NAMES,
         places={name: place for place, name in enumerate(levels(plan))},
+        ranked=[_ranked(*each) for each in zip(found.sections, found.views, strict=True)],
+        labels=section_labels(plan),
+        tables=tables,
+        open_questions=list(not_compared(plan, tables, compared)),
+        alone=sum(map(len, found.verdicts)) == 1,
         units=units,
         column_unit=lambda column: display_unit(column, units).unit,
         nelson=NELSON,
         least_controls=LEAST_VALUES,
-        quantity=quantity_name(as_flown(plan, shots)),
+        quantity=compared,
         unit=display_unit(plan.analysis.quantity, units).unit,
         confidence=f"{100 * plan.analysis.confidence:g}",
         decision_rule=DECISION_RULE,
@@ -153,10 +164,13 @@ def _lists(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[s
         "more_events": max(0, len(events) - _MAX_LINES),
         "handwork": handwork[:_MAX_LINES],
         "more_handwork": max(0, len(handwork) - _MAX_LINES),
-        "table": TABLE,
+        "table": list(zip_longest(CLUB, BALL)),
         "all_rows": len(record.shots) <= _ALL_ROWS,
         "listed": len(listed),
-        "rows": [(shot, shot_figures(shot, units)) for shot in listed[:_MAX_ROWS]],
+        "rows": [
+            (shot, list(zip_longest(shot_figures(shot, CLUB, units), shot_figures(shot, BALL, units))))
+            for shot in listed[:_MAX_ROWS]
+        ],
     }
 
 
@@ -276,6 +290,14 @@ def _one_day(record: CampaignRecord) -> bool:
         event.date.date() for event in record.events if event.kind != ISSUE
     }
     return len(days) == 1
+
+
+def _ranked(section: SectionAnalysis, views: SectionViews) -> list[tuple[Level, RankedLevel | None]]:
+    """Return the levels in the order of their ranking, then those without one, then the control ball."""
+    ranks = {one.name: one for one in views.ranking}
+    order = sorted(section.levels, key=lambda level: ranks[level.name].rank if level.name in ranks else inf)
+    control = [(section.control, None)] if section.control else []
+    return [*((level, ranks.get(level.name)) for level in order), *control]
 
 
 def _facts(record: CampaignRecord, units: UnitSystem) -> list[tuple[str, str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.resources import files
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ class Quantity(NamedTuple):
     column: str
 
 
-TABLE = (
+CLUB = (
     Quantity("club", "club_speed_mps"),
     Quantity("attack", "attack_angle_deg"),
     Quantity("path", "club_path_deg"),
@@ -28,17 +28,21 @@ TABLE = (
     Quantity("loft", "dynamic_loft_deg"),
     Quantity("strike x", "strike_x_mm"),
     Quantity("strike y", "strike_y_mm"),
+)
+"""Delivery of a shot, the upper line in the table of shots."""
+BALL = (
     Quantity("ball", "ball_speed_mps"),
     Quantity("launch", "launch_angle_deg"),
     Quantity("direction", "direction_deg"),
     Quantity("spin", "spin_rpm"),
-    Quantity("axis", "spin_axis_deg"),
+    Quantity("spin axis", "spin_axis_deg"),
     Quantity("carry", "carry_m"),
     Quantity("offline", "carry_side_m"),
     Quantity("total", "total_m"),
     Quantity("apex", "apex_m"),
     Quantity("landing", "landing_angle_deg"),
 )
+"""Launch and flight of a shot, the lower line."""
 
 
 def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None) -> jinja2.Template:
@@ -56,9 +60,9 @@ def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = 
     return environment.get_template(name)
 
 
-def shot_figures(shot: Shot, units: UnitSystem) -> list[str]:
-    """Return the figures of `TABLE` of a shot as text."""
-    return [display_unit(q.column, units).text(getattr(shot, q.column)) for q in TABLE]
+def shot_figures(shot: Shot, quantities: Iterable[Quantity], units: UnitSystem) -> list[str]:
+    """Return the `quantities` of a shot as text."""
+    return [display_unit(q.column, units).text(getattr(shot, q.column)) for q in quantities]
 
 
 def flat(configuration: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:

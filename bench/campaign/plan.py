@@ -204,6 +204,8 @@ class Analysis:
     power: Annotated[float, Range(0.5, 0.9999, "")]
     drift: Literal["linear", "none"]
     """Whether drift within blocks is removed by the control ball; the other analysis is reported, too."""
+    reference: str = field(default="", metadata={"optional": True})
+    """Level that the report compares the others with; empty: the first one."""
 
 
 @dataclass(frozen=True)
@@ -365,8 +367,10 @@ class CampaignPlan:
         return self.design.hits_per_mounting * len(self.design.balls) if self.split else 1
 
     def record(self) -> dict[str, Any]:
-        """Return the plan for JSON; `plan_from_record` reads it back."""
+        """Return the plan for JSON; `plan_from_record` reads it back. An empty reference is left out."""
         plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        if not self.analysis.reference:
+            del plain["analysis"]["reference"]
         return plain
 
     @property
@@ -379,6 +383,11 @@ def levels(plan: CampaignPlan) -> tuple[str, ...]:
     """Return the levels of the compared factor."""
     found: tuple[str, ...] = getattr(plan.design, f"{plan.design.compare}s")
     return found
+
+
+def reference_level(plan: CampaignPlan) -> str:
+    """Return the level that the report compares the others with."""
+    return plan.analysis.reference or levels(plan)[0]
 
 
 def stated_uncertainty(plan: CampaignPlan, quantity: str) -> float | None:

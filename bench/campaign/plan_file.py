@@ -208,6 +208,10 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
     if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
         found = str(plan.warm_up.at_most)
         yield "warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it."
+    if plan.analysis.reference and plan.analysis.reference not in levels(plan):
+        found, wanted = format_value(plan.analysis.reference), f"one of {', '.join(levels(plan))}"
+        cure = did_you_mean(plan.analysis.reference, levels(plan), f"Use one of design.{d.compare}s.")
+        yield "analysis.reference", found, wanted, cure
     yield from _carry(plan)
     yield from _hits(plan)
     yield from _covariates(plan)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.campaign.analysis import Comparison, Pair
+from bench.campaign.differences import difference_to
 
 
 @dataclass(frozen=True)
@@ -91,9 +92,7 @@ def _effects(names: Sequence[str], pairs: Sequence[Pair]) -> dict[str, float]:
 
 
 def _behind(pairs: Sequence[Pair], name: str, first: str) -> tuple[float, float, float]:
-    for pair in pairs:
-        if (pair.first, pair.second) == (name, first):
-            return pair.difference, pair.low_together, pair.high_together
-        if (pair.first, pair.second) == (first, name):
-            return -pair.difference, -pair.high_together, -pair.low_together
-    return (0.0, 0.0, 0.0) if name == first else (float("nan"),) * 3
+    if name == first:
+        return 0.0, 0.0, 0.0
+    pair = difference_to(first, name, pairs)
+    return (pair.difference, pair.low_together, pair.high_together) if pair else (float("nan"),) * 3

@@ -27,7 +27,8 @@ def within_club(plan: CampaignPlan, club: str) -> CampaignPlan:
     design = replace(
         d, compare="ball", clubs=(club,), blocks=d.blocks * d.hits_per_mounting, hits_per_mounting=0
     )
-    return replace(plan, design=design, stop=replace(plan.stop, rule="fixed"))
+    analysis = replace(plan.analysis, reference="")
+    return replace(plan, design=design, stop=replace(plan.stop, rule="fixed"), analysis=analysis)
 
 
 def shots_within(plan: CampaignPlan, club: str, shots: Sequence[Shot]) -> list[Shot]:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from bench.campaign.bench_setup import Fitting, missing
 from bench.campaign.gate import Centre
-from bench.campaign.plan import CampaignPlan
+from bench.campaign.plan import CampaignPlan, reference_level
 from bench.campaign.plan_file import EXAMPLES, campaign_names, find_plan, load_plan, plan_from_record
 from bench.campaign.power import blocks_needed, power_of_shift, same_power_of_error
 from bench.campaign.preview import outlook, outlook_words, preview_record
@@ -110,6 +110,7 @@ def test_the_examples_are_there() -> None:
             "rules.uncertainty.carry",
             "no quantity",
         ),
+        (('ball = "tour"', 'ball = "tour"\n[analysis]\nreference = "tuor"'), "analysis.reference", "tuor"),
         (('ball = "tour"', 'ball = "tour"\n[balls.x]\nlike = "y"'), "balls.x.like", "y"),
         (('ball = "tour"', 'ball = "tour"\n[balls.x]\nlike = "tour"\nmass = 3'), "balls.x.mass", "3"),
         (('"range"]\nblocks = 4', '""]\nblocks = 4\n[balls.""]\nlike = "tour"'), "design.balls", '""'),
@@ -124,6 +125,16 @@ def test_a_mistake_is_told_with_its_place(
     assert change[0] in TWO
     faults = _faults(tmp_path, configuration, TWO.replace(*change))
     assert found in faults[place].found
+
+
+def test_reference_is_a_level_or_the_first_one(tmp_path: Path, configuration: Configuration) -> None:
+    plain = _plan(tmp_path, configuration, TWO)
+    named = _plan(tmp_path, configuration, f'{TWO}\n[analysis]\nreference = "range"\n')
+    assert (reference_level(plain), reference_level(named)) == ("tour", "range")
+    assert "reference" not in plain.record()["analysis"]
+    assert plan_from_record(plain.record(), "stored") == plain
+    assert plan_from_record(named.record(), "stored") == named
+    assert plain.digest != named.digest
 
 
 def test_several_mistakes_are_told_at_once(tmp_path: Path, configuration: Configuration) -> None:

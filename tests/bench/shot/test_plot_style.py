@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.shot.plot_style import COLOURS, MARKERS, colour_of, marker_of, marker_svg
+from bench.shot.plot_style import COLOURS, MARKERS, STYLE, colour_of, marker_of, marker_svg, styled
 
 Array = NDArray[np.float64]
 
@@ -55,3 +56,14 @@ def test_a_mark_in_a_table_is_that_of_the_plots() -> None:
     assert len(marks) == 12
     assert all("nan" not in mark and mark.count("<path") == 1 for mark in marks)
     assert colour_of(3) in marker_svg(3)
+
+
+def test_axes_of_nearly_equal_values_are_labelled_without_an_offset() -> None:
+    with mpl.rc_context(STYLE):
+        figure = styled(1.0)
+        axes = figure.subplots()
+        axes.plot([43.20001, 43.20004], [101325.01, 101325.02])
+        figure.draw_without_rendering()
+    assert axes.xaxis.get_offset_text().get_text() == ""
+    assert axes.yaxis.get_offset_text().get_text() == ""
+    assert all(label.get_text().startswith("43.2") for label in axes.get_xticklabels())
