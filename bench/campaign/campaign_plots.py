@@ -42,27 +42,22 @@ class Picture(NamedTuple):
     caption: str
 
 
-class SectionPictures(NamedTuple):
-    """Pictures of one section, in their order on the page."""
+class Landing(NamedTuple):
+    """Landing points of a section."""
 
-    results: tuple[Picture, ...]
-    control: Picture | None
-    drift: Picture
-
-
-class CampaignPictures(NamedTuple):
-    """All pictures of a report."""
-
-    overview: Picture | None
-    """Picture of the first page; None if a single level has no landing points."""
-    sections: tuple[SectionPictures, ...]
-    delivery: Picture
+    name: str
+    levels: Sequence[tuple[str, Array, Array]]
+    """(level, valid points, other points), each (n, 2) offline and carry, m."""
+    views: SectionViews
 
 
 def campaign_figures(
     plan: CampaignPlan, shots: Sequence[Shot], found: Findings, units: UnitSystem = UnitSystem.SI
-) -> CampaignPictures:
-    """Return the pictures: the overview, those of each section, and the delivery."""
+) -> Mapping[str, Any]:
+    """Return the pictures "overview" and "delivery", and per section "results", "control" and "drift".
+
+    The overview shows the differences from three levels on, else the landing points; None without any.
+    """
     tables = difference_tables(plan, found.sections)
     forest = next((table for table in tables if len(table.columns[0].compared) > 2), None)
     with mpl.rc_context(STYLE):
@@ -74,100 +69,33 @@ def campaign_figures(
             drawn.append(_section_pictures(plan, mine, analysis, landings[-1], units))
         overview = None
         if forest is not None:
-            overview = _drawn(_forest(plan, forest, units), "overview", _forest_texts(plan, forest))
-        elif len(landings) > 1 or any(len(points) for _, points, _ in landings[0].levels):
-            overview = _drawn(_dispersion(plan, landings, shots, units), "overview", _landing_texts(landings))
-            if len(landings) == 1:
-                drawn[0] = drawn[0]._replace(results=drawn[0].results[:1])
-        return CampaignPictures(
-            overview, tuple(drawn), _drawn(_delivery(shots, units), "delivery", _delivery_texts(shots))
-        )
+            overview = _forest(plan, forest, units)
+        elif len(landings) == 1 and any(len(points) for _, points, _ in landings[0].levels):
+            overview = drawn[0]["results"].pop(1)
+        elif len(landings) > 1:
+            overview = _dispersion(plan, landings, shots, units, "overview")
+        return {"overview": overview, "sections": drawn, "delivery": _delivery(shots, units)}
 
 
-def _drawn(figure: Figure, name: str, texts: tuple[str, str]) -> Picture:
-    return Picture(to_svg(figure, name), *texts)
-
-
-class Landing(NamedTuple):
-    """Landing points of a section."""
-
-    name: str
-    levels: Sequence[tuple[str, Array, Array]]
-    """(level, valid points, other points), each (n, 2) offline and carry, m."""
-    views: SectionViews
+def _picture(figure: Figure, name: str, label: str, *captions: str) -> Picture:
+    return Picture(to_svg(figure, name), label, " ".join(filter(None, captions)))
 
 
 def _section_pictures(
     plan: CampaignPlan, mine: Sequence[Shot], analysis: SectionAnalysis, landing: Landing, units: UnitSystem
-) -> SectionPictures:
-    name, charts = f"s{analysis.number}", landing.views.control_charts
+) -> dict[str, Any]:
+    name, views = f"s{analysis.number}", landing.views
     results = [
-        _drawn(_levels(plan, mine, analysis, units), f"{name}l", _level_texts(analysis)),
-        _drawn(_dispersion(plan, [landing], mine, units), f"{name}d", _landing_texts([landing])),
+        _levels(plan, mine, analysis, units, f"{name}l"),
+        _dispersion(plan, [landing], mine, units, f"{name}d"),
     ]
     if len(landing.levels) > _FEW:
-        results.append(_drawn(_each(landing.levels, landing.views, units), f"{name}e", _each_texts(landing)))
-    control = None
-    if charts:
-        control = _drawn(_control(landing.views, units), f"{name}c", _control_texts(charts))
-    drift = _drawn(_drift(plan, mine, analysis, units), f"{name}t", _drift_texts(mine, analysis))
-    return SectionPictures(tuple(results), control, drift)
-
-
-def _forest_texts(plan: CampaignPlan, table: DifferenceTable) -> tuple[str, str]:
-    label = f"Differences of all {table.factor}s to {table.reference} with their intervals."
-    caption = (
-        f"Difference to {table.reference} with its interval, all pairs of a panel simultaneously. "
-        "Filled: declared different; open: not."
-    )
-    if plan.analysis.margin:
-        caption += " Grey band: the margin within which they count as the same."
-    return label, caption
-
-
-def _landing_texts(landings: Sequence[Landing]) -> tuple[str, str]:
-    caption = "Dashed: target line."
-    if any(len(others) for landing in landings for _, _, others in landing.levels):
-        caption += " Filled: valid shots; open: not valid."
-    if any(landing.views.dispersion for landing in landings):
-        caption += " Ellipse: holds 95 % of a normal scatter with the mean and covariance seen."
-    speed = ", and carry against ball speed" if len(landings) == 1 else ""
-    return f"Landing points from above{speed}.", caption
-
-
-def _each_texts(landing: Landing) -> tuple[str, str]:
-    area = ", with the area of its ellipse" if landing.views.dispersion else ""
-    caption = f"Each level before all others (grey){area}. The dashed line is the target line."
-    return "Landing points of each level before those of all others.", caption
-
-
-def _level_texts(analysis: SectionAnalysis) -> tuple[str, str]:
-    caption = "Every valid shot."
-    if any(level.spread.n > 1 for level in analysis.levels):
-        caption = "Every valid shot; bars: mean and standard deviation of one shot, each with its interval."
-    return "Each level's shots, its standard deviation, and the club speed delivered.", caption
-
-
-def _drift_texts(shots: Sequence[Shot], analysis: SectionAnalysis) -> tuple[str, str]:
-    caption = "Level means taken off."
-    if sum(shot.role == Role.CONTROL and shot.status is ShotStatus.VALID for shot in shots) > 1:
-        caption += " Crosses: control ball."
-    if analysis.outliers:
-        caption += " Red lines: outliers (robust z above 3.5), which stay in the analysis."
-    return "The compared quantity over the campaign.", caption
-
-
-def _delivery_texts(shots: Sequence[Shot]) -> tuple[str, str]:
-    valid = all(shot.status is ShotStatus.VALID for shot in shots)
-    caption = "Valid shots." if valid else "Filled: valid shots; red and open: not valid."
-    return "Club speed, attack angle, dynamic loft and strike point of every shot.", caption
-
-
-def _control_texts(charts: Sequence[ControlChart]) -> tuple[str, str]:
-    caption = "Values in order; lines: mean and one, two and three standard deviations by the moving range."
-    if any(chart.signals for chart in charts):
-        caption += " Ringed: the last shot of a pattern, with the number of its rule."
-    return "Control charts of the control ball.", caption
+        results.append(_each(landing.levels, views, units, f"{name}e"))
+    return {
+        "results": results,
+        "drift": _drift(plan, mine, analysis, units, f"{name}t"),
+        "control": _control(views, units, f"{name}c") if views.control_charts else None,
+    }
 
 
 def _look(index: int, many: bool) -> dict[str, Any]:
@@ -212,8 +140,8 @@ def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str
 
 
 def _dispersion(
-    plan: CampaignPlan, landings: Sequence[Landing], shots: Sequence[Shot], units: UnitSystem
-) -> Figure:
+    plan: CampaignPlan, landings: Sequence[Landing], shots: Sequence[Shot], units: UnitSystem, name: str
+) -> Picture:
     """Landing points of each section from above; carry against ball speed if there is one section."""
     alone, many = len(landings) == 1, len(shots) > _MANY
     columns = 2 if alone else min(len(landings), _COLUMNS)
@@ -227,18 +155,28 @@ def _dispersion(
         _draw_landing(axes, landing, distance, many)
     if alone:
         fast, speed = display_unit("ball_speed_mps", units), grid[0, 1]
-        for index, (name, mine) in enumerate(_by_level(plan, shots)):
+        for index, (level, mine) in enumerate(_by_level(plan, shots)):
             both = [
                 (fast.of(s.ball_speed_mps), distance.of(s.carry_m))
                 for s in mine
                 if s.ball_speed_mps and s.carry_m is not None and s.status is ShotStatus.VALID
             ]
-            speed.plot(*np.array(both, dtype=float).reshape(-1, 2).T, **_look(index, many), label=name)
+            speed.plot(*np.array(both, dtype=float).reshape(-1, 2).T, **_look(index, many), label=level)
         speed.set(title="Carry against ball speed", xlabel=f"ball speed, {fast.unit}")
         speed.set_ylabel(f"carry, {distance.unit}")
-    handles, names = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=10, fontsize=7)
-    return figure
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
+    return _picture(
+        figure,
+        name,
+        f"Landing points from above{', and carry against ball speed' if alone else ''}.",
+        "Dashed: target line.",
+        "Filled: valid shots; open: not valid."
+        if any(len(others) for one in landings for _, _, others in one.levels)
+        else "",
+        "Ellipse: holds 95 % of a normal scatter with the mean and covariance seen."
+        if any(one.views.dispersion for one in landings)
+        else "",
+    )
 
 
 def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: bool) -> None:
@@ -259,7 +197,7 @@ def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: boo
     axes.set_ylabel(f"carry, {distance.unit}")
 
 
-def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Figure:
+def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Picture:
     """Each level's difference to the reference with its interval, a panel per column of the table."""
     unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
     places = [n for n, one in enumerate(table.columns[0].compared) if one.level.name != table.reference]
@@ -291,7 +229,14 @@ def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Fi
         axes.set_title(column.name or f"Difference to {table.reference} in {name}, {unit.unit}")
     if table.across:
         figure.supxlabel(f"difference to {table.reference} in {name}, {unit.unit}", fontsize=8)
-    return figure
+    return _picture(
+        figure,
+        "overview",
+        f"Differences of all {table.factor}s to {table.reference} with their intervals.",
+        f"Difference to {table.reference} with its interval, all pairs of a panel simultaneously.",
+        "Filled: declared different; open: not.",
+        "Grey band: the margin within which they count as the same." if plan.analysis.margin else "",
+    )
 
 
 def _from_above(axes: Axes, points: Array) -> None:
@@ -304,7 +249,9 @@ def _from_above(axes: Axes, points: Array) -> None:
         axes.set_aspect("equal")
 
 
-def _each(flown: Sequence[tuple[str, Array, Array]], views: SectionViews, units: UnitSystem) -> Figure:
+def _each(
+    flown: Sequence[tuple[str, Array, Array]], views: SectionViews, units: UnitSystem, picture: str
+) -> Picture:
     """A panel for each level: its landing points and ellipse before those of all others."""
     distance = display_unit("carry_m", units)
     rows = -(-len(flown) // _COLUMNS)
@@ -330,12 +277,14 @@ def _each(flown: Sequence[tuple[str, Array, Array]], views: SectionViews, units:
         axes.tick_params(labelsize=6.5)
     figure.supxlabel(f"offline, {distance.unit}", fontsize=7.5)
     figure.supylabel(f"carry, {distance.unit}", fontsize=7.5)
-    return figure
+    area = ", with the area of its ellipse" if ellipses else ""
+    caption = f"Each level before all others (grey){area}. The dashed line is the target line."
+    return _picture(figure, picture, "Landing points of each level before those of all others.", caption)
 
 
 def _levels(
-    plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis, units: UnitSystem
-) -> Figure:
+    plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis, units: UnitSystem, picture: str
+) -> Picture:
     """Each level's shots with mean and interval, its scatter with interval, and the club speed delivered."""
     unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
     fast, found = display_unit("club_speed_mps", units), _by_level(plan, shots)
@@ -371,7 +320,14 @@ def _levels(
     club.set(title="Club speed delivered", xlabel=fast.unit)
     for axes, ticks in ((result, 6), (scatter, 4), (club, 4)):
         axes.xaxis.set_major_locator(MaxNLocator(ticks))
-    return figure
+    bars = any(one.spread.n > 1 for one in analysis.levels)
+    return _picture(
+        figure,
+        picture,
+        "Each level's shots, its standard deviation, and the club speed delivered.",
+        "Every valid shot.",
+        "Bars: mean and standard deviation of one shot, each with its interval." if bars else "",
+    )
 
 
 def _spread_out(count: int) -> np.ndarray:
@@ -380,7 +336,9 @@ def _spread_out(count: int) -> np.ndarray:
     return 0.5 * (steps - 0.5)
 
 
-def _drift(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis, units: UnitSystem) -> Figure:
+def _drift(
+    plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis, units: UnitSystem, picture: str
+) -> Picture:
     """The compared quantity over the shots less its level's mean, and the control ball's drift."""
     unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
     figure = styled(1.4)
@@ -414,10 +372,17 @@ def _drift(plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis,
     axes.set(
         title=f"Drift: {name} less the level's mean, in the order played", xlabel="shot", ylabel=unit.unit
     )
-    return figure
+    return _picture(
+        figure,
+        picture,
+        "The compared quantity over the campaign.",
+        "Level means taken off.",
+        "Crosses: control ball." if len(values) > 1 else "",
+        "Red lines: outliers (robust z above 3.5), which stay in the analysis." if analysis.outliers else "",
+    )
 
 
-def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Figure:
+def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
     """The delivery over the campaign: valid and other shots."""
     figure = styled(2.4)
     grid: np.ndarray[Any, Any] = figure.subplots(2, 2, sharex=True)
@@ -435,7 +400,10 @@ def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Figure:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     for axes in grid[1]:
         axes.set_xlabel("shot")
-    return figure
+    label = "Club speed, attack angle, dynamic loft and strike point of every shot."
+    every = all(shot.status is ShotStatus.VALID for shot in shots)
+    caption = "Valid shots." if every else "Filled: valid shots; red and open: not valid."
+    return _picture(figure, "delivery", label, caption)
 
 
 def _points(
@@ -445,7 +413,7 @@ def _points(
     axes.plot([s.shot for s in shots], [unit.of(getattr(s, column)) for s in shots], **look)
 
 
-def _control(views: SectionViews, units: UnitSystem) -> Figure:
+def _control(views: SectionViews, units: UnitSystem, picture: str) -> Picture:
     """The control charts: values in order with one, two and three standard deviations, signals marked."""
     charts = views.control_charts
     figure = styled(1.5 * len(charts) + 0.2)
@@ -474,7 +442,15 @@ def _control(views: SectionViews, units: UnitSystem) -> Figure:
         axes.set(title=f"Control ball: {QUANTITY_NAMES[chart.column]}", ylabel=unit.unit)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     grid[-1, 0].set_xlabel("shot")
-    return figure
+    return _picture(
+        figure,
+        picture,
+        "Control charts of the control ball.",
+        "Values in order; lines: mean and one, two and three standard deviations by the moving range.",
+        "Ringed: the last shot of a pattern, with the number of its rule."
+        if any(chart.signals for chart in charts)
+        else "",
+    )
 
 
 def _mark_signals(axes: Axes, chart: ControlChart, values: Mapping[int, float]) -> None:

@@ -32,7 +32,7 @@ class DifferenceColumn(NamedTuple):
     """Value of the factors that differ between columns; empty in a table of one column."""
     confidence: float | None
     """Simultaneous confidence of its intervals; None without a comparison."""
-    compared: tuple[ComparedLevel, ...]
+    compared: Sequence[ComparedLevel]
 
 
 class DifferenceTable(NamedTuple):
@@ -42,7 +42,7 @@ class DifferenceTable(NamedTuple):
     across: str
     """Factors that differ between the columns; empty in a table of one column."""
     reference: str
-    columns: tuple[DifferenceColumn, ...]
+    columns: Sequence[DifferenceColumn]
 
 
 def difference_to(reference: str, name: str, pairs: Sequence[Pair]) -> Pair | None:
@@ -60,7 +60,8 @@ def difference_tables(plan: CampaignPlan, analyses: Sequence[SectionAnalysis]) -
     fixed, places, tables = _fixed_factors(plan), section_labels(plan), []
     if len(levels(plan)) > 1:
         columns = [_column(*each, reference_level(plan)) for each in zip(places, analyses, strict=True)]
-        tables.append(_table(plan.design.compare, fixed, reference_level(plan), columns))
+        across = " and ".join(fixed)
+        tables.append(DifferenceTable(plan.design.compare, across, reference_level(plan), columns))
     if any(analysis.within for analysis in analyses):
         balls = plan.design.balls[0]
         columns = [
@@ -68,7 +69,8 @@ def difference_tables(plan: CampaignPlan, analyses: Sequence[SectionAnalysis]) -
             for place, analysis in zip(places, analyses, strict=True)
             for inner in analysis.within
         ]
-        tables.append(_table("ball", [*fixed, "club"], balls, columns))
+        across = " and ".join([*fixed, "club"]) if len(columns) > 1 else ""
+        tables.append(DifferenceTable("ball", across, balls, columns))
     return tuple(tables)
 
 
@@ -95,8 +97,8 @@ def _table(
 def _column(name: str, analysis: SectionAnalysis, reference: str) -> DifferenceColumn:
     result = analysis.confirmatory
     pairs = result.pairs if result else ()
-    compared = (ComparedLevel(one, difference_to(reference, one.name, pairs)) for one in analysis.levels)
-    return DifferenceColumn(name, result.confidence if result else None, tuple(compared))
+    compared = [ComparedLevel(one, difference_to(reference, one.name, pairs)) for one in analysis.levels]
+    return DifferenceColumn(name, result.confidence if result else None, compared)
 
 
 def not_compared(plan: CampaignPlan, tables: Sequence[DifferenceTable], quantity: str) -> Iterator[str]:
