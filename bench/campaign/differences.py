@@ -86,14 +86,6 @@ def _fixed_factors(plan: CampaignPlan) -> list[str]:
     return [name for name in varied if name == "swing" or not plan.split if name != plan.design.compare]
 
 
-def _table(
-    factor: str, across: Sequence[str], reference: str, columns: Sequence[DifferenceColumn]
-) -> DifferenceTable:
-    return DifferenceTable(
-        factor, " and ".join(across) if len(columns) > 1 else "", reference, tuple(columns)
-    )
-
-
 def _column(name: str, analysis: SectionAnalysis, reference: str) -> DifferenceColumn:
     result = analysis.confirmatory
     pairs = result.pairs if result else ()
