@@ -58,7 +58,7 @@ def new(
     Prints duration and resolution. Mistakes are listed all at once; the file is kept and can be corrected.
     """
     name = _plan_name(file)
-    answers = {"compare": compare, "ball": ball, "club": club, "swing": swing}
+    answers: dict[str, Any] = {"compare": compare, "ball": ball, "club": club, "swing": swing}
     answers |= {"difference": difference, "deviation": deviation}
     configuration = context.ensure_object(Session).configuration()
     design, analysis = _answered(answers, configuration)
