@@ -12,7 +12,7 @@ import re
 import sys
 import tomllib
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from math import pi
 from pathlib import Path
@@ -150,6 +150,15 @@ def laid_over(base: Tree, over: Tree) -> Tree:
     return merged
 
 
+def without(tree: Tree, paths: Collection[str], above: str = "") -> Tree:
+    """Return `tree` without the keys at the dotted `paths`."""
+    return {
+        name: without(node, paths, f"{above}{name}.") if isinstance(node, dict) else node
+        for name, node in tree.items()
+        if f"{above}{name}" not in paths
+    }
+
+
 def place_of(tree: Tree, file: Path, path: str) -> str:
     """Return file and key of dotted `path` as its author wrote it; `file` when the tree does not have it."""
     *above, last = path.split(".")
@@ -195,6 +204,8 @@ class Builder:
     """Cure of errors about missing keys."""
     left_out: frozenset[str] = frozenset()
     faults: list[BenchError] = field(default_factory=list)
+    wrong: set[str] = field(default_factory=set)
+    """Dotted paths of the keys with faults."""
 
     def build(self, kind: type[Any]) -> Any:
         """Return the value of dataclass `kind`, or None if there were faults.
@@ -298,6 +309,7 @@ class Builder:
 
     def _fault(self, path: str, found: str, wanted: str, cure: str = "") -> Any:
         path, bracket, index = path.partition("[")
+        self.wrong.add(path)
         place = place_of(self.tree, self.file, path) + bracket + index
         self.faults.append(BenchError(place, found, wanted, cure or self.cure))
         return _BAD

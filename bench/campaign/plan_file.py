@@ -30,6 +30,7 @@ from bench.from_toml import (
     format_value,
     laid_over,
     read_toml,
+    without,
 )
 from sim.ball import Ball
 from sim.robot import Club
@@ -70,12 +71,15 @@ def load_plan(path: Path, configuration: Configuration) -> CampaignPlan:
     faults: list[BenchError] = []
     given = as_tree(read_toml(file, "a campaign's plan", "Correct the path."), file, faults)
     known: dict[str, Mapping[str, Any]] = {"balls": configuration.balls, "clubs": configuration.clubs}
-    entries = {name: _completed(name, given.pop(name, {}), known[name], file, faults) for name in known}
+    entries: Tree = {name: _completed(name, given.pop(name, {}), known[name], file, faults) for name in known}
     base = as_tree(read_toml(DEFAULTS, "defaults", "Reinstall golfbench."), DEFAULTS, faults)
-    plan = _build({**laid_over(base, given), **entries}, file, faults)
+    plan, wrong = _build({**laid_over(base, given), **entries}, file, faults)
+    if plan is None:  # with their defaults in place of wrong values the others show what contradicts itself
+        plan, _ = _build({**laid_over(base, without(given, wrong)), **without(entries, wrong)}, file, [])
     if plan is not None:
         balls, clubs = {**configuration.balls, **plan.balls}, {**configuration.clubs, **plan.clubs}
-        faults += errors_of(_mistakes(plan, balls, clubs), given, file)
+        found = (mistake for mistake in _mistakes(plan, balls, clubs) if mistake[0] not in wrong)
+        faults += errors_of(found, given, file)
         plan = replace(
             plan,
             balls={name: balls[name] for name in plan.ball_names if name in balls},
@@ -97,18 +101,19 @@ def plan_from_record(record: Mapping[str, Any], place: str) -> CampaignPlan:
     for name in ("balls", "clubs"):
         for entry in tables.get(name, {}).values():
             entry.pop("name", None)
-    plan = _build(as_tree(tables, Path(place), faults), Path(place), faults)
+    plan, _ = _build(as_tree(tables, Path(place), faults), Path(place), faults)
     if plan is None:
         raise ExceptionGroup(f"{place} is invalid", faults)
     return plan
 
 
-def _build(tree: Tree, file: Path, faults: list[BenchError]) -> CampaignPlan | None:
+def _build(tree: Tree, file: Path, faults: list[BenchError]) -> tuple[CampaignPlan | None, set[str]]:
+    """Return the plan of `tree`, None with `faults`, and the keys that have them."""
     builder = Builder(
         tree, file, f"Correct it; keys and units: {DEFAULTS.name}.", "Add it.", frozenset(), faults
     )
     plan: CampaignPlan | None = builder.build(CampaignPlan)
-    return plan
+    return plan, builder.wrong
 
 
 def _completed(

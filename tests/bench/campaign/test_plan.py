@@ -142,6 +142,14 @@ def test_several_mistakes_are_told_at_once(tmp_path: Path, configuration: Config
     assert set(_faults(tmp_path, configuration, text)) == {"design.balls", "campaign.name"}
 
 
+def test_mistakes_across_keys_are_told_with_those_in_values(
+    tmp_path: Path, configuration: Configuration
+) -> None:
+    wrong = TWO.replace('"range"', '"rnage"').replace("blocks = 4", 'blocks = "four"\nmany = 3')
+    faults = _faults(tmp_path, configuration, wrong + '\n[stop]\nlooks = 0\n[preparation]\ndrivr = "x"\n')
+    assert set(faults) == {"design.balls", "design.blocks", "design.many", "stop.looks", "preparation.drivr"}
+
+
 def test_a_swing_for_another_club_is_refused(tmp_path: Path, configuration: Configuration) -> None:
     plan = _plan(tmp_path, configuration, TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["thesis"]'))
     with pytest.raises(ExceptionGroup) as caught:
