@@ -148,12 +148,13 @@ def test_signals_make_no_tick_early(alarms: list[int]) -> None:
 
 def test_an_exception_of_a_signal_handler_leaves_the_wait(alarms: list[int]) -> None:
     def leave(*_: object) -> None:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)  # the next one would leave the test itself
         raise KeyboardInterrupt
 
-    signal.signal(signal.SIGALRM, leave)
     clock = GridClock(30_000 * PERIOD)
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
     with pytest.raises(KeyboardInterrupt):
+        signal.signal(signal.SIGALRM, leave)
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
         clock.wait()
 
 
