@@ -185,7 +185,8 @@ def read_state(folder: Path) -> Commissioning:
         ]
         wrong = None if content["wrong"] is None else WrongFound(**content["wrong"])
         digest, configuration, simulated = (content[k] for k in ("digest", "configuration", "simulated"))
-        return Commissioning(folder, digest, configuration, simulated, content["robot"], done, wrong)
+        robot = str(content["robot"])
+        return Commissioning(folder, digest, configuration, simulated, robot, done, wrong)
     except FileNotFoundError:
         cure = "Begin without --resume."
         raise BenchError(str(path), "no such file", "a commissioning that was begun", cure) from None

@@ -173,7 +173,8 @@ def test_a_state_names_the_robot_that_moved(tmp_path: Path, configuration: Confi
     content = json.loads(file.read_text())
     del content["robot"]
     file.write_text(json.dumps(content))
-    assert read_state(tmp_path / "day").robot == ""
+    with pytest.raises(BenchError, match="Begin again in another folder"):
+        read_state(tmp_path / "day")
 
 
 def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configuration) -> None:
