@@ -150,12 +150,15 @@ def test_an_exception_of_a_signal_handler_leaves_the_wait(alarms: list[int]) -> 
     def leave(*_: object) -> None:
         raise KeyboardInterrupt
 
-    clock = GridClock(30_000 * PERIOD)
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
-    with pytest.raises(KeyboardInterrupt):
+    def wait_with_an_alarm() -> None:
         signal.signal(signal.SIGALRM, leave)
         signal.setitimer(signal.ITIMER_REAL, 0.05)
         clock.wait()
+
+    clock = GridClock(30_000 * PERIOD)
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    with pytest.raises(KeyboardInterrupt):
+        wait_with_an_alarm()
 
 
 def test_the_wall_clock_keeps_to_monotonic_time() -> None:
