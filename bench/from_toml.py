@@ -371,8 +371,8 @@ def _holds(mark: Any, value: Any) -> bool:
     match mark:
         case Range(low, high):
             # A value at the end of a range may be rounded when it is turned into the field's unit.
-            slack = 1e-12 * max(abs(low), abs(high)) if isinstance(value, float) else 0
-            return bool(low - slack <= value <= high + slack)
+            slack = 1e-12 if isinstance(value, float) else 0
+            return bool(low - slack * abs(low) <= value <= high + slack * abs(high))
         case Above(bound):
             return bool(value > bound)
         case AtLeast(bound):
