@@ -35,6 +35,8 @@ from bench.from_toml import (
 from sim.ball import Ball
 from sim.robot import Club
 
+CAMPAIGN_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,40}")
+"""Name of a campaign, part of its id and of file names."""
 DEFAULTS = Path(__file__).with_name("defaults.toml")
 EXAMPLES = Path(__file__).parent.parent / "campaigns"
 """Folder of the shipped campaigns, which are found by name."""
@@ -164,7 +166,7 @@ def _unknown_cure(section: str, name: str, known: Mapping[str, Any]) -> str:
 
 def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) -> Iterator[Mistake]:
     d = plan.design
-    if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,40}", plan.campaign.name):
+    if not CAMPAIGN_NAME.fullmatch(plan.campaign.name):
         found = format_value(plan.campaign.name)
         yield (
             "campaign.name",

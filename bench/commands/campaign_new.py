@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Compared = Literal["ball", "club", "swing"]
 Carry = Literal["monitor", "reference", "measured"]
-_NAME = re.compile(r"[a-z0-9][a-z0-9-]*")
 _COMMENT_AT = 34
 """Column of the comments."""
 _MANY = 1e6
@@ -99,8 +98,10 @@ def _plan_name(file: Path) -> str:
     Raises:
         BenchError: the file exists, or its name makes no campaign's name.
     """
-    if file.suffix != ".toml" or not _NAME.fullmatch(file.stem):
-        expected = "small letters, digits and -, with .toml"
+    from bench.campaign.plan_file import CAMPAIGN_NAME
+
+    if file.suffix != ".toml" or not CAMPAIGN_NAME.fullmatch(file.stem):
+        expected = "at most 41 small letters, digits and -, with .toml"
         raise BenchError("campaign new", str(file), expected, "Name the file such as two-balls.toml.")
     if file.exists():
         raise BenchError(str(file), "an existing file", "a new name", "Name another file, or edit this one.")
@@ -113,7 +114,7 @@ def _require_answers(options: Mapping[str, object]) -> None:
     Raises:
         BenchError: it lists them.
     """
-    missing = [f"--{name}" for name, value in options.items() if not value]
+    missing = [f"--{name}" for name, value in options.items() if value in (None, [])]
     if missing and not at_terminal():
         cure = f"Add {', '.join(missing)}."
         raise BenchError("campaign new", f"no {', '.join(missing)}", "these options, or a terminal", cure)
@@ -121,7 +122,7 @@ def _require_answers(options: Mapping[str, object]) -> None:
 
 def _given(value: T | None, question: str, read: Callable[[str], T]) -> T:
     """Return `value`, or the answer to `question` without one."""
-    if value:
+    if value is not None and value != []:
         return value
 
     def answer(text: str) -> T:

@@ -46,6 +46,15 @@ def test_new_plan_without_a_terminal_lists_all_missing_options(call: Call, tmp_p
     assert list(tmp_path.iterdir()) == []
 
 
+def test_new_plan_with_a_zero_is_refused_at_its_key(call: Call) -> None:
+    error = call("new", "two.toml", *TWO, "--difference", "0", "--deviation", "1").exception
+    assert isinstance(error, ExceptionGroup)
+    (told,) = error.exceptions
+    assert isinstance(told, BenchError)
+    assert told.place.endswith("two.toml: analysis.difference")
+    assert told.found == "0.0"
+
+
 def test_new_plan_asks_at_the_terminal_again_after_a_wrong_answer(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -58,7 +67,7 @@ def test_new_plan_asks_at_the_terminal_again_after_a_wrong_answer(
     assert "found 'bal', expected one of ball, club, swing" in done.output
 
 
-@pytest.mark.parametrize("name", ["Two.toml", "two", "two balls.toml"])
+@pytest.mark.parametrize("name", ["Two.toml", "two", "two balls.toml", f"{'a' * 42}.toml"])
 def test_new_plan_whose_file_makes_no_name_is_refused(call: Call, tmp_path: Path, name: str) -> None:
     error = call("new", name, *TWO, *SIZES).exception
     assert isinstance(error, BenchError)
