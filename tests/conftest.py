@@ -11,6 +11,7 @@ list of the skips by tool.
 
 Markers. `live` tests run alone, `slow` tests run in parallel, both in `make test-all`; `release` tests run in
 `make test-release` only; a test without a marker runs in `make test`. A test that asks for a tool is `live`.
+A live test that fails because, as its bench says, the machine stood still is repeated and listed as rerun.
 
 Random cases. With CI set hypothesis derives its cases from the test itself; elsewhere they are random,
 and a failure prints the blob that repeats it.
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from bench.config import Configuration
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - watched, never written
+STALLED = "a stall of this (machine|computer)"
+"""What a bench says that stopped, as it has to, because no processor ran it."""
 GRACE = 2.0
 """Seconds a thread, process or file may take to go away after its test."""
 
@@ -284,10 +287,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests that ask for a tool as `live`, before -m selects by markers."""
+    """Mark tests that ask for a tool as `live`, before -m selects; repeat live ones after a stall."""
     for item in items:
         if item.get_closest_marker("requires") or "tool" in getattr(item, "fixturenames", ()):
             item.add_marker("live")
+        if item.get_closest_marker("live"):
+            item.add_marker(pytest.mark.flaky(reruns=2, only_rerun=STALLED))
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -111,6 +111,26 @@ def test_a_test_that_asks_for_a_tool_is_live(project: pytest.Pytester) -> None:
     result.stdout.fnmatch_lines(["*test_marked", "*test_fixture", "*2/3 tests collected*"])
 
 
+@pytest.mark.parametrize(("marker", "rerun"), [("live", 1), ("slow", 0)])
+@pytest.mark.parametrize("said", ["a stall of this machine: run golfbench doctor", "cut the cable"])
+def test_live_test_is_repeated_after_a_stall_that_its_bench_names(
+    project: pytest.Pytester, marker: str, rerun: int, said: str
+) -> None:
+    project.makepyfile(
+        f"""
+        import pytest
+        runs = []
+
+        @pytest.mark.{marker}
+        def test_bench():
+            runs.append(1)
+            assert len(runs) == 2, {said!r}
+        """
+    )
+    rerun *= "stall" in said
+    project.runpytest_subprocess().assert_outcomes(passed=rerun, failed=1 - rerun)
+
+
 def test_what_a_wider_fixture_holds_is_no_leak(project: pytest.Pytester) -> None:
     project.makepyfile(
         """
