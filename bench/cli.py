@@ -69,6 +69,7 @@ COMMANDS: Mapping[str, str] = {
     "demo": "bench.cli:demo",
     "check": "bench.cli:check",
     "replay": "bench.cli:replay",
+    "compare": "bench.commands.compare_swings:compare",
     "profile": "bench.commands.profile:app",
     "golfer": "bench.commands.golfer:app",
     **dict.fromkeys(

@@ -46,7 +46,7 @@ def find_configuration(wanted: Path | None = None) -> Path:
         return wanted
     if (named := _named(str(wanted))) is not None:
         return named
-    expected = f"a configuration file, or one of {', '.join(_names())}"
+    expected = f"a configuration file, or one of {', '.join(variant_names())}"
     raise BenchError(str(wanted), "no such file", expected, "Correct the path after --config.")
 
 
@@ -54,10 +54,11 @@ def _named(name: str) -> Path | None:
     """Return the file that comes with golfbench under `name`, or None."""
     if name == SHIPPED:
         return shipped_configuration()
-    return VARIANTS / f"{name}.toml" if name in _names() else None
+    return VARIANTS / f"{name}.toml" if name in variant_names() else None
 
 
-def _names() -> list[str]:
+def variant_names() -> list[str]:
+    """Return the names that stand for configurations that come with golfbench."""
     return [SHIPPED, *sorted(path.stem for path in VARIANTS.glob("*.toml"))]
 
 
@@ -92,7 +93,7 @@ def read_layers(
         return tree, (file,)
     if base == DEFAULTS:
         return laid_over(as_tree(defaults(), Path(DEFAULTS), faults), tree), (file,)
-    expected = f'a path from this file\'s folder, "{DEFAULTS}", or one of {", ".join(_names())}'
+    expected = f'a path from this file\'s folder, "{DEFAULTS}", or one of {", ".join(variant_names())}'
     if not isinstance(base, str):
         raise BenchError(
             f"{file}: base", format_value(base), expected, 'Write base = "shipped", or a path in quotes.'
