@@ -68,6 +68,13 @@ def test_the_analysis_of_a_campaign(campaign: tuple[Path, str]) -> None:
     assert all(0.0 < float(value) < 500.0 for row in rows[2:] for value in row.split()[1:])
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_swing_in_lock_step_is_plotted(tmp_path: Path) -> None:
+    _python(str(EXAMPLES / "lock_step_swing.py"), str(tmp_path / "swing.png"))
+    assert (tmp_path / "swing.png").stat().st_size > 10_000
+
+
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(600)
