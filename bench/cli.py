@@ -34,17 +34,31 @@ if TYPE_CHECKING:
 
 HELP = "A bench for golf clubs and balls: the swing robot, its control, and its simulation."
 
-EXIT_CODES = """[bold]Exit codes[/bold]
-   0  done
-   1  refused, or the answer is no
-   2  wrong usage, or an invalid configuration, profile or file
-  69  a device or service cannot do its work
-  70  an error of golfbench itself
-  74  a file or folder cannot be read or written
-  75  no answer from the bench: denied or not running
- 130  interrupted by Ctrl-C
- 143  a campaign: ended by SIGTERM, as tidily as by Ctrl-C
-"""
+EXIT_CODES: Mapping[ExitCode, tuple[str, str]] = {
+    ExitCode.OK: ("done", ""),
+    ExitCode.REFUSED: (
+        "refused, or the answer is no: a check failed, the lease is missing",
+        "read the reason",
+    ),
+    ExitCode.BAD_INPUT: (
+        "wrong usage, or invalid configuration, profile or file",
+        "correct the value that the message states",
+    ),
+    ExitCode.DEVICE: ("a device or service does not work", "check cable, power, driver, port"),
+    ExitCode.INTERNAL: ("internal error of golfbench", "report it with the output of `golfbench --debug`"),
+    ExitCode.FILE: ("a file or folder cannot be read or written", "check path, rights, disk space"),
+    ExitCode.NO_ANSWER: (
+        "no answer from the bench: not running, or access denied",
+        "start it; check `[network]` and the certificate",
+    ),
+    ExitCode.INTERRUPTED: ("interrupted by Ctrl-C", ""),
+    ExitCode.TERMINATED: ("a campaign ended by SIGTERM (`systemctl stop`, `kill`)", "`campaign resume`"),
+}
+"""Meaning and action of each exit code."""
+
+_EPILOG = "\n".join(
+    ("[bold]Exit codes[/bold]", *(f"{code:4}  {meaning}" for code, (meaning, _) in EXIT_CODES.items()))
+)
 
 _OPERATE = "bench.commands.operate:app"
 
@@ -135,7 +149,7 @@ class _Lazy(TyperGroup):
 app = typer.Typer(
     cls=_Lazy,
     help=HELP,
-    epilog=EXIT_CODES,
+    epilog=_EPILOG,
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from bench.cli import command_line
+from bench.cli import EXIT_CODES, command_line
 from bench.lifecycle import CAUSE_WORDS, REFUSAL_WORDS, Cause, Refusal
 from bench.network.wire_contract import wire_contract
 from tests.bench.network.contract_page import contract_tables, table
@@ -38,8 +38,12 @@ def plan_key_tables() -> dict[str, str]:
 
 
 def command_tables() -> dict[str, str]:
-    """Return the table of all commands with the first sentence of their help."""
-    return {"commands": table(("command", "purpose"), list(_commands(command_line(), "golfbench")))}
+    """Return the tables of all commands, with the first sentence of their help, and of the exit codes."""
+    codes = [(str(int(code)), *texts) for code, texts in EXIT_CODES.items()]
+    return {
+        "commands": table(("command", "purpose"), list(_commands(command_line(), "golfbench"))),
+        "exit codes": table(("code", "meaning", "action"), codes),
+    }
 
 
 def contract_parts() -> dict[str, str]:
