@@ -89,7 +89,7 @@ def test_a_foresight_session_gives_its_shots_and_names_the_other_rows(tmp_path: 
 
 
 def test_the_templates_of_the_manual_give_one_flight_without_a_note(tmp_path: Path) -> None:
-    blocks = (ROOT / "bench/manual/test_engineer/ball_data.md").read_text().split("```csv\n")[1:]
+    blocks = (ROOT / "bench/manual/test_engineer/ball_data.md").read_text().split("```text\n")[1:]
     templates = [read(tmp_path, block.split("```")[0]) for block in blocks]
     assert [(len(table.flights), table.notes) for table in templates] == [(1, ()), (1, ())]
     assert [table.flights[0].carry for table in templates] == pytest.approx([257.95, 257.9], abs=0.1)
