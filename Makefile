@@ -35,10 +35,10 @@ test-all: $(VENV)/.dev  ## slow and paced tests in parallel, then live ones alon
 	@failed=0; $(BIN)/python -m pytest -m '((slow and not live) or paced) and not release' $(SPREAD) --durations 10 $(ARGS) || failed=$$?; \
 	$(BIN)/python -m pytest -m 'live and not paced and not release' --durations 10 $(ARGS) || failed=$$?; exit $$failed
 
-test-release: $(VENV)/.benchmark  ## before a release: repeated tests, mutation, fault matrix, soak, virtual machine (hours)
+test-release: $(VENV)/.benchmark  ## before a release: repeated tests, mutation, fault matrix, manual, soak, virtual machine (hours)
 	@failed=0; $(BIN)/python -m pytest -m 'release and (paced or not live)' $(SPREAD) --durations 10 || failed=$$?; \
 	$(BIN)/python -m pytest -m 'release and live and not paced' --durations 10 || failed=$$?; \
-	for part in mutation faults; do $(MAKE) --no-print-directory $$part || failed=$$?; done; \
+	for part in mutation faults manual; do $(MAKE) --no-print-directory $$part || failed=$$?; done; \
 	$(BIN)/python -m tests.benchmarks soak --minutes 60 || failed=$$?; \
 	$(MAKE) --no-print-directory test-vm || failed=$$?; exit $$failed
 
@@ -89,6 +89,10 @@ benchmark-vm: $(VENV)/.dev  ## the same for ten minutes of the guest, also on vc
 	@$(BIN)/python -m tests.vm --seconds 600 --timeout 14400 --interface vcan $(ARGS)
 	@$(BIN)/python -m tests.vm --parts bench --swing-faults all --timeout 14400 $(ARGS)
 
+manual: $(VENV)/.manual  ## the manual as a site with search that needs no network: dist/manual/index.html
+	@rm -rf dist/manual
+	@$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -d dist/manual.doctrees -c tests/site . dist/manual
+
 reference: $(VENV)/.dev  ## renew the reference swings of the replay, after a meant change of the controller
 	@$(BIN)/python -m tests.replay.renew
 
@@ -122,4 +126,9 @@ $(VENV)/.benchmark: $(VENV)/.dev
 	@$(PIP) -e '.[benchmark]'
 	@touch $@
 
-.PHONY: help demo test test-all test-release compile fast lint coverage coverage-all benchmark faults mutation test-vm benchmark-vm reference clean
+$(VENV)/.manual: $(VENV)/.runtime
+	@echo "Installing Sphinx into $(VENV) ..."
+	@$(PIP) -e '.[manual]'
+	@touch $@
+
+.PHONY: help demo test test-all test-release compile fast lint coverage coverage-all benchmark faults mutation manual test-vm benchmark-vm reference clean

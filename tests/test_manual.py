@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.manual import MANUAL, PARTS, page
+from tests.site.conf import navigation
 
 
 @pytest.mark.parametrize("path", PARTS, ids=lambda path: path.name)
@@ -14,7 +15,7 @@ def test_page_of_generated_parts_is_current(path: Path) -> None:
     assert path.read_text() == page(path), "renew it: python -m tests.manual"
 
 
-def test_index_of_the_manual_links_every_page() -> None:
-    index = (MANUAL / "README.md").read_text()
+def test_navigation_of_the_site_names_every_page_once() -> None:
+    named = [path for pages in navigation().values() for _, path in pages]
     pages = (path.relative_to(MANUAL).as_posix() for path in MANUAL.rglob("*.md"))
-    assert [name for name in pages if name != "README.md" and f"({name})" not in index] == []
+    assert sorted(named) == sorted(name for name in pages if name != "README.md")
