@@ -260,8 +260,8 @@ def package(requirement: Requirement) -> ItemResult:
 
 def compiled_code() -> ItemResult:
     """Look whether compiled code can be kept, and whether it already is."""
-    folder = Path(json.loads(_child("cache")))
-    functions = sum(1 for _ in folder.rglob("*.nbc")) if folder.is_dir() else 0
+    found = json.loads(_child("cache"))
+    folder, functions = Path(found["folder"]), found["functions"]
     if not os.access(_existing(folder), os.W_OK | os.X_OK):
         return limited(
             f"{folder} is not writable", "every start recompiles: set NUMBA_CACHE_DIR to a writable folder"

@@ -77,18 +77,20 @@ def daq_cards() -> dict[str, Any]:
     return found
 
 
-def compiled_code_folder() -> str:
-    """Return the folder in which this installation keeps its machine code."""
-    from drivers.base.machine_code import cache_folder
+def compiled_code() -> dict[str, Any]:
+    """Return the folder in which this installation keeps its machine code, and the functions it has there."""
+    from drivers.base.machine_code import cache_folder, module_digests
 
-    return str(cache_folder())
+    folder = cache_folder()
+    versions = [folder / module / digest for module, digest in module_digests().items()]
+    return {"folder": str(folder), "functions": sum(1 for one in versions for _ in one.rglob("*.nbc"))}
 
 
 QUESTIONS: dict[str, Callable[[], Any]] = {
     "realtime": realtime,
     "can": can_channels,
     "daq": daq_cards,
-    "cache": compiled_code_folder,
+    "cache": compiled_code,
 }
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, TypeVar, cast
 
 import numba
@@ -14,17 +15,31 @@ import numpy as np
 from numba.core import event
 
 from drivers.base.compile_report import progress
-from drivers.base.machine_code import cache_folder, mark_in_use, prune_caches
+from drivers.base.machine_code import (
+    cache_folder,
+    mark_in_use,
+    module_digests,
+    prune_versions,
+    source_digest,
+)
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def _use_cache() -> None:
-    """Let Numba keep machine code in this source tree's cache folder."""
-    folder = cache_folder()
-    numba.config.CACHE_DIR = str(folder)
+@cache
+def _digests() -> dict[str, str]:
+    return module_digests()
+
+
+@cache
+def _use_cache(module: str) -> str:
+    """Return the folder of the machine code of `module`, made and marked as used."""
+    versions = cache_folder() / module
+    # A module outside the packages has none of theirs compiled into it but what it names itself.
+    folder = versions / _digests().get(module, source_digest())
     mark_in_use(folder)
-    prune_caches(folder.parent)
+    prune_versions(versions)
+    return str(folder)
 
 
 class _Watch(event.Listener):  # type: ignore[misc]  # numba has no types
@@ -39,9 +54,7 @@ class _Watch(event.Listener):  # type: ignore[misc]  # numba has no types
         progress.note(event.data["dispatcher"])
 
 
-# Numba reads the folder when a function is decorated, so it must be set before the first one.
 if not numba.config.DISABLE_JIT:
-    _use_cache()
     event.register("numba:compile", _Watch())
 
 
@@ -52,6 +65,8 @@ def compiled(function: _Function) -> _Function:
     stay NaN so that the envelope sees it.
     """
     progress.known += 1
+    if not numba.config.DISABLE_JIT:
+        numba.config.CACHE_DIR = _use_cache(function.__module__)  # read when a function is decorated
     decorate = numba.njit(cache=True, nogil=True, error_model="numpy")
     return cast(_Function, decorate(function))
 

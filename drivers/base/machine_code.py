@@ -1,9 +1,10 @@
-"""The folder of the compiled machine code of this source tree: its name, its use and its pruning.
+"""Where the machine code of compiled functions is kept, and for how long.
 
 Numba looks only at the file of the function it loads from its cache. A function whose *callee*, or an enum
 or record layout compiled into it, has changed in another file would be served stale, which is not acceptable
-beside a machine. The name of the cache folder therefore carries a digest of every source file that modules
-with compiled functions import, directly or through others: any change there compiles everything again.
+beside a machine. Each module therefore has a cache folder of its own, whose name carries a digest of every
+source file that the module imports, directly or through others: a change there compiles the functions of
+those modules again that it may touch, and no others.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -22,8 +24,9 @@ import numpy as np
 _PACKAGES = ("bench", "drivers", "sim")
 _FROM_IMPORT = re.compile(r"from ((?:bench|drivers|sim)[\w.]*) import (\([^)]*\)|.*)")
 _IMPORT = re.compile(r"import ((?:bench|drivers|sim)[\w.]*)")
+_TOP = Path(__file__).resolve().parents[2]
 _KEPT = 12
-"""Cache folders that pruning leaves: of about 30 MB each, for branches and working copies used in turn."""
+"""Versions of a module's machine code that pruning leaves: for branches and working copies used in turn."""
 
 
 def compiled_sources(top: Path) -> dict[str, bytes]:
@@ -60,12 +63,20 @@ def _all_sources(top: Path) -> tuple[dict[str, str], dict[str, bytes]]:
 
 def _reached(waiting: set[str], sources: dict[str, bytes]) -> list[str]:
     """Return the modules in `waiting` and all they import, sorted."""
+    return _reached_by(waiting, lambda module: _imports(module, sources))
+
+
+def _reached_by(waiting: set[str], imports: Callable[[str], Iterable[str]]) -> list[str]:
     reached = set[str]()
     while waiting:
         reached |= waiting
-        waiting = {name for module in waiting for name in _imported_names(module, sources[module].decode())}
-        waiting = (waiting & sources.keys()) - reached
+        waiting = {name for module in waiting for name in imports(module)} - reached
     return sorted(reached)
+
+
+def _imports(module: str, sources: dict[str, bytes]) -> set[str]:
+    """Return the modules among `sources` that `module` imports."""
+    return sources.keys() & set(_imported_names(module, sources[module].decode()))
 
 
 def _uses_compiled(source: bytes) -> bool:
@@ -90,51 +101,54 @@ def source_digest(top: Path | None = None) -> str:
 
     `top` is the folder of the packages, this installation by default.
     """
+    return _digest(compiled_sources(top or _TOP))
+
+
+def module_digests(top: Path | None = None) -> dict[str, str]:
+    """Return the digest (16 hex digits) of the sources of each module with compiled functions, by module.
+
+    `top` is the folder of the packages, this installation by default.
+    """
+    paths, sources = _all_sources(top or _TOP)
+    imports = cache(lambda module: _imports(module, sources))
+    return {
+        module: _digest({paths[name]: sources[name] for name in _reached_by({module}, imports)})
+        for module, source in sources.items()
+        if _uses_compiled(source)
+    }
+
+
+def _digest(sources: dict[str, bytes]) -> str:
     digest = sha256(f"numba {numba.__version__} numpy {np.__version__}".encode())
-    for path, source in compiled_sources(top or Path(__file__).resolve().parents[2]).items():
+    for path, source in sources.items():
         digest.update(f"\n{path} {len(source)}\n".encode())
         digest.update(source)
     return digest.hexdigest()[:16]
 
 
 def cache_folder() -> Path:
-    """Return the folder of this source tree's machine code (not created here)."""
+    """Return the folder of all machine code (not created here)."""
     fallback = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "golfbench"
-    return Path(os.environ.get("NUMBA_CACHE_DIR") or fallback) / f"compiled-{source_digest()}"
+    return Path(os.environ.get("NUMBA_CACHE_DIR") or fallback) / "compiled"
 
 
 def mark_in_use(folder: Path) -> None:
-    """Create the cache `folder`, set its time of last use, and lock it until this process ends.
+    """Create the cache `folder` of a module's version and set its time of last use.
 
-    Without permission nothing happens: Numba then keeps no machine code. Without POSIX it is not locked.
+    Without permission nothing happens: Numba then keeps no machine code.
     """
-    with suppress(OSError, ImportError):
+    with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
-        import fcntl
-
-        # Never closed: the lock ends with the process, and with every child that inherited it.
-        fcntl.flock(os.open(folder, os.O_RDONLY), fcntl.LOCK_SH | fcntl.LOCK_NB)
 
 
-def prune_caches(parent: Path, kept: int = _KEPT) -> None:
-    """Remove all cache folders in `parent` but the `kept` last used ones and those that are in use."""
+def prune_versions(module: Path, kept: int = _KEPT) -> None:
+    """Remove all but the `kept` last used versions in the cache folder of a `module`.
+
+    A process that still runs one has it in memory, and Numba makes the folder again to add to it.
+    """
     with suppress(OSError):
-        folders = [
-            entry for entry in os.scandir(parent) if re.fullmatch(r"compiled-[0-9a-f]{16}", entry.name)
-        ]
-        last_used = {entry.path: entry.stat(follow_symlinks=False).st_mtime for entry in folders}
+        versions = [entry for entry in os.scandir(module) if re.fullmatch(r"[0-9a-f]{16}", entry.name)]
+        last_used = {entry.path: entry.stat(follow_symlinks=False).st_mtime for entry in versions}
         for path in sorted(last_used, key=lambda path: last_used[path], reverse=True)[kept:]:
-            _remove_unused(path)
-
-
-def _remove_unused(path: str) -> None:
-    with suppress(OSError, ImportError):  # without POSIX: its use cannot be seen
-        import fcntl
-
-        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(path, ignore_errors=True)
-        finally:
-            os.close(descriptor)

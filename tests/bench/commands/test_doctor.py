@@ -20,6 +20,7 @@ from rich.console import Console
 
 from bench.commands import doctor, probe
 from bench.commands.doctor import CheckStatus, Finding, ItemResult, Probe
+from drivers.base.machine_code import module_digests
 
 
 @pytest.fixture(scope="module")
@@ -127,9 +128,10 @@ def test_compiled_code_cold_then_warm_then_read_only(tmp_path: Path, monkeypatch
     cold = doctor.compiled_code()
     assert cold.status is CheckStatus.LIMITED
     assert cold.value.startswith("cold")
-    folder = Path(json.loads(doctor._child("cache")))
-    (folder / "sim").mkdir(parents=True)
-    (folder / "sim" / "f.nbc").touch()
+    folder = Path(json.loads(doctor._child("cache"))["folder"]) / "sim.kane"
+    for version in (module_digests()["sim.kane"], "0123456789abcdef"):
+        (folder / version / "sim").mkdir(parents=True)
+        (folder / version / "sim" / "f.nbc").touch()
     warm = doctor.compiled_code()
     assert warm.status is CheckStatus.OK
     assert warm.figures == {"functions": 1.0}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import fcntl
 import os
 import shutil
 from collections.abc import Iterator
@@ -11,7 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from drivers.base.machine_code import compiled_sources, mark_in_use, prune_caches, source_digest
+from drivers.base.machine_code import (
+    compiled_sources,
+    mark_in_use,
+    module_digests,
+    prune_versions,
+    source_digest,
+)
 
 TOP = Path(__file__).parents[3]
 PACKAGES = ("bench", "drivers", "sim")
@@ -96,6 +101,29 @@ def test_the_digest_covers_every_file_of_the_graph_and_no_other(copy: Path) -> N
     assert source_digest(copy) == digest
 
 
+def test_change_renews_the_modules_that_import_it_and_no_others(copy: Path) -> None:
+    digests = module_digests(copy)
+    assert digests == module_digests()
+    changed = copy / "bench/control/pid.py"
+    changed.write_text(changed.read_text() + "\n")
+    now = module_digests(copy)
+    renewed = {module for module in digests if now[module] != digests[module]}
+    assert {"bench.control.pid", "bench.control.step", "bench.loop"} <= renewed
+    assert not renewed & {"sim.kane", "sim.motion", "sim.flight", "bench.control.envelope", "sim.driver"}
+
+
+def test_no_compiled_function_calls_an_argument() -> None:
+    """Its machine code would contain a function that its module does not import."""
+    found = []
+    for path, tree in parsed().values():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef) and has_compiled_function(ast.Module([node], [])):
+                names = {argument.arg for argument in node.args.args}
+                calls = [call.func for call in ast.walk(node) if isinstance(call, ast.Call)]
+                found += [f"{path}: {node.name}" for call in calls if getattr(call, "id", "") in names]
+    assert found == []
+
+
 def test_the_digest_covers_the_paths(tmp_path: Path) -> None:
     source = "from drivers.base.compiled import compiled\n\n@compiled\ndef f(): ...\n"
     for package in PACKAGES:
@@ -133,55 +161,27 @@ def test_every_form_of_import_is_followed(tmp_path: Path, line: str) -> None:
 # Pruning ---------------------------------------------------------------------------------------------
 
 
-def cache(parent: Path, number: int, last_used: float) -> Path:
-    folder = parent / f"compiled-{number:016x}"
+def version(module: Path, number: int, last_used: float) -> Path:
+    folder = module / f"{number:016x}"
     (folder / "sim").mkdir(parents=True)
     (folder / "sim/f.nbc").touch()
     os.utime(folder, (last_used, last_used))
     return folder
 
 
-def test_the_last_used_caches_are_kept(tmp_path: Path) -> None:
-    folders = [cache(tmp_path, number, 1e9 + 10.0 * number) for number in range(5)]
-    others = [tmp_path / "compiled-notes", tmp_path / "numba"]
-    for other in others:
-        other.mkdir()
-        os.utime(other, (1.0, 1.0))
+def test_the_last_used_versions_are_kept(tmp_path: Path) -> None:
+    folders = [version(tmp_path, number, 1e9 + 10.0 * number) for number in range(5)]
+    other = tmp_path / "notes"
+    other.mkdir()
+    os.utime(other, (1.0, 1.0))
     mark_in_use(folders[1])
-    prune_caches(tmp_path, kept=2)
-    assert sorted(tmp_path.iterdir()) == sorted([folders[1], folders[4], *others])
+    prune_versions(tmp_path, kept=2)
+    assert sorted(tmp_path.iterdir()) == sorted([folders[1], folders[4], other])
 
 
-def test_a_cache_that_a_process_uses_is_kept(tmp_path: Path) -> None:
-    folders = [cache(tmp_path, number, 1e9 + 10.0 * number) for number in range(3)]
-    user = os.open(folders[0], os.O_RDONLY)
-    fcntl.flock(user, fcntl.LOCK_SH)
-    prune_caches(tmp_path, kept=1)
-    assert sorted(tmp_path.iterdir()) == [folders[0], folders[2]]
-    os.close(user)
-    prune_caches(tmp_path, kept=1)
-    assert sorted(tmp_path.iterdir()) == [folders[2]]
-
-
-def test_marking_keeps_the_folder_until_the_process_ends(tmp_path: Path) -> None:
-    folder = tmp_path / "compiled-0123456789abcdef"
-    mark_in_use(folder)
-    os.utime(folder, (1.0, 1.0))
-    prune_caches(tmp_path, kept=0)
-    assert folder.is_dir()
-
-
-def test_neither_fails_where_nothing_can_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    prune_caches(tmp_path / "absent", kept=0)
+def test_neither_fails_where_nothing_can_be_written(tmp_path: Path) -> None:
+    prune_versions(tmp_path / "absent", kept=0)
     (tmp_path / "file").touch()
-    mark_in_use(tmp_path / "file" / "compiled-0123456789abcdef")
-    old = cache(tmp_path, 1, 1.0)
-    (tmp_path / "compiled-fedcba9876543210").symlink_to(tmp_path / "elsewhere")
-
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError
-
-    monkeypatch.setattr("os.open", refuse)
-    prune_caches(tmp_path, kept=0)
-    mark_in_use(old)
-    assert old.is_dir()
+    mark_in_use(tmp_path / "file" / "0123456789abcdef")
+    (tmp_path / "fedcba9876543210").symlink_to(tmp_path / "elsewhere")
+    prune_versions(tmp_path, kept=0)
