@@ -6,19 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
 from bench.commands.output import plain_table
-from bench.swing.motion import Motion, phase_times
 from bench.swing.profile import FollowedGolfer, Profile
 from drivers.base import ACTUATORS
-from sim.plant import PlantParameters
 
 if TYPE_CHECKING:
     from bench.design.stop_verification import TrialOutcome, TrialSummary
+    from sim.plant import PlantParameters
 
 _BARS = " ▁▂▃▄▅▆▇█"
 _WIDTH = 64
@@ -89,6 +87,8 @@ def _deviation(followed: FollowedGolfer) -> Group:
 
 
 def _phases(profile: Profile) -> Table:
+    from bench.swing.motion import phase_times
+
     table = _table("phase", "begins, s", "lasts, s", "greatest speed, rad/s", title="Phases")
     for phase, begin, end in phase_times(profile):
         rows = slice(round(begin / profile.period), round(end / profile.period))
@@ -100,6 +100,8 @@ def _phases(profile: Profile) -> Table:
 
 def _speed_line(profile: Profile, plant: PlantParameters) -> Text:
     """Return the head's speed over time as a row of bars, the column of the contact marked."""
+    from bench.swing.motion import Motion
+
     speed = Motion(profile, plant).head_speed
     columns = np.array_split(speed, min(_WIDTH, len(speed)))
     heights = [int(np.ceil(part.max() / speed.max() * (len(_BARS) - 1))) for part in columns]
@@ -132,6 +134,10 @@ def draw(profile: Profile, plant: PlantParameters, path: Path) -> None:
         ValueError: no picture format has that suffix.
         OSError: `path` cannot be written.
     """
+    from matplotlib.figure import Figure
+
+    from bench.swing.motion import Motion, phase_times
+
     motion = Motion(profile, plant)
     time = np.arange(len(profile.angle)) * profile.period
     figure = Figure(figsize=(9.0, 9.0), layout="constrained")

@@ -168,6 +168,17 @@ def test_command_of_stored_campaigns_loads_no_model(command: str, tmp_path: Path
     assert not loaded & (NO_CLIENTS - {"pydantic", "sqlalchemy"})
 
 
+def test_list_of_profiles_loads_no_compiler(tmp_path: Path) -> None:
+    code = (
+        "import sys; import bench.cli\n"
+        "bench.cli.leave = lambda code: print(*sys.modules)\n"
+        "bench.cli.main(['profile', 'list'])"
+    )
+    printed = subprocess.check_output([sys.executable, "-c", code], text=True, cwd=tmp_path)
+    loaded = {name.partition(".")[0] for name in printed.splitlines()[-1].split()}
+    assert not loaded & {"numba", "scipy", "matplotlib"}
+
+
 def _pages(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
     yield path, command
     for name, below in getattr(command, "commands", {}).items():
