@@ -245,8 +245,6 @@ Start = Annotated[
 Near = Annotated[str | None, option("Keep near the downswing of this swing.", "PROFILE", names="--near")]
 
 
-_TEMPO = 0.004
-"""Freedom of a demanded duration of the downswing either way, s; the plant adds a tick."""
 _ASK_FOR_LESS = (
     "Ask for less --speed, a steeper --attack angle or a longer --backswing; --highest shows the highest "
     "speed, --nearest gives way, --before-stop 0 lets the wrist meet its stop at the ball."
@@ -350,7 +348,7 @@ def _with_motion(
     The speed (m/s) and attack (rad) in `asked` and the `times` of backswing and downswing (s) override those
     of golfer and profile.
     """
-    from bench.design.golfer_tracking import demand_like, demand_measured, demand_near
+    from bench.design.golfer_tracking import TEMPO, demand_like, demand_measured, demand_near
     from bench.swing.golfers import Golfer, human_downswing
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
@@ -367,7 +365,7 @@ def _with_motion(
         demand = demand_near(plant, load_profile(find_profile(near)), demand)
     backswing, downswing = times
     if downswing is not None:
-        demand = replace(demand, downswing_time=(downswing - _TEMPO, downswing + _TEMPO))
+        demand = replace(demand, downswing_time=(downswing - TEMPO, downswing + TEMPO))
     return demand if backswing is None else replace(demand, backswing_time=backswing)
 
 

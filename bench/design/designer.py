@@ -490,9 +490,10 @@ def design_downswing(
         progress("downswing", count / _ROUNDS)
         plan = solve_downswing(parameters, problem, time, guess, _INTERVALS)
         if not plan.solved:
-            reason = reason or f"no downswing within the limits ({plan.status.lower().replace('_', ' ')})"
             if brought is None:
+                reason = reason or _out_of_reach(parameters, demand, problem, (time, guess), plan.status)
                 break
+            reason = reason or f"no downswing within the limits ({_said(plan.status)})"
             # The limits were too tight: half way back to the last possible ones.
             problem = _with_cushions(problem, (brought + np.array(problem.cushions)) / 2)
             continue
@@ -528,6 +529,36 @@ def design_downswing(
     if best is None or best[0][0] > survived:
         raise DesignFailed(reason or "no downswing found")
     return best[1], count + 1
+
+
+def _said(status: str) -> str:
+    """Return the `status` of a plan as words."""
+    return status.lower().replace("_", " ")
+
+
+def _out_of_reach(
+    parameters: PlantParameters,
+    demand: SwingDemand,
+    problem: DownswingProblem,
+    begin: tuple[float, Array],
+    status: str,
+) -> str:
+    """Return why no plan meets `problem`, with the nearest plan and the limits that bind it.
+
+    `begin` is the duration (s) and the states of the guess, `status` that of the attempt.
+    """
+    shortest, longest = problem.time
+    speed = "" if problem.speed is None else f" to {problem.speed:.1f} m/s"
+    reason = f"no downswing of {shortest:.3f} to {longest:.3f} s{speed} within the limits ({_said(status)})"
+    if demand.nearest:
+        return reason
+    freed = replace(problem, concessions=_concessions(parameters, demand))
+    plan = solve_downswing(parameters, freed, *begin, _INTERVALS)
+    if not plan.solved:
+        return reason
+    binding = " and ".join(list(plan.binding)[:2])
+    bound = f", bound by {binding}" if binding else ""
+    return f"{reason}; the nearest takes {plan.time[-1]:.3f} s to {plan.speed:.1f} m/s{bound}"
 
 
 class _Cushions(NamedTuple):

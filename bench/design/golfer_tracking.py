@@ -2,12 +2,11 @@
 
 The robot starts from the human's top as far as its ranges go, takes his or her time for the backswing and
 about as long for the downswing, and keeps close to the human's joint angles by least squares, each counted in
-its range. The model's golfer begins the downswing at full speed, which no machine does: where the shoulder
-has room behind the human's top, the robot begins there, `RUN_UP` earlier. A motion out of reach is not
-scaled; the deviation shows it. If the demand itself is out of reach, a nearest swing gives way, in the
-downswing's time and the path's rise first, in head speed last; `gave_way` says where and by how much.
-
-A measured golfer's downswing starts from rest and is followed as it is (`demand_measured`).
+its range. A golfer's downswing starts from rest and is followed as it is. Hunt's functions alone begin it at
+full speed, which no machine does: where the shoulder has room behind their top, the robot begins there,
+`RUN_UP` earlier. A motion out of reach is not scaled; the deviation shows it. If the demand itself is out of
+reach, a nearest swing gives way, in the downswing's time and the path's rise first, in head speed last;
+`gave_way` says where and by how much.
 
 A robot's swing is followed in the same way, more closely (`demand_near`). Without one to follow a plan takes
 the least opening of the valves, which leaves much of the head's speed to the wrist's release: what that
@@ -32,7 +31,10 @@ from sim.plant import PlantParameters
 Array = NDArray[np.float64]
 
 _TIME = 0.9, 1.2
-"""Shortest and longest downswing, as shares of the one that is followed."""
+"""Shortest and longest downswing, as shares of a robot's or Hunt's."""
+TEMPO = 0.004
+"""s by which a downswing may differ from a golfer's or the demanded. Poses are compared at equal shares of
+the downswing: one that lasts longer is behind the golfer at each instant before the ball."""
 RUN_UP = 0.08
 """s in which the shoulder reaches the golfer's speed before his or her top, 156 rad/s2 at the most."""
 _LEAST_RUN_UP = 0.02
@@ -58,14 +60,20 @@ def demand_like(
     demand: SwingDemand,
     speed: float | None = None,
 ) -> SwingDemand:
-    """Return `demand` with the motion of `human`, at `speed` (m/s), or at the golfer's."""
+    """Return `demand` with the motion of `human`, at `speed` (m/s), or at the golfer's.
+
+    From rest, another speed takes another time: the golfer turns faster, not further.
+    """
     demand = replace(
         demand,
         head_speed=golfer.head_speed if speed is None else speed,
         backswing_time=golfer.backswing,
+        top_cock=demand.top_cock if golfer.as_hunt else _furthest_of_range(plant, demand),
     )
-    lasting, ranges = float(human.time[-1]), np.ptp(human.angle, axis=0)
-    followed = _following(plant, demand, human.angle, lasting, ranges)
+    lasting = float(human.time[-1])
+    if not golfer.as_hunt:
+        return _from_rest(plant, demand, human.angle, lasting, human.head_speed)
+    followed = _following(plant, demand, human.angle, lasting, np.ptp(human.angle, axis=0))
     turning = float((human.angle[1, 0] - human.angle[0, 0]) / (human.time[1] - human.time[0]))
     room = float(human.angle[0, 0]) - (plant.shoulder.lower + _INSIDE[0])
     run_up = min(RUN_UP, 2.0 * room / turning)
@@ -93,8 +101,9 @@ def demand_measured(
 ) -> SwingDemand:
     """Return `demand` with the body motion and the tempo of a measured `golfer`.
 
-    `speed` (m/s) and `attack` (rad) are the golfer's where they are None. A measured downswing starts from
-    rest and needs no run-up. The wrist may cock nearly to the end of its range.
+    `speed` (m/s) and `attack` (rad) are the golfer's where they are None; another speed takes another time.
+    A measured downswing starts from rest and needs no run-up. The wrist may cock nearly to the end of its
+    range.
 
     Raises:
         BenchError: shaft and head were not measured.
@@ -106,10 +115,24 @@ def demand_measured(
         head_speed=golfer.head_speed if speed is None else speed,
         attack=golfer.attack if attack is None else attack,
         backswing_time=golfer.backswing or demand.backswing_time,
-        top_cock=plant.wrist.upper - wrist_range(plant, demand)[0] - _WRIST_INSIDE,
+        top_cock=_furthest_of_range(plant, demand),
     )
+    return _from_rest(plant, demand, angle, golfer.downswing_time, golfer.head_speed)
+
+
+def _from_rest(
+    plant: PlantParameters, demand: SwingDemand, angle: Array, time: float, speed: float
+) -> SwingDemand:
+    """Return `demand` with the downswing `angle` (n, 3; rad) of a golfer, of `time` (s) at `speed` (m/s)."""
+    time *= speed / (demand.head_speed or speed)
     rows = np.linspace(0, len(angle) - 1, _ROWS).round().astype(int)
-    return _following(plant, demand, angle[rows], golfer.downswing_time, np.ptp(angle, axis=0))
+    followed = _following(plant, demand, angle[rows], time, np.ptp(angle, axis=0))
+    return replace(followed, downswing_time=(time - TEMPO, time + TEMPO))
+
+
+def _furthest_of_range(plant: PlantParameters, demand: SwingDemand) -> float:
+    """Return the cock at the top (rad) nearly at the end of the wrist's range."""
+    return plant.wrist.upper - wrist_range(plant, demand)[0] - _WRIST_INSIDE
 
 
 def demand_near(plant: PlantParameters, profile: Profile, demand: SwingDemand) -> SwingDemand:

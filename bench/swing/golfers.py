@@ -1,10 +1,15 @@
-"""Golfers, their downswing as a model, and how far a robot's swing is from it.
+"""Built-in golfers and their downswing as a model.
 
-Hunt's functions (`bench.swing.hunt`) are a 2-handicap's. His downswing gives shoulder and right arm; the
-wrist is free, so that its angle is the torque-free response of the club, within the human wrist's range.
-The other golfers are Hunt's, scaled in time to their tempo and in amplitude until the head has their speed
-where it passes the ball: no joint angles of theirs are public. Past their end the functions go on, the
-shoulder at its speed and the right arm at its length, until the head is there.
+Measured golfers differ in speed more than in motion: they begin at rest, the faster ones turn faster and not
+further, and the wrist stays cocked until late. A golfer is therefore the measured motion in the time that
+gives his or her head speed on the robot's arms. `MEASURED` is the mean of two persons' downswings, one with a
+driver (360 Hz) and three with an iron (240 Hz), clocks scaled from the top to the ball, rounded to 1 degree;
+shoulders and arms as `bench.golfer` measures them. Assumed: that other golfers of either sex and any age move
+alike. Head speed and backswing have the sources in `text`.
+
+The two-handicap golfer is the thesis': Hunt's functions (`bench.swing.hunt`) as given for shoulder and right
+arm. The wrist is free, so that its angle is the torque-free response of the club, within the human wrist's
+range. Past its end each motion goes on, at its last speed, until the head passes the ball.
 """
 
 from __future__ import annotations
@@ -15,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from bench.errors import BenchError, did_you_mean
 from bench.swing.hunt import (
@@ -34,7 +40,9 @@ Array = NDArray[np.float64]
 _MPH = 0.44704
 _STEP = 2.5e-4
 _LONGEST = 1.6
-"""How far past their end the functions go on, in downswings."""
+"""How far past their end the motions go on, in downswings."""
+_STEPS = 1000
+"""Rows of a measured downswing."""
 _ADDRESS = 0.45, 0.2125
 """theta1 (rad) and rod extension (m) at address: his right arm's range in the middle of the thesis' robot."""
 _THESIS_ARM = 0.34
@@ -43,13 +51,20 @@ _COCK_AT_TOP = 1.769
 _WRIST = 2 * np.pi - radians(105.0), 2 * np.pi + radians(5.0)
 """Range of the human wrist (thesis), as theta3."""
 _RIGHT_ARM_AT_ADDRESS = -0.03032
-_AMPLITUDES = [0.5 + 0.01 * k for k in range(131)]
-"""That are tried, in this order."""
+_LOWEST_AT_BALL = -0.9
+"""y (m) above which the head does not come to the ball: it passes its x a second time, over the shoulder."""
+
+MEASURED = (
+    (-93, -92, -89, -84, -77, -68, -56, -43, -29, -15, -1, 13, 27),
+    (215, 214, 214, 214, 214, 215, 217, 221, 229, 238, 246, 250, 252),
+    (243, 242, 242, 241, 241, 241, 242, 244, 249, 261, 282, 312, 348),
+)
+"""theta1, theta2 and theta3 (degrees) from the top to the ball, at equal intervals."""
 
 
 @dataclass(frozen=True)
 class Golfer:
-    """Who swings: the head speed at the ball and the tempo; sources in `text`."""
+    """A golfer by head speed at the ball and tempo; sources in `text`."""
 
     name: str
     text: str
@@ -57,32 +72,29 @@ class Golfer:
     """m/s"""
     backswing: float
     """s"""
-    downswing: float
-    """s"""
-    as_given: bool = False
-    """Hunt's functions without scaling."""
+    as_hunt: bool = False
+    """Hunt's functions as given, whatever the head speed."""
 
 
-def _golfer(name: str, text: str, mph: float, backswing: float, downswing: float) -> Golfer:
-    return Golfer(name, f"{text}; Hunt's motion, scaled", mph * _MPH, backswing, downswing)
+def _golfer(name: str, text: str, mph: float, backswing: float) -> Golfer:
+    return Golfer(name, f"{text}; measured motion at that speed", mph * _MPH, backswing)
 
 
 GOLFERS = {
     golfer.name: golfer
     for golfer in (
-        _golfer("tour-male", "average of the PGA Tour, 115 mph", 115, 0.80, 0.233),
-        _golfer("tour-female", "average of the LPGA Tour, 96 mph", 96, 1.03, 0.267),
+        _golfer("tour-male", "average of the PGA Tour, 115 mph", 115, 0.80),
+        _golfer("tour-female", "average of the LPGA Tour, 96 mph", 96, 1.03),
         Golfer(
             "two-handicap",
             "the thesis' golfer: Hunt's functions as given, over 100 mph",
             105 * _MPH,
             BACKSWING_DURATION,
-            DOWNSWING_DURATION,
-            as_given=True,
+            as_hunt=True,
         ),
-        _golfer("average-male", "USGA's average male, 93 mph", 93, 0.85, 0.26),
-        _golfer("average-female", "USGA's average female, 72-79 mph", 75, 1.1, 0.30),
-        _golfer("senior", "over 60 years, 80-90 mph", 82, 1.0, 0.30),
+        _golfer("average-male", "USGA's average male, 93 mph", 93, 0.85),
+        _golfer("average-female", "USGA's average female, 72-79 mph", 75, 1.1),
+        _golfer("senior", "over 60 years, 80-90 mph", 82, 1.0),
     )
 }
 
@@ -110,10 +122,6 @@ class HumanDownswing(NamedTuple):
     """(n, 2) m"""
     head_speed: float
     """m/s at its end."""
-    amplitude: float
-    """Of Hunt's functions."""
-    reaches: bool
-    """Whether the head passes the ball's place."""
 
 
 @compiled
@@ -138,54 +146,53 @@ def free_wrist(
 
 
 def human_downswing(plant: PlantParameters, golfer: Golfer) -> HumanDownswing:
-    """Return the downswing of `golfer`, with the smallest amplitude that reaches the speed at the ball.
+    """Return the downswing of `golfer` until the head passes the ball's place on the site of `plant`.
 
-    With more than some amplitude the wrist meets its stop before the ball, and the head is slow again. Where
-    that comes first, the fastest downswing is returned; its `head_speed` says so.
+    Raises:
+        BenchError: the head does not come there.
     """
-    if golfer.as_given:
-        return _downswing(plant, golfer, 1.0)
-    slower = fastest = _downswing(plant, golfer, _AMPLITUDES[0])
-    for amplitude in _AMPLITUDES[1:]:
-        tried = _downswing(plant, golfer, amplitude)
-        if tried.reaches and tried.head_speed >= golfer.head_speed:
-            return _bisected(plant, golfer, slower.amplitude, tried.amplitude)
-        slower = tried
-        if tried.reaches and tried.head_speed > fastest.head_speed:
-            fastest = tried
-    return fastest
-
-
-def _bisected(plant: PlantParameters, golfer: Golfer, low: float, high: float) -> HumanDownswing:
-    for _ in range(18):
-        middle = (low + high) / 2
-        found = _downswing(plant, golfer, middle)
-        fast = found.reaches and found.head_speed > golfer.head_speed
-        low, high = (low, middle) if fast else (middle, high)
-    return _downswing(plant, golfer, high)
-
-
-def _downswing(plant: PlantParameters, golfer: Golfer, amplitude: float) -> HumanDownswing:
-    robot, scale = plant.robot, DOWNSWING_DURATION / golfer.downswing
-    time: Array = np.arange(round(_LONGEST * golfer.downswing / _STEP), dtype=float) * _STEP
-    own = BACKSWING_DURATION + np.minimum(time * scale, DOWNSWING_DURATION)
-    past = np.maximum(time * scale - DOWNSWING_DURATION, 0.0)
-    extension = _ADDRESS[1] + amplitude * (right_arm_length(own) - _RIGHT_ARM_AT_ADDRESS)
-    angle, speed = np.zeros((len(time), 3)), np.zeros((len(time), 3))
-    angle[:, 0] = _ADDRESS[0] - amplitude * (shoulder_turn(own) - DOWNSWING_TURN * past)
-    # The linkage ends before the longest amplitude does.
-    angle[:, 1] = theta2_from_right_arm(robot, np.clip(_THESIS_ARM + extension, 0.25, 0.85))
-    speed[:, 0] = amplitude * DOWNSWING_TURN * scale
-    speed[:, 1] = np.gradient(angle[:, 1], _STEP)
-    angle[0, 2] = max(2 * np.pi - amplitude * _COCK_AT_TOP, _WRIST[0])
-    free_wrist(robot.record, angle, speed, np.gradient(speed[:, 1], _STEP), *_WRIST, _STEP)
-    pose = forward_kinematics(robot, angle)
+    time, angle = _hunts_motion(plant) if golfer.as_hunt else _measured_motion()
+    pose = forward_kinematics(plant.robot, angle)
     passing = np.flatnonzero(
-        (np.diff(pose[:, 0] >= plant.site.ball_x)) & (pose[1:, 1] < -0.9) & (pose[1:, 0] > pose[:-1, 0])
+        np.diff(pose[:, 0] >= plant.site.ball_x)
+        & (pose[1:, 1] < _LOWEST_AT_BALL)
+        & (pose[1:, 0] > pose[:-1, 0])
     )
-    end = int(passing[0]) + 1 if len(passing) else len(time) - 1
-    velocity = (pose[end, :2] - pose[end - 1, :2]) / _STEP
-    rows = slice(0, end + 1)
-    return HumanDownswing(
-        time[rows], angle[rows], pose[rows, :2], float(np.hypot(*velocity)), amplitude, bool(len(passing))
-    )
+    if not len(passing):
+        raise BenchError(
+            f"golfer {golfer.name}",
+            f"a head that does not come to a ball at x = {plant.site.ball_x:g} m",
+            "a ball within the golfer's reach",
+            "Set [plant.site] ball_x nearer to the shoulder, or design with --speed and without --golfer.",
+        )
+    end = int(passing[0]) + 1
+    speed = float(np.hypot(*((pose[end, :2] - pose[end - 1, :2]) / (time[end] - time[end - 1]))))
+    if not golfer.as_hunt:
+        time, speed = time * (speed / golfer.head_speed), golfer.head_speed
+    return HumanDownswing(time[: end + 1], angle[: end + 1], pose[: end + 1, :2], speed)
+
+
+def _measured_motion() -> tuple[Array, Array]:
+    """Return time (n,), 1 s from the top to the ball, and angles (n, 3; rad) of the measured downswing."""
+    degrees = np.array(MEASURED, dtype=float).T
+    spline = CubicSpline(np.linspace(0.0, 1.0, len(degrees)), degrees, bc_type=("clamped", "not-a-knot"))
+    time: Array = np.arange(round(_LONGEST * _STEPS), dtype=float) / _STEPS
+    past = np.maximum(time - 1.0, 0.0)[:, None]
+    return time, np.radians(spline(np.minimum(time, 1.0)) + spline(1.0, 1) * past)
+
+
+def _hunts_motion(plant: PlantParameters) -> tuple[Array, Array]:
+    """Return time (n,; s) and angles (n, 3; rad) of Hunt's downswing, with a free wrist."""
+    robot = plant.robot
+    time: Array = np.arange(round(_LONGEST * DOWNSWING_DURATION / _STEP), dtype=float) * _STEP
+    own = BACKSWING_DURATION + np.minimum(time, DOWNSWING_DURATION)
+    past = np.maximum(time - DOWNSWING_DURATION, 0.0)
+    extension = _ADDRESS[1] + right_arm_length(own) - _RIGHT_ARM_AT_ADDRESS
+    angle, speed = np.zeros((len(time), 3)), np.zeros((len(time), 3))
+    angle[:, 0] = _ADDRESS[0] - shoulder_turn(own) + DOWNSWING_TURN * past
+    angle[:, 1] = theta2_from_right_arm(robot, _THESIS_ARM + extension)
+    speed[:, 0] = DOWNSWING_TURN
+    speed[:, 1] = np.gradient(angle[:, 1], _STEP)
+    angle[0, 2] = max(2 * np.pi - _COCK_AT_TOP, _WRIST[0])
+    free_wrist(robot.record, angle, speed, np.gradient(speed[:, 1], _STEP), *_WRIST, _STEP)
+    return time, angle
