@@ -31,7 +31,12 @@ def load_configuration(path: Path | None = None) -> Configuration:
     tree, files = read_layers(file, default_tables, faults)
     for section in ("clubs", "balls"):
         _complete_likes(tree, section, file, faults)
-    add = f'Add it; {PRINT} prints every key. Or begin {shown_path(file)} with base = "{SHIPPED}".'
+    add = f"Add it; {PRINT} prints every key. "
+    add += (
+        'In a new club or ball write like = "NAME" for the keys it shares with another.'
+        if len(files) > 1
+        else f'Or begin {shown_path(file)} with base = "{SHIPPED}".'
+    )
     cure = f"Correct the value; {PRINT} prints its meaning, unit and default."
     builder = Builder(tree, file, cure, add, DERIVED, faults)
     configuration = builder.build(Configuration)

@@ -194,6 +194,7 @@ def test_a_new_ball_without_like_must_be_complete(overlay: Overlay) -> None:
     found = faults(overlay("[balls.soft]\nmass = 0.045"))
     assert len(found) == 6
     assert {fault.found for fault in found} == {"nothing"}
+    assert all('write like = "NAME"' in fault.cure for fault in found)
 
 
 @pytest.mark.parametrize(
