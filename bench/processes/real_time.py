@@ -7,7 +7,6 @@ stored with every record.
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import os
 import sys
@@ -17,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from bench.errors import Refused
+from bench.processes.memory_lock import call_library, lock_memory, locked_memory, unlock_memory
 
 Mode = Literal["off", "prefer", "require"]
 
@@ -27,7 +27,6 @@ SCHEDULING, MEMORY, SLACK, IDLE = "scheduling", "memory lock", "timer slack", "i
 HUGE_PAGES = "huge pages"
 """Names of settings used elsewhere."""
 
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK = 29, 30
 _PR_SET_THP_DISABLE, _PR_GET_THP_DISABLE = 41, 42
 _CPU_DMA_LATENCY = "/dev/cpu_dma_latency"
@@ -178,7 +177,7 @@ def _huge_pages() -> _Item:
         _set_to_one(_PR_GET_THP_DISABLE, _PR_SET_THP_DISABLE, undo)
 
     def read() -> tuple[str, bool]:
-        off = _call("prctl", _PR_GET_THP_DISABLE, 0, 0, 0, 0) != 0
+        off = call_library("prctl", _PR_GET_THP_DISABLE, 0, 0, 0, 0) != 0
         return "none" if off else "as the system has them", off
 
     return _Item(HUGE_PAGES, "none", ask, read, "boot with transparent_hugepage=madvise", required=False)
@@ -186,13 +185,12 @@ def _huge_pages() -> _Item:
 
 def _memory() -> _Item:
     def ask(undo: ExitStack) -> None:
-        _call("mlockall", _MCL_CURRENT | _MCL_FUTURE)
-        undo.callback(_call, "munlockall")
+        lock_memory()
+        undo.callback(unlock_memory)
 
     def read() -> tuple[str, bool]:
-        locked, resident = _status_kibibytes("VmLck"), _status_kibibytes("VmRSS")
-        held = locked >= 0.9 * resident > 0  # the kernel counts resident pages only roughly
-        return f"{locked // 1024} MiB locked, {resident // 1024} MiB resident", held
+        locked, resident, held = locked_memory()
+        return f"{locked >> 20} MiB locked, {resident >> 20} MiB resident", held
 
     return _Item(MEMORY, "all, now and later", ask, read, limit_cure("memlock", "unlimited"))
 
@@ -220,7 +218,7 @@ def _timer_slack() -> _Item:
         _set_to_one(_PR_GET_TIMERSLACK, _PR_SET_TIMERSLACK, undo)
 
     def read() -> tuple[str, bool]:
-        slack = _call("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
+        slack = call_library("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
         return f"{slack} ns", slack <= 1  # a real-time task has none at all: 0
 
     return _Item(SLACK, "1 ns", ask, read, "report it: nothing may forbid this")
@@ -275,20 +273,6 @@ def _restore_scheduling(policy: int, parameter: os.sched_param) -> None:
 
 def _set_to_one(get: int, put: int, undo: ExitStack) -> None:
     """Set the `prctl` value of options `get` and `put` to 1, and restore it by `undo`."""
-    before = _call("prctl", get, 0, 0, 0, 0)
-    _call("prctl", put, 1, 0, 0, 0)
-    undo.callback(_call, "prctl", put, before, 0, 0, 0)
-
-
-def _call(name: str, *arguments: int) -> int:
-    """Call `name` of the C library; raise OSError if it returns -1."""
-    function = getattr(ctypes.CDLL(None, use_errno=True), name)
-    result = int(function(*map(ctypes.c_ulong, arguments)))
-    if result == -1:
-        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
-    return result
-
-
-def _status_kibibytes(name: str) -> int:
-    with open("/proc/self/status", encoding="utf-8", errors="replace") as status:
-        return next((int(line.split()[1]) for line in status if line.startswith(f"{name}:")), 0)
+    before = call_library("prctl", get, 0, 0, 0, 0)
+    call_library("prctl", put, 1, 0, 0, 0)
+    undo.callback(call_library, "prctl", put, before, 0, 0, 0)

@@ -184,14 +184,15 @@ class _Calls:
     """Stands for the kernel: every call succeeds, and nothing comes of it."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(module, "_call", lambda *_: 50_000)
+        for name, answer in (("call_library", 50_000), ("lock_memory", None), ("unlock_memory", None)):
+            monkeypatch.setattr(module, name, lambda *_, answer=answer: answer)
         for name in ("sched_setscheduler", "sched_setaffinity"):
             monkeypatch.setattr(f"os.{name}", lambda *_: None)
         monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1})
         monkeypatch.setattr("os.sched_getscheduler", lambda _: os.SCHED_OTHER)
         for name in ("freeze", "disable", "collect", "unfreeze"):
             monkeypatch.setattr(f"gc.{name}", lambda: None)
-        monkeypatch.setattr(module, "_status_kibibytes", {"VmLck": 80, "VmRSS": 100}.__getitem__)
+        monkeypatch.setattr(module, "locked_memory", lambda: (80 << 20, 100 << 20, False))
 
 
 def test_a_call_that_succeeds_without_effect_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
