@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from bench.config import NetworkSettings
+from bench.address import NetworkSettings
 from bench.errors import BenchError, ExitCode
 from bench.network.messages import LOOP_VERSION
 from bench.network.zenoh_session import close_session, open_client
