@@ -45,7 +45,8 @@ class Child:
         The plan is passed in a memory file: writing a large one to a pipe would block until the child reads.
         Signals meant for the parent are blocked in the child from its first instruction on.
         """
-        # The child gets this process' import path; further BLAS threads disturb the timing.
+        # The child gets this process' import path. Further BLAS threads disturb the timing. Arrow's own
+        # allocator keeps what a record took.
         path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[2])]))
         with open(os.memfd_create("plan"), "w+b", buffering=0) as stdin:
             stdin.write(pickle.dumps(plan))
@@ -58,7 +59,12 @@ class Child:
                     stdin=stdin,
                     stdout=subprocess.PIPE,
                     pass_fds=pass_fds,
-                    env={**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"},
+                    env={
+                        **os.environ,
+                        "PYTHONPATH": path,
+                        "OPENBLAS_NUM_THREADS": "1",
+                        "ARROW_DEFAULT_MEMORY_POOL": "system",
+                    },
                 )
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
