@@ -320,7 +320,14 @@ class Daemon:
             "loop",
             "bench.processes.loop_process",
             LoopPlan(
-                c, self.profile, folder, owner.descriptor, first, self.read_only, self.calibration.shifts
+                c,
+                self.profile,
+                self._basis,
+                folder,
+                owner.descriptor,
+                first,
+                self.read_only,
+                self.calibration.shifts,
             ),
             pass_fds=(owner.descriptor,),
         )
@@ -360,6 +367,7 @@ class Daemon:
             snapshot_dtype=SNAPSHOT,
             corrected=folder / CORRECTED_FILE,
             profile=self.profile,
+            basis=self._basis,
             run=self._run,
             configuration=c.effective(),
             versions=versions(),

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.swing.correction import basis_of
+from bench.swing.correction import Basis
 from bench.swing.correction_bounds import MOST_WEIGHTS
 from bench.swing.profile import Profile
-from drivers.base.compiled import new_record
 from drivers.base.shared_record import SharedRecord
 
 CORRECTION_FILE, CORRECTED_FILE = "correction", "corrected"
@@ -30,7 +29,7 @@ CORRECTED = np.dtype([("asked", "i8"), ("tick", "i8"), ("order", CORRECTION)], a
 
 def pack_correction(number: int, weights: Sequence[float]) -> np.ndarray[Any, Any]:
     """Return order `number` (one-element array of CORRECTION)."""
-    order = new_record(CORRECTION)
+    order = np.zeros(1, CORRECTION)
     order["number"], order["size"] = number, len(weights)
     order["weights"][0, : len(weights)] = weights
     return order
@@ -45,16 +44,16 @@ def weights_of(order: np.ndarray[Any, Any]) -> list[float]:
 class CorrectionReader:
     """The loop's side of the transfer."""
 
-    def __init__(self, folder: Path, profile: Profile) -> None:
-        """Open the bench's files for corrections of `profile`.
+    def __init__(self, folder: Path, profile: Profile, basis: Basis) -> None:
+        """Open the bench's files for corrections of `profile` with weights of `basis`.
 
         Raises:
             SharedMemoryError: the supervisor has not created them.
         """
-        self._profile, self._basis = profile, basis_of(profile)
+        self._profile, self._basis = profile, basis
         self._orders = SharedRecord.open(folder / CORRECTION_FILE, CORRECTION)
         self._active = SharedRecord.create(folder / CORRECTED_FILE, CORRECTED)
-        self._order, self._answer = new_record(CORRECTION), new_record(CORRECTED)
+        self._order, self._answer = np.zeros(1, CORRECTION), np.zeros(1, CORRECTED)
         self._version = self._orders.newest
         self._active.write(self._answer)
 

@@ -183,7 +183,7 @@ class LoopProcess:
             stack.callback(self.orders.close)
             self.snapshots = SharedRecord.create(folder / SNAPSHOT_FILE, SNAPSHOT)
             stack.callback(self.snapshots.close)
-            self.corrections = CorrectionReader(folder, self.plan.profile)
+            self.corrections = CorrectionReader(folder, self.plan.profile, self.plan.basis)
             stack.callback(self.corrections.close)
             self.timing = stack.enter_context(create_timing(folder / TIMING_FILE, self._period_ns))
             name, note_truth = c.driver.name, getattr(self.driver, "note_truth", None)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from bench.config import Configuration
 from bench.lifecycle import Cause
+from bench.swing.correction import Basis
 from bench.swing.profile import Profile
 from bench.telemetry.zero_shift import CalibratedShifts
 from drivers.launch_monitor.settings import LaunchMonitorSettings
@@ -26,6 +27,8 @@ class LoopPlan:
     configuration: Configuration
     """Configuration with the calibration applied."""
     profile: Profile
+    basis: Basis
+    """Basis of its corrections; passed, as computing it imports all of scipy's interpolation."""
     folder: Path
     """Shared-memory folder of the bench."""
     lock: int

@@ -44,7 +44,7 @@ from bench.processes.tick_timing import TimingReader, summary
 from bench.shot.ball_struck import ball_struck
 from bench.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
 from bench.shot.swing_drift import DriftWatch, strike_seen
-from bench.swing.correction import basis_of
+from bench.swing.correction import Basis
 from bench.swing.profile import Profile
 from bench.telemetry.record_queue import (
     QueuedRecord,
@@ -85,6 +85,8 @@ class RecorderPlan:
     corrected: Path
     """File of the CORRECTED record."""
     profile: Profile
+    basis: Basis
+    """Basis of its corrections; passed, as computing it imports all of scipy's interpolation."""
     run: str
     """Id of the bench's run, the prefix of shot ids."""
     configuration: Mapping[str, Any]
@@ -135,7 +137,7 @@ class Recorder:
             plan.real_time,
             plan.calibrations,
         ).entries()
-        self._basis = basis_of(plan.profile)
+        self._basis = plan.basis
         self._heartbeat = HeartbeatSender(plan.heartbeat)
         self._ring = RingReader(plan.ring, from_oldest=True)
         self._snapshot = SharedRecord.open(plan.snapshot, plan.snapshot_dtype)

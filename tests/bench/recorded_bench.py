@@ -18,6 +18,7 @@ import numpy as np
 from bench.processes.child_process import HEARTBEAT
 from bench.processes.correction import CORRECTED, pack_correction
 from bench.processes.recorder import RecorderPlan
+from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.ring import RingWriter
@@ -57,7 +58,8 @@ class RecordedBench:
                 "corrected": self.folder / "corrected",
                 "heartbeat": self.folder / "heart",
                 "snapshot_dtype": SNAPSHOT,
-                "profile": load_profile(find_profile("default")),
+                "profile": (profile := load_profile(find_profile("default"))),
+                "basis": basis_of(profile),
                 "run": "r",
                 "configuration": {"loop": {"rate": 1000}},
                 "versions": {"golfbench": "test"},

@@ -37,6 +37,7 @@ from bench.processes.ownership import take_bench
 from bench.processes.plan import TIMING_FILE, LoopPlan
 from bench.processes.real_time import PRIORITY
 from bench.processes.tick_timing import SEGMENTS, TIMING, TimingReader, percentile, summary
+from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.live.exchange import PlantPlan
@@ -198,7 +199,7 @@ def running_loop(configuration: Configuration) -> Iterator[RunningLoop]:
         loop = Child.start(
             "loop",
             "bench.processes.loop_process",
-            LoopPlan(c, profile, owner.folder, owner.descriptor),
+            LoopPlan(c, profile, basis_of(profile), owner.folder, owner.descriptor),
             pass_fds=(owner.descriptor,),
         )
         stack.callback(loop.end, 15.0)

@@ -31,7 +31,7 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         self.orders = SharedRecord.create(folder / CORRECTION_FILE, CORRECTION)
-        self.loop = CorrectionReader(folder, PROFILE)
+        self.loop = CorrectionReader(folder, PROFILE, BASIS)
         self._told = SharedRecord.open(folder / CORRECTED_FILE, CORRECTED)
 
     def order(self, number: int, weights: list[float]) -> None:
