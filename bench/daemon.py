@@ -57,7 +57,7 @@ from bench.processes.status import (
     status_of,
 )
 from bench.processes.support import ManagedProcess
-from bench.processes.tick_timing import TimingReader, summary
+from bench.processes.timing_record import TimingReader, summary
 from bench.readiness import arming_block, assess, assess_bench
 from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot_message import ShotJoin, shot_publication

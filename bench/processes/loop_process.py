@@ -38,7 +38,8 @@ from bench.processes.ownership import adopt
 from bench.processes.plan import RING_FILE, SNAPSHOT_FILE, TIMING_FILE, LoopPlan
 from bench.processes.real_time import real_time
 from bench.processes.supervision import SUPERVISION_FILE, Orders
-from bench.processes.tick_timing import Stall, TickTiming, check_budget, create_timing, new_timing
+from bench.processes.tick_timing import TickTiming, check_budget, create_timing, new_timing
+from bench.processes.timing_record import Stall
 from bench.telemetry.ring import RingWriter, ring_capacity
 from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot
 from bench.telemetry.zero_shift import Shifts, moved_zero, write_shifts

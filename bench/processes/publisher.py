@@ -38,7 +38,7 @@ from bench.processes.child_process import (
     send_event,
     send_failure,
 )
-from bench.processes.tick_timing import TimingReader, summary
+from bench.processes.timing_record import TimingReader, summary
 from bench.telemetry.batches import encode_batch
 from bench.telemetry.cycle_record import LONGEST_BATCH
 from bench.telemetry.ring import RingReader
@@ -66,7 +66,7 @@ class PublisherPlan:
     network: NetworkSettings
     ring: Path
     timing: Path
-    """File of the loop's tick timing, see `bench.processes.tick_timing`."""
+    """File of the loop's tick timing, see `bench.processes.timing_record`."""
     heartbeat: Path
     """File of the HEARTBEAT record."""
     wall: bool = True

@@ -40,7 +40,7 @@ from bench.processes.child_process import (
     send_failure,
 )
 from bench.processes.correction import CORRECTED, weights_of
-from bench.processes.tick_timing import TimingReader, summary
+from bench.processes.timing_record import TimingReader, summary
 from bench.shot.ball_struck import ball_struck
 from bench.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
 from bench.shot.swing_drift import DriftWatch, strike_seen

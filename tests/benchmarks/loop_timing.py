@@ -36,7 +36,7 @@ from bench.processes.loop_link import LoopLink
 from bench.processes.ownership import take_bench
 from bench.processes.plan import TIMING_FILE, LoopPlan
 from bench.processes.real_time import PRIORITY
-from bench.processes.tick_timing import SEGMENTS, TIMING, TimingReader, percentile, summary
+from bench.processes.timing_record import SEGMENTS, TIMING, TimingReader, percentile, summary
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

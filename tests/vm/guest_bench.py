@@ -29,7 +29,7 @@ from bench.lifecycle import Phase, State
 from bench.network.client import BenchClient, CommandRefused
 from bench.processes.bench_folder import bench_folder
 from bench.processes.plan import RING_FILE, TIMING_FILE
-from bench.processes.tick_timing import TimingReader
+from bench.processes.timing_record import TimingReader
 from bench.simulation.loads import pressure_shares, stop_shares
 from bench.store.database import open_database
 from bench.swing.library import find_profile

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bench.lifecycle import State
-from bench.processes.tick_timing import SEGMENTS, summary
+from bench.processes.timing_record import SEGMENTS, summary
 from bench.shot.recorded_shot import read_shot
 from drivers.canopen.frames import bus_load
 from tests.benchmarks.row import Row

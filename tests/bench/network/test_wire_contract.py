@@ -29,7 +29,8 @@ from bench.network.messages import LOOP_VERSION, CampaignMessage
 from bench.network.wire_contract import wire_contract
 from bench.network.zenoh_session import open_client
 from bench.processes.launch_monitor import message_of
-from bench.processes.tick_timing import new_timing, summary
+from bench.processes.tick_timing import new_timing
+from bench.processes.timing_record import summary
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_matcher import Told
 from bench.shot.shot_message import ShotPublication, read_shot_message, shot_publication

@@ -12,7 +12,7 @@ import pytest
 
 from bench.errors import Refused
 from bench.processes.loop_process import WARM_UP, LoopProcess, ThreadUsage, UsageReader, stall_between
-from bench.processes.tick_timing import STAMPS, Stall
+from bench.processes.timing_record import STAMPS, Stall
 
 MS = 1_000_000
 BEFORE = ThreadUsage(page_faults=7, preemptions=3, waited=5 * MS)

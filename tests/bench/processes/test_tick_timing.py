@@ -16,17 +16,19 @@ from numpy.typing import NDArray
 from bench.clock import LATE
 from bench.errors import ExitCode, Refused
 from bench.processes.tick_timing import (
+    TickTiming,
+    bucket,
+    check_budget,
+    create_timing,
+    new_timing,
+)
+from bench.processes.timing_record import (
     BUCKETS,
     SEGMENTS,
     STAMPS,
     TIMING,
     Stall,
-    TickTiming,
     TimingReader,
-    bucket,
-    check_budget,
-    create_timing,
-    new_timing,
     percentile,
     summary,
     upper_edges,
@@ -205,7 +207,7 @@ def test_another_process_reads_what_the_loop_counts(tmp_path: Path) -> None:
         assert reader.snapshot()["ticks"][0] == 0
         program = (
             "import sys, json; from pathlib import Path\n"
-            "from bench.processes.tick_timing import TimingReader, summary\n"
+            "from bench.processes.timing_record import TimingReader, summary\n"
             "with TimingReader(Path(sys.argv[1])) as reader: print(json.dumps(summary(reader.snapshot())))"
         )
         for k in range(1, 11):
