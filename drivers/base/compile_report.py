@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 
-_FIRST, _BETWEEN = 1.0, 10.0
+_FIRST, _BETWEEN = 1.0, 2.5
 """Time before the first report, and between two (s)."""
 
 
