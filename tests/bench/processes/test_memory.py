@@ -18,12 +18,14 @@ CALCULATES = frozenset({"llvmlite", "numba", "scipy"})
 ALLOWED = {
     "bench.daemon": CALCULATES | {"pyarrow", "sqlalchemy", "zenoh"},
     "bench.processes.loop_process": CALCULATES,
-    "bench.processes.recorder": {"pyarrow"},
+    "bench.processes.recorder": CALCULATES | {"pyarrow"},
     "bench.processes.publisher": {"pyarrow", "zenoh"},
     "bench.processes.launch_monitor": CALCULATES,
     "sim.live.process": CALCULATES,
 }
-"""Modules of the processes with the heavy packages that each may import; numba imports the top of scipy."""
+"""Modules of the processes with the heavy packages that each may import; numba imports the top of scipy.
+
+The recorder computes the shots: the supervisor's heartbeat must not wait for them."""
 HEAVY = frozenset(
     {
         *CALCULATES,
@@ -51,7 +53,7 @@ HEAVY = frozenset(
 SUPERVISOR_LOADS = {"asyncio"}
 """By sqlalchemy."""
 
-MAX_LOCKED, MAX_BENCH = 200 * MEBIBYTE, 450 * MEBIBYTE
+MAX_LOCKED, MAX_BENCH = 200 * MEBIBYTE, 560 * MEBIBYTE
 """Locked memory of the loop, and proportional memory of all processes, bytes."""
 
 
@@ -90,7 +92,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchProcess]:
 @pytest.mark.live
 @pytest.mark.paced
 def test_running_processes_map_only_their_libraries(bench: BenchProcess) -> None:
-    assert not _libraries(bench.pid("recorder")) & {"llvmlite", "numba", "scipy", "zenoh"}
+    assert not _libraries(bench.pid("recorder")) & {"zenoh"}
     assert not _libraries(bench.pid("publisher")) & {"llvmlite", "numba", "pandas", "scipy"}
     assert not _libraries(bench.pid("loop")) & {"pandas", "pyarrow", "zenoh"}
 
