@@ -33,8 +33,10 @@ Array = NDArray[np.float64]
 _TIME = 0.9, 1.2
 """Shortest and longest downswing, as shares of a robot's or Hunt's."""
 TEMPO = 0.004
-"""s by which a downswing may differ from a golfer's or the demanded. Poses are compared at equal shares of
-the downswing: one that lasts longer is behind the golfer at each instant before the ball."""
+"""s by which a downswing may differ from the demanded, or be shorter than a golfer's."""
+SLOWER = 1.06
+"""Longest downswing as a share of a golfer's: a longer one is behind the golfer before the ball. At the time of
+the fastest golfer measured, a shoulder valve that sticks open overloads the arm's stop."""
 RUN_UP = 0.08
 """s in which the shoulder reaches the golfer's speed before his or her top, 156 rad/s2 at the most."""
 _LEAST_RUN_UP = 0.02
@@ -127,7 +129,7 @@ def _from_rest(
     time *= speed / (demand.head_speed or speed)
     rows = np.linspace(0, len(angle) - 1, _ROWS).round().astype(int)
     followed = _following(plant, demand, angle[rows], time, np.ptp(angle, axis=0))
-    return replace(followed, downswing_time=(time - TEMPO, time + TEMPO))
+    return replace(followed, downswing_time=(time - TEMPO, SLOWER * time))
 
 
 def _furthest_of_range(plant: PlantParameters, demand: SwingDemand) -> float:
