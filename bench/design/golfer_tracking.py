@@ -35,8 +35,8 @@ _TIME = 0.9, 1.2
 TEMPO = 0.004
 """s by which a downswing may differ from the demanded, or be shorter than a golfer's."""
 SLOWER = 1.06
-"""Longest downswing as a share of a golfer's: a longer one is behind the golfer before the ball. At the time of
-the fastest golfer measured, a shoulder valve that sticks open overloads the arm's stop."""
+"""Longest downswing as a share of a golfer's: a longer one stays behind the golfer. In the time of the
+fastest golfer a shoulder valve that sticks open overloads the arm's stop."""
 RUN_UP = 0.08
 """s in which the shoulder reaches the golfer's speed before his or her top, 156 rad/s2 at the most."""
 _LEAST_RUN_UP = 0.02

@@ -46,7 +46,7 @@ class Child:
         Signals meant for the parent are blocked in the child from its first instruction on.
         """
         # The child gets this process' import path. Further BLAS threads disturb the timing. Arrow's own
-        # allocator keeps what a record took.
+        # allocator keeps the memory of a record.
         path = os.pathsep.join(dict.fromkeys([*filter(None, sys.path), str(Path(__file__).parents[2])]))
         with open(os.memfd_create("plan"), "w+b", buffering=0) as stdin:
             stdin.write(pickle.dumps(plan))

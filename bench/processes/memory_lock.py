@@ -1,7 +1,7 @@
 """Lock of the memory that a tick may use, so that no tick waits for a page.
 
 Everything that is resident is locked, every other mapping is paged in and locked, and so is all memory mapped
-later. Left out is what no tick uses, more than half: the compiler and the matrix library, whose clean pages
+later. More than half is left out, as no tick uses it: the compiler and the matrix library, whose clean pages
 return to the system, and reserves, of which hardly anything was ever used (each copy of OpenBLAS maps work
 buffers of 32 MB). Their pages are locked when they are used again.
 """
