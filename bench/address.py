@@ -89,9 +89,9 @@ def load_address(path: Path | None = None) -> BenchAddress:
     whole, _ = read_layers(file, _defaults, faults)
     sections = [field.name for field in fields(BenchAddress)]
     tree = {name: whole[name] for name in sections if name in whole}
-    cure = f"Correct the value; {PRINT} prints its meaning, unit and default."
+    action = f"Correct the value; {PRINT} prints its meaning, unit and default."
     address: BenchAddress | None = Builder(
-        tree, file, cure, f"Add it; {PRINT} prints every key.", faults=faults
+        tree, file, action, f"Add it; {PRINT} prints every key.", faults=faults
     ).build(BenchAddress)
     if address is not None:
         faults += errors_of(address_mistakes(address), tree, file)
@@ -111,15 +111,15 @@ def database_url(database: str, data_dir: Path) -> URL:
 
     if not database:
         return URL.create("sqlite", database=str(data_dir / DATABASE_FILE))
-    cure = 'Correct it, or leave it empty ("") for SQLite in data_dir.'
+    action = 'Correct it, or leave it empty ("") for SQLite in data_dir.'
     wanted = "a URL such as sqlite:////var/lib/golfbench/bench.sqlite or postgresql+psycopg://host/golfbench"
     try:
         url = make_url(database)
         url.get_dialect()
     except (ArgumentError, NoSuchModuleError, ValueError):
-        raise BenchError("bench.database", "not a URL that SQLAlchemy knows", wanted, cure) from None
+        raise BenchError("bench.database", "not a URL that SQLAlchemy knows", wanted, action) from None
     if url.get_backend_name() == "sqlite" and url.database in {None, "", ":memory:"}:
-        raise BenchError("bench.database", "SQLite without a file", wanted, cure)
+        raise BenchError("bench.database", "SQLite without a file", wanted, action)
     return url
 
 
@@ -158,8 +158,8 @@ def address_mistakes(of: Addressed) -> Iterator[Mistake]:
             )
         elif _is_secure(endpoint) and not network.identity:
             found = f"none, with {name} = {format_value(endpoint)}"
-            cure = "Create them with `golfbench certificates`."
-            yield "network.identity", found, "path of certificate and key, without ending", cure
+            action = "Create them with `golfbench certificates`."
+            yield "network.identity", found, "path of certificate and key, without ending", action
     for role in ("viewers", "operators"):
         for name in getattr(network, role):
             if not NAME.fullmatch(name):

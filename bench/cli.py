@@ -318,7 +318,7 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
             return [json.dumps(error.record())], error.exit_code
         case BenchError():
             lines = (f"error: {error.place}", f"  found:    {error.found}", f"  expected: {error.expected}")
-            return ["\n".join((*lines, f"  action:   {error.cure}"))], error.exit_code
+            return ["\n".join((*lines, f"  action:   {error.action}"))], error.exit_code
         case DriverError():
             return [f"error: {error}"], ExitCode.DEVICE
         case FileNotFoundError() if not _has_working_directory():

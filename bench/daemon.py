@@ -184,7 +184,7 @@ class Daemon:
                     place=f"calibrations of bench {self.configuration.bench.id}",
                     found=f"{calibration.summary()}, since the start",
                     expected=f"{self.calibration.summary()}, as the loop was started with",
-                    cure="Restart the bench: golfbench run.",
+                    action="Restart the bench: golfbench run.",
                 )
             )
         return blocks
@@ -196,16 +196,16 @@ class Daemon:
         if len(weights) not in (0, self._basis.size):
             return self._not_corrected(f"{len(weights)} weights, expected {self._basis.size}")
         if weights and self.configuration.control.feed_forward != "planned":
-            cure = 'set control.feed_forward = "planned"'
-            return self._not_corrected("corrections need planned openings", cure)
+            action = 'set control.feed_forward = "planned"'
+            return self._not_corrected("corrections need planned openings", action)
         if weights:
             corrected = self._basis.corrected(self.profile, weights)
             if beyond := beyond_range(corrected, self.configuration.plant, self.configuration.envelope):
                 return self._not_corrected(f"corrected, {beyond}", "learn again on a better model")
         return self._link.correct(weights)
 
-    def _not_corrected(self, fact: str, cure: str = "") -> Reply:
-        return refused(self._link.state, Refusal.CORRECTION, fact, cure)
+    def _not_corrected(self, fact: str, action: str = "") -> Reply:
+        return refused(self._link.state, Refusal.CORRECTION, fact, action)
 
     def stop(self) -> Reply:
         """Stop according to the stopping table."""

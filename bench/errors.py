@@ -39,24 +39,24 @@ class BenchError(Exception):
         place: file and key, option, or device.
         found: the value found there.
         expected: valid values, with their unit.
-        cure: what to do.
+        action: what to do.
     """
 
     exit_code = ExitCode.BAD_INPUT
 
-    def __init__(self, place: str, found: str, expected: str, cure: str) -> None:
-        super().__init__(place, found, expected, cure)
+    def __init__(self, place: str, found: str, expected: str, action: str) -> None:
+        super().__init__(place, found, expected, action)
         self.place = place
         self.found = found
         self.expected = expected
-        self.cure = cure
+        self.action = action
 
     def __str__(self) -> str:
-        return f"{self.place}: found {self.found}, expected {self.expected}. {self.cure}"
+        return f"{self.place}: found {self.found}, expected {self.expected}. {self.action}"
 
     def record(self) -> dict[str, str]:
         """Return the parts by their names."""
-        return {"place": self.place, "found": self.found, "expected": self.expected, "cure": self.cure}
+        return {"place": self.place, "found": self.found, "expected": self.expected, "action": self.action}
 
 
 class Refused(BenchError):
@@ -66,6 +66,6 @@ class Refused(BenchError):
 
 
 def did_you_mean(wanted: str, known: Iterable[str], otherwise: str) -> str:
-    """Return the cure for an unknown name: the nearest of the `known` ones, else `otherwise`."""
+    """Return the action for an unknown name: the nearest of the `known` ones, else `otherwise`."""
     near = get_close_matches(wanted, list(known), n=1)
     return f"Did you mean {near[0]}?" if near else otherwise

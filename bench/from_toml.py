@@ -51,7 +51,7 @@ Tree = dict[str, "Tree | Leaf"]
 
 
 Mistake = tuple[str, str, str, str]
-"""What a rule across keys finds: key, found, expected, cure."""
+"""What a rule across keys finds: key, found, expected, action."""
 
 
 def errors_of(mistakes: Iterable[Mistake], tree: Tree, file: Path) -> list[BenchError]:
@@ -59,13 +59,13 @@ def errors_of(mistakes: Iterable[Mistake], tree: Tree, file: Path) -> list[Bench
     return [BenchError(place_of(tree, file, key), *rest) for key, *rest in mistakes]
 
 
-def read_toml(path: Path, expected: str, cure: str) -> dict[str, Any]:
+def read_toml(path: Path, expected: str, action: str) -> dict[str, Any]:
     """Return the parsed file.
 
     Raises:
-        BenchError: the file is missing, unreadable or not TOML; `expected` and `cure` go into the message.
+        BenchError: the file is missing, unreadable or not TOML; `expected` and `action` go into the message.
     """
-    return parse_toml(read_text(path, expected, cure), str(path))
+    return parse_toml(read_text(path, expected, action), str(path))
 
 
 def parse_toml(text: str, place: str) -> dict[str, Any]:
@@ -87,18 +87,18 @@ def parse_toml(text: str, place: str) -> dict[str, Any]:
         ) from None
 
 
-def read_text(path: Path, expected: str, cure: str) -> str:
+def read_text(path: Path, expected: str, action: str) -> str:
     """Return the text of a file that a person has written, without the byte order mark of some editors.
 
     Raises:
-        BenchError: the file is missing, unreadable or not UTF-8; `expected` and `cure` go into the message.
+        BenchError: the file is missing, unreadable or not UTF-8; `expected` and `action` go into the message.
     """
     try:
         content = path.read_bytes()
     except FileNotFoundError:
-        raise BenchError(str(path), "no such file", expected, cure) from None
+        raise BenchError(str(path), "no such file", expected, action) from None
     except OSError as error:
-        raise BenchError(str(path), error.strerror or str(error), "a file that can be read", cure) from None
+        raise BenchError(str(path), error.strerror or str(error), "a file that can be read", action) from None
     if (other := _other_encoding(content)) is not None:
         raise BenchError(str(path), f"text in {other}", "UTF-8 text", "Save it as UTF-8.")
     try:
@@ -199,9 +199,9 @@ class Builder:
     tree: Tree
     file: Path
     """Place of errors about missing keys."""
-    cure: str
+    action: str
     add: str
-    """Cure of errors about missing keys."""
+    """Action of errors about missing keys."""
     left_out: frozenset[str] = frozenset()
     faults: list[BenchError] = field(default_factory=list)
     wrong: set[str] = field(default_factory=set)
@@ -304,14 +304,14 @@ class Builder:
         for name in sorted(names):
             entry = node[name]
             key = entry.key if isinstance(entry, Leaf) else name
-            cure = did_you_mean(key, writable, "Delete it, or put it under its own table.")
-            self._fault(f"{prefix}{name}", "an unknown key", f"one of {', '.join(keys)}", cure)
+            action = did_you_mean(key, writable, "Delete it, or put it under its own table.")
+            self._fault(f"{prefix}{name}", "an unknown key", f"one of {', '.join(keys)}", action)
 
-    def _fault(self, path: str, found: str, wanted: str, cure: str = "") -> Any:
+    def _fault(self, path: str, found: str, wanted: str, action: str = "") -> Any:
         path, bracket, index = path.partition("[")
         self.wrong.add(path)
         place = place_of(self.tree, self.file, path) + bracket + index
-        self.faults.append(BenchError(place, found, wanted, cure or self.cure))
+        self.faults.append(BenchError(place, found, wanted, action or self.action))
         return _BAD
 
 

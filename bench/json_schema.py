@@ -131,14 +131,14 @@ def json_object(payload: bytes) -> dict[str, Any] | None:
     return read if isinstance(read, dict) else None
 
 
-def require_fit(value: Any, kind: Any, place: str, cure: str) -> None:
+def require_fit(value: Any, kind: Any, place: str, action: str) -> None:
     """Refuse a `value` that is not of `kind`.
 
     Raises:
         BenchError: with the place of its first part that is not as the schema of `kind` says.
     """
     for misfit in misfits(value, _schema(kind), place):
-        raise BenchError(*misfit, cure)
+        raise BenchError(*misfit, action)
 
 
 _schema = cache(schema_of)

@@ -80,7 +80,7 @@ class Block(StrEnum):
 
 
 Words = tuple[str, str]
-"""Fact and cure, for the operator; the cure is empty where none is known."""
+"""Fact and action, for the operator; the action is empty where none is known."""
 
 
 class Refusal(IntEnum):
@@ -164,7 +164,7 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
 
 
 def in_one(words: Words) -> str:
-    """Return fact and cure in one line."""
+    """Return fact and action in one line."""
     return ": ".join(filter(None, words))
 
 

@@ -98,7 +98,7 @@ class Readiness:
 def arming_block(code: Block, fault: BenchError) -> ArmingBlock:
     """Return `fault` as the bench reports it."""
     return ArmingBlock(
-        code=code, place=fault.place, found=fault.found, expected=fault.expected, cure=fault.cure
+        code=code, place=fault.place, found=fault.found, expected=fault.expected, action=fault.action
     )
 
 

@@ -88,8 +88,8 @@ def add_calibration(
         )
         if before is not None and before > date:
             expected = f"after the one before, of {before:%Y-%m-%d %H:%M:%S} UTC"
-            cure = "Set this machine's clock: a calibration is only superseded by a later one."
-            raise BenchError(f"calibrate {kind}: date", f"{date:%Y-%m-%d %H:%M:%S} UTC", expected, cure)
+            action = "Set this machine's clock: a calibration is only superseded by a later one."
+            raise BenchError(f"calibrate {kind}: date", f"{date:%Y-%m-%d %H:%M:%S} UTC", expected, action)
         try:
             identity = connection.execute(statement.returning(CalibrationRow.id)).scalar_one()
         except IntegrityError as error:  # SQLite writes in turn, a server may not

@@ -74,14 +74,14 @@ class Entry:
 class CalibrationProblem(Refused):
     """Calibration that blocks arming: missing, expired or dated in the future."""
 
-    def __init__(self, code: Block, place: str, found: str, expected: str, cure: str) -> None:
-        super().__init__(place, found, expected, cure)
+    def __init__(self, code: Block, place: str, found: str, expected: str, action: str) -> None:
+        super().__init__(place, found, expected, action)
         self.code = code
 
     @property
     def text(self) -> str:
         """Problem and action in one sentence."""
-        return f"{self.place} {self.found}: {self.cure}"
+        return f"{self.place} {self.found}: {self.action}"
 
 
 @dataclass(frozen=True)
@@ -302,5 +302,5 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
 
 def _require_near(place: str, key: str, distance: float, most: float) -> None:
     if distance > most:
-        cure = "Measure again; if the machine was rebuilt, correct the configuration first."
-        raise BenchError(place, f"{distance:.3f} m from what {key} says", f"{most:g} m at most", cure)
+        action = "Measure again; if the machine was rebuilt, correct the configuration first."
+        raise BenchError(place, f"{distance:.3f} m from what {key} says", f"{most:g} m at most", action)

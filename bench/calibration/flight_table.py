@@ -118,8 +118,8 @@ def read_table(path: Path, known: Callable[[str], bool]) -> MeasurementTable:
     units, rows = tuple("" for _ in names), []
     for line, row in lines[first + 1 :]:
         if len(row) > len(names) and any(row[len(names) :]):
-            place, cure = f"{path}, line {line}", "Correct the row: is a decimal comma the separator?"
-            raise BenchError(place, f"{len(row)} cells", f"{len(names)}, as in the header", cure)
+            place, action = f"{path}, line {line}", "Correct the row: is a decimal comma the separator?"
+            raise BenchError(place, f"{len(row)} cells", f"{len(names)}, as in the header", action)
         cells = (*row[: len(names)], *[""] * (len(names) - len(row)))
         if cells == names:
             continue
@@ -264,8 +264,8 @@ def read_flights(path: Path, points: Path | None = None) -> FlightTable:
     table = read_table(path, lambda key: _column(key) is not None)
     if "carry_source" in table.keys:
         found = "a campaign's shot table, whose apex and carry are computed"
-        cure = "Give the export of the full-flight monitor or indoor range."
-        raise BenchError(str(path), found, "flights as a device measured them", cure)
+        action = "Give the export of the full-flight monitor or indoor range."
+        raise BenchError(str(path), found, "flights as a device measured them", action)
     columns = _columns(table)
     flights, notes = list[MeasuredFlight](), [*table.notes]
     for line, row in table.rows:

@@ -97,8 +97,11 @@ def _locked(path: Path, place: str, name: str) -> Iterator[None]:
         if not try_lock(file.fileno()):
             file.seek(0)
             process, _, campaign = file.read().strip().partition(" ")
-            expected, cure = "no other runner", f"Wait for it, or end it: golfbench campaign stop {campaign}"
-            raise Refused(place, f"process {process}, which runs campaign {campaign}", expected, cure)
+            expected, action = (
+                "no other runner",
+                f"Wait for it, or end it: golfbench campaign stop {campaign}",
+            )
+            raise Refused(place, f"process {process}, which runs campaign {campaign}", expected, action)
         file.truncate(0)
         file.write(f"{os.getpid()} {name}")
         file.flush()

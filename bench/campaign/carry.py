@@ -48,8 +48,8 @@ def require_carry(plan: CampaignPlan, measured: Measured) -> None:
     missing = [name for name in plan.ball_names if name not in measured]
     if a.carry == "measured" and missing:
         found = f'"measured", but no aerodynamics of {", ".join(missing)}'
-        cure = f"golfbench calibrate aerodynamics {missing[0]} FLIGHTS.csv --source TEXT"
-        raise Refused(place, found, "measured coefficients of each ball", cure)
+        action = f"golfbench calibrate aerodynamics {missing[0]} FLIGHTS.csv --source TEXT"
+        raise Refused(place, found, "measured coefficients of each ball", action)
 
 
 class ShotCarry:

@@ -62,7 +62,7 @@ _AT_THE_ROBOT = {
     Refusal.LOCAL_RESET: "Press the reset button beside the robot.",
     Refusal.GAUGE: "Read the gauges, and press the reset button beside them.",
 }
-"""Refusals that a person beside the robot cures, and the cures."""
+"""Refusals that a person at the robot can clear, and the actions."""
 NO_WORD = "the launch monitor's process did not report the swing"
 
 
@@ -272,7 +272,7 @@ class LiveShots:
     ) -> None:
         """Repeat the request until the bench accepts it: chambers must be empty, or the guard closed.
 
-        `ask` shows each new cure for which the bench waits.
+        `ask` shows each new action for which the bench waits.
         """
         deadline, shown = time.monotonic() + READY, ""
         while not holds(self._client.status()):
@@ -281,10 +281,10 @@ class LiveShots:
             except CommandRefused as refused:
                 if time.monotonic() > deadline:
                     raise
-                cure = _AT_THE_ROBOT.get(refused.refusal, shown)
-                if cure != shown:
-                    shown = cure
-                    ask(cure)
+                action = _AT_THE_ROBOT.get(refused.refusal, shown)
+                if action != shown:
+                    shown = action
+                    ask(action)
             self._operator.pause()
 
     # Moving the bench ------------------------------------------------------------------------------

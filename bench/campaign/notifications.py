@@ -54,9 +54,9 @@ def read_services(file: Path) -> list[Service]:
     try:
         import apprise
     except ImportError as error:
-        cure = 'Run pip install "golfbench[notify]", or leave notifications.file empty.'
+        action = 'Run pip install "golfbench[notify]", or leave notifications.file empty.'
         raise BenchError(
-            "notifications.file", f"package apprise is not installed ({error})", "apprise", cure
+            "notifications.file", f"package apprise is not installed ({error})", "apprise", action
         ) from error
     log = logging.getLogger("apprise")
     log.propagate = False  # its texts may name a URL
@@ -64,16 +64,16 @@ def read_services(file: Path) -> list[Service]:
     text = read_text(file, "a text file", "Write the URLs of the services to it, one a line.")
     mode = file.stat().st_mode
     if mode & 0o077:
-        expected, cure = "readable by its owner only: it holds secrets", f"chmod 600 {file}"
-        raise BenchError(f"notifications.file: {file}", f"mode {mode & 0o777:o}", expected, cure)
+        expected, action = "readable by its owner only: it holds secrets", f"chmod 600 {file}"
+        raise BenchError(f"notifications.file: {file}", f"mode {mode & 0o777:o}", expected, action)
     services = []
     for number, line in enumerate(map(str.strip, text.splitlines()), 1):
         if not line or line.startswith("#"):
             continue
         place, one = f"{file}, line {number}", apprise.Apprise.instantiate(line)
         if one is None:
-            cure = "See apprise's list of services. The line is not shown: it may hold a secret."
-            raise BenchError(place, "a URL that apprise does not know", "the URL of a service", cure)
+            action = "See apprise's list of services. The line is not shown: it may hold a secret."
+            raise BenchError(place, "a URL that apprise does not know", "the URL of a service", action)
         services.append(Service(place, _sender(one)))
     return services
 

@@ -57,9 +57,9 @@ def find_plan(wanted: Path) -> Path:
         return wanted
     if len(wanted.parts) == 1 and wanted.name in campaign_names():
         return EXAMPLES / f"{wanted.name}.toml"
-    cure = did_you_mean(wanted.stem, campaign_names(), "Correct the path.")
+    action = did_you_mean(wanted.stem, campaign_names(), "Correct the path.")
     known = f"a path, or one of {', '.join(campaign_names())}"
-    raise BenchError(f"campaign {wanted}", "no such file", known, cure)
+    raise BenchError(f"campaign {wanted}", "no such file", known, action)
 
 
 def load_plan(path: Path, configuration: Configuration) -> CampaignPlan:
@@ -156,7 +156,7 @@ _SECTIONS = {"design.balls": "balls", "control.ball": "balls", "design.clubs": "
 """Section of the configuration that has the names of a key."""
 
 
-def _unknown_cure(section: str, name: str, known: Mapping[str, Any]) -> str:
+def _unknown_action(section: str, name: str, known: Mapping[str, Any]) -> str:
     """Return what to do about the `name` that `section` of plan and configuration lacks."""
     if variants := variants_with(section, name):
         use = " or ".join(f"golfbench --config {one}" for one in variants)
@@ -181,8 +181,8 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
     ):
         for name in names:
             if name not in known:
-                cure = _unknown_cure(_SECTIONS[key], name, known)
-                yield key, f"{format_value(name)}, unknown", f"one of {', '.join(known)}", cure
+                action = _unknown_action(_SECTIONS[key], name, known)
+                yield key, f"{format_value(name)}, unknown", f"one of {', '.join(known)}", action
     for key, names in (("balls", d.balls), ("clubs", d.clubs), ("swings", d.swings)):
         for name in names:
             if not name or name != name.strip() or not name.isprintable():
@@ -217,8 +217,8 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
         yield "warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it."
     if plan.analysis.reference and plan.analysis.reference not in levels(plan):
         found, wanted = format_value(plan.analysis.reference), f"one of {', '.join(levels(plan))}"
-        cure = did_you_mean(plan.analysis.reference, levels(plan), f"Use one of design.{d.compare}s.")
-        yield "analysis.reference", found, wanted, cure
+        action = did_you_mean(plan.analysis.reference, levels(plan), f"Use one of design.{d.compare}s.")
+        yield "analysis.reference", found, wanted, action
     yield from _carry(plan)
     yield from _hits(plan)
     yield from _covariates(plan)
@@ -254,15 +254,15 @@ def _split(plan: CampaignPlan) -> Iterator[Mistake]:
         return
     if d.compare != "club":
         found = f"{d.hits_per_mounting}, comparing {d.compare}s"
-        cure = "Leave it out: each club is a section, and is mounted once."
-        yield "design.hits_per_mounting", found, "0 unless clubs are compared", cure
+        action = "Leave it out: each club is a section, and is mounted once."
+        yield "design.hits_per_mounting", found, "0 unless clubs are compared", action
         return
     if len(d.clubs) > 1 and d.blocks < 2:
-        cure = "Each club is mounted once in each block; one mounting does not show how mountings differ."
-        yield "design.blocks", str(d.blocks), "at least 2 in a split-plot", cure
+        action = "Each club is mounted once in each block; one mounting does not show how mountings differ."
+        yield "design.blocks", str(d.blocks), "at least 2 in a split-plot", action
     if plan.control.ball:
-        found, cure = format_value(plan.control.ball), "Leave it out: blocks take the drift out of clubs."
-        yield "control.ball", found, "none in a split-plot", cure
+        found, action = format_value(plan.control.ball), "Leave it out: blocks take the drift out of clubs."
+        yield "control.ball", found, "none in a split-plot", action
 
 
 def _rules(plan: CampaignPlan) -> Iterator[Mistake]:
@@ -295,8 +295,8 @@ def _particulars(plan: CampaignPlan) -> Iterator[Mistake]:
     dates: dict[str, str] = {}
     for name, item in plan.items.items():
         if name not in known:
-            cure = did_you_mean(name, known, "Correct the name in the plan.")
-            yield f"items.{name}", "an item", f"a ball or club of {', '.join(known)}", cure
+            action = did_you_mean(name, known, "Correct the name in the plan.")
+            yield f"items.{name}", "an item", f"a ball or club of {', '.join(known)}", action
         dates[f"items.{name}.received"] = item.received
     for name, stated in plan.calibrations.items():
         dates[f"calibrations.{name}.date"] = stated.date
@@ -323,8 +323,8 @@ def _carry(plan: CampaignPlan) -> Iterator[Mistake]:
         found = (
             '"reference", while symmetry is judged: one ball\'s coefficients for pole and seam are the same'
         )
-        cure = "Take a monitor that sees the whole flight, or measure the aerodynamics of each orientation."
-        yield "analysis.carry", found, '"monitor" or "measured"', cure
+        action = "Take a monitor that sees the whole flight, or measure the aerodynamics of each orientation."
+        yield "analysis.carry", found, '"monitor" or "measured"', action
     if a.carry == "monitor" and a.quantity in {"total_m", "landing_angle"}:
         found = f'"monitor", while {a.quantity} is compared, which a launch monitor does not report here'
         yield "analysis.carry", found, '"reference" or "measured"', "Name one of them, or compare carry_m."
@@ -335,8 +335,8 @@ def _covariates(plan: CampaignPlan) -> Iterator[Mistake]:
     a = plan.analysis
     if a.covariates and plan.design.compare != "ball":
         found = f"{format_value(list(a.covariates))}, comparing {plan.design.compare}s"
-        cure = "Leave it out: clubs and swings differ by what they deliver."
-        yield "analysis.covariates", found, "none unless balls are compared", cure
+        action = "Leave it out: clubs and swings differ by what they deliver."
+        yield "analysis.covariates", found, "none unless balls are compared", action
     if a.quantity in a.covariates:
         yield "analysis.covariates", format_value(a.quantity), "not the quantity", "Leave it out."
     if a.explained and not a.covariates:
@@ -353,5 +353,5 @@ def _hits(plan: CampaignPlan) -> Iterator[Mistake]:
             samples = -(-needed // handling.hits)
             found = f"{handling.samples}; {needed} hits of {format_value(name)} are planned"
             wanted = f"at most {handling.samples} x {handling.hits} = {allowed} hits"
-            cure = f"Take {samples} samples of each ball, or fewer blocks."
-            yield "ball_handling.samples", found, wanted, cure
+            action = f"Take {samples} samples of each ball, or fewer blocks."
+            yield "ball_handling.samples", found, wanted, action

@@ -98,4 +98,4 @@ START_SERIES = (
     "Start the bench with golfbench run --series, or set [lifecycle] series = true for it, "
     "or plan the air of its profiles: golfbench profile address."
 )
-"""Cure of a bench that vents after each swing."""
+"""Action of a bench that vents after each swing."""

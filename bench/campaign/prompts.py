@@ -44,10 +44,10 @@ def require_count(prompt: Prompt, count: int) -> None:
         expected = f"no number, as the prompt reads: {prompt.text}"
         raise Refused(place, found, expected, "Answer without a number of balls.")
     if count < len(balls):
-        cure = (
+        action = (
             f"Load the rest from {places(balls)[count]} on, if the others are by the list; then answer again."
         )
     else:
-        cure = "Empty the feeder and load it by the list; then answer again."
+        action = "Empty the feeder and load it by the list; then answer again."
     if count != len(balls):
-        raise Refused(place, found, f"{len(balls)}, as listed", cure)
+        raise Refused(place, found, f"{len(balls)}, as listed", action)

@@ -339,8 +339,8 @@ class Runner:
         stored = (shot.role, shot.block, shot.position, shot.swing, shot.club, shot.ball)
         if planned != stored or step.attempt != shot.attempt:
             place = f"campaign {self._entry.id}, shot {shot.shot}"
-            cure = "Its records do not belong to its plan; start a new campaign."
-            raise BenchError(place, f"stored as {stored}", f"{planned} by its plan", cure)
+            action = "Its records do not belong to its plan; start a new campaign."
+            raise BenchError(place, f"stored as {stored}", f"{planned} by its plan", action)
 
     def _go_on(
         self, course: Course, step: Step | Ending, interrupted: Callable[[], bool], writer: ThreadPoolExecutor
@@ -667,8 +667,8 @@ class Runner:
         except NotStored as error:
             stored = self.taken - len(pending) + len(shots)
             resume = f"golfbench campaign resume {self._entry.id}"
-            cure = f"Free some space, then {resume}: {stored} shots are stored."
-            raise NotStored(error.place, error.found, error.expected, cure) from error
+            action = f"Free some space, then {resume}: {stored} shots are stored."
+            raise NotStored(error.place, error.found, error.expected, action) from error
         finally:
             if shots:
                 try:

@@ -236,13 +236,13 @@ def require_resumable(
         raise Refused(place, str(state), "an unfinished campaign", "Begin a new one.")
     if plan is not None and plan != plan_from_record(entry.plan, place):
         found = "another plan than it was begun with"
-        cure = "Leave the file out to go on as planned, or begin a new campaign."
-        raise Refused(place, found, f"the plan {entry.digest}, which is stored with it", cure)
+        action = "Leave the file out to go on as planned, or begin a new campaign."
+        raise Refused(place, found, f"the plan {entry.digest}, which is stored with it", action)
     changed = _changed(entry.configuration, configuration.effective())
     if changed := [key for key in changed if _can_change_a_shot(key)]:
         found = f"a configuration that differs in {', '.join(changed[:5])}"
-        cure = "Go on with --config and that configuration, or begin a new campaign."
-        raise Refused(place, found, "the one it was begun with", cure)
+        action = "Go on with --config and that configuration, or begin a new campaign."
+        raise Refused(place, found, "the one it was begun with", action)
 
 
 def _changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") -> list[str]:

@@ -88,15 +88,15 @@ def missing_records(stored: Sequence[StoredShot], data_dir: Path) -> list[str]:
 def _embedded(record: CampaignRecord, page: str, place: str) -> Mapping[str, Any]:
     """Return the data that `page` carries."""
     match = _DATA.search(page)
-    cure = "Write the report again: golfbench campaign report ID."
+    action = "Write the report again: golfbench campaign report ID."
     try:
         data: Any = json.loads(match[1]) if match else None
     except ValueError:
         data = None
     if not isinstance(data, dict) or not {"campaign", "shots", "figures", "units", "issue"} <= data.keys():
-        raise BenchError(place, "no data of a report", "a report of this version of golfbench", cure)
+        raise BenchError(place, "no data of a report", "a report of this version of golfbench", action)
     if data["campaign"] != record.entry.id:
-        raise BenchError(place, f"the report of {data['campaign']}", f"that of {record.entry.id}", cure)
+        raise BenchError(place, f"the report of {data['campaign']}", f"that of {record.entry.id}", action)
     return data
 
 

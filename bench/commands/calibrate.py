@@ -192,8 +192,8 @@ def valves(
     place = "calibrate valves"
     given = (centre, dead_band, uncertainty)
     if measure == any(v is not None for v in given) or (not measure and None in given):
-        expected, cure = "--measure, or --centre, --dead-band and --uncertainty", "Give one or the other."
-        raise BenchError(place, "--measure and values" if measure else "values missing", expected, cure)
+        expected, action = "--measure, or --centre, --dead-band and --uncertainty", "Give one or the other."
+        raise BenchError(place, "--measure and values" if measure else "values missing", expected, action)
     content: dict[str, Any] = {"centre": centre, "dead_band": dead_band, "uncertainty": uncertainty}
     if measure:
         content = _measured_valves(context.ensure_object(Session).configuration())
@@ -326,8 +326,8 @@ def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
     except NoRing as error:
         place = "calibrate encoders --from-pose"
         found = f"no bench {configuration.bench.id} running on this machine ({error.found})"
-        cure = "Start `golfbench run --read-only`, or give what the encoders show with --counts."
-        raise Refused(place, found, "one that reads the encoders, or --counts", cure) from error
+        action = "Start `golfbench run --read-only`, or give what the encoders show with --counts."
+        raise Refused(place, found, "one that reads the encoders, or --counts", action) from error
 
 
 def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
@@ -351,8 +351,8 @@ def _measured_valves(configuration: Configuration) -> dict[str, Any]:
 
     if configuration.driver.name != "sim":
         expected = 'driver "sim": the ramp runs on the software plant only'
-        cure = "Measure by hand, and give --centre, --dead-band and --uncertainty."
-        raise Refused("calibrate valves --measure", f"driver {configuration.driver.name}", expected, cure)
+        action = "Measure by hand, and give --centre, --dead-band and --uncertainty."
+        raise Refused("calibrate valves --measure", f"driver {configuration.driver.name}", expected, action)
     found = []
     for i, name in enumerate(ACTUATORS):
         try:

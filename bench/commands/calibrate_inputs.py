@@ -125,8 +125,8 @@ def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]
     from bench.processes.ownership import take_bench
 
     if not at_terminal():
-        cure = "Run it in a terminal beside the machine."
-        raise BenchError("calibrate inputs", "no terminal", "a person who acts and reads", cure)
+        action = "Run it in a terminal beside the machine."
+        raise BenchError("calibrate inputs", "no terminal", "a person who acts and reads", action)
 
     def say(text: str) -> None:
         typer.echo(text, err=True)

@@ -428,8 +428,8 @@ def verify(
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        cure = f"Write it: golfbench campaign report {record.entry.id}."
-        raise BenchError(str(path), error.strerror or "not readable", "a report", cure) from error
+        action = f"Write it: golfbench campaign report {record.entry.id}."
+        raise BenchError(str(path), error.strerror or "not readable", "a report", action) from error
     except UnicodeDecodeError as error:
         raise BenchError(
             str(path), "no text", "a report (HTML)", "Give the path of the HTML file."
@@ -610,8 +610,8 @@ def abort(
         except typer.Abort:  # end of input
             confirmed = False
         if not confirmed:
-            cure = f"golfbench campaign abort --yes {entry.id}"
-            raise Refused(f"campaign {entry.id}", "not aborted", "a confirmation", cure)
+            action = f"golfbench campaign abort --yes {entry.id}"
+            raise Refused(f"campaign {entry.id}", "not aborted", "a confirmation", action)
     _request(context, entry.id, "abort")
 
 

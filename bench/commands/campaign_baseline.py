@@ -58,15 +58,15 @@ def read_baseline(path: Path) -> list[Band]:
     """
     raw = read_toml(path, "a baseline", "Correct the path.")
     entries = raw.get("figure")
-    cure = "Write [[figure]] with path, low and high."
+    action = "Write [[figure]] with path, low and high."
     if not isinstance(entries, list) or not entries or set(raw) != {"figure"}:
         raise BenchError(
-            str(path), f"keys {', '.join(raw) or 'none'}", "[[figure]] entries, no other key", cure
+            str(path), f"keys {', '.join(raw) or 'none'}", "[[figure]] entries, no other key", action
         )
     faults, bands = [], list[Band]()
     for number, entry in enumerate(entries, 1):
         if fault := _fault(entry):
-            faults.append(BenchError(f"{path}: figure {number}", fault, "path, low and high", cure))
+            faults.append(BenchError(f"{path}: figure {number}", fault, "path, low and high", action))
         else:
             bands.append(Band(entry["path"], float(entry.get("low", -inf)), float(entry.get("high", inf))))
     if faults:

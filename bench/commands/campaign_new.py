@@ -116,8 +116,8 @@ def _require_answers(options: Mapping[str, object]) -> None:
     """
     missing = [f"--{name}" for name, value in options.items() if value in (None, [])]
     if missing and not at_terminal():
-        cure = f"Add {', '.join(missing)}."
-        raise BenchError("campaign new", f"no {', '.join(missing)}", "these options, or a terminal", cure)
+        action = f"Add {', '.join(missing)}."
+        raise BenchError("campaign new", f"no {', '.join(missing)}", "these options, or a terminal", action)
 
 
 def _given(value: T | None, question: str, read: Callable[[str], T]) -> T:

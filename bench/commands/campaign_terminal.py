@@ -296,7 +296,7 @@ class TerminalOperator:
             if self._prompt is not None:
                 require_count(self._prompt, count)
         except Refused as wrong:
-            self._say(f"Not confirmed: {wrong.found}, expected {wrong.expected}. {wrong.cure}")
+            self._say(f"Not confirmed: {wrong.found}, expected {wrong.expected}. {wrong.action}")
             return False
         return True
 

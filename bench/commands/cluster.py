@@ -59,8 +59,8 @@ def cluster(
     beyond = [place for place in (host, _host_of(join)) if place and not _is_loopback(place)]
     if files is None and beyond:
         found = f"{beyond[0]} without a certificate"
-        cure = "Make one with `golfbench certificates` and name it in network.identity."
-        raise BenchError("golfbench cluster", found, "127.0.0.1, or a certificate of this machine", cure)
+        action = "Make one with `golfbench certificates` and name it in network.identity."
+        raise BenchError("golfbench cluster", found, "127.0.0.1, or a certificate of this machine", action)
     count = len(os.sched_getaffinity(0)) if workers is None else workers
     asyncio.run(_serve(host, port, count, join, files))
 

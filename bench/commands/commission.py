@@ -105,14 +105,14 @@ def _require_possible(
     driver = configuration.driver
     simulated = sim or driver.name == "sim"
     if robot is not None and not simulated:
-        cure = "Leave it out: the robot behind the driver is the one that it is."
-        raise BenchError("commission --robot", f"driver {driver.name!r}", "a simulated robot", cure)
+        action = "Leave it out: the robot behind the driver is the one that it is."
+        raise BenchError("commission --robot", f"driver {driver.name!r}", "a simulated robot", action)
     if regulator is not None and simulated:
-        cure = "Leave it out: the simulated regulator is turned without it."
-        raise BenchError("commission --regulator", "a simulated robot", "a real one", cure)
+        action = "Leave it out: the simulated regulator is turned without it."
+        raise BenchError("commission --regulator", "a simulated robot", "a real one", action)
     if not sim and driver.name == "sim" and not driver.paced:
-        cure = 'Set driver.time = "paced", or add --sim.'
-        raise BenchError("driver.time", repr(driver.time), "'paced'", cure)
+        action = 'Set driver.time = "paced", or add --sim.'
+        raise BenchError("driver.time", repr(driver.time), "'paced'", action)
 
 
 def _require_somebody_at_the_regulator(*, simulated: bool, regulator: str | None) -> None:
@@ -123,8 +123,8 @@ def _require_somebody_at_the_regulator(*, simulated: bool, regulator: str | None
     """
     if simulated or regulator is not None or at_terminal():
         return
-    cure = "Name a program that turns the pressure regulator, or run the command in a terminal."
-    raise BenchError("commission --regulator", "neither a program nor a terminal", "one of them", cure)
+    action = "Name a program that turns the pressure regulator, or run the command in a terminal."
+    raise BenchError("commission --regulator", "neither a program nor a terminal", "one of them", action)
 
 
 def _commission(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.shot.overlay import FigureDifference, SwingCourse
 
-_CURE = "Give two records, profiles or configurations."
+_ACTION = "Give two records, profiles or configurations."
 _WIDTH = 130
 """Columns in a file or pipe."""
 
@@ -46,8 +46,8 @@ def compare(
         return _show_keys(places, _keys(settings[0]), _keys(settings[1]), json_)
     for place, found, other in zip(places, settings, reversed(places), strict=True):
         if found is not None:
-            cure = "Compare two configurations, or two records or profiles."
-            raise BenchError(place, f"a configuration beside {other}", "a record or a profile", cure)
+            action = "Compare two configurations, or two records or profiles."
+            raise BenchError(place, f"a configuration beside {other}", "a record or a profile", action)
     from bench.shot.overlay import clocks, differences
 
     configuration = context.ensure_object(Session).configuration()
@@ -76,7 +76,7 @@ def _settings(place: str) -> Configuration | None:
     from bench.from_toml import read_toml
 
     path = Path(place)
-    if path.suffix == ".toml" and "schema" not in read_toml(path, "a configuration or a profile", _CURE):
+    if path.suffix == ".toml" and "schema" not in read_toml(path, "a configuration or a profile", _ACTION):
         return load_configuration(path)
     return load_configuration(path) if place in variant_names() else None
 

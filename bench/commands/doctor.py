@@ -244,17 +244,17 @@ def package_probes() -> Iterator[Probe]:
 
 def package(requirement: Requirement) -> ItemResult:
     """Look whether a required distribution is installed in a version that is allowed, and can be imported."""
-    name, cure = requirement.name, "install what constraints.txt pins: `make clean demo`"
+    name, action = requirement.name, "install what constraints.txt pins: `make clean demo`"
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
-        return missing("not installed", cure)
+        return missing("not installed", action)
     try:  # a wheel for another processor ends the process with SIGILL
         _run("-c", f"import {_MODULES.get(name, name.replace('-', '_'))}")
     except (RuntimeError, subprocess.TimeoutExpired) as error:
-        return missing(f"{version}, import fails: {error}", cure)
+        return missing(f"{version}, import fails: {error}", action)
     if version not in requirement.specifier:
-        return limited(f"{version}, outside the tested versions", cure)
+        return limited(f"{version}, outside the tested versions", action)
     return ok(version)
 
 
@@ -286,7 +286,7 @@ def realtime_probes() -> Iterator[Probe]:
         found = granted()["settings"][name]
         if found["held"]:
             return ok(f"{found['granted']}: granted and read back")
-        return limited(f"{found['granted']}: {found['reason']}", found["cure"])
+        return limited(f"{found['granted']}: {found['reason']}", found["action"])
 
     def wake_up() -> ItemResult:
         figures: dict[str, float] = granted()["latency"]

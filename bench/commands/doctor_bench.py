@@ -94,10 +94,10 @@ def clock_source(root: Path) -> ItemResult:
     source, others = small_text(folder / "current_clocksource"), small_text(folder / "available_clocksource")
     if source in _STEADY:
         return ok(source)
-    cure = (
+    action = (
         "boot with clocksource=tsc" if "tsc" in others.split() else "see dmesg for why the kernel gave up tsc"
     )
-    return limited(f"{source or 'unknown'}: each read of the clock takes microseconds", cure)
+    return limited(f"{source or 'unknown'}: each read of the clock takes microseconds", action)
 
 
 def loop_core(root: Path, cpu: int) -> ItemResult:

@@ -210,5 +210,5 @@ def _from_matrix(matrix: Path, document: Callable[[dict[str, Any]], str]) -> str
     try:
         return document(json.loads(matrix.read_text(encoding="utf-8")))
     except (ValueError, KeyError, TypeError):
-        found, cure = "not a matrix", "Run `golfbench faults run` and name its matrix.json."
-        raise BenchError(str(matrix), found, "a matrix.json of `golfbench faults run`", cure) from None
+        found, action = "not a matrix", "Run `golfbench faults run` and name its matrix.json."
+        raise BenchError(str(matrix), found, "a matrix.json of `golfbench faults run`", action) from None

@@ -114,8 +114,8 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
     plant = configuration.plant
     if swings:
         if len(swings) < 2:
-            cure = "Add profiles, NAME.golfer.toml or model:NAME."
-            raise BenchError("SWING", swings[0], "a golfer and at least one other swing", cure)
+            action = "Add profiles, NAME.golfer.toml or model:NAME."
+            raise BenchError("SWING", swings[0], "a golfer and at least one other swing", action)
         reference, *others = (_motion(plant, text) for text in swings)
         pairs = [(reference, other) for other in others]
     else:

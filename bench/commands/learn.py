@@ -127,8 +127,10 @@ def _require_usable(options: Mapping[str, object], sim: bool) -> None:
     """Refuse any of `options` that is given: they belong to the other kind of bench than `sim`."""
     for given in (name for name, value in options.items() if value is not None):
         expected = f"{'with' if not sim else 'without'} --sim only"
-        cure = "Leave it out: a bench is " + ("the robot it is." if not sim else "read by its encoders here.")
-        raise BenchError("learn", given, expected, cure)
+        action = "Leave it out: a bench is " + (
+            "the robot it is." if not sim else "read by its encoders here."
+        )
+        raise BenchError("learn", given, expected, action)
 
 
 def _require_identified(records: list[Path] | None, identified: Path | None) -> None:

@@ -154,7 +154,7 @@ def swing(
     Exits with 1 if the swing did not complete. Profiles: golfbench profile.
     """
     from bench.errors import BenchError, Refused
-    from bench.network.client import cure_of
+    from bench.network.client import action_of
 
     if context.args:  # a slip for `golfbench profile ...` must not move the robot
         found, action = f'argument "{context.args[0]}"', "Profiles: golfbench profile --help."
@@ -163,7 +163,7 @@ def swing(
         status = bench.status()
         if status["state"] != "ARMED":
             found = f"{status['state']}{': ' + status['cause']['text'] if status['cause'] else ''}"
-            raise Refused(f"swing of bench {bench.bench}", found, "state ARMED", cure_of(status))
+            raise Refused(f"swing of bench {bench.bench}", found, "state ARMED", action_of(status))
         if no_wait:
             bench.swing(watch=watch)
             _tell(bench)

@@ -319,8 +319,8 @@ def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> G
     if follow == "body":
         return golfer
     if not isinstance(golfer, GolferSwing):
-        cure = "Name a file of golfbench golfer import, or leave --follow out."
-        raise BenchError("--follow", "club", "--golfer NAME.golfer.toml beside it", cure)
+        action = "Name a file of golfbench golfer import, or leave --follow out."
+        raise BenchError("--follow", "club", "--golfer NAME.golfer.toml beside it", action)
     return with_club_held(plant, golfer)
 
 
@@ -511,8 +511,8 @@ def address(
     try:
         planned = with_planned_air(load_profile(path), plant)
     except ValueError as error:
-        cure = "Check the plant, or design another address."
-        raise BenchError(str(path), str(error), "an address that the plant can hold", cure) from None
+        action = "Check the plant, or design another address."
+        raise BenchError(str(path), str(error), "an address that the plant can hold", action) from None
     save_profile(output, planned)
     pressures = ", ".join(f"{pressure / 1e5:.2f}" for pressure in planned.air)
     typer.echo(f"{output}: chambers at {pressures} bar absolute, supply {planned.air_supply / 1e5:.2f} bar.")

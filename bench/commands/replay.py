@@ -28,8 +28,8 @@ def replay_command(path: Path, tolerance: float, json_: bool) -> bool:
         BenchError, ExceptionGroup: as `bench.simulation.replay.replay_cycles`.
     """
     if not 0.0 <= tolerance < inf:
-        cure = f"Leave it out for {TOLERANCE:g}."
-        raise BenchError("replay: --tolerance", f"{tolerance}", "a finite number of at least 0", cure)
+        action = f"Leave it out for {TOLERANCE:g}."
+        raise BenchError("replay: --tolerance", f"{tolerance}", "a finite number of at least 0", action)
     cycles, metadata = read_swing(path)
     with progress_of(f"replaying {path.name}", len(cycles)) as show:
         replay = replay_cycles(cycles, metadata, str(path), lambda done, total: show(done))

@@ -149,7 +149,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
 
 
 def _cause(cause: CauseStatus) -> Text:
-    return Text(f"{cause['name']}: {in_one((cause['text'], cause['cure']))}", "red")
+    return Text(f"{cause['name']}: {in_one((cause['text'], cause['action']))}", "red")
 
 
 def _lease(lease: LeaseStatus) -> Text:

@@ -93,7 +93,7 @@ def statements(experiment: ThesisExperiment, others: Others) -> list[Statement]:
         downswing = f"{s.contact_time - back_end:.3f} s from the tables' {back_end:.2f} s"
         whole = f"{s.contact_time:.3f} s to the ball"
         height = f"{100 * s.height_error:+.1f} cm"
-        above = "passes above; the thesis' cure suits a head that is low"
+        above = "passes above; the thesis' action suits a head that is low"
         side = above if s.height_error > 0 else "passes below"
         speed = f"{s.club_speed:.1f} m/s"
     largest, busiest = int(np.argmax(s.largest_error)), int(np.argmax(s.saturated))

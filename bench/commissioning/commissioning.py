@@ -88,7 +88,7 @@ class WrongFound(NamedTuple):
     place: str
     found: str
     expected: str
-    cure: str
+    action: str
 
 
 @dataclass
@@ -149,15 +149,15 @@ def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume
     path = folder / STATE_FILE
     if not resume:
         if path.exists():
-            cure = "Continue it with --resume, or name another folder."
-            raise BenchError(str(path), "a commissioning that was begun", "an empty folder", cure)
+            action = "Continue it with --resume, or name another folder."
+            raise BenchError(str(path), "a commissioning that was begun", "an empty folder", action)
         file = str(configuration.files[-1].resolve())
         return Commissioning(folder, digest, file, simulated)
     state = read_state(folder)
     if state.digest != digest or state.simulated != simulated:
         expected = f"the robot of {state.configuration}, {'' if state.simulated else 'not '}simulated"
-        cure = "Continue with the same --config and --sim, or begin in another folder."
-        raise BenchError(str(path), "another configured robot", expected, cure)
+        action = "Continue with the same --config and --sim, or begin in another folder."
+        raise BenchError(str(path), "another configured robot", expected, action)
     state.wrong = None
     return state
 
@@ -188,11 +188,11 @@ def read_state(folder: Path) -> Commissioning:
         robot = str(content["robot"])
         return Commissioning(folder, digest, configuration, simulated, robot, done, wrong)
     except FileNotFoundError:
-        cure = "Begin without --resume."
-        raise BenchError(str(path), "no such file", "a commissioning that was begun", cure) from None
+        action = "Begin without --resume."
+        raise BenchError(str(path), "no such file", "a commissioning that was begun", action) from None
     except (OSError, ValueError, KeyError, TypeError) as error:
-        cure = "Begin again in another folder."
-        raise BenchError(str(path), str(error), "the state of a commissioning", cure) from None
+        action = "Begin again in another folder."
+        raise BenchError(str(path), str(error), "the state of a commissioning", action) from None
 
 
 def plant_digest(plant: PlantParameters) -> str:
@@ -346,7 +346,7 @@ def _noting_what_is_wrong(
         yield
     except WrongMachine as error:
         state.wrong = WrongFound(
-            step.name, now().isoformat(), error.place, error.found, error.expected, error.cure
+            step.name, now().isoformat(), error.place, error.found, error.expected, error.action
         )
         state.save()
         raise

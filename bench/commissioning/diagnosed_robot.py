@@ -44,13 +44,13 @@ class DiagnosedRobot:
         self._records.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(self._records / "wrong-swing.npz", cycles=swing.cycles)
         said = "; ".join([self.last.text, *exceeded(loads)])
-        raise WrongMachine(name, said, "the robot that was measured", self.last.named.cause.cure)
+        raise WrongMachine(name, said, "the robot that was measured", self.last.named.cause.action)
 
     def explained(self, error: Refused) -> Refused:
         """Return `error` of a step with what the last swing says, where that says no cause."""
         if self.last is None or self.last.named is not None or isinstance(error, PredictionFails):
             return error
-        return type(error)(error.place, f"{error.found}; {self.last.text}", error.expected, error.cure)
+        return type(error)(error.place, f"{error.found}; {self.last.text}", error.expected, error.action)
 
 
 class DiagnosedSeries:

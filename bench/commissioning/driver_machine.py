@@ -58,23 +58,25 @@ _READY = 3.0
 
 
 _RESUME = "continue with --resume."
-"""Cure of what ended a step of `golfbench commission`."""
+"""Action of what ended a step of `golfbench commission`."""
 
 
 class Stalled(Refused):
     """A stall of the computer ended a motion; its step can be repeated."""
 
 
-def stopped_by_operator(place: str = "commission", cure: str = _RESUME) -> Refused:
+def stopped_by_operator(place: str = "commission", action: str = _RESUME) -> Refused:
     """Return the error of a motion that was asked to end."""
-    return Refused(place, "stopped by the operator", "a motion without a stop", cure[0].upper() + cure[1:])
+    return Refused(
+        place, "stopped by the operator", "a motion without a stop", action[0].upper() + action[1:]
+    )
 
 
 class _Trouble(NamedTuple):
     """Why a machine may not move; without text it may."""
 
     text: str = ""
-    cure: str = ""
+    action: str = ""
     lasting: bool = False
     """Whether it cannot pass by itself."""
     of_device: bool = False
@@ -228,8 +230,8 @@ class DriverMachine:
         if not found:
             return
         self.make_passive()
-        cure = "Adjust its centre by the maker's manual, or look for a stuck spool."
-        raise WrongMachine(f"{joint} valve", f"{found} with the spools centred", "rest", cure)
+        action = "Adjust its centre by the maker's manual, or look for a stuck spool."
+        raise WrongMachine(f"{joint} valve", f"{found} with the spools centred", "rest", action)
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
         """Run `segments` with the supply on; afterwards the last openings stay in force."""
@@ -365,13 +367,13 @@ class DriverMachine:
             Refused: otherwise.
         """
         self.make_passive()
-        expected, text, cure = "a machine that reads and may move", self._trouble.text, self._trouble.cure
+        expected, text, action = "a machine that reads and may move", self._trouble.text, self._trouble.action
         if self._trouble.of_device and self._stall and self._now - self._stalled_at < _STALL_FELT:
             stall = f"this program stood still for {1e3 * self._stall:.0f} ms, a stall of the computer"
             text = f"{text}, after {stall}"
-            cure = f"End other programs, see golfbench doctor, then {self._again}"
-            raise Stalled(self._place, text, expected, cure)
-        raise Refused(self._place, text, expected, cure)
+            action = f"End other programs, see golfbench doctor, then {self._again}"
+            raise Stalled(self._place, text, expected, action)
+        raise Refused(self._place, text, expected, action)
 
     def _problem(self) -> _Trouble:
         """Return why the machine may not move."""
@@ -385,25 +387,25 @@ class DriverMachine:
     def _device_failure(self) -> _Trouble:
         """Return what the device or its sensors fail to give."""
         r = self._readings[0]
-        problem, cure, lasting, of_device = "", "", False, False
+        problem, action, lasting, of_device = "", "", False, False
         if not self._driver.operational:
             trouble = getattr(self._driver, "trouble", "") or "its watchdog, or its link"
             problem, lasting, of_device = f"the device went passive: {trouble}", True, True
-            cure = f"Check its link, then {self._again}"
+            action = f"Check its link, then {self._again}"
         elif not all(r["encoder_valid"]):
             lost = ", ".join(JOINTS[i] for i in range(3) if not r["encoder_valid"][i])
-            problem, cure = f"no valid reading of the encoder of {lost}", "Check its plug and cable."
+            problem, action = f"no valid reading of the encoder of {lost}", "Check its plug and cable."
             of_device = True
         elif self._inputs_only:
             pass
         elif not np.isfinite(r["supply_pressure"]):
-            problem, cure = "no reading of the supply's pressure", "Check the sensor and its cable."
+            problem, action = "no reading of the supply's pressure", "Check the sensor and its cable."
             of_device = True
         elif not np.all(np.isfinite(r["chamber_pressure"])):
             lost = ", ".join(CHAMBERS[k] for k in range(6) if not np.isfinite(r["chamber_pressure"][k]))
             problem, of_device = f"no pressure of {lost}", True
-            cure = "Fit chamber sensors, or check their cables: commissioning measures the air by them."
-        return _Trouble(problem, cure, lasting, of_device)
+            action = "Fit chamber sensors, or check their cables: commissioning measures the air by them."
+        return _Trouble(problem, action, lasting, of_device)
 
 
 class _Log:

@@ -62,7 +62,7 @@ class Input(NamedTuple):
     off: str
     on: str
     """Words for its levels."""
-    cure: str
+    action: str
 
 
 _CONTACT = "Look for a bridge, a welded contact or a short circuit, and for its plug and cable."
@@ -143,12 +143,12 @@ class InputFinding(NamedTuple):
     place: str
     found: str
     expected: str
-    cure: str
+    action: str
 
     @property
     def text(self) -> str:
         """The finding as a sentence."""
-        return f"{self.place}: {self.found}; expected {self.expected}. {self.cure}"
+        return f"{self.place}: {self.found}; expected {self.expected}. {self.action}"
 
 
 Column = tuple[bool, ...]
@@ -213,12 +213,14 @@ def _wrong(name: str, done: Sequence[Stage], wanted: Column, read: Column) -> In
     word = {False: one.off, True: one.on}
     if len(set(read)) == 1:
         found = f"reads {word[read[0]]!r} all the time"
-        cure = one.cure if read[0] else f"Look for a cut cable, a loose plug or a lost supply. {one.cure}"
-        return InputFinding(name, found, "a change when it is acted on", cure)
+        action = (
+            one.action if read[0] else f"Look for a cut cable, a loose plug or a lost supply. {one.action}"
+        )
+        return InputFinding(name, found, "a change when it is acted on", action)
     if all(a != b for a, b in zip(wanted, read, strict=True)):
-        cure = "Wire the contact that opens when acted on, or the other one of a position switch."
-        return InputFinding(name, "reads the opposite at all times", "the right way round", cure)
+        action = "Wire the contact that opens when acted on, or the other one of a position switch."
+        return InputFinding(name, "reads the opposite at all times", "the right way round", action)
     at = next(k for k in range(len(done)) if wanted[k] != read[k])
     return InputFinding(
-        name, f"reads {word[read[at]]!r} with {done[at].name}", f"{word[wanted[at]]!r}", one.cure
+        name, f"reads {word[read[at]]!r} with {done[at].name}", f"{word[wanted[at]]!r}", one.action
     )

@@ -102,8 +102,10 @@ def check_inputs(
         WrongMachine: a joint moves.
     """
     if hands.gauge is None:
-        cure = "Run it in a terminal, or golfbench calibrate inputs before."
-        raise Refused("check of the inputs", "no person at the machine", "a person who acts and reads", cure)
+        action = "Run it in a terminal, or golfbench calibrate inputs before."
+        raise Refused(
+            "check of the inputs", "no person at the machine", "a person who acts and reads", action
+        )
     c, atmosphere = configuration, configuration.plant.supply.atmosphere
     done = stages(local_reset=c.lifecycle.local_reset)
     try:
@@ -126,10 +128,10 @@ def check_inputs(
 def raise_findings(findings: list[InputFinding]) -> None:
     """Raise WrongMachine with all `findings`, if there are any."""
     if findings:
-        place, found, expected, cure = (
+        place, found, expected, action = (
             "; ".join(dict.fromkeys(part)) for part in zip(*findings, strict=True)
         )
-        raise WrongMachine(place, found, expected, cure)
+        raise WrongMachine(place, found, expected, action)
 
 
 def _watched(
@@ -192,8 +194,10 @@ def _beside_the_gauge(
         machine.watch(_WARNING, None, inf, c.lifecycle.warning_time, c.lifecycle.warning_time)
         readings = machine.watch(on, None, inf, _FILLED, _FILLED)
         if not (readings.guard_closed and readings.guard_locked and readings.emergency_stop_clear):
-            cure = "Close the guard, release the emergency stop, and begin again."
-            raise Refused("check of the inputs", "the guard or the emergency stop", "closed, and clear", cure)
+            action = "Close the guard, release the emergency stop, and begin again."
+            raise Refused(
+                "check of the inputs", "the guard or the emergency stop", "closed, and clear", action
+            )
         over = gauge()
         if not over >= _LEAST_SHARE * (pressure - atmosphere):
             raise Refused(

@@ -150,8 +150,8 @@ class LiveRobot:
             done, answer = self._answer()
         except (EOFError, OSError):
             found = self._child.ending or "closed its connection"
-            cure = "See its output above; the device is passive. Continue with --resume."
-            raise MachineLost("the machine's process", f"it {found}", "an answer", cure) from None
+            action = "See its output above; the device is passive. Continue with --resume."
+            raise MachineLost("the machine's process", f"it {found}", "an answer", action) from None
         if not done:
             raise answer
         return answer

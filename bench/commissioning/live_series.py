@@ -124,8 +124,8 @@ class LiveSeries:
                 return made._replace(cause=cause)
             found = f"stopped: {cause_text(cause, stall)}" if stall else "the record has gaps before the ball"
             self._say(f"{found}: the swing is repeated")
-        cure = "Look at the timing: golfbench doctor."
-        raise Refused(f"swinging {profile.name!r}, {_REPEATED} times", found, "a whole swing", cure)
+        action = "Look at the timing: golfbench doctor."
+        raise Refused(f"swinging {profile.name!r}, {_REPEATED} times", found, "a whole swing", action)
 
     def _swing(self, profile: Profile, *, ball: bool) -> tuple[Cycles, bool]:
         """Return the records of a swing, one a tick, and whether none is missing up to the ball."""
@@ -244,8 +244,10 @@ class LiveSeries:
                 self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
                 called = True
             if waited > (_PERSON if person else patience):
-                fact, cure = refusal_words(refusal, getattr(self._driver, "trouble", ""))
-                raise Refused(f"{request.name.lower()} of the robot", fact, "an accepted request", f"{cure}.")
+                fact, action = refusal_words(refusal, getattr(self._driver, "trouble", ""))
+                raise Refused(
+                    f"{request.name.lower()} of the robot", fact, "an accepted request", f"{action}."
+                )
             self._require_no_stop()
             operator.advance(round(_AGAIN / operator.period))
             operator.begin_record()

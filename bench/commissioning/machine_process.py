@@ -5,7 +5,7 @@ the plan's connection, and each is answered with its number, whether it was done
 JSON lines on stdout:
 
 `ready`   `real_time`
-`failed`  `place`, `found`, `expected`, `cure`, `exit_code`: it cannot work
+`failed`  `place`, `found`, `expected`, `action`, `exit_code`: it cannot work
 `say`     `text`: a person is to do something
 
 Whatever runs ends once another order waits, on SIGTERM, or when its parent is gone; the robot is then brought
@@ -128,8 +128,8 @@ def _answer(server: MachineServer, order: Order) -> tuple[bool, Any]:
     except BenchError as error:
         return False, error
     except DriverError as error:
-        cure = "Look at the device and its link, then continue with --resume."
-        return False, Refused("driver", str(error), "a device that works", cure)
+        action = "Look at the device and its link, then continue with --resume."
+        return False, Refused("driver", str(error), "a device that works", action)
 
 
 def main() -> int:

@@ -212,12 +212,12 @@ def require_within(trace: MotionTrace, doing: str) -> None:
     if not trace.tripped:
         return
     if trace.tripped.way_of is not None:
-        cure = (
+        action = (
             "An encoder's scale is wrong (plant.encoders.counts_per_revolution), or its "
             "coupling is loose, or a stop is missing."
         )
     else:
-        cure = (
+        action = (
             "Look for a valve that opens too far, an encoder that jumps, or a supply that is not turned down."
         )
-    raise WrongMachine(doing, trace.tripped.text, "a slow motion between the stops", cure)
+    raise WrongMachine(doing, trace.tripped.text, "a slow motion between the stops", action)

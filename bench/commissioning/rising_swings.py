@@ -219,8 +219,8 @@ def _swung(robot: SwungRobot, bench: Bench, share: float, folder: Path) -> str:
     whole = [one for one in predicted if not one.cause]
     if not whole:
         said = f"{_STOPPED}{CAUSE_TEXT[predicted[0].cause]}"
-        cure = "Look at friction and dead bands: the robot as measured cannot make a swing designed for it."
-        raise PredictionStopped(f"prediction of the {place}", said, "a whole swing", cure)
+        action = "Look at friction and dead bands: the robot as measured cannot make a swing designed for it."
+        raise PredictionStopped(f"prediction of the {place}", said, "a whole swing", action)
     series = robot.series(bench)
     made = series.swing(bench.profile, ball=ball)
     np.savez_compressed(folder / f"records/6-swing-{100 * share:.0f}.npz", cycles=made.cycles)
@@ -254,8 +254,8 @@ def require_safe(loads: Loads | None, place: str, error: type[WrongMachine] = Wr
         WrongMachine: a rating was exceeded.
     """
     if unsafe := exceeded(loads):
-        cure = "Inspect cushions, chambers and club before anything moves; brakes are weaker than assumed."
-        raise error(place, "; ".join(unsafe), "loads within every rating", cure)
+        action = "Inspect cushions, chambers and club before anything moves; brakes are weaker than assumed."
+        raise error(place, "; ".join(unsafe), "loads within every rating", action)
 
 
 def deviation(bench: Bench, predicted: SeriesSwing, made: SeriesSwing) -> SwingDeviation:
@@ -319,19 +319,21 @@ def require_as_predicted(
     Raises:
         WrongMachine: it is not.
     """
-    cure = "Look for what changed since the steps before: supply and hoses, play, a rubbing joint, the club."
+    action = (
+        "Look for what changed since the steps before: supply and hoses, play, a rubbing joint, the club."
+    )
     if cause:
-        raise SwingStopped(place, f"{_STOPPED}{CAUSE_TEXT[cause]}", "a whole swing", cure)
+        raise SwingStopped(place, f"{_STOPPED}{CAUSE_TEXT[cause]}", "a whole swing", action)
     off = found.measured / found.predicted - 1.0
     spread = spread or PredictionSpread()
     most = _MOST_SPEED / share + spread.speed
     if not abs(off) <= most:
         said = f"head speed {100 * off:+.0f} % beside its prediction"
-        raise WrongMachine(place, said, f"within {100 * most:.0f} %", cure)
+        raise WrongMachine(place, said, f"within {100 * most:.0f} %", action)
     for i, joint in enumerate(JOINTS):
         if not found.path[i] <= (bound := _MOST_PATH[i] + spread.path[i]):
             away = f"the {joint} {found.path[i]:.2f} rad beside its prediction"
-            raise WrongMachine(place, away, f"at most {bound:.2f} rad", cure)
+            raise WrongMachine(place, away, f"at most {bound:.2f} rad", action)
         measured, predicted = found.braking[:, i].tolist()
         if measured > (1.0 + _MOST_BRAKE[0]) * predicted + _MOST_BRAKE[1]:
             raise WrongMachine(

@@ -34,7 +34,7 @@ class SwingCause(NamedTuple):
     """Values to begin the search with, in rising order; between the first and the last it stays."""
     words: Callable[[float], str]
     """Says the value."""
-    cure: str
+    action: str
 
 
 def swing_causes(recorded: RecordedSwing) -> list[SwingCause]:
@@ -151,18 +151,20 @@ def _milliseconds(word: str) -> Callable[[float], str]:
     return lambda value: f"{word} {1e3 * value:.0f} ms"
 
 
-def _factor(place: str, what: str, keys: tuple[str, ...], values: tuple[float, ...], cure: str) -> SwingCause:
+def _factor(
+    place: str, what: str, keys: tuple[str, ...], values: tuple[float, ...], action: str
+) -> SwingCause:
     def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
         return recorded.errors(with_values(plant, {key: value * float(value_at(plant, key)) for key in keys}))
 
-    return SwingCause(place, what, errors, values, _times, cure)
+    return SwingCause(place, what, errors, values, _times, action)
 
 
-def _added(place: str, what: str, key: str, values: tuple[float, ...], cure: str) -> SwingCause:
+def _added(place: str, what: str, key: str, values: tuple[float, ...], action: str) -> SwingCause:
     def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
         return recorded.errors(with_values(plant, {key: value + float(value_at(plant, key))}))
 
-    return SwingCause(place, what, errors, values, lambda value: f"{value:+.2g}", cure)
+    return SwingCause(place, what, errors, values, lambda value: f"{value:+.2g}", action)
 
 
 def _opening(joint: int) -> Changed:

@@ -37,8 +37,8 @@ def load_configuration(path: Path | None = None) -> Configuration:
         if len(files) > 1
         else f'Or begin {shown_path(file)} with base = "{SHIPPED}".'
     )
-    cure = f"Correct the value; {PRINT} prints its meaning, unit and default."
-    builder = Builder(tree, file, cure, add, DERIVED, faults)
+    action = f"Correct the value; {PRINT} prints its meaning, unit and default."
+    builder = Builder(tree, file, action, add, DERIVED, faults)
     configuration = builder.build(Configuration)
     if configuration is not None:
         configuration = _with_derived(configuration, files)

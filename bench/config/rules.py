@@ -50,7 +50,7 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         try:
             database_url(c.bench.database, c.bench.data_dir)
         except BenchError as error:
-            yield error.place, error.found, error.expected, error.cure
+            yield error.place, error.found, error.expected, error.action
     for key, entries in (("club", c.clubs), ("ball", c.balls)):
         name = getattr(c.swing, key)
         if name not in entries:
@@ -58,11 +58,11 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             yield f"swing.{key}", format_value(name), known, f"Choose one, or add [{key}s.{name}]."
     drivers = sorted({entry.name for entry in entry_points(group="golfbench.drivers")})
     if c.driver.name not in drivers:
-        cure = "Choose one, or install the plug-in that brings it."
-        yield "driver.name", format_value(c.driver.name), f"one of {', '.join(drivers)}", cure
+        action = "Choose one, or install the plug-in that brings it."
+        yield "driver.name", format_value(c.driver.name), f"one of {', '.join(drivers)}", action
     if c.driver.name == "daq" and c.homing.method != "index":
-        cure = "The card's counters do not know the angle until the index has passed."
-        yield "homing.method", format_value(c.homing.method), 'with driver "daq" "index"', cure
+        action = "The card's counters do not know the angle until the index has passed."
+        yield "homing.method", format_value(c.homing.method), 'with driver "daq" "index"', action
     phases = EnvelopeSettings().following.keys()
     for name in phases ^ c.envelope.following.keys():
         found = "nothing" if name in phases else "an unknown phase"
@@ -138,12 +138,12 @@ def _linkage(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         if not 1.5 * pi + dead - mounted <= theta3 <= 2.5 * pi - dead - mounted:
             low, high = (degrees(end * pi - mounted) for end in (1.5, 2.5))
             span = f"{low + degrees(dead):.1f} to {high - degrees(dead):.1f} deg"
-            cure = "Narrow the range; envelope.min_lever says how little lever may be left."
+            action = "Narrow the range; envelope.min_lever says how little lever may be left."
             yield (
                 f"plant.wrist.{end}",
                 f"{theta3 * 180 / pi:.1f} deg",
                 f"{span}: where the lever turns it",
-                cure,
+                action,
             )
 
 
@@ -191,8 +191,8 @@ def _gains(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         leaf, value = _leaf(tree, key), attrgetter(name)(c.control)
         if value == attrgetter(name)(known) or _is_below(leaf, chosen, c.files):
             continue
-        cure = 'Delete it, or set control.gains = "hand".'
-        yield key, format_value(value), 'not set, as gains are from the "machine"', cure
+        action = 'Delete it, or set control.gains = "hand".'
+        yield key, format_value(value), 'not set, as gains are from the "machine"', action
 
 
 def _is_below(leaf: Leaf | None, other: Leaf | None, files: tuple[Path, ...]) -> bool:
@@ -266,8 +266,8 @@ def _club_sites(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         # A club that has no site of its own stands where the plant does, which is checked there.
         if _leaf(tree, f"{key}.plane") is None:
             continue
-        for part, found, wanted, cure in _site(replace(c, plant=c.plant_of(name, club)), tree):
-            yield part.replace("plant.site", key), found, wanted, cure
+        for part, found, wanted, action in _site(replace(c, plant=c.plant_of(name, club)), tree):
+            yield part.replace("plant.site", key), found, wanted, action
         tilt = site.plane - club.lie
         if abs(tilt) > MAX_TOE_TILT + 1e-9:
             found = f"{degrees(site.plane):.1f} deg, with the club's lie at {degrees(club.lie):.1f} deg"
@@ -276,8 +276,8 @@ def _club_sites(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         deep = site.ground - (site.ball_y - site.sole_depth)
         if deep > 1e-6:
             found = f"{short(site.sole_depth)} m, a sole {1e3 * deep:.1f} mm in the ground at the ball"
-            cure = "Raise the ball (ball_y), or correct the depth of the sole."
-            yield f"{key}.sole_depth", found, f"at most {site.ball_y - site.ground:.4f} m", cure
+            action = "Raise the ball (ball_y), or correct the depth of the sole."
+            yield f"{key}.sole_depth", found, f"at most {site.ball_y - site.ground:.4f} m", action
 
 
 def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
@@ -301,8 +301,8 @@ def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         found = f"{short(lost)} s at {short(c.loop.rate)} Hz"
         least, faster = short(COST_OF_A_SYNC * period), ceil(COST_OF_A_SYNC / lost)
         wanted = f"at least {COST_OF_A_SYNC:g} ticks, {least} s: a lost SYNC costs two samples"
-        cure = f"Set loop.rate to {faster} Hz or more, or raise it: 0.009 s was proven safe."
-        yield "envelope.lost_time", found, wanted, cure
+        action = f"Set loop.rate to {faster} Hz or more, or raise it: 0.009 s was proven safe."
+        yield "envelope.lost_time", found, wanted, action
     longest = LONGEST_ANSWER * period
     if bus.answer_time > longest:
         found = f"{short(bus.answer_time)} s"
@@ -340,8 +340,13 @@ def _faults(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             )
             yield key, found, f"{wanted} and simulated nodes", "Delete it, or set driver.name."
         if fault.signal in _LOOPS_OWN:
-            cure = "End or freeze the process itself; `golfbench faults run` tries the rest."
-            yield f"{key}.signal", format_value(fault.signal), "a signal or part of the simulated robot", cure
+            action = "End or freeze the process itself; `golfbench faults run` tries the rest."
+            yield (
+                f"{key}.signal",
+                format_value(fault.signal),
+                "a signal or part of the simulated robot",
+                action,
+            )
         if fault.kind == "delayed" and fault.value > (longest := MAX_DELAY * c.plant.tick):
             yield f"{key}.value", f"{short(fault.value)} s", f"at most {short(longest)} s", "Lower it."
 
@@ -367,7 +372,7 @@ def contradictions(configuration: Configuration) -> list[BenchError]:
     """Return the contradictions in a configuration that was changed after it was loaded."""
     place = ", ".join(map(str, configuration.files))
     return [
-        BenchError(f"{place}: {key}", found, wanted, cure)
+        BenchError(f"{place}: {key}", found, wanted, action)
         for rule in RULES
-        for key, found, wanted, cure in rule(configuration, {})
+        for key, found, wanted, action in rule(configuration, {})
     ]

@@ -85,9 +85,9 @@ def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
         wanted = "true with a real robot: who resets over the network does not see who stands beside it"
         yield "lifecycle.local_reset", "false", wanted, "Wire the button and set the key to true."
     if c.loop.realtime != "require":
-        found, cure = format_value(c.loop.realtime), "Set it, and try it with `golfbench doctor`."
+        found, action = format_value(c.loop.realtime), "Set it, and try it with `golfbench doctor`."
         wanted = '"require" with a real robot: a loop that other work delays stops swings, or brakes late'
-        yield "loop.realtime", found, wanted, cure
+        yield "loop.realtime", found, wanted, action
     if not c.homing.stops:
         wanted = "true with a real robot: neither pose nor index shows a coupling that slipped a little"
         yield "homing.stops", "false", wanted, "Set it to true."
@@ -124,14 +124,14 @@ def _vent_proof(c: Configuration) -> Iterator[Mistake]:
     if settings.vent_proof:
         return
     section = "daq" if c.driver.name == "daq" else "canopen.valve_node"
-    cure = f"Fit sensors, or name in {section}.vent_proof the switches on the manifold and on each exhaust."
+    action = f"Fit sensors, or name in {section}.vent_proof the switches on the manifold and on each exhaust."
     if not settings.supply_pressure:
         wanted = f"a sensor, or {section}.vent_proof: nothing else shows what the manifold holds"
-        yield f"{section}.supply_pressure", "no sensor", wanted, cure
+        yield f"{section}.supply_pressure", "no sensor", wanted, action
     if not all(settings.chamber_pressures):
         found = "no sensor" if not any(settings.chamber_pressures) else "a chamber without sensor"
         wanted = (
             f"a sensor in each chamber, or {section}.vent_proof: neither time nor a vent's position proves "
             "that air flows out"
         )
-        yield f"{section}.chamber_pressures", found, wanted, cure
+        yield f"{section}.chamber_pressures", found, wanted, action

@@ -35,7 +35,7 @@ REQUIRED = frozenset(MODEL_PHASES["air"]) - FROM_SETTINGS
 LimitTables = Mapping[str, Mapping[str, Triple]]
 """Limits by comparison and row, joints in order: Pa, Pa, rad/s, rad, N m."""
 
-_CURE = "Make it again with `golfbench profile limits`."
+_ACTION = "Make it again with `golfbench profile limits`."
 
 
 @dataclass(frozen=True)
@@ -103,15 +103,15 @@ def load_limits(path: Path) -> ModelLimits:
         BenchError: the file is missing, unreadable or not one of limits; a key is unknown or missing, a limit
             is not a finite number above 0.
     """
-    raw = read_toml(path, "a file of limits", _CURE)
+    raw = read_toml(path, "a file of limits", _ACTION)
     known = {"schema", *(field.name for field in fields(ModelLimits)), *KINDS} - {"tables"}
     for key in sorted(raw.keys() - known):
-        cure = did_you_mean(key, known, _CURE)
-        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}", cure)
+        action = did_you_mean(key, known, _ACTION)
+        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(known))}", action)
     for key in sorted(known - raw.keys()):
-        raise BenchError(f"{path}: {key}", "missing", f"the key {key}", _CURE)
+        raise BenchError(f"{path}: {key}", "missing", f"the key {key}", _ACTION)
     if raw["schema"] != SCHEMA:
-        raise BenchError(f"{path}: schema", format_value(raw["schema"]), format_value(SCHEMA), _CURE)
+        raise BenchError(f"{path}: schema", format_value(raw["schema"]), format_value(SCHEMA), _ACTION)
     made_for = _made_for(f"{path}: made_for", raw["made_for"])
     tables = {kind: _table(path, kind, raw[kind]) for kind in KINDS}
     return ModelLimits(str(raw["profile"]), int(raw["draws"]), made_for, tables)
@@ -119,10 +119,10 @@ def load_limits(path: Path) -> ModelLimits:
 
 def _made_for(place: str, table: Any) -> MadeFor:
     if not isinstance(table, dict) or table.keys() != set(MadeFor._fields):
-        raise BenchError(place, format_value(table), f"{', '.join(MadeFor._fields)}", _CURE)
+        raise BenchError(place, format_value(table), f"{', '.join(MadeFor._fields)}", _ACTION)
     for part in ("plant", "controller"):
         if not isinstance(table[part], dict):
-            raise BenchError(f"{place}.{part}", format_value(table[part]), "a table of values", _CURE)
+            raise BenchError(f"{place}.{part}", format_value(table[part]), "a table of values", _ACTION)
     return MadeFor(str(table["profile"]), _ungrouped(table["plant"]), _ungrouped(table["controller"]))
 
 
@@ -139,19 +139,19 @@ def _ungrouped(groups: Mapping[str, Any]) -> Values:
 
 def _table(path: Path, kind: str, table: Any) -> dict[str, Triple]:
     if not isinstance(table, dict):
-        raise BenchError(f"{path}: {kind}", format_value(table), "a table", _CURE)
+        raise BenchError(f"{path}: {kind}", format_value(table), "a table", _ACTION)
     rows = MODEL_ROWS.keys() - FROM_SETTINGS
     for row in sorted(table.keys() - rows):
-        raise BenchError(f"{path}: {kind}.{row}", "an unknown row", f"one of {', '.join(rows)}", _CURE)
+        raise BenchError(f"{path}: {kind}.{row}", "an unknown row", f"one of {', '.join(rows)}", _ACTION)
     for row in sorted(REQUIRED - table.keys()):
-        raise BenchError(f"{path}: {kind}.{row}", "missing", f"the row {row}", _CURE)
+        raise BenchError(f"{path}: {kind}.{row}", "missing", f"the row {row}", _ACTION)
     return {row: _limits(f"{path}: {kind}.{row}", limits) for row, limits in table.items()}
 
 
 def _limits(place: str, limits: Any) -> Triple:
     good = isinstance(limits, list) and len(limits) == 3
     if not good or not all(type(v) in (int, float) and isfinite(v) and v > 0 for v in limits):
-        raise BenchError(place, format_value(limits), "three finite numbers above 0", _CURE)
+        raise BenchError(place, format_value(limits), "three finite numbers above 0", _ACTION)
     a, b, c = map(float, limits)
     return a, b, c
 

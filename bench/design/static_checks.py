@@ -62,16 +62,16 @@ class MachineSwing(NamedTuple):
     place: str
     """The profile's file, for messages."""
 
-    def key(self, name: str, found: str, expected: str, cure: str) -> BenchError:
+    def key(self, name: str, found: str, expected: str, action: str) -> BenchError:
         """Return a fault of one key of the profile."""
-        return BenchError(f"{self.place}: {name}", found, expected, cure)
+        return BenchError(f"{self.place}: {name}", found, expected, action)
 
-    def row(self, where: tuple[str, int, int | None], found: str, expected: str, cure: str) -> BenchError:
+    def row(self, where: tuple[str, int, int | None], found: str, expected: str, action: str) -> BenchError:
         """Return a fault of one row or value of a table: table, sample, joint."""
         table, sample, joint = where
         column, name = ("", "") if joint is None else (f"[{joint}]", f", {JOINTS[joint]}")
         at = f"{table}[{sample}]{column} ({sample * self.profile.period:.3f} s{name})"
-        return self.key(at, found, expected, cure)
+        return self.key(at, found, expected, action)
 
 
 def check_profile(
@@ -100,8 +100,8 @@ def rate_faults(profile: Profile, plant: PlantParameters, place: str | None = No
     if not other_rate(profile, plant):
         return []
     found, wanted = f"{profile.period:g} s", f"{plant.tick:g} s, the loop's tick"
-    cure = "Set loop.rate_hz to its inverse."
-    return [BenchError(f"{place or profile.name}: period_s", found, wanted, cure)]
+    action = "Set loop.rate_hz to its inverse."
+    return [BenchError(f"{place or profile.name}: period_s", found, wanted, action)]
 
 
 def require_possible(
@@ -139,13 +139,13 @@ def _machine(plan: MachineSwing) -> Check:
     club, supply = plant.robot.club.name, plant.supply.pressure
     designed = profile.limits.get("supply_pressure_pa", 0.0)
     if profile.club != club:
-        cure = f'Set swing.club = "{profile.club}", or choose a profile for this club.'
-        faults.append(plan.key("club", f'"{profile.club}"', f'"{club}", the mounted one', cure))
+        action = f'Set swing.club = "{profile.club}", or choose a profile for this club.'
+        faults.append(plan.key("club", f'"{profile.club}"', f'"{club}", the mounted one', action))
     if abs(designed - supply) > PRESSURE_TOLERANCE * supply:
         found = f"{designed:.4g} Pa" if designed else "not given"
         wanted = f"{supply:.4g} Pa absolute, plant.supply.pressure, within 1 %"
-        cure = "Choose another profile, or design one for this supply."
-        faults.append(plan.key("limits.supply_pressure_pa", found, wanted, cure))
+        action = "Choose another profile, or design one for this supply."
+        faults.append(plan.key("limits.supply_pressure_pa", found, wanted, action))
     found = f"{profile.club}, {designed / 1e5:.2f} bar"
     return Check("made for", found, f"{club}, {supply / 1e5:.2f} bar", faults)
 
@@ -163,8 +163,8 @@ def _tables(plan: MachineSwing) -> Check:
     if lasting[k, joint] > SLOPE_TOLERANCE:
         found = f"{velocity[k, joint]:.3f} rad/s, where angle_rad rises by {slope[k, joint]:.3f} rad/s"
         wanted = f"the angle's slope within {SLOPE_TOLERANCE:g} rad/s"
-        cure = "Correct the table; angles are in rad, one row a period."
-        faults.append(plan.row(("velocity_rad_per_s", k, joint), found, wanted, cure))
+        action = "Correct the table; angles are in rad, one row a period."
+        faults.append(plan.row(("velocity_rad_per_s", k, joint), found, wanted, action))
     step, allowed = error * plan.profile.period, _allowed_steps(plan)
     j, i = _peak(step / allowed)
     if step[j, i] > allowed[j, i]:
@@ -173,8 +173,8 @@ def _tables(plan: MachineSwing) -> Check:
         faults.append(plan.row(("angle_rad", j, i), found, wanted, "Smooth the table there."))
     _, joint = _peak(np.abs(velocity[:1]))
     if abs(velocity[0, joint]) > 0.1:
-        found, cure = f"{velocity[0, joint]:.3f} rad/s", "Begin the swing at rest at address."
-        faults.append(plan.row(("velocity_rad_per_s", 0, joint), found, "at most 0.1 rad/s", cure))
+        found, action = f"{velocity[0, joint]:.3f} rad/s", "Begin the swing at rest at address."
+        faults.append(plan.row(("velocity_rad_per_s", 0, joint), found, "at most 0.1 rad/s", action))
     text = f"slope {lasting.max():.2f} rad/s off · step {step[j, i]:.3f} rad"
     return Check("tables agree", text, f"{SLOPE_TOLERANCE:g} rad/s · {allowed[j, i]:.3g} rad", faults)
 
@@ -228,12 +228,12 @@ def _range(plan: MachineSwing) -> Check:
             low, high = actuator.lower - share * stop.travel, actuator.upper + share * stop.travel
             found = f"{position[k]:.4f} {unit}: the swing hits an end stop"
             wanted = f"{low:.4f} to {high:.4f} {unit}, plant.{_KEYS[i]} with {share:.0%} of its cushions"
-            cure = "Choose a profile made for these stops, or correct the range."
-            faults.append(plan.row(("angle_rad", k, i), found, wanted, cure))
+            action = "Choose a profile made for these stops, or correct the range."
+            faults.append(plan.row(("angle_rad", k, i), found, wanted, action))
         elif energy > stop.rating:
             found, wanted = f"{energy:.0f} J into an end stop", f"at most {stop.rating:g} J"
-            cure = f"Arrive more slowly; plant.{_KEYS[i]}.stop has the cushion's rating."
-            faults.append(plan.row(("angle_rad", k, i), found, wanted, cure))
+            action = f"Arrive more slowly; plant.{_KEYS[i]}.stop has the cushion's rating."
+            faults.append(plan.row(("angle_rad", k, i), found, wanted, action))
         texts.append(f"{energy:.0f}")
         ratings.append(f"{stop.rating:g}")
     return Check("end stops", " · ".join(texts) + " J", " · ".join(ratings) + " J", faults)
@@ -263,8 +263,8 @@ def _speed(plan: MachineSwing) -> Check:
         k = int(speed[:, i].argmax())
         if speed[k, i] > limit:
             found, wanted = f"{speed[k, i]:.2f} {_SPEED[i]}", f"at most {limit:g} {_SPEED[i]}"
-            cure = "Slow the swing; envelope.max_speed is the limit."
-            faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, cure))
+            action = "Slow the swing; envelope.max_speed is the limit."
+            faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, action))
     return Check("joint speeds", _joined(speed.max(axis=0), "{:.1f}"), _joined(limits, "{:g}"), faults)
 
 
@@ -283,8 +283,8 @@ def _clearance(plan: MachineSwing) -> Check:
     k = int((height - needed).argmin())
     if height[k] < needed[k]:
         found, wanted = f"sole {1e3 * height[k]:.1f} mm over ground", f"at least {1e3 * needed[k]:g} mm"
-        cure = "Raise the path, or correct plant.site.ground."
-        faults.append(plan.row(("angle_rad", k, None), found, wanted, cure))
+        action = "Raise the path, or correct plant.site.ground."
+        faults.append(plan.row(("angle_rad", k, None), found, wanted, action))
     points = joint_positions(robot, plan.profile.angle)
     wrist, along = points[:, 2], (points[:, 4] - points[:, 2]) / robot.club.length_to_face
     nearest = np.clip(-(wrist * along).sum(axis=1), 0.0, robot.club.length_to_face)
@@ -302,9 +302,9 @@ def _lever(plan: MachineSwing) -> Check:
     authority = plan.plant.wrist_authority(plan.profile.angle[:, 2])
     k, least, faults = int(authority.argmin()), plan.envelope.min_lever, []
     if authority[k] < least:
-        cure = "Fold the wrist less; envelope.min_lever is the limit."
+        action = "Fold the wrist less; envelope.min_lever is the limit."
         found = f"|sin beta| = {authority[k]:.3f}"
-        faults.append(plan.row(("angle_rad", k, 2), found, f"at least {least:g}", cure))
+        faults.append(plan.row(("angle_rad", k, 2), found, f"at least {least:g}", action))
     return Check("wrist lever |sin beta|", f"{authority[k]:.2f}", f"at least {least:g}", faults)
 
 
@@ -334,8 +334,8 @@ def _ball(plan: MachineSwing) -> Check:
     if abs(behind) > CONTACT_TOLERANCE[0] or abs(above) > CONTACT_TOLERANCE[1]:
         found = f"the face {behind:.3f} m behind the ball and {above:.3f} m above it"
         wanted = "within {:g} and {:g} m".format(*CONTACT_TOLERANCE)
-        cure = "Correct impact_time_s; else the swing misses the ball."
-        faults.append(plan.key("impact_time_s", found, wanted, cure))
+        action = "Correct impact_time_s; else the swing misses the ball."
+        faults.append(plan.key("impact_time_s", found, wanted, action))
     found = f"tee {1e3 * off:.1f} mm off · face {1e3 * above:+.1f} mm in height"
     allowed = f"{1e3 * BALL_TOLERANCE:g} · {1e3 * CONTACT_TOLERANCE[1]:g} mm"
     return Check("ball", found, allowed, faults)
@@ -361,8 +361,8 @@ def _air(plan: MachineSwing) -> Check:
                 f"{('at least', 'at most')[side]} {bounds[k, i, side]:.0f} {_FORCE[i]}, the limit of "
                 f"{actuator.valve.conductance:g} m3/(s Pa) of the valve at {plant.supply.pressure:g} Pa"
             )
-            cure = f"Slow the swing, or fit a larger valve or actuator: plant.{_KEYS[i]}."
-            faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, cure))
+            action = f"Slow the swing, or fit a larger valve or actuator: plant.{_KEYS[i]}."
+            faults.append(plan.row(("velocity_rad_per_s", k, i), found, wanted, action))
         lever = plant.wrist_lever if i == 2 else 1.0
         shares.append(np.abs(plan.motion.speed[:, i]).max() * lever / steady_speed(actuator, plant.supply))
     found = " · ".join(f"{100 * share:.0f}" for share in shares) + " % of the valves' steady speed"

@@ -31,8 +31,8 @@ def load_build123d() -> Any:
         import build123d
     except ImportError as error:
         found = f"no package build123d ({error})"
-        cure = 'pip install "golfbench[cad]"; glTF and URDF need nothing more'
-        raise BenchError("draw --format step", found, "the extra that makes exact solids", cure) from error
+        action = 'pip install "golfbench[cad]"; glTF and URDF need nothing more'
+        raise BenchError("draw --format step", found, "the extra that makes exact solids", action) from error
     return build123d
 
 

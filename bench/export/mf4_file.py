@@ -37,8 +37,8 @@ def write_mf4(path: Path, record: ExportRecord) -> list[Path]:
         from asammdf.blocks.v4_blocks import EventBlock
         from asammdf.blocks.v4_constants import EVENT_CAUSE_SCRIPT, EVENT_TYPE_MARKER
     except ImportError as error:
-        cure = "Install it: pip install 'golfbench[mdf]'."
-        raise BenchError("export to mf4", f"{error}", "the package asammdf", cure) from error
+        action = "Install it: pip install 'golfbench[mdf]'."
+        raise BenchError("export to mf4", f"{error}", "the package asammdf", action) from error
     cycles = record.cycles
     begin = record.begin_utc + (float(cycles["time"][0]) if len(cycles) else 0.0)
     with MDF(version="4.10") as file:

@@ -179,8 +179,8 @@ def _claims(
             claimed[owners[0]].append(row)
         else:
             found = f"{len(owners)} failures of the hazard file"
-            cure = "Correct signals and kinds in bench/faults/hazard_file.toml."
-            faults.append(BenchError(f"matrix: {row['breakage']}", found, "one failure", cure))
+            action = "Correct signals and kinds in bench/faults/hazard_file.toml."
+            faults.append(BenchError(f"matrix: {row['breakage']}", found, "one failure", action))
     if faults:
         raise ExceptionGroup("the hazard file does not cover the matrix", faults)
     return claimed

@@ -21,8 +21,8 @@ def read_c3d(path: Path, content: bytes) -> Capture:
     try:
         from ezc3d import c3d
     except ImportError as error:
-        cure = "Install it: pip install 'golfbench[mocap]'. Or export TRC or CSV."
-        raise BenchError(str(path), f"{error}", "the package ezc3d", cure) from None
+        action = "Install it: pip install 'golfbench[mocap]'. Or export TRC or CSV."
+        raise BenchError(str(path), f"{error}", "the package ezc3d", action) from None
     if len(content) < 2 * _BLOCK or content[1] != 0x50:
         raise damaged(path, "no header of C3D", "first block")
     _check_length(path, content)

@@ -33,13 +33,13 @@ class Capture:
     """SHA-256 of the source file."""
 
     def error(
-        self, found: str, expected: str, cure: str, frame: int | None = None, marker: str = ""
+        self, found: str, expected: str, action: str, frame: int | None = None, marker: str = ""
     ) -> BenchError:
         """Return the refusal of this file, with the 0-based `frame` and the `marker` in its place."""
         place = str(self.path)
         if frame is not None:
             place += f", frame {frame + 1} ({self.start + frame / self.rate:.3f} s)"
-        return BenchError(place + (f", marker {marker}" if marker else ""), found, expected, cure)
+        return BenchError(place + (f", marker {marker}" if marker else ""), found, expected, action)
 
 
 def damaged(path: Path, found: str, where: str = "", expected: str = "a complete recording") -> BenchError:

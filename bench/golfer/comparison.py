@@ -118,8 +118,8 @@ def compare_motions(reference: SwingMotion, other: SwingMotion) -> MotionDeviati
     """
     rows = reference.in_downswing
     if reference.source == "robot" or np.count_nonzero(rows) < 3:
-        cure = "Put the golfer first: NAME.golfer.toml, or model:NAME of a built-in one."
-        raise BenchError(f"reference {reference.name}", "a robot's swing", "a golfer's swing", cure)
+        action = "Put the golfer first: NAME.golfer.toml, or model:NAME of a built-in one."
+        raise BenchError(f"reference {reference.name}", "a robot's swing", "a golfer's swing", action)
     whole, whole_head = reference.angle[rows], reference.head[rows]
     rows &= reference.time >= other.time[0] - 1e-9  # a model has no backswing
     time, angle, head = reference.time[rows], reference.angle[rows], reference.head[rows]
@@ -205,8 +205,8 @@ def require_club(golfer: GolferSwing) -> None:
     """
     down = slice(golfer.top_row, None)
     if not np.isfinite(np.column_stack([golfer.angle, golfer.head])[down]).all():
-        cure = "Import a recording with grip and head of the club."
-        raise BenchError(str(golfer.path), "a body without a club", "a measured club", cure)
+        action = "Import a recording with grip and head of the club."
+        raise BenchError(str(golfer.path), "a body without a club", "a measured club", action)
 
 
 def with_club_held(plant: PlantParameters, golfer: GolferSwing) -> GolferSwing:

@@ -1,4 +1,4 @@
-"""Gates of the import: each refuses a recording with file, frame, marker and cure."""
+"""Gates of the import: each refuses a recording with file, frame, marker and action."""
 
 from __future__ import annotations
 
@@ -156,5 +156,5 @@ def check_swing(
     for what, value, low, high, unit in seen:
         if not low <= value <= high:
             found = f"no golf swing: {what} {value:.0f}{unit}"
-            cure = "Import a recording of one full swing; check the markers of the roles."
-            raise capture.error(found, f"{low:g} to {high:g}{unit}", cure, int(impact))
+            action = "Import a recording of one full swing; check the markers of the roles."
+            raise capture.error(found, f"{low:g} to {high:g}{unit}", action, int(impact))

@@ -31,7 +31,7 @@ _KEYS = {
     "downswing_s": float,
     "plane_deg": float,
 }
-_CURE = "Import the recording again with `golfbench golfer import FILE`."
+_ACTION = "Import the recording again with `golfbench golfer import FILE`."
 DEFINITIONS = {
     "plane": "least squares through the head's path from where the shaft is level to the ball, or without a "
     "club through the lead wrist's; x level towards the target, y up, origin at the ball",
@@ -213,21 +213,23 @@ def load_golfer(path: Path) -> GolferSwing:
     import pyarrow as pa
     from pyarrow import parquet
 
-    raw = read_toml(path, "a golfer's swing", _CURE)
+    raw = read_toml(path, "a golfer's swing", _ACTION)
     for key, kind in _KEYS.items():
         if not isinstance(raw.get(key), kind):
-            raise BenchError(f"{path}: {key}", str(raw.get(key, "nothing"))[:60], f"a {kind.__name__}", _CURE)
+            raise BenchError(
+                f"{path}: {key}", str(raw.get(key, "nothing"))[:60], f"a {kind.__name__}", _ACTION
+            )
     if raw["schema"] != SCHEMA:
-        raise BenchError(f"{path}: schema", raw["schema"][:60], SCHEMA, _CURE)
+        raise BenchError(f"{path}: schema", raw["schema"][:60], SCHEMA, _ACTION)
     table_path = path.with_name(Path(raw["table"]).name)
     try:
         content = table_path.read_bytes()
     except OSError as error:
         raise BenchError(
-            str(table_path), error.strerror or str(error), f"the table of {path}", _CURE
+            str(table_path), error.strerror or str(error), f"the table of {path}", _ACTION
         ) from None
     if sha256(content).hexdigest() != raw["table_sha256"]:
-        raise BenchError(str(table_path), "another digest", f"the table of {path}", _CURE)
+        raise BenchError(str(table_path), "another digest", f"the table of {path}", _ACTION)
     try:
         table = parquet.ParquetFile(BytesIO(content)).read(use_threads=False)
         columns = {name: np.array(table.column(name).to_pylist(), dtype=float) for name in table.column_names}
@@ -237,13 +239,13 @@ def load_golfer(path: Path) -> GolferSwing:
         position = {role: np.column_stack([columns[f"{role}_{axis}_m"] for axis in _AXES]) for role in roles}
     except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
         raise BenchError(
-            str(table_path), f"no table of a golfer: {error}", "the columns of an import", _CURE
+            str(table_path), f"no table of a golfer: {error}", "the columns of an import", _ACTION
         ) from None
     speed = float(columns["head_speed_mps"][-1]) if "head_speed_mps" in columns else np.nan
     row = len(time) - 1 - round(raw["downswing_s"] / STEP)
     if not 0 <= row < len(time) - 2:
         raise BenchError(
-            f"{path}: downswing_s", f"{raw['downswing_s']:g} s", "a time within the table", _CURE
+            f"{path}: downswing_s", f"{raw['downswing_s']:g} s", "a time within the table", _ACTION
         )
     plane, digest = float(np.radians(raw["plane_deg"])), sha256(path.read_bytes()).hexdigest()
     return GolferSwing(raw["name"], time, angle, position, speed, row, plane, path, digest)

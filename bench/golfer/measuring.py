@@ -77,9 +77,9 @@ def _impact(capture: Capture, roles: Roles, whole: dict[str, Array], options: Im
     found = find_impact(whole[role], capture.rate, is_head=role == "head")
     if found is None or found.frame < 12:
         last = int(np.flatnonzero(~np.isnan(roles.path[role][:, 0]))[-1])
-        cure = "Export the recording from address to follow-through, or give --events impact=S."
+        action = "Export the recording from address to follow-through, or give --events impact=S."
         found_text = "no impact: neither a loss of head speed nor a pass of the position at address"
-        raise capture.error(found_text, "the ball within the file", cure, last, roles.markers[role][0])
+        raise capture.error(found_text, "the ball within the file", action, last, roles.markers[role][0])
     return found
 
 
@@ -190,11 +190,11 @@ def _top(capture: Capture, grid: _Grid, hands: Array, options: ImportOptions) ->
         return row, GIVEN
     row_ = find_top(grid.time, hands)
     if row_ is None:
-        cure = "Export the recording from address on, or give --events top=S."
+        action = "Export the recording from address on, or give --events top=S."
         raise capture.error(
             "no swing: the hands do not slow down before the ball",
             "a top 0.1 to 0.75 s before the ball",
-            cure,
+            action,
             int(grid.impact.frame),
         )
     return row_, "slowest hands"

@@ -64,14 +64,14 @@ def find_scale(capture: Capture, roles: Roles) -> tuple[float, str]:
         if declared not in fits:
             found = f"an arm of {arm:.3g} and shoulders of {shoulders:.3g} {declared}"
             fitting = f"; they would fit {fits[0]}" if fits else ""
-            cure = f"Correct the unit in the file{fitting}."
-            raise capture.error(found, "sizes of a person", cure, marker=_arm_markers(roles))
+            action = f"Correct the unit in the file{fitting}."
+            raise capture.error(found, "sizes of a person", action, marker=_arm_markers(roles))
         return _UNITS[declared], f"{declared}, declared by the file"
     known = [unit for unit in fits if unit in _FOUND]
     if not known:
         found = f"an arm of {arm:.3g} and shoulders of {shoulders:.3g} in the file's unit"
-        cure = "Export in m, cm or mm; or correct the markers of the roles."
-        raise capture.error(found, "sizes of a person in m, cm or mm", cure, marker=_arm_markers(roles))
+        action = "Export in m, cm or mm; or correct the markers of the roles."
+        raise capture.error(found, "sizes of a person in m, cm or mm", action, marker=_arm_markers(roles))
     return _UNITS[known[0]], f"{known[0]}, by an arm of {_UNITS[known[0]] * arm:.2f} m"
 
 

@@ -32,13 +32,13 @@ def read_capture(path: Path) -> Capture:
     """
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        cure = "Export the recording as C3D; with GEARS: export C3D from GEARS."
-        raise BenchError(str(path), f"suffix {path.suffix or 'none'}", f"one of {', '.join(READERS)}", cure)
+        action = "Export the recording as C3D; with GEARS: export C3D from GEARS."
+        raise BenchError(str(path), f"suffix {path.suffix or 'none'}", f"one of {', '.join(READERS)}", action)
     try:
         content = path.read_bytes()
     except OSError as error:
-        cure = "Correct the path of the recording."
-        raise BenchError(str(path), error.strerror or str(error), "a readable file", cure) from None
+        action = "Correct the path of the recording."
+        raise BenchError(str(path), error.strerror or str(error), "a readable file", action) from None
     capture = reader(path, content)
     points = np.where(np.all(capture.points == 0.0, axis=2, keepdims=True), np.nan, capture.points)
     checked = replace(
@@ -57,5 +57,5 @@ def _check(capture: Capture) -> None:
     if not _MIN_FRAMES <= len(capture.points) <= _MAX_FRAMES:
         raise capture.error(f"{len(capture.points)} frames", f"{_MIN_FRAMES} to {_MAX_FRAMES} frames", export)
     if not (np.isfinite(capture.rate) and 99.0 <= capture.rate <= 5000.0):
-        cure = "Record the swing with at least 100 Hz, better 240 Hz."
-        raise capture.error(f"{capture.rate:g} frames per second", "100 to 5000 Hz", cure)
+        action = "Record the swing with at least 100 Hz, better 240 Hz."
+        raise capture.error(f"{capture.rate:g} frames per second", "100 to 5000 Hz", action)

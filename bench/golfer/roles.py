@@ -65,9 +65,9 @@ def find_roles(capture: Capture, map_path: Path | None = None) -> Roles:
     needed += CLUB if club else ()
     for role in needed:
         if role not in chosen:
-            cure = f"Assign the markers with --markers MAP.toml: {_FORM}."
+            action = f"Assign the markers with --markers MAP.toml: {_FORM}."
             raise capture.error(
-                f"no marker for {role} among {_listed(capture)}", "a marker of each role", cure
+                f"no marker for {role} among {_listed(capture)}", "a marker of each role", action
             )
     for name in {name for names in chosen.values() for name in names}:
         if capture.names.count(name) > 1:
@@ -172,8 +172,8 @@ def _read_map(capture: Capture, path: Path) -> dict[str, tuple[str, ...]]:
             )
         for name in names:
             if _find(capture, name) is None:
-                cure = did_you_mean(name, capture.names, f"The file has {_listed(capture)}.")
-                raise capture.error("no such marker", f"a marker of the file for {role}", cure, marker=name)
+                action = did_you_mean(name, capture.names, f"The file has {_listed(capture)}.")
+                raise capture.error("no such marker", f"a marker of the file for {role}", action, marker=name)
         found[role] = tuple(str(_find(capture, name)) for name in names)
     sides = {role.split("_")[0] for role in found} & {"lead", "left"}
     if len(sides) > 1:

@@ -222,9 +222,9 @@ class BenchOperator:
             self._hear()
         return self._outcomes.get(shot or "")
 
-    def refused(self, found: str, expected: str, cure: str) -> Refused:
+    def refused(self, found: str, expected: str, action: str) -> Refused:
         """Return an error of this bench."""
-        return Refused(f"bench {self.client.bench}", found, expected, cure)
+        return Refused(f"bench {self.client.bench}", found, expected, action)
 
     def _persons_work(self, status: BenchStatus) -> str:
         """Return what only a person may do on the way to the address; empty if nothing."""
@@ -266,8 +266,8 @@ class BenchOperator:
             self.pause()
 
     def _no_shot(self, found: str, *, swung: bool) -> NoShot:
-        cure = "Check the recorder: golfbench status." if swung else "Fill the feeder, then begin again."
-        refused = NoShot(f"bench {self.client.bench}", found, "a ball, and a record of the swing", cure)
+        action = "Check the recorder: golfbench status." if swung else "Fill the feeder, then begin again."
+        refused = NoShot(f"bench {self.client.bench}", found, "a ball, and a record of the swing", action)
         refused.swung = swung
         return refused
 

@@ -23,7 +23,7 @@ class ArmingBlock(TypedDict):
     place: str
     found: str
     expected: str
-    cure: str
+    action: str
 
 
 class Reply(NamedTuple):
@@ -34,15 +34,15 @@ class Reply(NamedTuple):
     """Name of the `State` after the answer."""
     refusal: Refusal = Refusal.NONE
     words: Words = ("", "")
-    """Why it was refused, and the cure; empty when accepted."""
+    """Why it was refused, and the action; empty when accepted."""
     blocks: Sequence[ArmingBlock] = ()
     """Reasons that block arming, if it was refused for them."""
 
 
-def refused(state: str, refusal: Refusal, fact: str = "", cure: str = "") -> Reply:
-    """Return the refusal of a request, in its own words where `fact` or `cure` say no more."""
+def refused(state: str, refusal: Refusal, fact: str = "", action: str = "") -> Reply:
+    """Return the refusal of a request, in its own words where `fact` or `action` say no more."""
     words = REFUSAL_WORDS[refusal]
-    return Reply(False, state, refusal, (fact or words[0], cure or words[1]))
+    return Reply(False, state, refusal, (fact or words[0], action or words[1]))
 
 
 class CauseStatus(TypedDict):
@@ -50,8 +50,8 @@ class CauseStatus(TypedDict):
 
     name: Annotated[str, Cause]
     text: str
-    """For people, without the cure."""
-    cure: str
+    """For people, without the action."""
+    action: str
     """For people; empty where none is known."""
 
 
@@ -172,7 +172,7 @@ class SettingStatus(TypedDict):
     """Whether the requested value is in force."""
     reason: NotRequired[str]
     """Why it is not in force."""
-    cure: NotRequired[str]
+    action: NotRequired[str]
     """Action to get it granted."""
     required: NotRequired[bool]
     """Whether mode `require` needs it; the others only reduce jitter."""

@@ -89,8 +89,8 @@ def write_identity(folder: Path, name: str, identity: Identity) -> None:
         try:
             descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
         except FileExistsError:
-            cure = "Delete both files to make a new one; the old one stays valid until it expires."
-            raise Refused(str(path), "there already", "a name without a certificate", cure) from None
+            action = "Delete both files to make a new one; the old one stays valid until it expires."
+            raise Refused(str(path), "there already", "a name without a certificate", action) from None
         with os.fdopen(descriptor, "wb") as stream:
             stream.write(content)
 

@@ -82,26 +82,26 @@ class CommandRefused(Refused):
     def __init__(self, bench: str, verb: Verb, answer: CommandAnswer) -> None:
         blocks = answer.content.get("arming_blocks", ())
         if blocks:
-            found, expected, cures = (
+            found, expected, actions = (
                 dict.fromkeys(parts)
                 for parts in zip(
-                    *((f"{b['place']} {b['found']}", b["expected"], b["cure"]) for b in blocks), strict=True
+                    *((f"{b['place']} {b['found']}", b["expected"], b["action"]) for b in blocks), strict=True
                 )
             )
             super().__init__(
-                f"{verb} of bench {bench}", "; ".join(found), "; ".join(expected), " ".join(cures)
+                f"{verb} of bench {bench}", "; ".join(found), "; ".join(expected), " ".join(actions)
             )
             self.verb, self.answer = verb, answer
             return
         states = sorted(state.name for state in ACCEPTED_IN[REQUESTS[verb]]) if verb in REQUESTS else []
         wrong_state = answer.refusal == Refusal.STATE.name
         command = f"Next: {status_words.COMMANDS[State[answer.state]]}."
-        cure = status_words.sentence(answer.cure.removesuffix("."))
+        action = status_words.sentence(answer.action.removesuffix("."))
         super().__init__(
             f"{verb} of bench {bench}",
             f"refused in state {answer.state}: {answer.reason}",
             f"state {' or '.join(states)}" if wrong_state else "no blocking condition",
-            " ".join(filter(None, (cure, command if wrong_state else ""))) or "Look at golfbench status.",
+            " ".join(filter(None, (action, command if wrong_state else ""))) or "Look at golfbench status.",
         )
         self.verb, self.answer = verb, answer
 
@@ -326,10 +326,10 @@ class BenchClient:
                 if cause := status["cause"]:
                     found += f": {cause['text']}"
                 if not on_the_way(status):
-                    raise Refused(f"bench {self.bench}", found, wanted, cure_of(status))
+                    raise Refused(f"bench {self.bench}", found, wanted, action_of(status))
                 if time.monotonic() >= deadline:
-                    cure = "Wait longer, or look at golfbench status."
-                    raise Refused(f"bench {self.bench} after {timeout:g} s", found, wanted, cure)
+                    action = "Wait longer, or look at golfbench status."
+                    raise Refused(f"bench {self.bench} after {timeout:g} s", found, wanted, action)
                 heard = next(states)
                 # One with an older tick was under way before, or the bench has restarted.
                 newer = heard is not None and heard.status["tick"] >= status["tick"]
@@ -444,8 +444,8 @@ class BenchClient:
                     end = max(end, now + monitor["settled_s"] + TIMEOUT)
         if stored is not None:
             return stored
-        place, cure = f"swing of bench {self.bench}", "Look at golfbench status: is the recorder running?"
-        raise Refused(place, f"no record within {timeout:g} s", "the record of the swing", cure)
+        place, action = f"swing of bench {self.bench}", "Look at golfbench status: is the recorder running?"
+        raise Refused(place, f"no record within {timeout:g} s", "the record of the swing", action)
 
     def tee(self, patience: float = LONGEST_SWAY) -> CommandAnswer:
         """Raise the next ball."""
@@ -532,11 +532,11 @@ class BenchClient:
         raise NoAnswer(self.bench, self._network.endpoint, waited)
 
 
-def cure_of(status: BenchStatus) -> str:
+def action_of(status: BenchStatus) -> str:
     """Return what to do in the state of the bench: about its cause, then the next step and its command."""
     cause = status["cause"]
-    cure = status_words.sentence(cause["cure"]) if cause else ""
-    return f"{cure or status_words.next_step(status)} Next: {status_words.next_command(status)}."
+    action = status_words.sentence(cause["action"]) if cause else ""
+    return f"{action or status_words.next_step(status)} Next: {status_words.next_command(status)}."
 
 
 def checked_status(read: Any) -> BenchStatus:
@@ -553,5 +553,7 @@ def checked_status(read: Any) -> BenchStatus:
 
 
 def _not_understood(found: object) -> BenchError:
-    cure = "Use the same golfbench for bench and command line."
-    return BenchError("answer of the bench", repr(found)[:60], f"a status of version {STATUS_VERSION}", cure)
+    action = "Use the same golfbench for bench and command line."
+    return BenchError(
+        "answer of the bench", repr(found)[:60], f"a status of version {STATUS_VERSION}", action
+    )

@@ -255,12 +255,12 @@ def _check_keys(
 
 
 def _read_object(place: str, payload: bytes) -> dict[str, Any]:
-    expected, cure = "a JSON object in UTF-8", "Send an object as `golfbench` does."
+    expected, action = "a JSON object in UTF-8", "Send an object as `golfbench` does."
     if len(payload) > LONGEST_MESSAGE:
         raise too_long(place, len(payload))
 
     def no_number(text: str) -> NoReturn:
-        raise BenchError(place, f"the number {text[:20]}", "numbers that JSON has and a double holds", cure)
+        raise BenchError(place, f"the number {text[:20]}", "numbers that JSON has and a double holds", action)
 
     def finite(text: str) -> float:
         number = float(text)
@@ -281,13 +281,13 @@ def _read_object(place: str, payload: bytes) -> dict[str, Any]:
             payload.decode("utf-8"), object_pairs_hook=unique, parse_constant=no_number, parse_float=finite
         )
     except UnicodeDecodeError as error:
-        raise BenchError(place, f"a byte at {error.start} that is no UTF-8", expected, cure) from None
+        raise BenchError(place, f"a byte at {error.start} that is no UTF-8", expected, action) from None
     except json.JSONDecodeError as error:
-        raise BenchError(place, f"no JSON: {error.msg} at character {error.pos}", expected, cure) from None
+        raise BenchError(place, f"no JSON: {error.msg} at character {error.pos}", expected, action) from None
     except RecursionError:
-        raise BenchError(place, "values nested too deep", "one flat JSON object", cure) from None
+        raise BenchError(place, "values nested too deep", "one flat JSON object", action) from None
     if not isinstance(message, dict):
-        raise BenchError(place, shown(message), expected, cure)
+        raise BenchError(place, shown(message), expected, action)
     return message
 
 
@@ -320,7 +320,7 @@ class ErrorParts(TypedDict):
     place: str
     found: str
     expected: str
-    cure: str
+    action: str
 
 
 class CommandAnswer(NamedTuple):
@@ -335,7 +335,7 @@ class CommandAnswer(NamedTuple):
     """Why the robot was stopped or disarmed before."""
     reason: str = ""
     """Why it was refused, for people; empty when accepted."""
-    cure: str = ""
+    action: str = ""
     """What to do about the refusal, for people."""
     note: str = ""
     """Further information for the operator."""
@@ -373,11 +373,11 @@ def parse_answer(payload: bytes) -> CommandAnswer:
             "refusal": str(refusal),
             "cause": str(cause),
             "reason": str(reason),
-            "cure": str(cure),
+            "action": str(action),
             "note": str(note),
             "content": dict(content),
         } if state in State.__members__ and refusal in Refusal.__members__ and cause in Cause.__members__:
-            return CommandAnswer(accepted, state, refusal, cause, reason, cure, note, content)
+            return CommandAnswer(accepted, state, refusal, cause, reason, action, note, content)
     raise _other_version(payload)
 
 
@@ -386,12 +386,17 @@ def parse_error(payload: bytes) -> BenchError:
     match json_object(payload):
         case {
             "version": 1,
-            "error": {"place": str(place), "found": str(found), "expected": str(expected), "cure": str(cure)},
+            "error": {
+                "place": str(place),
+                "found": str(found),
+                "expected": str(expected),
+                "action": str(action),
+            },
         }:
-            return BenchError(place, found, expected, cure)
+            return BenchError(place, found, expected, action)
     return _other_version(payload)
 
 
 def _other_version(payload: bytes) -> BenchError:
-    expected, cure = f"JSON of version {VERSION}", "Use the same golfbench for bench and command line."
-    return BenchError("answer of the bench", shown(payload[:40].decode("utf-8", "replace")), expected, cure)
+    expected, action = f"JSON of version {VERSION}", "Use the same golfbench for bench and command line."
+    return BenchError("answer of the bench", shown(payload[:40].decode("utf-8", "replace")), expected, action)

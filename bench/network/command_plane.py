@@ -305,7 +305,7 @@ class CommandPlane:
                 parse_command(message.verb, message.payload)
             except BenchError as error:
                 stopped = BenchError(
-                    error.place, error.found, error.expected, f"{error.cure} {_STOPS_ANYWAY}"
+                    error.place, error.found, error.expected, f"{error.action} {_STOPS_ANYWAY}"
                 )
                 self._answer_error(message.query, stopped)
             else:
@@ -394,7 +394,7 @@ class CommandPlane:
         else:
             answer = _refusal(state, reply.refusal, reply.words)
             if reply.refusal is Refusal.STATE:
-                answer = answer._replace(cure=next_step({**status, "state": state}))
+                answer = answer._replace(action=next_step({**status, "state": state}))
             if reply.blocks:
                 answer = answer._replace(content={"arming_blocks": list(reply.blocks)})
         return answer._replace(cause=Cause.NONE.name if cause is None else cause["name"])
@@ -437,4 +437,4 @@ class CommandPlane:
 
 
 def _refusal(state: str, refusal: Refusal, words: Words) -> CommandAnswer:
-    return CommandAnswer(False, state, refusal.name, reason=words[0], cure=words[1])
+    return CommandAnswer(False, state, refusal.name, reason=words[0], action=words[1])

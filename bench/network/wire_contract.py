@@ -56,7 +56,7 @@ _MAY_CHANGE = (
     "refuse a version that you do not know.",
     "A command has exactly the keys of its schema: one with another key is refused.",
     "The columns of telemetry change only with their version, the schema's metadata golfbench_schema.",
-    "Texts for people (text, reason, note, found, expected, cure) may change at any time.",
+    "Texts for people (text, reason, note, found, expected, action) may change at any time.",
 )
 _LOSS = (
     "Publications are sent once and dropped where a receiver does not keep up; none is repeated or kept.",

@@ -77,8 +77,8 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
     """
     if network.endpoint.startswith(TLS):
         place, found = f"network.endpoint {network.endpoint}", "an endpoint for other machines"
-        cure = "Write it as network.beyond. As network.endpoint it is what a client on another machine has."
-        raise BenchError(place, found, "tcp/127.0.0.1:PORT, where the bench's own processes connect", cure)
+        action = "Write it as network.beyond. As network.endpoint it is what a client on another machine has."
+        raise BenchError(place, found, "tcp/127.0.0.1:PORT, where the bench's own processes connect", action)
     listen = [endpoint for endpoint in (network.endpoint, network.beyond) if endpoint]
     configuration = _configuration("peer", network, listen=listen, connect=[network.router])
     if network.beyond or network.router:
@@ -89,8 +89,10 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
         in_use = "in use" in str(error)
         place = f"network.endpoint {' and network.beyond '.join(listen)}"
         expected = "a free endpoint of this machine"
-        cure = "Another bench may be running: golfbench status. Or choose another port."
-        raise BenchError(place, "already in use" if in_use else _first_line(error), expected, cure) from None
+        action = "Another bench may be running: golfbench status. Or choose another port."
+        raise BenchError(
+            place, "already in use" if in_use else _first_line(error), expected, action
+        ) from None
 
 
 def close_session(session: zenoh.Session) -> None:

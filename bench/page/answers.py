@@ -71,15 +71,17 @@ def json_answer(content: Any, status: int = 200) -> Response:
 
 
 def refusal_answer(error: BenchError) -> Response:
-    """Return `error` in the operator's words: `what` was found, and the `cure`."""
+    """Return `error` in the operator's words: `what` was found, and the `action`."""
     if isinstance(error, CommandRefused):
-        what, cure = sentence(error.answer.reason), sentence(error.answer.cure)
-        return json_answer({"what": what, "cure": cure or "Look at the state of the bench."}, 409)
+        what, action = sentence(error.answer.reason), sentence(error.answer.action)
+        return json_answer({"what": what, "action": action or "Look at the state of the bench."}, 409)
     if isinstance(error, NoAnswer):
         what = "The bench does not answer: it is unknown whether the command arrived."
-        return json_answer({"what": what, "cure": "Look at the robot. Nothing is sent again by itself."}, 504)
+        return json_answer(
+            {"what": what, "action": "Look at the robot. Nothing is sent again by itself."}, 504
+        )
     what = f"{error.place}: {error.found}; expected {error.expected}."
-    return json_answer({"what": f"{what[:1].upper()}{what[1:]}", "cure": error.cure}, 409)
+    return json_answer({"what": f"{what[:1].upper()}{what[1:]}", "action": error.action}, 409)
 
 
 async def body_of(request: Request) -> dict[str, Any]:

@@ -120,7 +120,7 @@ def accepted_commands(state: State) -> list[str]:
 def _cause(cause: CauseStatus | None) -> dict[str, str] | None:
     if cause is None:
         return None
-    return {"name": cause["name"], "what": sentence(cause["text"]), "cure": sentence(cause["cure"])}
+    return {"name": cause["name"], "what": sentence(cause["text"]), "action": sentence(cause["action"])}
 
 
 def _warnings(status: BenchStatus) -> list[str]:

@@ -290,8 +290,8 @@ class CampaignService:
         units, campaign = asked.units(), asked.path["campaign"]
         asked.once()
         if (state := self._archive.state(campaign)) not in ENDED:
-            cure = f"golfbench campaign report {campaign}: each look before the end costs confidence."
-            raise Refused(f"campaign {campaign}", str(state), "an ended campaign", cure)
+            action = f"golfbench campaign report {campaign}: each look before the end costs confidence."
+            raise Refused(f"campaign {campaign}", str(state), "an ended campaign", action)
         self._golfbench.output("campaign", "report", f"--units={units}", "--", campaign)
         return {"note": f"Report of {campaign} written."}
 

@@ -131,16 +131,16 @@ def fault_of(place: str, code: int, text: str) -> BenchError:
     if len(faults) == 1:
         return faults[0]
     if faults:
-        cure = _cut(" ".join(dict.fromkeys(one.cure for one in faults)))
+        action = _cut(" ".join(dict.fromkeys(one.action for one in faults)))
         if len({(one.place, one.expected) for one in faults}) == 1:
             found = _cut("; ".join(one.found for one in faults))
-            return BenchError(faults[0].place, found, faults[0].expected, cure)
+            return BenchError(faults[0].place, found, faults[0].expected, action)
         found = "; ".join(f"{one.place}: {one.found}, expected {one.expected}" for one in faults)
-        return BenchError(place, _cut(found), "a valid input", cure)
+        return BenchError(place, _cut(found), "a valid input", action)
     lines = [line.strip(" │╭╰─╮╯") for line in text.strip().splitlines()]
     said = next((line for line in reversed(lines) if line), "")
-    cure = "See it at the command line."
-    return BenchError(place, f"exit code {code}{f': {_cut(said)}' if said else ''}", "exit code 0", cure)
+    action = "See it at the command line."
+    return BenchError(place, f"exit code {code}{f': {_cut(said)}' if said else ''}", "exit code 0", action)
 
 
 def _cut(text: str) -> str:
@@ -204,9 +204,9 @@ class BackgroundCommand:
                     env=plain_environment(),
                 )
         except OSError as error:
-            cure = "Look at golfbench doctor."
+            action = "Look at golfbench doctor."
             raise BenchError(
-                str(self._log), error.strerror or str(error), f"a {self._topic}", cure
+                str(self._log), error.strerror or str(error), f"a {self._topic}", action
             ) from error
         lower_priority(process.pid)
         return process
@@ -232,7 +232,7 @@ class BackgroundCommand:
                 with suppress(OSError, ValueError):  # ended before it printed
                     return self._outcome(json.loads(self._log.with_suffix(".json").read_bytes()))
         fault = fault_of(what, code, text)
-        return f"{fault.place}: {fault.found}; expected {fault.expected}. {fault.cure}"
+        return f"{fault.place}: {fault.found}; expected {fault.expected}. {fault.action}"
 
 
 TOPIC = "viewer"

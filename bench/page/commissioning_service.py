@@ -76,8 +76,8 @@ class CommissioningStore:
         for path in self._robot_files():
             if path.stem == name:
                 return path
-        cure = f"Put its configuration into {self._robots}."
-        raise Refused("robot", "an unknown name", "one of the listed ones", cure)
+        action = f"Put its configuration into {self._robots}."
+        raise Refused("robot", "an unknown name", "one of the listed ones", action)
 
     def file(self, name: str, kind: str) -> Path | None:
         """Return the file `kind` of FILES of commissioning `name`; None if it does not exist."""

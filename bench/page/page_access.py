@@ -102,8 +102,8 @@ def read_tokens(file: Path) -> dict[str, PageRole]:
     text = read_text(file, "a text file with tokens", "Write it.")
     mode = file.stat().st_mode
     if mode & 0o077:
-        expected, cure = "readable by its owner only: it holds secrets", f"chmod 600 {file}"
-        raise BenchError(str(file), f"mode {mode & 0o777:o}", expected, cure)
+        expected, action = "readable by its owner only: it holds secrets", f"chmod 600 {file}"
+        raise BenchError(str(file), f"mode {mode & 0o777:o}", expected, action)
     tokens = {}
     for number, line in enumerate(map(str.strip, text.splitlines()), 1):
         if not line or line.startswith("#"):
@@ -111,8 +111,8 @@ def read_tokens(file: Path) -> dict[str, PageRole]:
         role, _, token = line.partition(" ")
         if role not in ("viewer", "operator") or len(token.strip()) < SHORTEST_TOKEN:
             expected = f"viewer or operator, and a token of {SHORTEST_TOKEN} characters or more"
-            cure = 'Make one: python -c "import secrets; print(secrets.token_urlsafe(24))"'
-            raise BenchError(f"{file}, line {number}", "another line", expected, cure)
+            action = 'Make one: python -c "import secrets; print(secrets.token_urlsafe(24))"'
+            raise BenchError(f"{file}, line {number}", "another line", expected, action)
         tokens[token.strip()] = PageRole[role.upper()]
     if not tokens:
         raise BenchError(str(file), "no token", "at least one", "Write one a line: operator TOKEN.")
@@ -159,8 +159,8 @@ def checked_address(address: PageAddress) -> tuple[str, ...]:
         ) from None
     if not ip.is_loopback and not address.identity:
         expected = "a certificate for this machine: commands and tokens must not be readable on the network"
-        cure = "Make one: golfbench certificates DIR NAME --address HOST, then add --identity DIR/NAME."
-        raise Refused(f"--host {address.host}", "an address for other machines without TLS", expected, cure)
+        action = "Make one: golfbench certificates DIR NAME --address HOST, then add --identity DIR/NAME."
+        raise Refused(f"--host {address.host}", "an address for other machines without TLS", expected, action)
     names = {"127.0.0.1", "localhost", "[::1]"} if ip.is_loopback else set[str]()
     if not ip.is_unspecified:
         names.add(f"[{ip}]" if ip.version == 6 else str(ip))
@@ -180,8 +180,8 @@ def _certified_names(file: Path) -> set[str]:
     try:
         found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
-        cure = "Make one with golfbench certificates DIR NAME --address HOST."
-        raise BenchError(str(file), "a client's certificate", "one with addresses", cure) from None
+        action = "Make one with golfbench certificates DIR NAME --address HOST."
+        raise BenchError(str(file), "a client's certificate", "one with addresses", action) from None
     addresses = found.get_values_for_type(x509.IPAddress)
     return set(found.get_values_for_type(x509.DNSName)) | {
         f"[{ip}]" if ip.version == 6 else str(ip) for ip in addresses

@@ -132,8 +132,10 @@ def _require_packages() -> None:
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401
     except ImportError as error:
-        cure = 'pip install "golfbench[page]"'
-        raise BenchError("golfbench page", f"no package ({error})", "starlette and uvicorn", cure) from error
+        action = 'pip install "golfbench[page]"'
+        raise BenchError(
+            "golfbench page", f"no package ({error})", "starlette and uvicorn", action
+        ) from error
 
 
 def run_outcome(record: dict[str, Any]) -> str:
@@ -155,8 +157,8 @@ def _listening(address: PageAddress) -> Iterator[socket.socket]:
             listener.bind((address.host, address.port))
         except OSError as error:
             place = f"--host {address.host} --port {address.port}"
-            cure = "Choose another --port, or end the process that listens there."
-            raise BenchError(place, error.strerror or str(error), "a free address", cure) from None
+            action = "Choose another --port, or end the process that listens there."
+            raise BenchError(place, error.strerror or str(error), "a free address", action) from None
         yield listener
     finally:
         listener.close()
@@ -296,7 +298,7 @@ def page_application(
 
 
 async def _invalid(_: Request, error: Exception) -> Response:
-    return json_answer({"what": f"Invalid request: {error}.", "cure": "Load the page again."}, 400)
+    return json_answer({"what": f"Invalid request: {error}.", "action": "Load the page again."}, 400)
 
 
 async def _unknown(_: Request, error: Exception) -> Response:
@@ -305,5 +307,7 @@ async def _unknown(_: Request, error: Exception) -> Response:
 
 async def _failed(_: Request, error: Exception) -> Response:
     _log.error("page: %s: %s", type(error).__name__, error)
-    cure = "Look at the robot, load the page again, and report it."
-    return json_answer({"what": f"Internal error of the page: {type(error).__name__}.", "cure": cure}, 500)
+    action = "Look at the robot, load the page again, and report it."
+    return json_answer(
+        {"what": f"Internal error of the page: {type(error).__name__}.", "action": action}, 500
+    )

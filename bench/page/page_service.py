@@ -119,7 +119,7 @@ class PageService:
             session = self._access.sign_in(token)
             if session is None:
                 await asyncio.sleep(_GUESS_TIME)
-                return json_answer({"what": "This token is unknown.", "cure": "Type it again."}, 401)
+                return json_answer({"what": "This token is unknown.", "action": "Type it again."}, 401)
         response = json_answer({})
         response.set_cookie(
             self.cookie, session, int(SESSION), httponly=True, samesite="strict", secure=self._secure
@@ -179,8 +179,8 @@ class PageService:
             if found is None:
                 return json_answer({"what": "There is no such file."}, 404)
             if self._open >= MAX_DOWNLOADS:
-                cure = "Try again when one has ended."
-                return json_answer({"what": "Too many downloads.", "cure": cure}, 503)
+                action = "Try again when one has ended."
+                return json_answer({"what": "Too many downloads.", "action": action}, 503)
             return StreamingResponse(self._parts(found.path), media_type=found.kind, headers=found.headers)
 
         return answer
@@ -212,10 +212,10 @@ class PageService:
         """Return the refusal of a reader with a lower role than `role`; None for others."""
         found = self._role(request)
         if found is None:
-            return json_answer({"what": "Not signed in.", "cure": "Sign in with a token."}, 401)
+            return json_answer({"what": "Not signed in.", "action": "Sign in with a token."}, 401)
         if found < role:
             what = f"Your role does not allow it: {found.name.lower()}, needs {role.name.lower()}."
-            return json_answer({"what": what, "cure": "Ask the owner of the bench for a role."}, 403)
+            return json_answer({"what": what, "action": "Ask the owner of the bench for a role."}, 403)
         return None
 
     def _role(self, request: Request) -> PageRole | None:

@@ -178,7 +178,7 @@ class StartService:
             return json_answer({"what": "Open it by its link on the page."}, 403)
         if request.client is None or not ip_address(request.client.host).is_loopback:
             what = "Rerun's viewer can be reached from the page's own computer only."
-            return json_answer({"what": what, "cure": "There: golfbench view, or open this page."}, 403)
+            return json_answer({"what": what, "action": "There: golfbench view, or open this page."}, 403)
         found: list[str] = []
         answer = await self._page.answered(Pool.PROGRAMS, lambda: found.append(self._viewer.url()))
         return RedirectResponse(found[0], 303) if found else answer

@@ -148,7 +148,7 @@ class Child:
             str(event.get("place", f"{self.name} process")),
             str(event.get("found", event.get("reason", event.get("text", "it failed")))),
             str(event.get("expected", "it to become ready")),
-            str(event.get("cure", "See its output above.")),
+            str(event.get("action", "See its output above.")),
         )
         with suppress(ValueError):
             error.exit_code = ExitCode(event.get("exit_code", ExitCode.DEVICE))

@@ -136,9 +136,9 @@ def send_failure(error: BenchError | SharedMemoryError | DriverError) -> int:
     """Report `error` to the parent as the reason of failure, and return the exit code."""
     if isinstance(error, DriverError):
         place, found = "driver", str(error)
-        expected, cure = "a working device", "Correct the fault, then restart."
+        expected, action = "a working device", "Correct the fault, then restart."
     else:
-        place, found, expected, cure = error.args
+        place, found, expected, action = error.args
     code = error.exit_code if isinstance(error, BenchError) else ExitCode.DEVICE
-    send_event("failed", place=place, found=found, expected=expected, cure=cure, exit_code=int(code))
+    send_event("failed", place=place, found=found, expected=expected, action=action, exit_code=int(code))
     return int(code)

@@ -146,7 +146,7 @@ class LoopLink:
                 if active["asked"] == self._corrections_ordered:
                     if active["order"]["number"] == self._corrections_ordered:
                         return Reply(True, self.state)
-                    return refused(self.state, Refusal.MOVING, cure="correct it at rest or at address")
+                    return refused(self.state, Refusal.MOVING, action="correct it at rest or at address")
                 time.sleep(_POLL_PERIOD)
         return refused(self.state, Refusal.LOOP_SILENT)
 

@@ -229,8 +229,8 @@ def _refusal(bench_id: str, path: Path, owner: Owner | None) -> Refused:
     place = f"bench {bench_id}"
     if owner and owner.supervisor.lives:
         pid = owner.supervisor.pid
-        cure = f"End it first (kill {pid}), or give this bench another id."
-        return Refused(place, f"it run by process {pid}", free, cure)
+        action = f"End it first (kill {pid}), or give this bench another id."
+        return Refused(place, f"it run by process {pid}", free, action)
     if owner:
         loop = f"process {owner.loop.pid}" if owner.loop and owner.loop.lives else "a process"
         return Refused(

@@ -44,7 +44,7 @@ class Setting(NamedTuple):
     """Whether the requested value is in force; False if nothing was requested."""
     reason: str
     """Why it is not in force."""
-    cure: str
+    action: str
     """Action to get it granted."""
     required: bool
     """Whether mode `require` needs it; the others only reduce jitter."""
@@ -80,7 +80,7 @@ class _Item(NamedTuple):
     """Requests the setting and pushes its undo onto the stack; raises OSError if refused."""
     read: Callable[[], tuple[str, bool]]
     """Reads back the value in force and whether it is the requested one."""
-    cure: str
+    action: str
     required: bool = True
 
 
@@ -93,7 +93,7 @@ def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterato
     started inside run with normal scheduling. With "off" nothing is asked, only read.
 
     Raises:
-        Refused: with "require", naming every missing setting and its cure; everything is restored.
+        Refused: with "require", naming every missing setting and its action; everything is restored.
     """
     # Scheduling last: locking memory and collecting garbage take long and come before.
     items = (
@@ -116,13 +116,13 @@ def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterato
                 'loop.realtime = "require"',
                 "; ".join(f"{s.name}: {s.reason}, {s.granted}" for s in granted.lacking),
                 "; ".join(f"{s.name}: {s.asked}" for s in granted.lacking),
-                "; ".join(dict.fromkeys(s.cure for s in granted.lacking))
+                "; ".join(dict.fromkeys(s.action for s in granted.lacking))
                 + '; or set loop.realtime = "prefer" to run without (never with hardware)',
             )
         yield granted
 
 
-def limit_cure(limit: str, value: str) -> str:
+def limit_action(limit: str, value: str) -> str:
     """Return how to give resource `limit` (`rtprio`, `memlock`) to a user, a service and a container."""
     return (
         f"give it to the user: `@golfbench - {limit} {value}` in /etc/security/limits.conf; "
@@ -146,7 +146,7 @@ def _settled(item: _Item, asked: bool, refusal: str) -> Setting:
     if as_asked and not refusal:
         return Setting(item.name, item.asked, granted, True, "", "", item.required)
     reason = refusal or "not in force after the call"
-    return Setting(item.name, item.asked, granted, False, reason, item.cure, item.required)
+    return Setting(item.name, item.asked, granted, False, reason, item.action, item.required)
 
 
 # The settings ----------------------------------------------------------------------------------------
@@ -192,7 +192,7 @@ def _memory() -> _Item:
         locked, resident, held = locked_memory()
         return f"{locked >> 20} MiB locked, {resident >> 20} MiB resident", held
 
-    return _Item(MEMORY, "all, now and later", ask, read, limit_cure("memlock", "unlimited"))
+    return _Item(MEMORY, "all, now and later", ask, read, limit_action("memlock", "unlimited"))
 
 
 def _processor(cpu: int) -> _Item:
@@ -209,8 +209,8 @@ def _processor(cpu: int) -> _Item:
         cores = os.sched_getaffinity(0)
         return f"core {', '.join(map(str, sorted(cores)))}", cpu < 0 or cores == {cpu}
 
-    cure = f"set loop.cpu to one of {', '.join(map(str, sorted(os.sched_getaffinity(0))))}, or -1 for any"
-    return _Item("processor", "any core" if cpu < 0 else f"core {cpu}", ask, read, cure)
+    action = f"set loop.cpu to one of {', '.join(map(str, sorted(os.sched_getaffinity(0))))}, or -1 for any"
+    return _Item("processor", "any core" if cpu < 0 else f"core {cpu}", ask, read, action)
 
 
 def _timer_slack() -> _Item:
@@ -239,8 +239,8 @@ def _idle_states() -> _Item:
         latency = int.from_bytes(os.pread(descriptors[0], 4, 0), sys.byteorder, signed=True)
         return f"{latency} µs", latency == 0
 
-    cure = f"let the user write {_CPU_DMA_LATENCY}: a udev rule, or DeviceAllow= of a service"
-    return _Item(IDLE, "0 µs to wake up", ask, read, cure, required=False)
+    action = f"let the user write {_CPU_DMA_LATENCY}: a udev rule, or DeviceAllow= of a service"
+    return _Item(IDLE, "0 µs to wake up", ask, read, action, required=False)
 
 
 def _scheduling(priority: int) -> _Item:
@@ -260,8 +260,8 @@ def _scheduling(priority: int) -> _Item:
             name == "FIFO" and got == priority and bool(resets),
         )
 
-    cure = limit_cure("rtprio", str(priority))
-    return _Item(SCHEDULING, f"FIFO {priority}, reset on fork", ask, read, cure)
+    action = limit_action("rtprio", str(priority))
+    return _Item(SCHEDULING, f"FIFO {priority}, reset on fork", ask, read, action)
 
 
 def _restore_scheduling(policy: int, parameter: os.sched_param) -> None:

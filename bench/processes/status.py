@@ -113,7 +113,7 @@ def status_of(
 
 
 def cause_text(cause: Cause, stall: str) -> str:
-    """Return the operator's text for `cause`; with a stall in place of its cure, if there was one."""
+    """Return the operator's text for `cause`; with a stall in place of its action, if there was one."""
     return in_one(_words(cause, stall))
 
 
@@ -138,19 +138,19 @@ def disarmed_for(cycle: Any, before: State, *, series: bool) -> Cause:
 
 
 def _words(cause: Cause, stall: str) -> Words:
-    fact, cure = CAUSE_WORDS[cause]
-    return fact, stall or cure
+    fact, action = CAUSE_WORDS[cause]
+    return fact, stall or action
 
 
 def refusal_words(refusal: Refusal, trouble: str) -> Words:
-    """Return the operator's words for `refusal`; the device's `trouble`, if known, in place of its cure."""
-    fact, cure = REFUSAL_WORDS[refusal]
-    return fact, trouble if trouble and refusal in (Refusal.READINGS, Refusal.DEVICE) else cure
+    """Return the operator's words for `refusal`; the device's `trouble`, if known, in place of its action."""
+    fact, action = REFUSAL_WORDS[refusal]
+    return fact, trouble if trouble and refusal in (Refusal.READINGS, Refusal.DEVICE) else action
 
 
 def _cause(cause: Cause, stall: str = "") -> CauseStatus | None:
-    fact, cure = _words(cause, stall)
-    return CauseStatus(name=cause.name, text=fact, cure=cure) if cause else None
+    fact, action = _words(cause, stall)
+    return CauseStatus(name=cause.name, text=fact, action=action) if cause else None
 
 
 def _position(seen: float) -> bool | None:

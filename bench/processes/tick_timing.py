@@ -41,12 +41,12 @@ BUDGET = 0.8
 _TYPICAL = 0.9
 """Share of ticks that must meet the budget. A stall of the machine affects single ticks, is counted while the
 loop runs, and does not depend on the configuration."""
-_CURES = {
+_ACTIONS = {
     "read": "check the driver's read: too many nodes, or too low a bit rate",
     "write": "check the driver's write: too many nodes, or too low a bit rate",
     "publish": "check the ring's folder: it must be in memory",
 }
-_COMPILED_CURE = "check that NUMBA_DISABLE_JIT is not set: the numerics must run compiled"
+_COMPILED_ACTION = "check that NUMBA_DISABLE_JIT is not set: the numerics must run compiled"
 
 
 @compiled
@@ -180,5 +180,5 @@ def check_budget(stamps: NDArray[np.int64], period_ns: int) -> None:
         f"{1e9 / period_ns:.5g} Hz, with ticks of {tick / 1000:.0f} µs ({_TYPICAL:.0%} of {len(stamps)} are "
         f"shorter), {tick / period_ns:.0%} of the period; {name!r} is longest, {cost[worst] / 1000:.0f} µs",
         f"at most {BUDGET:.0%} of the period, {BUDGET * period_ns / 1000:.0f} µs",
-        f"Set loop.rate to at most {int(1e9 * BUDGET / tick)} Hz, or {_CURES.get(name, _COMPILED_CURE)}.",
+        f"Set loop.rate to at most {int(1e9 * BUDGET / tick)} Hz, or {_ACTIONS.get(name, _COMPILED_ACTION)}.",
     )

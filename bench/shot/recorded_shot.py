@@ -109,9 +109,9 @@ def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, 
         recorded = as_tree({name: table if isinstance(table, dict) else {}}, file, faults)
         defaults = json.loads(json.dumps(asdict(kind())))
         today = as_tree({name: defaults}, file, faults)
-        cure = "Read it with the version of golfbench that wrote it."
+        action = "Read it with the version of golfbench that wrote it."
         tree = laid_over(today, recorded)[name]
-        built[name] = Builder(tree, file, cure, cure, faults=faults).build(kind)  # type: ignore[arg-type]
+        built[name] = Builder(tree, file, action, action, faults=faults).build(kind)  # type: ignore[arg-type]
     if faults:
         raise ExceptionGroup(f"{place} has an invalid configuration", faults)
     return built["plant"], FlightConditions(built["air"], built["wind"], built["turf"])
@@ -123,14 +123,14 @@ def shot_from_json(given: Any, place: str) -> Shot:
     Raises:
         BenchError: a column is missing or of another type, or the shot is invalid.
     """
-    cure = "Restore it, or use the version of golfbench that wrote it."
-    require_fit(given, Shot, place, cure)
+    action = "Restore it, or use the version of golfbench that wrote it."
+    require_fit(given, Shot, place, action)
     values = {name: given[name] for name in COLUMNS}
     try:
         time = datetime.fromisoformat(given["time_utc"])
         return Shot(**values | {"status": ShotStatus(given["status"]), "time_utc": time})
     except ValueError as error:
-        raise BenchError(place, str(error), "a shot", cure) from None
+        raise BenchError(place, str(error), "a shot", action) from None
 
 
 def shot_to_json(shot: Shot) -> dict[str, Any]:

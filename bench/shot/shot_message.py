@@ -23,7 +23,7 @@ SHOT_VERSION = 1
 
 _LONGEST_TEXT = 300
 """Max length of a reason, characters."""
-_CURE = "Use the same golfbench for bench and command line."
+_ACTION = "Use the same golfbench for bench and command line."
 
 
 class ShotPublication(TypedDict):
@@ -95,8 +95,8 @@ def read_shot_message(payload: bytes) -> ShotPublication:
     place = "shot message"
     read = json_object(payload)
     if read is None or read.get("version") != SHOT_VERSION:
-        raise BenchError(place, repr(payload[:40]), f"an object of version {SHOT_VERSION}", _CURE)
-    require_fit(read, ShotPublication, place, _CURE)
+        raise BenchError(place, repr(payload[:40]), f"an object of version {SHOT_VERSION}", _ACTION)
+    require_fit(read, ShotPublication, place, _ACTION)
     return cast(ShotPublication, read)
 
 

@@ -249,8 +249,8 @@ def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParam
         today = as_tree({name: _as_json(asdict(kind()))}, file, faults)
         defaults += _missing(today, recorded, "")
         tree = laid_over(today, recorded)[name]
-        cure = "Replay it with the version of golfbench that wrote it, or renew the record."
-        built[name] = Builder(tree, file, cure, cure, faults=faults).build(kind)  # type: ignore[arg-type]
+        action = "Replay it with the version of golfbench that wrote it, or renew the record."
+        built[name] = Builder(tree, file, action, action, faults=faults).build(kind)  # type: ignore[arg-type]
     if faults:
         raise ExceptionGroup(f"{place} cannot be replayed", faults)
     try:

@@ -64,7 +64,7 @@ def candidate_configuration(text: str) -> Configuration:
 
 def _reasons(group: ExceptionGroup[Exception]) -> str:
     found = (fault for fault in group.exceptions if isinstance(fault, BenchError))
-    return "; ".join(f"found {one.found}, expected {one.expected}. {one.cure}" for one in found)
+    return "; ".join(f"found {one.found}, expected {one.expected}. {one.action}" for one in found)
 
 
 @dataclass(frozen=True)

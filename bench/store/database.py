@@ -182,11 +182,11 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         if read_only and _log_of(Path(place)).exists():
             found = f"{str(error.orig).strip()}: read-only, with changes in {_log_of(Path(place)).name}"
             expected = "a database that was closed, or one that can be written"
-            cure = "Copy its folder to a disk that can be written, and read it there."
-            raise BenchError(place, found, expected, cure) from error
+            action = "Copy its folder to a disk that can be written, and read it there."
+            raise BenchError(place, found, expected, action) from error
         expected = "a database of golfbench that can be read and written"
-        cure = "Check that this user may write to it and its folder, and that the disk has room."
-        raise BenchError(place, str(error.orig).strip(), expected, cure) from error
+        action = "Check that this user may write to it and its folder, and that the disk has room."
+        raise BenchError(place, str(error.orig).strip(), expected, action) from error
     finally:
         engine.dispose()
 
@@ -260,6 +260,6 @@ def _has_tables(connection: Connection, place: str) -> bool:
         )
     version = connection.scalar(select(func.max(SchemaVersionRow.version)))
     if version != SCHEMA_VERSION:
-        cure = "Use the version of golfbench that wrote it, or name another database: bench.database."
-        raise BenchError(place, f"schema version {version}", f"version {SCHEMA_VERSION}", cure)
+        action = "Use the version of golfbench that wrote it, or name another database: bench.database."
+        raise BenchError(place, f"schema version {version}", f"version {SCHEMA_VERSION}", action)
     return True

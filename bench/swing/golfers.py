@@ -107,8 +107,8 @@ def find_golfer(name: str) -> Golfer:
     """
     if name in GOLFERS:
         return GOLFERS[name]
-    cure = did_you_mean(name, GOLFERS, "`golfbench golfer compare` shows them.")
-    raise BenchError(f"golfer {name}", "no such golfer", f"one of {', '.join(GOLFERS)}", cure)
+    action = did_you_mean(name, GOLFERS, "`golfbench golfer compare` shows them.")
+    raise BenchError(f"golfer {name}", "no such golfer", f"one of {', '.join(GOLFERS)}", action)
 
 
 class HumanDownswing(NamedTuple):

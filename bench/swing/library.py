@@ -30,9 +30,9 @@ def find_profile(name_or_path: str | Path) -> Path:
     names = profile_names()
     known = f"a path, or one of {', '.join(names)}" if names else "a path"
     if str(wanted) == THESIS:
-        cure = f"It is an experiment, not a profile: golfbench profile simulate {THESIS}"
-        raise BenchError(f"profile {THESIS}", "not a profile", known, cure)
-    cure = did_you_mean(
+        action = f"It is an experiment, not a profile: golfbench profile simulate {THESIS}"
+        raise BenchError(f"profile {THESIS}", "not a profile", known, action)
+    action = did_you_mean(
         wanted.name.removesuffix(".toml"), names, "`golfbench profile list` shows the known ones."
     )
-    raise BenchError(f"profile {wanted}", "no such profile or file", known, cure)
+    raise BenchError(f"profile {wanted}", "no such profile or file", known, action)

@@ -157,9 +157,9 @@ _PRESSURES = (1.0e5, 2.0e6)
 """Pa absolute, of a planned pressure."""
 _BESIDE: dict[str, tuple[type, str]] = {"table": _TEXT, "table_sha256": _TEXT}
 _GROUPS = ("delivery", "limits")
-_CURE = "Correct the profile, or design it again with `golfbench profile design`."
-_CURE_ADDRESS = "Plan them with `golfbench profile address`, or leave the table `address` out."
-_CURE_TABLE = (
+_ACTION = "Correct the profile, or design it again with `golfbench profile design`."
+_ACTION_ADDRESS = "Plan them with `golfbench profile address`, or leave the table `address` out."
+_ACTION_TABLE = (
     "Copy both files from the same place, or design the profile again with `golfbench profile design`. "
     "To edit a profile, start from `golfbench profile show PROFILE --table`."
 )
@@ -184,12 +184,12 @@ def load_profile(path: Path) -> Profile:
     for key, array in tables.items():
         if not np.all(np.isfinite(array)):
             where = ", ".join(str(int(i)) for i in np.argwhere(~np.isfinite(array))[0])
-            raise BenchError(f"{path}: {key}[{where}]", "not a finite number", "a finite number", _CURE)
+            raise BenchError(f"{path}: {key}[{where}]", "not a finite number", "a finite number", _ACTION)
     _check_shapes(path, raw["blind_spacing"], tables)
     _check_ranges(path, raw, tables)
     begins = _check_begins(path, raw["begins"], tables)
     if "followed" in raw:
-        require_fit(raw["followed"], FollowedGolfer, f"{path}: followed", _CURE)
+        require_fit(raw["followed"], FollowedGolfer, f"{path}: followed", _ACTION)
     air, air_supply = _address_air(path, raw.get("address"))
     return Profile(
         name=raw["name"],
@@ -220,24 +220,24 @@ def _check_keys(
     known = {*scalars, *_LISTS, *tables, *_GROUPS}
     allowed = known | {"address", "followed"}
     for key in sorted(set(raw) - allowed):
-        cure = did_you_mean(key, allowed, _CURE)
-        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(allowed))}", cure)
+        action = did_you_mean(key, allowed, _ACTION)
+        raise BenchError(f"{path}: {key}", "an unknown key", f"one of {', '.join(sorted(allowed))}", action)
     for key in sorted(known - set(raw)):
-        raise BenchError(f"{path}: {key}", "missing", f"the key {key}", _CURE)
+        raise BenchError(f"{path}: {key}", "missing", f"the key {key}", _ACTION)
     for key, (kind, text) in scalars.items():
         if type(raw[key]) is not kind or (kind is float and not np.isfinite(raw[key])):
-            raise BenchError(f"{path}: {key}", format_value(raw[key]), text, _CURE)
+            raise BenchError(f"{path}: {key}", format_value(raw[key]), text, _ACTION)
     if raw["blind_spacing"] < 1:
-        raise BenchError(f"{path}: blind_spacing", str(raw["blind_spacing"]), "at least 1 sample", _CURE)
+        raise BenchError(f"{path}: blind_spacing", str(raw["blind_spacing"]), "at least 1 sample", _ACTION)
     if raw["schema"] not in {SCHEMA, SCHEMA_WITH_TABLES}:
         wanted = f"{SCHEMA!r}, or {SCHEMA_WITH_TABLES!r} with tables in the file"
-        raise BenchError(f"{path}: schema", repr(raw["schema"]), wanted, _CURE)
+        raise BenchError(f"{path}: schema", repr(raw["schema"]), wanted, _ACTION)
     for key in _GROUPS:
         group = raw[key]
         if not isinstance(group, dict) or not all(
             type(v) in {int, float} and abs(v) <= GREATEST for v in group.values()
         ):
-            raise BenchError(f"{path}: {key}", repr(group), "a table of finite numbers", _CURE)
+            raise BenchError(f"{path}: {key}", repr(group), "a table of finite numbers", _ACTION)
 
 
 def _address_air(path: Path, table: Any) -> tuple[tuple[float, ...], float]:
@@ -246,7 +246,7 @@ def _address_air(path: Path, table: Any) -> tuple[tuple[float, ...], float]:
         return (), 0.0
     if not isinstance(table, dict) or table.keys() != _ADDRESS.keys():
         expected = f"a table of {' and '.join(_ADDRESS)}"
-        raise BenchError(f"{path}: address", format_value(table), expected, _CURE_ADDRESS)
+        raise BenchError(f"{path}: address", format_value(table), expected, _ACTION_ADDRESS)
     low, high = _PRESSURES
     for key, number in _ADDRESS.items():
         values = table[key] if isinstance(table[key], list) else [table[key]]
@@ -255,12 +255,12 @@ def _address_air(path: Path, table: Any) -> tuple[tuple[float, ...], float]:
         )
         if not good or not all(low <= value <= high for value in values):
             expected = f"{number} pressure{'s' * (number > 1)} from {low:g} to {high:g} Pa absolute"
-            raise BenchError(f"{path}: address.{key}", format_value(table[key]), expected, _CURE_ADDRESS)
+            raise BenchError(f"{path}: address.{key}", format_value(table[key]), expected, _ACTION_ADDRESS)
     supply = float(table["supply_pressure_pa"])
     air = tuple(map(float, table["chamber_pressures_pa"]))
     if max(air) >= supply:
         expected = f"less than the supply's {supply:g} Pa: no swung spool leads to more"
-        raise BenchError(f"{path}: address.chamber_pressures_pa", f"{max(air):g}", expected, _CURE_ADDRESS)
+        raise BenchError(f"{path}: address.chamber_pressures_pa", f"{max(air):g}", expected, _ACTION_ADDRESS)
     return air, supply
 
 
@@ -271,9 +271,9 @@ def _array(path: Path, key: str, value: Any, dimensions: int) -> Array:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
         found = "rows of different length or not numbers"
-        raise BenchError(f"{path}: {key}", found, "a table of numbers", _CURE) from None
+        raise BenchError(f"{path}: {key}", found, "a table of numbers", _ACTION) from None
     if array.ndim != dimensions:
-        raise BenchError(f"{path}: {key}", f"{array.ndim} dimensions", f"{dimensions}", _CURE)
+        raise BenchError(f"{path}: {key}", f"{array.ndim} dimensions", f"{dimensions}", _ACTION)
     return array
 
 
@@ -289,18 +289,18 @@ def _read_table(path: Path, raw: dict[str, Any]) -> dict[str, Array]:
         content = table.read_bytes()
     except FileNotFoundError:
         expected = f"the table of {path}"
-        raise BenchError(str(table), "no such file", expected, _CURE_TABLE) from None
+        raise BenchError(str(table), "no such file", expected, _ACTION_TABLE) from None
     except OSError as error:
         found = error.strerror or str(error)
-        raise BenchError(str(table), found, "a file that can be read", _CURE_TABLE) from None
+        raise BenchError(str(table), found, "a file that can be read", _ACTION_TABLE) from None
     digest = sha256(content).hexdigest()
     if digest != raw["table_sha256"]:
         expected = f"{format_value(raw['table_sha256'])}, as {path} says"
-        raise BenchError(str(table), f"SHA-256 {digest}", expected, _CURE_TABLE)
+        raise BenchError(str(table), f"SHA-256 {digest}", expected, _ACTION_TABLE)
     try:
         tables = decode_table(content, raw["blind_spacing"])
     except ValueError as error:
-        raise BenchError(str(table), str(error), "the table of a profile", _CURE_TABLE) from None
+        raise BenchError(str(table), str(error), "the table of a profile", _ACTION_TABLE) from None
     return {key: tables[name] for key, name in _TABLES.items()}
 
 
@@ -316,7 +316,7 @@ def _check_shapes(path: Path, blind_spacing: int, tables: dict[str, Array]) -> N
     }
     for key, shape in shapes.items():
         if tables[key].shape != shape:
-            raise BenchError(f"{path}: {key}", f"shape {tables[key].shape}", f"shape {shape}", _CURE)
+            raise BenchError(f"{path}: {key}", f"shape {tables[key].shape}", f"shape {shape}", _ACTION)
 
 
 def _check_ranges(path: Path, raw: dict[str, Any], tables: dict[str, Array]) -> None:
@@ -335,16 +335,16 @@ def _check_ranges(path: Path, raw: dict[str, Any], tables: dict[str, Array]) -> 
         values = np.atleast_1d(given)
         if np.any(values < low) or np.any(values > high):
             worst = values.flat[int(np.argmax(np.maximum(low - values, values - high)))]
-            raise BenchError(f"{path}: {key}", f"{worst:g}", expected, _CURE)
+            raise BenchError(f"{path}: {key}", f"{worst:g}", expected, _ACTION)
 
 
 def _check_begins(path: Path, given: Any, tables: dict[str, Array]) -> tuple[int, ...]:
     n = len(tables["angle_rad"])
     if np.any(tables["begins"] % 1):
-        raise BenchError(f"{path}: begins", repr(given), "whole numbers of samples", _CURE)
+        raise BenchError(f"{path}: begins", repr(given), "whole numbers of samples", _ACTION)
     begins = tuple(int(v) for v in tables["begins"])
     if n < 2 or begins[0] != 0 or list(begins) != sorted(begins) or begins[-1] >= n:
-        raise BenchError(f"{path}: begins", repr(begins), f"rising samples from 0, all below {n}", _CURE)
+        raise BenchError(f"{path}: begins", repr(begins), f"rising samples from 0, all below {n}", _ACTION)
     return begins
 
 

@@ -20,7 +20,7 @@ from bench.telemetry.cycle_record import FIELDS, LONGEST_BATCH, SCHEMA_VERSION, 
 _LONGEST_MESSAGE = 1 << 20
 _VERSION_KEY = b"golfbench_schema"
 _PLACE = "telemetry message"
-_CURE = "Let bench and viewer run the same version of golfbench."
+_ACTION = "Let bench and viewer run the same version of golfbench."
 
 
 class Batch(NamedTuple):
@@ -136,4 +136,4 @@ def _whole(facts: Any, key: bytes, least: int) -> int:
 
 
 def _bad(found: str, expected: str) -> BenchError:
-    return BenchError(_PLACE, found, expected, _CURE)
+    return BenchError(_PLACE, found, expected, _ACTION)

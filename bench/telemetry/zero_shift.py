@@ -19,7 +19,7 @@ ZERO_SHIFT_FILE = "zero-shifts"
 Shifts = tuple[str, str, str]
 """What each device says of preset and offset; empty if it does not know of any."""
 
-_CURE = (
+_ACTION = (
     "restore it with the device's own tool, or calibrate again: golfbench run --read-only, then golfbench "
     "calibrate encoders"
 )
@@ -35,14 +35,14 @@ class CalibratedShifts:
 
 
 def moved_zero(joint: int, found: str, calibrated: CalibratedShifts) -> str:
-    """Return why the device of `joint` is not as it was calibrated, with the cure; empty if it is."""
+    """Return why the device of `joint` is not as it was calibrated, with the action; empty if it is."""
     then = calibrated.shifts[joint]
     if found == then:
         return ""
     known = then or "unknown, as no bench was running when it was entered"
     return (
         f"encoder of the {JOINTS[joint]}: found {found or 'neither preset nor offset'}, expected what it was "
-        f"at {calibrated.name}: {known}. Its zero may have moved: {_CURE}"
+        f"at {calibrated.name}: {known}. Its zero may have moved: {_ACTION}"
     )
 
 

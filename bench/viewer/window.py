@@ -196,8 +196,8 @@ class RerunWindow:
             ViewerFailed: it does not start.
         """
         if kind == "window" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            expected, cure = "one for the viewer's window", "Use --web and a browser, or --save FILE."
-            raise BenchError("screen", "none (neither DISPLAY nor WAYLAND_DISPLAY is set)", expected, cure)
+            expected, action = "one for the viewer's window", "Use --web and a browser, or --save FILE."
+            raise BenchError("screen", "none (neither DISPLAY nor WAYLAND_DISPLAY is set)", expected, action)
         self._page: ViewerPage | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="golfbench-view-")
         try:

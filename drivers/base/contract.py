@@ -148,4 +148,4 @@ class RecordReader(Protocol):
 
 
 class DriverError(RuntimeError):
-    """A driver cannot do its work; the text names the device, what was found, expected, and the cure."""
+    """A driver cannot do its work; the text names the device, what was found, expected, and the action."""

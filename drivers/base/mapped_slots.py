@@ -55,12 +55,12 @@ last one that compiled code has read here (0 before the first)."""
 class SharedMemoryError(RuntimeError):
     """A shared file cannot be made or used: place, what was found, what was expected, what to do."""
 
-    def __init__(self, place: str, found: str, expected: str, cure: str) -> None:
-        super().__init__(place, found, expected, cure)
+    def __init__(self, place: str, found: str, expected: str, action: str) -> None:
+        super().__init__(place, found, expected, action)
 
     def __str__(self) -> str:
-        place, found, expected, cure = self.args
-        return f"{place}: found {found}, expected {expected}. {cure}"
+        place, found, expected, action = self.args
+        return f"{place}: found {found}, expected {expected}. {action}"
 
 
 class MappedSlots:
@@ -241,17 +241,17 @@ def _checked(path: Path, descriptor: int, kind: str, dtype: np.dtype[Any]) -> in
         )
     _, version, padded, slots, size, digest = _HEADER.unpack(start)
     stored = padded.rstrip(b"\0")
-    cure = "Restart all processes of the bench from one installation."
+    action = "Restart all processes of the bench from one installation."
     if version != _VERSION:
-        raise SharedMemoryError(str(path), f"layout version {version}", f"version {_VERSION}", cure)
+        raise SharedMemoryError(str(path), f"layout version {version}", f"version {_VERSION}", action)
     if stored != kind.encode():
-        raise SharedMemoryError(str(path), f"kind {stored!r}", f"kind {kind.encode()!r}", cure)
+        raise SharedMemoryError(str(path), f"kind {stored!r}", f"kind {kind.encode()!r}", action)
     if (size, digest) != (dtype.itemsize, _digest(dtype)):
         raise SharedMemoryError(
             str(path),
             f"records of other code: {size} bytes, type {digest.hex()}",
             f"{dtype.itemsize} bytes, type {_digest(dtype).hex()}",
-            cure,
+            action,
         )
     whole = FIRST + slots * _stride(size)
     if slots < 2 or slots & (slots - 1) or status.st_size != whole:

@@ -190,12 +190,12 @@ def open_link(settings: CanopenSettings, identifiers: Sequence[int]) -> FrameLin
             "(can.VALID_INTERFACES), or install its package"
         ) from error
     except (OSError, can.CanError, ValueError, ImportError) as error:
-        cure = (
+        action = (
             f"bring it up: ip link set {settings.channel} up type can bitrate {settings.bitrate}"
             if is_socketcan
             else "correct canopen.interface and canopen.channel, or install the interface's package"
         )
-        raise DriverError(f"{where}: cannot be opened: {error}; {cure}") from error
+        raise DriverError(f"{where}: cannot be opened: {error}; {action}") from error
     if isinstance(bus, LocalSocketBus):
         return bus
     return SocketcanLink(bus) if isinstance(bus, SocketcanBus) else MessageLink(bus)

@@ -162,13 +162,13 @@ class _Scanner:
         return (identifier, data[:length]) if SDO_RESPONSE < identifier < SDO_REQUEST else None
 
     def _missing(self, number: int) -> ScannedNode:
-        cure = "no answer; check its power and number, and the bit rate and terminators of the bus"
+        action = "no answer; check its power and number, and the bit rate and terminators of the bus"
         if number in self._stopped():
-            cure = (
+            action = (
                 "stopped, while a bench is on this bus, which alone may command it; reset or end the bench, "
                 "then scan again"
             )
-        return ScannedNode(number, self._roles[number], "", "", False, cure)
+        return ScannedNode(number, self._roles[number], "", "", False, action)
 
     def _judge(self, number: int) -> ScannedNode:
         """Read and judge a node; again if another client has come in between."""
@@ -206,8 +206,8 @@ class _Scanner:
             elif profile == IO_PROFILE:
                 properties, verdict = judge_io_node(node, self._settings)
             if not role:
-                cure = "in no role: correct the numbers in [canopen]"
-                return ScannedNode(number, role, device, properties, False, cure, shift), False
+                action = "in no role: correct the numbers in [canopen]"
+                return ScannedNode(number, role, device, properties, False, action, shift), False
             chosen = self._settings.valve_node if "valves" in role else self._settings.encoders
             wanted = IO_PROFILE if "valves" in role else ENCODER_PROFILE
             identify(node, wanted, chosen.vendor, chosen.product)

@@ -25,7 +25,7 @@ from drivers.canopen.frames import SDO_REQUEST, SDO_RESPONSE, frame
 MISSING = frozenset({0x06020000, 0x06090011})
 """Abort codes: no such object, no such sub-index."""
 
-_CURES = {
+_ACTIONS = {
     0x05040000: "check the node's power and number, and the bit rate and terminators of the bus",
     0x06010002: "the value is fixed in the device: set it at the device, or use another device",
     0x06020000: "the device has no such object: see its manual, correct [canopen], or use another device",
@@ -154,7 +154,7 @@ class Node:
         self.write(index, subindex, value, size, name)
         self.expect(index, subindex, value, name, "use a device that keeps its settings", mask)
 
-    def expect(self, index: int, subindex: int, value: int, name: str, cure: str, mask: int = -1) -> None:
+    def expect(self, index: int, subindex: int, value: int, name: str, action: str, mask: int = -1) -> None:
         """Read a number and require `value`.
 
         Raises:
@@ -163,7 +163,7 @@ class Node:
         found = self.read(index, subindex, name)
         if (found ^ value) & mask:
             raise ServiceError(
-                f"{self.place(index, subindex, name)}: found {found:#x}, expected {value:#x}; {cure}"
+                f"{self.place(index, subindex, name)}: found {found:#x}, expected {value:#x}; {action}"
             )
 
     def place(self, index: int, subindex: int, name: str) -> str:
@@ -174,14 +174,14 @@ class Node:
         place = self.place(index, subindex, name)
         match error:
             case SdoAbortedError():
-                cure = _CURES.get(error.code, "see the device's manual")
+                action = _ACTIONS.get(error.code, "see the device's manual")
                 text = SdoAbortedError.CODES.get(error.code, "a device-specific code")
-                message = f"{place}: cannot be {what}: abort code {error.code:08X}h, {text}; {cure}"
+                message = f"{place}: cannot be {what}: abort code {error.code:08X}h, {text}; {action}"
                 return ServiceError(message, error.code)
             case OSError():
                 return ServiceError(f"{place}: cannot be {what}: {error}; check that the interface is up")
             case _:
-                return ServiceError(f"{place}: cannot be {what}: {error}; {_CURES[0x05040000]}")
+                return ServiceError(f"{place}: cannot be {what}: {error}; {_ACTIONS[0x05040000]}")
 
 
 class _PolledClient(SdoClient):

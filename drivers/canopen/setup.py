@@ -156,10 +156,10 @@ def _set_error_value(node: Node, channel: int, count: int, shift: int, actuator:
         return node.set_if_different(0x6444, channel, count << shift if size == 4 else count, name)
     except ServiceError as error:
         if size == 4 and error.code and error.code not in MISSING:
-            cure = (
+            action = (
                 f"{error}. If it takes values without a shift, set canopen.valve_node.error_value_shift = 0"
             )
-            raise ServiceError(cure, error.code) from error
+            raise ServiceError(action, error.code) from error
         raise
 
 
@@ -230,8 +230,10 @@ def identify(node: Node, profile: int, vendor: int, product: int) -> None:
     )
     for subindex, wanted, name in ((1, vendor, "vendor"), (2, product, "product")):
         if wanted:
-            cure = f"another device is fitted: check that it is equivalent, then correct {name} in [canopen]"
-            node.expect(0x1018, subindex, wanted, name, cure)
+            action = (
+                f"another device is fitted: check that it is equivalent, then correct {name} in [canopen]"
+            )
+            node.expect(0x1018, subindex, wanted, name, action)
 
 
 def _silence(node: Node, communication: int, keep: set[int]) -> None:
@@ -300,17 +302,17 @@ def _map(node: Node, mapping: int, mapped: list[int]) -> None:
     Raises:
         DriverError: the device refuses, or keeps another mapping.
     """
-    cure = "if the device has a fixed mapping, use one with a configurable mapping"
+    action = "if the device has a fixed mapping, use one with a configurable mapping"
     try:
         node.write(mapping, 0, 0, 1, "number of objects in the PDO")
         for n, entry in enumerate(mapped, start=1):
             node.write(mapping, n, entry, 4, "object in the PDO")
         node.write(mapping, 0, len(mapped), 1, "number of objects in the PDO")
     except ServiceError as error:
-        raise ServiceError(f"{error}; {cure}" if error.code else f"{error}", error.code) from error
-    node.expect(mapping, 0, len(mapped), "number of objects in the PDO", cure)
+        raise ServiceError(f"{error}; {action}" if error.code else f"{error}", error.code) from error
+    node.expect(mapping, 0, len(mapped), "number of objects in the PDO", action)
     for n, entry in enumerate(mapped, start=1):
-        node.expect(mapping, n, entry, "object in the PDO", cure)
+        node.expect(mapping, n, entry, "object in the PDO", action)
 
 
 def _set_heartbeat(node: Node, settings: CanopenSettings) -> None:

@@ -116,8 +116,8 @@ class FakeDesk:
     def status(self) -> BenchStatus:
         stopped = self.state in (State.ESTOP, State.FAULT)
         why = Cause.POWER_UP if stopped else self.cause
-        fact, cure = CAUSE_WORDS[why]
-        cause = CauseStatus(name=why.name, text=fact, cure=cure) if why else None
+        fact, action = CAUSE_WORDS[why]
+        cause = CauseStatus(name=why.name, text=fact, action=action) if why else None
         return BenchStatus(
             version=1,
             bench="bench1",

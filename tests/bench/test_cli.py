@@ -1,4 +1,4 @@
-"""The frame of the command line: quick to start, and every error with its cure and exit code."""
+"""The frame of the command line: quick to start, and every error with its action and exit code."""
 
 from __future__ import annotations
 
@@ -246,7 +246,7 @@ def test_shell_completion_is_there() -> None:
         (Terminated(), 143, []),
     ],
 )
-def test_errors_show_their_cure_and_no_traceback(
+def test_errors_show_their_action_and_no_traceback(
     error: BaseException,
     code: int,
     texts: list[str],
@@ -289,7 +289,7 @@ def test_full_disk_behind_standard_output_is_no_internal_error(
     assert capsys.readouterr().err == "error: standard output or a file: No space left on device\n"
 
 
-def test_deleted_working_directory_is_reported_with_its_cure(
+def test_deleted_working_directory_is_reported_with_its_action(
     run: Callable[..., int],
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,

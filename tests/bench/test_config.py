@@ -187,14 +187,14 @@ def test_a_file_without_base_must_be_complete(tmp_path: Path) -> None:
     (fault,) = faults(path)
     assert fault.place == f"{path}: plant.supply.pressure"
     assert (fault.found, fault.expected) == ("nothing", "a finite number, 200000 to 1.2e6 Pa absolute")
-    assert 'base = "shipped"' in fault.cure
+    assert 'base = "shipped"' in fault.action
 
 
 def test_a_new_ball_without_like_must_be_complete(overlay: Overlay) -> None:
     found = faults(overlay("[balls.soft]\nmass = 0.045"))
     assert len(found) == 6
     assert {fault.found for fault in found} == {"nothing"}
-    assert all('write like = "NAME"' in fault.cure for fault in found)
+    assert all('write like = "NAME"' in fault.action for fault in found)
 
 
 @pytest.mark.parametrize(
@@ -292,7 +292,7 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
         (fault,) = faults(overlay(text))
         assert fault.place.endswith(".".join(keys) + "x")
         assert fault.found == "an unknown key"
-        assert keys[-1].removesuffix("_deg").removesuffix("_hz") in fault.cure
+        assert keys[-1].removesuffix("_deg").removesuffix("_hz") in fault.action
 
 
 @pytest.mark.parametrize(
@@ -394,7 +394,7 @@ def test_each_mistake_names_place_found_and_expected(
     assert fault.place == f"{path}: {place}"
     assert found in fault.found
     assert expected in fault.expected
-    assert fault.cure
+    assert fault.action
 
 
 @pytest.mark.parametrize(
@@ -404,7 +404,7 @@ def test_a_gain_set_by_hand_beside_those_of_the_machine_is_refused(text: str, ov
     key = text.partition(" ")[0]
     (fault,) = faults(overlay(f'[control]\ngains = "machine"\n{text}'))
     assert fault.place.endswith(f"control.{key}")
-    assert fault.cure == 'Delete it, or set control.gains = "hand".'
+    assert fault.action == 'Delete it, or set control.gains = "hand".'
     assert faults(overlay(f'[control]\ngains = "hand"\n{text}')) == []
 
 
@@ -499,7 +499,7 @@ def test_any_value_is_taken_or_refused_in_words(
         load_configuration(path)
     except (BenchError, ExceptionGroup) as error:
         refused = list(error.exceptions) if isinstance(error, ExceptionGroup) else [error]
-    assert all(isinstance(fault, BenchError) and fault.expected and fault.cure for fault in refused)
+    assert all(isinstance(fault, BenchError) and fault.expected and fault.action for fault in refused)
 
 
 # Faults and the model-based check ----------------------------------------------------------------------
@@ -527,7 +527,7 @@ def test_a_phase_is_nothing_to_a_plant_on_its_own_clock(overlay: Overlay, driver
     configuration = load_configuration(overlay(text + '[canopen]\ninterface = "local_socket"'))
     (fault,) = unheard_phases(configuration)
     assert fault.place.endswith("faults.a.phase")
-    assert "--time paced" in fault.cure
+    assert "--time paced" in fault.action
     assert not unheard_phases(
         configuration.with_driver(replace(configuration.driver, name="sim", time="paced"))
     )

@@ -108,7 +108,7 @@ def test_assess_ball_calibrated_off_the_profile_blocks(
     assert block["place"].endswith("default.toml: ball_m")
     assert "107.7 mm off" in block["found"]
     assert "plant.site" in block["expected"]
-    assert block["cure"]
+    assert block["action"]
     with pytest.raises(ExceptionGroup, match="cannot be swung here"):
         found.require_possible()
 
@@ -177,7 +177,7 @@ def test_assess_stale_limits_block_a_machine_and_warn_a_simulated_bench(
     ).blocks(NOW)
     assert block["place"] == "limits of default"
     assert "another plant (wrist.friction.coulomb 45, here 49)" in block["found"]
-    assert "golfbench profile limits default" in block["cure"]
+    assert "golfbench profile limits default" in block["action"]
     wrist = configuration.plant.wrist
     wrist = replace(wrist, friction=replace(wrist.friction, coulomb=49.0))
     c = replace(configuration, plant=replace(configuration.plant, wrist=wrist))
@@ -315,7 +315,7 @@ def test_daemon_calibration_taken_while_it_runs_counts_at_the_next_arming(
     calibrate(MISSED)
     refused = daemon.request(Request.ARM)
     assert [block["code"] for block in refused.blocks] == [Block.SWING, Block.CALIBRATION_NOT_LOADED]
-    assert "golfbench run" in refused.blocks[1]["cure"]
+    assert "golfbench run" in refused.blocks[1]["action"]
     calibrate(MET, hours=-0.5)  # as the loop has it
     assert daemon.request(Request.ARM).accepted
     assert link.asked == [Request.ARM, Request.ARM]
@@ -347,7 +347,7 @@ def blocked_status() -> Any:
             "place": "default.toml: ball_m",
             "found": "107.7 mm off",
             "expected": "0.5 mm",
-            "cure": "Move the tee.",
+            "action": "Move the tee.",
         }
     ]
     return status
@@ -369,7 +369,7 @@ def test_refused_arming_raises_the_parts_of_its_block() -> None:
     answer = CommandAnswer(False, "READY", Refusal.BLOCKED.name, content=content)
     error = CommandRefused("b", Verb.ARM, answer)
     assert (error.place, error.found) == ("arm of bench b", "default.toml: ball_m 107.7 mm off")
-    assert (error.expected, error.cure) == ("0.5 mm", "Move the tee.")
+    assert (error.expected, error.action) == ("0.5 mm", "Move the tee.")
 
 
 @pytest.fixture

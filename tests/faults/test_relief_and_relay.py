@@ -1,4 +1,4 @@
-"""Relief valves and the safety relay: what they cure, and what their own faults do."""
+"""Relief valves and the safety relay: what they action, and what their own faults do."""
 
 from __future__ import annotations
 

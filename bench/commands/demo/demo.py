@@ -89,8 +89,8 @@ def new_folder(output: Path | None, configuration: Configuration, begin: datetim
         folder.mkdir(parents=True, exist_ok=True)
         used = any(folder.iterdir())
     except OSError as error:
-        cure = "Name another one with --output."
-        raise BenchError(str(folder), error.strerror or str(error), "a folder to write to", cure) from error
+        action = "Name another one with --output."
+        raise BenchError(str(folder), error.strerror or str(error), "a folder to write to", action) from error
     if used:
         raise Refused(str(folder), "files in it", "a new or empty folder", "Name another one with --output.")
     return folder

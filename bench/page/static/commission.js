@@ -134,7 +134,7 @@ function step(s, at) {
 
 function wrong(w) {
   return make("div", { class: "prompt", role: "alert" }, make("p", {}, make("strong", {}, `Machine fault: ${w.place}`)),
-    make("p", {}, `Found ${w.found}; expected ${w.expected}.`), make("p", {}, w.cure));
+    make("p", {}, `Found ${w.found}; expected ${w.expected}.`), make("p", {}, w.action));
 }
 
 function actions(c) {

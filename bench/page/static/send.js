@@ -3,7 +3,7 @@
 const TIME = 8000; // ms
 const UNKNOWN = {
   what: "No answer: it is unknown whether the command arrived.",
-  cure: "Look at the robot. Nothing is sent again by itself.",
+  action: "Look at the robot. Nothing is sent again by itself.",
 };
 
 export async function send(path, body = {}, ticket = "", time = TIME) {
@@ -16,11 +16,11 @@ export async function send(path, body = {}, ticket = "", time = TIME) {
       redirect: "error",
       signal: AbortSignal.timeout(time),
     });
-    const answer = await response.json().catch(() => ({ what: "The answer is not readable.", cure: "Look at the robot." }));
+    const answer = await response.json().catch(() => ({ what: "The answer is not readable.", action: "Look at the robot." }));
     return { ok: response.ok, status: response.status, ...answer };
   } catch {
     return { ok: false, status: 0, ...UNKNOWN };
   }
 }
 
-export const say = (answer, done) => (answer.ok ? done : [answer.what, answer.cure].filter(Boolean).join(" "));
+export const say = (answer, done) => (answer.ok ? done : [answer.what, answer.action].filter(Boolean).join(" "));

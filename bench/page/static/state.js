@@ -18,8 +18,8 @@ export function showState(content) {
   by("cause-line").hidden = view.cause === null;
   by("latest-line").hidden = view.latest_cause === null;
   set("cause", view.cause?.what ?? "");
-  set("cure", view.cause?.cure ?? "");
-  set("latest", view.latest_cause ? `${view.latest_cause.what} ${view.latest_cause.cure}` : "");
+  set("action", view.cause?.action ?? "");
+  set("latest", view.latest_cause ? `${view.latest_cause.what} ${view.latest_cause.action}` : "");
   rows("warnings", view.warnings, (text) => make("li", {}, text));
   rows("conditions", view.conditions, ({ text, holds }) => make("li", { class: holds ? null : "not" }, holds ? "✓ " : "✗ ", text));
   figures();

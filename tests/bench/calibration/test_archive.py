@@ -141,7 +141,7 @@ def test_expiry_is_a_problem_and_missing_ones_only_with_a_machine(database: Engi
     )
     (problem,) = simulated.problems(NOW + DAY)
     assert "calibration ball version 1 expired on 2026-11-22" in problem.text
-    assert "golfbench calibrate ball" in problem.cure
+    assert "golfbench calibrate ball" in problem.action
     machine = effective_calibration(database, "b", NOW, club="iron7", required=True).problems(NOW)
     assert [problem.text.split(":")[0] for problem in machine] == [
         "encoders of bench b never calibrated",

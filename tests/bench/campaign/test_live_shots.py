@@ -392,8 +392,8 @@ def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
 
 
 def answer_of(refusal: Refusal, state: str = "READY") -> CommandAnswer:
-    fact, cure = REFUSAL_WORDS[refusal]
-    return CommandAnswer(False, state, refusal.name, reason=fact, cure=cure)
+    fact, action = REFUSAL_WORDS[refusal]
+    return CommandAnswer(False, state, refusal.name, reason=fact, action=action)
 
 
 def refused(verb: Verb, state: str, refusal: Refusal) -> CommandRefused:
@@ -405,7 +405,7 @@ BLOCK = ArmingBlock(
     place="club driver of bench b",
     found="never calibrated",
     expected="a calibration in force",
-    cure="golfbench calibrate club",
+    action="golfbench calibrate club",
 )
 
 

@@ -300,6 +300,6 @@ def test_a_club_of_a_shipped_variant_is_unknown_with_that_variant(
     tmp_path: Path, configuration: Configuration
 ) -> None:
     faults = _faults(tmp_path, configuration, TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["wood3"]'))
-    assert "golfbench --config bag" in faults["design.clubs"].cure
+    assert "golfbench --config bag" in faults["design.clubs"].action
     faults = _faults(tmp_path, configuration, TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["dirver"]'))
-    assert faults["design.clubs"].cure == "Did you mean driver?"
+    assert faults["design.clubs"].action == "Did you mean driver?"

@@ -71,7 +71,7 @@ def test_new_plan_asks_at_the_terminal_again_after_a_wrong_answer(
 def test_new_plan_whose_file_makes_no_name_is_refused(call: Call, tmp_path: Path, name: str) -> None:
     error = call("new", name, *TWO, *SIZES).exception
     assert isinstance(error, BenchError)
-    assert "two-balls.toml" in error.cure
+    assert "two-balls.toml" in error.action
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,4 +1,4 @@
-"""`golfbench doctor`: every item is looked at, nothing raises, each gap comes with its cure."""
+"""`golfbench doctor`: every item is looked at, nothing raises, each gap comes with its action."""
 
 from __future__ import annotations
 
@@ -198,9 +198,9 @@ def test_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _answer(held: bool, p99_us: float) -> dict[str, Any]:
     """What the child process tells when the kernel grants everything or nothing."""
-    told = {True: ("FIFO 80", "", ""), False: ("OTHER 0", "Operation not permitted", "the cure")}[held]
+    told = {True: ("FIFO 80", "", ""), False: ("OTHER 0", "Operation not permitted", "the action")}[held]
     names = ("scheduling", "memory lock", "timer slack", "idle states")
-    setting = dict(zip(("granted", "reason", "cure"), told, strict=True)) | {"held": held}
+    setting = dict(zip(("granted", "reason", "action"), told, strict=True)) | {"held": held}
     return {
         "settings": dict.fromkeys(names, setting),
         "latency": {"p50_us": 8.0, "p99_us": p99_us, "max_us": 4000.0},
@@ -226,7 +226,7 @@ def test_real_time_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     found = _realtime(monkeypatch, _answer(False, 900.0))
     assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {CheckStatus.LIMITED}
     assert "Operation not permitted" in found["SCHED_FIFO"].value
-    assert {found[item].advice for item in SETTINGS} == {"the cure"}
+    assert {found[item].advice for item in SETTINGS} == {"the action"}
     assert "scheduling OTHER 0" in found["wake-up latency"].value
 
 

@@ -1,4 +1,4 @@
-"""`golfbench doctor` on a machine with hardware: each gap is seen in the kernel's files and has its cure."""
+"""`golfbench doctor` on a machine with hardware: each gap is seen in the kernel's files, with its action."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ SLOW_THREAD = GOOD_FILES["proc/412/stat"].replace(" 90 1 0", " 50 1 0")
         ),
     ],
 )
-def test_each_gap_is_named_with_its_cure(
+def test_each_gap_is_named_with_its_action(
     look: Look, item: str, changes: dict[str, Any], value: str, advice: str
 ) -> None:
     finding = look(**changes)[item]

@@ -143,7 +143,7 @@ def test_a_damaged_golfer_file_is_refused(
     with pytest.raises(BenchError) as refused:
         load_golfer(path)
 
-    assert "golfbench golfer import" in refused.value.cure
+    assert "golfbench golfer import" in refused.value.action
 
 
 def test_compare_names_definition_and_reference(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

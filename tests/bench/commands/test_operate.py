@@ -146,7 +146,7 @@ def test_a_swing_that_was_stopped_exits_with_1(running: RunningPlane, golfbench:
 
 
 @pytest.mark.parametrize(
-    ("state", "cure"),
+    ("state", "action"),
     [
         (State.ESTOP, "golfbench reset"),
         (State.FAULT, "golfbench reset"),
@@ -155,14 +155,14 @@ def test_a_swing_that_was_stopped_exits_with_1(running: RunningPlane, golfbench:
         (State.ACCESS, "golfbench access --end"),
     ],
 )
-def test_a_refused_swing_has_the_cure_of_its_state(
-    running: RunningPlane, golfbench: Golfbench, state: State, cure: str
+def test_a_refused_swing_has_the_action_of_its_state(
+    running: RunningPlane, golfbench: Golfbench, state: State, action: str
 ) -> None:
     golfbench("lease", "take")
     running.desk.state = state
     code, _, err = golfbench("swing")
     assert code == ExitCode.REFUSED
-    assert f"Next: {cure}." in err
+    assert f"Next: {action}." in err
     assert running.desk.requests == []
 
 

@@ -100,7 +100,7 @@ def test_state_is_kept_after_each_step_and_resumed(
     stored = read_state(tmp_path)
     assert [step.name for step in stored.done] == ["first"]
     assert stored.wrong is not None
-    assert stored.wrong.cure == "Check it."
+    assert stored.wrong.action == "Check it."
     assert "Check it." in commissioning_report(stored, configuration.plant, DAY)
 
     with pytest.raises(BenchError, match="--resume"):
@@ -344,7 +344,7 @@ def test_without_a_learned_swing_the_command_does_not_exit_with_0(
     assert (tmp_path / "day" / "robot.toml").is_file()
     wrong = read_state(tmp_path / "day").wrong
     assert wrong is not None
-    assert wrong.cure == "Look at the club."
+    assert wrong.action == "Look at the club."
     assert "Look at the club." in (tmp_path / "day" / "report.html").read_text()
     last.failing = False
     with pytest.raises(SystemExit) as ended:

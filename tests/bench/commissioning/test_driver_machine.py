@@ -43,7 +43,7 @@ class JumpingClock:
 
 
 @pytest.mark.parametrize(
-    ("stall", "error", "found", "cure"),
+    ("stall", "error", "found", "action"),
     [
         (0.0, Refused, r"went passive: node 10 reports error 8250h$", "link"),
         (
@@ -55,7 +55,7 @@ class JumpingClock:
     ],
 )
 def test_driver_machine_that_goes_passive_reports_the_stall_before_it(
-    stall: float, error: type[Refused], found: str, cure: str
+    stall: float, error: type[Refused], found: str, action: str
 ) -> None:
     driver = TroubledDriver(build_plant(PLANT))
     clock = JumpingClock(driver, stall)
@@ -64,4 +64,4 @@ def test_driver_machine_that_goes_passive_reports_the_stall_before_it(
             machine.run((Segment(0.3, (0.0, 0.0, 0.0)),), BOUNDS)
         assert type(refused.value) is error
         assert re.search(found, refused.value.found)
-        assert cure in refused.value.cure
+        assert action in refused.value.action

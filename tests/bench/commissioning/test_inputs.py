@@ -163,7 +163,7 @@ EVERYDAY = (FAULTS[0], FAULTS[5], FAULTS[8])
 def test_a_fault_of_an_input_is_found(wired: Configuration, fault: Fault, place: str, words: str) -> None:
     findings = checked(wired, fault)
     assert any(place in one.place and words in one.found for one in findings), findings
-    assert all(one.expected and one.cure for one in findings)
+    assert all(one.expected and one.action for one in findings)
 
 
 def test_spans_are_found_whose_regulator_was_turned_to_read_right(
@@ -243,7 +243,7 @@ def test_who_stopped_the_check_begins_it_again(wired: Configuration) -> None:
         machine._stop = lambda: True
         with pytest.raises(Refused) as refused:
             check_inputs(machine, hands, wired)
-    assert (refused.value.place, refused.value.cure) == ("check of the inputs", "Begin again.")
+    assert (refused.value.place, refused.value.action) == ("check of the inputs", "Begin again.")
 
 
 def test_without_a_person_nothing_is_checked(wired: Configuration) -> None:
@@ -275,7 +275,7 @@ def blocks(database: URL, *, required: bool, found: tuple[str, ...], hours: floa
     return {
         problem.code
         for problem in calibration.problems(when)
-        if f"calibrate {CalibrationKind.INPUTS}" in problem.cure
+        if f"calibrate {CalibrationKind.INPUTS}" in problem.action
     }
 
 

@@ -34,7 +34,7 @@ def test_every_refusal_has_a_text_of_its_own() -> None:
     assert len(set(REFUSAL_TEXT.values())) == len(Refusal)
 
 
-def test_a_reset_is_the_cure_of_a_passive_device() -> None:
+def test_a_reset_is_the_action_of_a_passive_device() -> None:
     puppet = reach(State.READY)
     puppet.give(device_operational=False).tick()
     assert puppet.cause is Cause.DEVICE_PASSIVE

@@ -372,7 +372,7 @@ def test_a_shipped_swing_tells_what_it_is_short_of() -> None:
     assert f"{told} {golfer.head_speed - reached:.1f} m/s" in profile.text
 
 
-def test_a_missing_package_is_told_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_told_with_its_action(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(BenchError, match=r"golfbench\[design\]"):
         design_swing(load_configuration(None), SwingDemand(), "nothing")

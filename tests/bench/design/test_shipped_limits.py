@@ -24,7 +24,9 @@ from tests.compiled_only import needs_speed
 
 HIGH_SPEED = {"driver-115mph", "driver-130mph", "driver-130mph-level", "rules-120mph", "rules-125mph"}
 WITH_LIMITS = sorted(path.name.removesuffix(ENDING) for path in PROFILES.glob(f"*{ENDING}"))
-CURE = "make them again: golfbench --config CONFIGURATION profile limits PROFILE [--club CLUB] --output FILE"
+ACTION = (
+    "make them again: golfbench --config CONFIGURATION profile limits PROFILE [--club CLUB] --output FILE"
+)
 
 
 def designed_for(name: str) -> Configuration:
@@ -46,7 +48,7 @@ def watched(name: str) -> Configuration:
 def test_shipped_limits_are_not_stale(name: str) -> None:
     c, path = designed_for(name), find_profile(name)
     found = c.limits_in_use(load_profile(path), path)
-    assert not found.stale, f"{found.source}: {CURE}"
+    assert not found.stale, f"{found.source}: {ACTION}"
     assert found.source.endswith(f"{name}{ENDING}")
 
 

@@ -137,7 +137,7 @@ def test_each_reason_is_named(
     assert fault is not None, texts
     assert found in fault.found
     assert expected in fault.expected
-    assert fault.cure
+    assert fault.action
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ def test_a_swing_that_asks_for_more_air_than_the_valves_pass_is_refused(
     shoulder = next(fault for fault in faults if "shoulder" in fault.place)
     assert "N m of air needed at" in shoulder.found
     assert "7.9e-08 m3/(s Pa)" in shoulder.expected
-    assert "plant.shoulder" in shoulder.cure
+    assert "plant.shoulder" in shoulder.action
 
 
 def test_valves_too_small_for_the_speed_are_refused(
@@ -220,7 +220,7 @@ def test_valves_too_small_for_the_speed_are_refused(
     assert air_faults(plant.right_arm.valve.conductance) == []
     (fault,) = air_faults(1e-9)
     assert "arm" in fault.place
-    assert "plant.right_arm" in fault.cure
+    assert "plant.right_arm" in fault.action
 
 
 @pytest.fixture(scope="module")

@@ -118,7 +118,7 @@ def test_a_damaged_recording_is_refused(change: Change, found: str, marker: str,
     assert str(path) in refused.value.place
     assert found in f"{refused.value.found} {refused.value.expected}"
     assert marker in refused.value.place
-    assert len(refused.value.cure.split()) > 3
+    assert len(refused.value.action.split()) > 3
 
 
 def _csv(tmp_path: Path) -> Path:
@@ -223,11 +223,11 @@ def test_a_declared_unit_that_is_wrong_is_refused_with_the_one_that_fits(tmp_pat
     with pytest.raises(BenchError) as refused:
         imported(path)
 
-    assert "they would fit mm" in refused.value.cure
+    assert "they would fit mm" in refused.value.action
 
 
 def test_a_file_of_gears_itself_is_refused(tmp_path: Path) -> None:
-    assert "export C3D from GEARS" in _refusal(tmp_path / "swing.gears").cure
+    assert "export C3D from GEARS" in _refusal(tmp_path / "swing.gears").action
 
 
 def test_a_role_without_a_marker_lists_the_names_of_the_file(tmp_path: Path) -> None:
@@ -282,7 +282,7 @@ def test_a_stated_value_that_contradicts_the_file_is_refused(
     assert place in refused.value.place
 
 
-def test_c3d_without_its_package_is_refused_with_the_cure(
+def test_c3d_without_its_package_is_refused_with_the_action(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "ezc3d", None)
@@ -290,5 +290,5 @@ def test_c3d_without_its_package_is_refused_with_the_cure(
     path = tmp_path / "swing.c3d"
     path.write_bytes(b"\x02\x50")
 
-    assert "golfbench[mocap]" in _refusal(path).cure
+    assert "golfbench[mocap]" in _refusal(path).action
     assert len(points) > len(names)

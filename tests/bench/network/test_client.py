@@ -105,7 +105,7 @@ def test_air_that_never_comes_is_refused_in_words(
     with pytest.raises(CommandRefused) as caught:
         bench.swing(patience=0.2)
     assert caught.value.found == "refused in state ARMED: the chambers are not at their planned pressures yet"
-    assert caught.value.cure == "Wait, then retry."
+    assert caught.value.action == "Wait, then retry."
 
 
 def test_homing_waits_for_chambers_that_vent(running: RunningPlane, bench: BenchClient) -> None:
@@ -152,7 +152,7 @@ def test_chambers_that_never_empty_are_refused_in_words(
     with pytest.raises(CommandRefused) as caught:
         bench.arm(patience=0.2)
     assert caught.value.found == "refused in state READY: the chambers are not verified empty yet"
-    assert caught.value.cure == "Wait, then retry."
+    assert caught.value.action == "Wait, then retry."
 
 
 def test_a_robot_that_never_rests_is_refused_in_words(
@@ -163,10 +163,10 @@ def test_a_robot_that_never_rests_is_refused_in_words(
     with pytest.raises(CommandRefused) as caught:
         bench.reset(patience=0.2)
     assert caught.value.found == "refused in state ESTOP: a joint still moves"
-    assert caught.value.cure == "Wait until the robot rests, then retry."
+    assert caught.value.action == "Wait until the robot rests, then retry."
 
 
-def test_a_refusal_says_state_reason_and_cure(bench: BenchClient) -> None:
+def test_a_refusal_says_state_reason_and_action(bench: BenchClient) -> None:
     bench.take_lease("Ann")
     with pytest.raises(CommandRefused) as caught:
         bench.swing()
@@ -183,7 +183,7 @@ def test_a_second_holder_is_refused_in_words(running: RunningPlane, bench: Bench
     with BenchClient.connect(running.configuration) as other, pytest.raises(CommandRefused) as caught:
         other.take_lease("Bob")
     assert caught.value.found == "refused in state ESTOP: Ann holds the bench for 30 s more"
-    assert caught.value.cure == "Wait, or ask Ann to release it."
+    assert caught.value.action == "Wait, or ask Ann to release it."
     assert held.key not in repr(held)
 
 
@@ -275,7 +275,7 @@ def test_waiting_for_an_armed_bench_ends_when_it_no_longer_is(
     with Supervisor(running), pytest.raises(Refused, match=f"found {state.name} in phase") as caught:
         bench.wait_until_armed(timeout=20.0, watch=watch)
     assert caught.value.expected == "ARMED, at rest at the address"
-    assert ("golfbench reset" in caught.value.cure) == (state is State.FAULT)
+    assert ("golfbench reset" in caught.value.action) == (state is State.FAULT)
 
 
 def test_no_bench_no_answer() -> None:
@@ -339,7 +339,7 @@ def test_a_status_of_another_version_is_told(
     answer = json.dumps(
         {
             **{"version": 1, "accepted": True, "state": "ESTOP", "refusal": "NONE", "cause": "NONE"},
-            **{"reason": "", "cure": "", "note": "", "content": content},
+            **{"reason": "", "action": "", "note": "", "content": content},
         }
     )
     monkeypatch.setattr(bench, "send", lambda *_: answer.encode())

@@ -140,7 +140,7 @@ def test_what_does_not_hold_is_named(verb: str, payload: bytes, place: str, foun
     assert error.place == place
     assert error.found.startswith(found)
     assert error.expected
-    assert error.cure
+    assert error.action
 
 
 @pytest.mark.parametrize("sequence", ["0", "-1", "1.0", '"1"', "true", "null", "[1]", "9007199254740992"])
@@ -188,7 +188,7 @@ def parsed(verb: str, payload: bytes) -> Command | BenchError:
     except BenchError as caught:
         error = caught
     again = parse_error(encode_error(error))
-    assert (again.place, again.found, again.expected, again.cure) == error.args
+    assert (again.place, again.found, again.expected, again.action) == error.args
     assert len(encode_error(error)) < 2048
     return error
 

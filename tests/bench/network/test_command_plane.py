@@ -170,7 +170,7 @@ def test_a_refusal_of_the_bench_comes_with_state_and_reason(asker: Asker) -> Non
 
 
 @pytest.mark.parametrize(
-    ("state", "cure"),
+    ("state", "action"),
     [
         (State.SAFE, "Home the robot."),
         (State.READY, "Arm to swing, or open the access to change club or ball."),
@@ -178,12 +178,12 @@ def test_a_refusal_of_the_bench_comes_with_state_and_reason(asker: Asker) -> Non
     ],
 )
 def test_a_refusal_for_the_state_has_the_next_step_of_that_state(
-    bench: RunningPlane, asker: Asker, state: State, cure: str
+    bench: RunningPlane, asker: Asker, state: State, action: str
 ) -> None:
     key = asker.take()
     bench.desk.state = state
     answer = asker.ask_keyed("swing", key)
-    assert (answer.refusal, answer.state, answer.cure) == ("STATE", state.name, cure)
+    assert (answer.refusal, answer.state, answer.action) == ("STATE", state.name, action)
 
 
 def test_a_lease_that_lapses_soon_is_told(bench: RunningPlane, clock: FakeClock, asker: Asker) -> None:
@@ -218,7 +218,7 @@ def test_only_one_of_two_clients_holds_the_bench(bench: RunningPlane, asker: Ask
     refusal = another.ask("lease", action="take", holder="Bob")
     assert refusal.refusal == "HELD"
     assert refusal.reason == "Ann holds the bench for 30 s more"
-    assert refusal.cure == "wait, or ask Ann to release it"
+    assert refusal.action == "wait, or ask Ann to release it"
     assert another.ask_keyed("reset", new_key()) == refusal
     assert not another.ask_keyed("lease", new_key(), action="release").accepted
     assert bench.desk.requests == []

@@ -20,13 +20,13 @@ from bench.network.zenoh_session import LONGEST_MESSAGE, NoAnswer, open_client, 
 from tests.bench.fake_bench_service import loopback_configuration
 
 
-def test_a_port_in_use_is_told_with_its_cure() -> None:
+def test_a_port_in_use_is_told_with_its_action() -> None:
     network = loopback_configuration().network
     with open_daemon(network), pytest.raises(BenchError) as caught:
         open_daemon(network)
     assert caught.value.place == f"network.endpoint {network.endpoint}"
     assert caught.value.found == "already in use"
-    assert "golfbench status" in caught.value.cure
+    assert "golfbench status" in caught.value.action
 
 
 def test_nobody_there_is_no_answer_at_once() -> None:
@@ -141,7 +141,7 @@ def test_tls_needs_a_certificate(key: str, tmp_path: Path) -> None:
     (fault,) = caught.value.exceptions
     assert isinstance(fault, BenchError)
     assert fault.place.endswith("network.identity")
-    assert "golfbench certificates" in fault.cure
+    assert "golfbench certificates" in fault.action
 
 
 @pytest.mark.parametrize("name", ["", "anna*", "anna bob", "**"])

@@ -9,9 +9,9 @@ from pathlib import Path
 PROGRAM = """
 import json, os, sys, time
 from pathlib import Path
-def fail(place, found, expected, cure):
+def fail(place, found, expected, action):
     assert os.environ["GOLFBENCH_ERRORS"] == "json"
-    sys.exit(json.dumps({"place": place, "found": found, "expected": expected, "cure": cure}))
+    sys.exit(json.dumps({"place": place, "found": found, "expected": expected, "action": action}))
 folder, given = Path(sys.argv[1]), sys.argv[2:]
 with (folder / "asked").open("a") as file:
     file.write(json.dumps(given) + "\\n")

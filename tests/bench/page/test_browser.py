@@ -79,7 +79,7 @@ def page(desk: FakeDesk, silence: list[Callable[[], None]]) -> Iterator[RunningP
 def test_an_operator_clicks_and_a_viewer_looks_on(browser: Any, page: RunningPage, desk: FakeDesk) -> None:
     with open_tab(browser, page.url) as tab, open_tab(browser, page.url) as other:
         tab.text("#state-word").to_have_text("ESTOP")
-        tab.text("#cure").to_have_text("Reset to begin.")
+        tab.text("#action").to_have_text("Reset to begin.")
         tab.take_lease(SCRIPT)
         other.text("#lease").to_contain_text(f"Lease: {SCRIPT}")
         tab.do("reset", ask=False)

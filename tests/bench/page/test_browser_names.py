@@ -95,7 +95,7 @@ COMMISSIONING = {
             "robot": "r",
             "steps": [STEP, STEP | {"done": False}],
             "done": 1,
-            "wrong": {"step": "s", "date": "d", "place": "p", "found": "f", "expected": "e", "cure": "c"},
+            "wrong": {"step": "s", "date": "d", "place": "p", "found": "f", "expected": "e", "action": "c"},
             "files": ["report", "robot"],
         },
         {"name": "two", "process": None, "unreadable": "why"},

@@ -79,7 +79,7 @@ def test_steps_findings_and_faults_are_shown(tmp_path: Path) -> None:
     assert (one["name"], one["done"], one["robot"], one["process"]) == ("first-day", 2, "other", None)
     assert [step["done"] for step in one["steps"]] == [True, True, *[False] * 7]
     assert one["steps"][0]["notes"] == [SCRIPT]
-    assert one["wrong"]["cure"] == "Fit the hose."
+    assert one["wrong"]["action"] == "Fit the hose."
     assert one["files"] == ["report"]
     with folder_lock(tmp_path / "commissioning" / "first-day"):
         assert shelf.view()["commissionings"][0]["process"] == os.getpid()
@@ -170,7 +170,7 @@ def test_a_commissioning_is_checked_started_and_resumed_as_at_the_command_line(
         program.note("end")
         assert following("commissioner")["text"] == "bench b: held by Ann; expected a free bench. Wait."
     status, content = asked(page, "check", robot="", resume="first-day")
-    assert (status, content["what"], content["cure"]) == (
+    assert (status, content["what"], content["action"]) == (
         409,
         "Robot: no sensors; expected some.",
         "Fit them.",

@@ -68,7 +68,7 @@ def test_state_role_and_silence_arrive_at_once(page: RunningPage, running: Runni
         assert following("you") == {"role": "operator", "sign_in": False, "bench": "bench1"}
         state = following("state")
         assert state["words"] == "Stopped and latched"
-        assert state["cause"]["cure"] == "Reset to begin."
+        assert state["cause"]["action"] == "Reset to begin."
         assert state["accepts"] == ["access", "reset", "secure"]
         assert following("link")["silent_s"] < HURRY
 
@@ -99,7 +99,7 @@ def test_a_refusal_comes_in_the_operators_words(page: RunningPage) -> None:
     answer = page.command("arm", ticket)
     assert answer.status == 409
     assert answer.content["what"] == "Not possible in this state."
-    assert answer.content["cure"]
+    assert answer.content["action"]
     page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
 
 

@@ -80,7 +80,7 @@ def test_the_words_of_a_refused_command_are_kept() -> None:
     merged = fault_of("golfbench campaign", 2, said_of(*names))
     assert merged.found.startswith("a ")
     assert "; b " in merged.found
-    assert (merged.place, merged.expected, merged.cure) == (fault.place, fault.expected, fault.cure)
+    assert (merged.place, merged.expected, merged.action) == (fault.place, fault.expected, fault.action)
     usage = fault_of("golfbench calibrate", 2, "Usage: ...\n╭─ Error ─╮\n│ No such option: --z │\n╰────╯")
     assert "No such option: --z" in usage.found
     assert fault_of("x", 70, "").found == "exit code 70"
@@ -240,7 +240,7 @@ def test_values_are_shown_and_entered(page: RunningPage, program: NotingProgram)
     status, content = entered(page, "/api/values/ball", **(BALL | {"x": 9}))
     assert status == 409
     assert content["what"] == "Calibrate ball: 9; expected up to 3 m."
-    assert content["cure"] == "Measure again."
+    assert content["action"] == "Measure again."
 
 
 def test_forms_become_arguments() -> None:
@@ -323,7 +323,7 @@ def test_the_viewer_is_opened_by_its_link_only_and_ends_with_the_page(
         assert following("viewer") == {"open": False}
     program.note("fail")
     answer = page.ask("GET", "/viewer", None, own)
-    assert (answer.status, answer.content["cure"]) == (409, "Install it.")
+    assert (answer.status, answer.content["action"]) == (409, "Install it.")
 
 
 def test_a_viewer_that_says_nothing_is_ended(program: NotingProgram, monkeypatch: pytest.MonkeyPatch) -> None:

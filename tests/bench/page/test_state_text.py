@@ -1,4 +1,4 @@
-"""The state in words: each state, phase and reaction has some, and each cause its cure."""
+"""The state in words: each state, phase and reaction has some, and each cause its action."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def test_everything_has_words() -> None:
 @pytest.mark.parametrize("state", State)
 def test_each_state_is_shown(state: State) -> None:
     status = FakeDesk(state).status() | {"lease": None}
-    for cause, (text, cure) in CAUSE_WORDS.items():
-        status["cause"] = CauseStatus(name=cause.name, text=text, cure=cure)
+    for cause, (text, action) in CAUSE_WORDS.items():
+        status["cause"] = CauseStatus(name=cause.name, text=text, action=action)
         view = state_view(status)
         assert view["cause"]["what"]
         json.dumps(view, allow_nan=False)

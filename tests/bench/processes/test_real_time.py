@@ -16,7 +16,7 @@ import pytest
 
 from bench.errors import ExitCode, Refused
 from bench.processes import real_time as module
-from bench.processes.real_time import RealTime, Setting, limit_cure, real_time
+from bench.processes.real_time import RealTime, Setting, limit_action, real_time
 
 pytestmark = pytest.mark.live
 
@@ -115,7 +115,7 @@ def test_the_settings_travel_as_json_and_say_why_they_are_not_held(tried: dict[s
     for name, setting in granted["settings"].items():
         assert set(setting) == set(Setting._fields)
         assert setting["name"] == name
-        assert bool(setting["reason"]) == bool(setting["cure"]) == (not setting["held"])
+        assert bool(setting["reason"]) == bool(setting["action"]) == (not setting["held"])
 
 
 def test_off_asks_nothing() -> None:
@@ -147,7 +147,7 @@ def test_prefer_without_privileges_runs_and_tells() -> None:
     assert found["settings"]["scheduling"]["granted"] == "OTHER 0"
 
 
-def test_require_without_privileges_names_each_setting_and_its_cure_and_leaves_nothing_behind() -> None:
+def test_require_without_privileges_names_each_setting_and_its_action_and_leaves_nothing_behind() -> None:
     found = _in_a_process(
         """
         before = look()
@@ -213,6 +213,6 @@ def test_off_lacks_nothing() -> None:
     assert RealTime("prefer", (setting,)).lacking == (setting,)
 
 
-def test_cures_name_user_service_and_container() -> None:
-    cure: Mapping[str, bool] = dict.fromkeys(("@golfbench - rtprio 80", "LimitRTPRIO=80", "SYS_NICE"), True)
-    assert all(part in limit_cure("rtprio", "80") for part in cure)
+def test_actions_name_user_service_and_container() -> None:
+    action: Mapping[str, bool] = dict.fromkeys(("@golfbench - rtprio 80", "LimitRTPRIO=80", "SYS_NICE"), True)
+    assert all(part in limit_action("rtprio", "80") for part in action)

@@ -66,7 +66,7 @@ def test_other_causes_keep_their_own_text() -> None:
     assert cause_text(Cause.GUARD, "") == CAUSE_TEXT[Cause.GUARD]
 
 
-def test_the_stall_replaces_the_cure_and_keeps_the_cause() -> None:
+def test_the_stall_replaces_the_action_and_keeps_the_cause() -> None:
     text = cause_text(Cause.SHOULDER_ENCODER, "the loop stood still")
     assert text == "shoulder encoder R1 without a valid reading: the loop stood still"
 

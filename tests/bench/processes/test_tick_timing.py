@@ -269,17 +269,17 @@ def test_ticks_within_their_budget_pass() -> None:
 
 
 @pytest.mark.parametrize(
-    ("segment", "cure"),
+    ("segment", "action"),
     [("read", "driver's read"), ("decide", "NUMBA_DISABLE_JIT"), ("publish", "in memory")],
 )
-def test_too_long_a_tick_is_refused_with_its_costliest_segment(segment: str, cure: str) -> None:
+def test_too_long_a_tick_is_refused_with_its_costliest_segment(segment: str, action: str) -> None:
     with pytest.raises(Refused) as refused:
         check_budget(stamps(**{segment: 796_000}), PERIOD)
     text = str(refused.value)
     assert refused.value.exit_code == ExitCode.REFUSED
     assert "1000 Hz, with ticks of 801 µs" in text
     assert f"{segment!r} is longest, 796 µs" in text
-    assert cure in text
+    assert action in text
     assert "at most 998 Hz" in text
 
 

@@ -89,7 +89,7 @@ def test_a_database_of_another_golfbench_is_refused_untouched(tmp_path: Path, ve
         pass
     assert str(version) in refusal.value.found
     assert refusal.value.expected == f"version {SCHEMA_VERSION}"
-    assert "bench.database" in refusal.value.cure
+    assert "bench.database" in refusal.value.action
     with closing(sqlite3.connect(tmp_path / "golfbench.sqlite")) as plain:
         assert plain.execute("SELECT version FROM schema_version").fetchall() == [(version,)]
 

@@ -156,7 +156,7 @@ def test_a_changed_table_is_refused_with_both_digests(path: Path) -> None:
     assert raised.value.found == f"SHA-256 {sha256(content).hexdigest()}"
     assert wanted[1][:50] in raised.value.expected
     assert f"as {path} says" in raised.value.expected
-    assert "Copy both files" in raised.value.cure
+    assert "Copy both files" in raised.value.action
 
 
 def test_a_missing_or_foreign_table_is_refused(path: Path) -> None:
@@ -326,7 +326,7 @@ def test_each_bad_profile_is_refused_with_its_place(
     assert raised.value.place == f"{one_file}: {place}"
     assert found in raised.value.found
     assert expected in raised.value.expected
-    assert raised.value.cure
+    assert raised.value.action
 
 
 def test_a_missing_file_and_no_toml_are_refused(tmp_path: Path) -> None:

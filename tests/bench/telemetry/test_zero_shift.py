@@ -40,7 +40,7 @@ def test_a_zero_where_it_was_calibrated_is_no_reason() -> None:
     ],
     ids=["moved", "another device", "not known"],
 )
-def test_a_moved_zero_is_named_with_both_values_and_the_cure(joint: int, found: str, told: str) -> None:
+def test_a_moved_zero_is_named_with_both_values_and_the_action(joint: int, found: str, told: str) -> None:
     text = moved_zero(joint, found, CALIBRATED)
     assert told in text
     assert "golfbench run --read-only, then golfbench calibrate encoders" in text

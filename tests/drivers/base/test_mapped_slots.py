@@ -175,12 +175,12 @@ def test_an_older_record_under_a_newer_number_is_seen(slots: MappedSlots) -> Non
 
 
 def refused(path: Path) -> str:
-    """Return what is said of the file at `path`; every refusal names it and a cure."""
+    """Return what is said of the file at `path`; every refusal names it and an action."""
     with pytest.raises(SharedMemoryError) as caught:
         opened(path)
-    place, *_, cure = caught.value.args
+    place, *_, action = caught.value.args
     assert place == str(path)
-    assert cure.endswith(".")
+    assert action.endswith(".")
     return str(caught.value)
 
 

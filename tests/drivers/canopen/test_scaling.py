@@ -98,7 +98,7 @@ REFUSED: dict[str, tuple[object, str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_counts_that_cannot_be_the_shafts_are_refused_with_the_cure(name: str) -> None:
+def test_counts_that_cannot_be_the_shafts_are_refused_with_the_action(name: str) -> None:
     personality, told = REFUSED[name]
     driver, wire = bus(encoder=personality)  # type: ignore[arg-type]
     with pytest.raises(DriverError, match=told):

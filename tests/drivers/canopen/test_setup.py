@@ -1,4 +1,4 @@
-"""The start-up: what is set and read back, and every refusal with node, object, abort code and cure."""
+"""The start-up: what is set and read back, and every refusal with node, object, abort code and action."""
 
 from __future__ import annotations
 
@@ -402,7 +402,7 @@ def test_too_full_a_bus_is_refused_before_anything_is_opened() -> None:
         ),
     ],
 )
-def test_an_interface_that_is_not_there_is_named_with_its_cure(
+def test_an_interface_that_is_not_there_is_named_with_its_action(
     interface: str, channel: str, told: str
 ) -> None:
     driver = CanopenDriver(CanopenSettings(interface=interface, channel=channel))
