@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -12,6 +9,7 @@ from typing import Any
 import pytest
 
 from bench.processes.memory_lock import MemoryMapping, memory_mappings
+from tests.bench.processes.own_process import printed_json
 
 MEBIBYTE = 1 << 20
 
@@ -50,16 +48,7 @@ def _in_a_process(code: str) -> Any:
         def resident(part):
             return sum(m.resident for m in memory_mappings() if part in m.name)
     """
-    answer = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(program) + textwrap.dedent(code)],
-        check=False,
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parents[3],
-        timeout=60,
-    )
-    assert answer.returncode == 0, answer.stderr
-    return json.loads(answer.stdout)
+    return printed_json(textwrap.dedent(program) + textwrap.dedent(code))
 
 
 def test_mappings_are_read_and_sorted(tmp_path: Path) -> None:

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
-import subprocess
-import sys
 import textwrap
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,6 +13,7 @@ import pytest
 from bench.errors import ExitCode, Refused
 from bench.processes import real_time as module
 from bench.processes.real_time import RealTime, Setting, limit_action, real_time
+from tests.bench.processes.own_process import printed_json
 
 pytestmark = pytest.mark.live
 
@@ -52,16 +49,7 @@ LOOK = """
 def _in_a_process(code: str, preamble: str = "") -> Any:
     """Run `code` after LOOK in a process of its own; return the JSON it prints."""
     program = textwrap.dedent(preamble) + textwrap.dedent(LOOK) + textwrap.dedent(code)
-    answer = subprocess.run(
-        [sys.executable, "-c", program],
-        check=False,
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parents[3],
-        timeout=60,
-    )
-    assert answer.returncode == 0, answer.stderr
-    return json.loads(answer.stdout)
+    return printed_json(program)
 
 
 @pytest.fixture(scope="module")
