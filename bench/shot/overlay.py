@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from bench.lifecycle import Phase
 from bench.shot.head_path import path_to_ball
 from bench.shot.recorded_shot import RecordedShot
+from bench.swing.motion import head_speed
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
-from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
-from sim.robot import RobotParameters
 
 Array = NDArray[np.float64]
 _Summary = Callable[[Array], float]
@@ -44,8 +43,6 @@ DELIVERY = {
 _PLANNED = {"head_speed_mps": "club_speed_mps", "attack_angle_deg": "attack_angle_deg"}
 """Figures of a profile by what a shot calls them."""
 _SWING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
-_H = 1e-5
-"""s across which the head's path is differentiated."""
 
 
 @dataclass(frozen=True)
@@ -122,16 +119,6 @@ def course_of_profile(plant: PlantParameters, profile: Profile) -> SwingCourse:
         head_speed(plant.robot, profile.angle[rows], profile.velocity[rows]),
         {_PLANNED[name]: value for name, value in profile.delivery.items() if name in _PLANNED},
     )
-
-
-def head_speed(robot: RobotParameters, angle: Array, velocity: Array) -> Array:
-    """Return the head's speed (n,; m/s) in the swing plane at `angle` (n, 3; rad) and `velocity` (rad/s)."""
-    if not len(angle):
-        return np.zeros(0)
-    ahead, behind = (
-        forward_kinematics(robot, np.ascontiguousarray(angle + step * velocity))[:, :2] for step in (_H, -_H)
-    )
-    return np.asarray(np.hypot(*(ahead - behind).T) / (2 * _H))
 
 
 def clocks(first: SwingCourse, second: SwingCourse) -> tuple[Array, Array, bool]:

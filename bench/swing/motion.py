@@ -45,12 +45,12 @@ class Motion:
     @cached_property
     def head_speed(self) -> Array:
         """Speed of the face's centre (n,), m/s."""
-        return head_speed(self.plant.robot, self.profile)
+        return head_speed(self.plant.robot, self.profile.angle, self.profile.velocity)
 
 
-def head_speed(robot: RobotParameters, profile: Profile) -> Array:
-    """Return the planned speed (n,) of the face's centre, m/s."""
-    a, w = np.cumsum(profile.angle, axis=1), np.cumsum(profile.velocity, axis=1)
+def head_speed(robot: RobotParameters, angle: Array, velocity: Array) -> Array:
+    """Return the speed (n,; m/s) of the face's centre at `angle` (n, 3; rad) and `velocity` (n, 3; rad/s)."""
+    a, w = np.cumsum(angle, axis=1), np.cumsum(velocity, axis=1)
     lengths = np.array([robot.l12, robot.l23, robot.club.length_to_face])
     x, y = (-lengths * np.sin(a) * w).sum(axis=1), (lengths * np.cos(a) * w).sum(axis=1)
     return np.asarray(np.hypot(x, y))
