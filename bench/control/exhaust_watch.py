@@ -21,7 +21,7 @@ SLOWEST = 1.0 / 3.0
 """Share of an exhaust's assumed flow below which it is a fault."""
 MARGIN = 2e3
 """Pa between the bound and a violation: a sensor's noise and zero."""
-LATE = 0.5
+LATE = 0.1
 """s above the bound that are believed."""
 CHAMBERS = 6
 _LONGEST = 0.02

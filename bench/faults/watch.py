@@ -31,7 +31,7 @@ _LONGEST_VENT = 20.0
 """Time at rest after which access and arming are given up, s."""
 _STILL, _STILL_FOR = 0.02, 1.0
 """Joint speed below which a joint rests, rad/s, and the time for which it must, s."""
-_EMPTY, _LONGEST_CREEP = 0.05e5, 180.0
+_EMPTY, _LONGEST_CREEP = 0.05e5, 600.0
 """Pressure over the atmosphere's at which a chamber carries less than friction holds, Pa, and the time after
 which a stopped robot is not waited for, s: on trapped air that leaks away a joint slips every few seconds."""
 

@@ -63,12 +63,16 @@ def test_an_exhaust_that_fails_in_the_swing_ends_safe_and_is_named(
 ) -> None:
     """A verdict counts pressure and motion behind a released guard; trapped air may leave arms elsewhere."""
     case = workbench.run(Breakage(fault, "stop"), at(workbench, "follow-through 40 %"))
-    if fault.name == "exhausts at 0 %":
-        # Arms sink for minutes as the seals leak: nobody was let in meanwhile.
-        assert case.reasons == ("did not come to rest",)
-        assert case.record.startswith("FAULT")
-    else:
-        assert case.verdict == "safe" or case.reasons == (case.change,)
+    assert case.verdict == "safe" or case.reasons == (case.change,)
     named = "SUPPLY_VALVE" if fault.signal == "manifold exhaust" else "_EXHAUST"
-    # Past its seal and by the wrist's motion this chamber empties as fast as through a third of its exhaust.
-    assert named in case.detected_by + case.record or fault.signal == "wrist cylinder B exhaust"
+    assert named in case.detected_by + case.record
+
+
+@pytest.mark.parametrize("instant", ["backswing 50 %", "backswing 90 %", "top 50 %"])
+def test_a_cylinder_that_its_own_motion_empties_names_its_exhaust_too(
+    workbench: Workbench, instant: str
+) -> None:
+    """The wrist falls while it vents: its small chamber is above the bound for a quarter of a second."""
+    fault = Fault("clogged", "wrist cylinder A exhaust", "scale", 0.1)
+    case = workbench.run(Breakage(fault, "stop"), at(workbench, instant))
+    assert (case.verdict, case.detected_by) == ("safe", "WRIST_A_EXHAUST")
