@@ -32,7 +32,10 @@ def _value(kind: type, optional: bool) -> st.SearchStrategy[Any]:
         int: st.integers(0, 10**6),
         float: st.floats(allow_nan=False, allow_infinity=False),
         str: _text,
-        datetime: st.datetimes(timezones=st.sampled_from([UTC, timezone(timedelta(hours=2))])),
+        datetime: st.datetimes(
+            min_value=datetime(1, 1, 2),  # the calendar's first hours east of Greenwich have no time in UTC
+            timezones=st.sampled_from([UTC, timezone(timedelta(hours=2))]),
+        ),
     }
     return st.none() | kinds[kind] if optional else kinds[kind]
 
