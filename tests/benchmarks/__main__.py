@@ -1,7 +1,8 @@
-"""Run a benchmark: `python -m tests.benchmarks [NAME [OPTION ...]]`, or `make benchmark`.
+"""Run a benchmark: `python -m tests.benchmarks [--keep] [NAME [OPTION ...]]`, or `make benchmark`.
 
 Each benchmark is a file here with `run(arguments) -> list[Row]`; its options: `python -m tests.benchmarks
-loop_timing --help`. Exit code 1 when a promised figure is missed.
+loop_timing --help`. `--keep` writes its figures to `tests/results/`. Exit code 1 when a promised figure is
+missed.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
+from tests.benchmarks.results import keep
 from tests.benchmarks.row import Row
 
 BENCHMARKS = (
@@ -46,16 +48,12 @@ def show(rows: list[Row], console: Console) -> None:
         table.add_column("promised", justify="right")
         table.add_column("note", style="dim")
         for row in (row for row in rows if row.benchmark == title):
-            promise = (
-                "" if row.at_least is None else f"at least {row.at_least:g}",
-                "" if row.at_most is None else f"at most {row.at_most:g}",
-            )
             style = "" if row.holds else "bold red"
             value = f"{row.value:,.4g}" if abs(row.value) < 1e4 else f"{row.value:,.0f}"
             table.add_row(
                 row.name,
                 f"{value} {row.unit}".strip(),
-                " ".join(filter(None, promise)),
+                row.promise,
                 row.note,
                 style=style,
             )
@@ -64,13 +62,17 @@ def show(rows: list[Row], console: Console) -> None:
 
 def main() -> int:
     """Run the named benchmark, dynamics_speed if none is named."""
-    name, *options = sys.argv[1:] or ["dynamics_speed"]
+    arguments = sys.argv[1:]
+    kept = arguments[:1] == ["--keep"]
+    name, *options = arguments[kept:] or ["dynamics_speed"]
     if name not in BENCHMARKS:
         print(f"no benchmark {name}; there are: {', '.join(BENCHMARKS)}", file=sys.stderr)
         return 2
     console = Console()
     rows: list[Row] = importlib.import_module(f"tests.benchmarks.{name}").run(options)
     show(rows, console)
+    if kept:
+        console.print(f"kept: {keep(name, options, rows)}")
     return verdict(rows, console)
 
 

@@ -22,3 +22,12 @@ class Row(NamedTuple):
         return (self.at_least is None or self.value >= self.at_least) and (
             self.at_most is None or self.value <= self.at_most
         )
+
+    @property
+    def promise(self) -> str:
+        """The bounds in words; empty without one."""
+        return " ".join(
+            f"at {which} {bound:g}"
+            for which, bound in (("least", self.at_least), ("most", self.at_most))
+            if bound is not None
+        )
