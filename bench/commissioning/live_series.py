@@ -230,7 +230,7 @@ class LiveSeries:
             cause = operator.cause
             found = cause_text(cause, self._stall()) if cause else f"state {self._state.name}"
             raise Refused("homing", found, "a homed robot in state READY", "Follow the text, then --resume.")
-        operator.wait_for(lambda: bool(operator.control["emptied"][0]), _PATIENCE)
+        operator.wait_for(lambda: bool(operator.control["venting"]["emptied"][0]), _PATIENCE)
         if not operator.arm():
             raise stopped_by_operator()
 

@@ -80,14 +80,14 @@ _OFFSET = 0.8
 def leave_address_air(s: Any, time: float) -> None:
     """Forget what was brought about at the address; the next hold begins from what it finds."""
     for i in range(3):
-        s.air_held[i] = s.air_swung[i] = 0
-    s.air_ready, s.air_good, s.air_since = False, time, time
+        s.address_air.held[i] = s.address_air.swung[i] = 0
+    s.address_air.ready, s.address_air.good, s.address_air.since = False, time, time
 
 
 @compiled
 def _has_missed(s: Any, time: float) -> bool:
     """Return whether a move ended so long ago that a joint must be passing its address again and again."""
-    return bool(time - s.move_start - s.move_time >= _MISSED)
+    return bool(time - s.move.start - s.move.duration >= _MISSED)
 
 
 @compiled
@@ -105,7 +105,7 @@ def catch_at_address(s: Any, parameters: Any, estimator: Any, time: float) -> bo
             return False
     for i in range(3):
         if not abs(parameters.angle[0, i] - estimator.angle[i]) <= p.address_tolerance[i]:
-            s.air_held[i] = LATE
+            s.address_air.held[i] = LATE
     return True
 
 
@@ -200,56 +200,56 @@ def bring_air(state: Any, parameters: Any, time: float) -> None:
     air, profile, plant = state.air[0], parameters.profile[0], parameters.plant[0]
     settled = True
     for i in range(3):
-        side = square_wave((time - s.air_since) / profile.air_period[i])
+        side = square_wave((time - s.address_air.since) / profile.air_period[i])
         away, speed = parameters.angle[0, i] - e.angle[i], abs(e.velocity[i])
         slips = speed > _SLIPS * p.still_speed[i]
-        if time - s.air_since >= _PATIENCE:
-            s.air_held[i] |= LATE
-        if time - s.air_since >= _PASSED and slips and abs(away) <= p.rest_band[i]:
-            s.air_held[i] |= SLIPPED
-        late, held = s.air_held[i] & LATE != 0, s.air_held[i] & HELD != 0
-        stopped = s.air_held[i] & (LATE | SLIPPED) != 0
+        if time - s.address_air.since >= _PATIENCE:
+            s.address_air.held[i] |= LATE
+        if time - s.address_air.since >= _PASSED and slips and abs(away) <= p.rest_band[i]:
+            s.address_air.held[i] |= SLIPPED
+        late, held = s.address_air.held[i] & LATE != 0, s.address_air.held[i] & HELD != 0
+        stopped = s.address_air.held[i] & (LATE | SLIPPED) != 0
         ahead = away - _STOPPING * e.velocity[i] if slips and stopped else away
         caught = (_CAUGHT if stopped else 1.0) * p.still_speed[i]
         if not held and abs(ahead) <= p.rest_band[i] and speed <= caught:
             held = True
         elif not min(abs(away), abs(ahead)) <= min(_BAND * p.rest_band[i], p.address_tolerance[i]):
             held = False
-        s.air_held[i] = (s.air_held[i] & (LATE | SLIPPED)) | (HELD if held else 0)
+        s.address_air.held[i] = (s.address_air.held[i] & (LATE | SLIPPED)) | (HELD if held else 0)
         missing = _missing(profile, air, i)
         force = _planned_force(plant, profile, air, i) - actuator_force(plant, air.pressure, i)
         firm = _FIRM * plant.coulomb[i] if late else np.inf
         if not (missing <= p.air_tolerance and abs(force) <= firm and held):
-            s.air_swung[i] = 1
+            s.address_air.swung[i] = 1
         elif missing <= _NEARER * p.air_tolerance and abs(force) <= _NEARER * firm:
-            s.air_swung[i] = 0
+            s.address_air.swung[i] = 0
         enough = _LEAKING * p.air_tolerance if late else 0.0
-        settled = settled and held and (s.air_swung[i] == 0 or missing <= enough)
+        settled = settled and held and (s.address_air.swung[i] == 0 or missing <= enough)
         rate = _CHARGING_RATE if slips and stopped else _RATE
         if held:
             # The swing begins as if nothing had been before it.
-            state.pid[0].integral[i], s.desired[i] = 0.0, s.air_trim[i]
+            state.pid[0].integral[i], s.desired[i] = 0.0, s.address_air.trim[i]
         elif slips and stopped:
             state.pid[0].integral[i], force = 0.0, 0.0
-            s.desired[i] += s.air_trim[i]
+            s.desired[i] += s.address_air.trim[i]
         elif late:
             force = _push(state, parameters, i)
-            s.desired[i] += s.air_trim[i]
+            s.desired[i] += s.address_air.trim[i]
         else:
             force = 0.0
-        if s.air_swung[i] != 0:
+        if s.address_air.swung[i] != 0:
             offset = _bounded(parameters, i, _offset_for(state, parameters, i, force, rate))
             if held or (late and not slips):
-                trim = s.air_trim[i] + _TRIM_RATE * s.measured_step * offset
-                s.air_trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
+                trim = s.address_air.trim[i] + _TRIM_RATE * s.measured_step * offset
+                s.address_air.trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
             if late or not held:  # a PID as soft as its air cannot make up for what the swing does
                 offset = _bounded(parameters, i, offset + _balancing(state, parameters, i))
             s.desired[i] += side * profile.air_width[i] + offset
     if not settled:
-        s.air_good = time
-    s.air_ready = time - s.air_good >= _SETTLING
-    if s.air_ready:
-        s.air_since = time
+        s.address_air.good = time
+    s.address_air.ready = time - s.address_air.good >= _SETTLING
+    if s.address_air.ready:
+        s.address_air.since = time
 
 
 @compiled
@@ -261,8 +261,8 @@ def charge(state: Any, parameters: Any, time: float) -> None:
     """
     s, air, plant, profile = state.control[0], state.air[0], parameters.plant[0], parameters.profile[0]
     for i in range(3):
-        side = square_wave((time - s.move_start) / profile.air_period[i])
-        s.air_trim[i] = 0.0
+        side = square_wave((time - s.move.start) / profile.air_period[i])
+        s.address_air.trim[i] = 0.0
         if time >= s.air_from:
             load = load_force(parameters.robot, plant, state.estimator[0].angle, i)
             missing = load - actuator_force(plant, air.pressure, i)
@@ -284,7 +284,7 @@ def loosen(state: Any, parameters: Any, time: float) -> None:
     for i in range(3):
         if missed and abs(e.velocity[i]) > _SLIPS * p.still_speed[i]:
             state.pid[0].integral[i] = 0.0
-        side = square_wave((time - s.move_start) / profile.air_period[i])
+        side = square_wave((time - s.move.start) / profile.air_period[i])
         s.desired[i] += side * profile.air_width[i]
         if missed:
             s.desired[i] += _bounded(parameters, i, _balancing(state, parameters, i))
@@ -295,7 +295,7 @@ def address_air_cause(state: Any, parameters: Any, time: float) -> int:
     """Return the cause that names the chamber whose air is not as planned in time, or 0."""
     s, p, profile = state.control[0], parameters.control[0], parameters.profile[0]
     holding = s.phase == Phase.HOLD and not s.swinging
-    if not (profile.air_planned and holding and time - s.air_since > p.air_timeout):
+    if not (profile.air_planned and holding and time - s.address_air.since > p.air_timeout):
         return 0
     chamber, away = worst_chamber(profile, state.air[0])
     if away <= p.air_tolerance:

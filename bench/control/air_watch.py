@@ -57,38 +57,38 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
     r = readings[0]
     passed = min(step, _LONGEST)
     # Nothing that has been open to the air for so long holds less than the atmosphere.
-    emptied = s.phase == Phase.STANDING and time - s.vent_start > p.vent_time
+    emptied = s.phase == Phase.STANDING and time - s.venting.start > p.vent_time
     for k in range(SENSORS):
         pressure = r.supply_pressure if k == 0 else r.chamber_pressure[k - 1]
         if _is_believable(p, pressure) and not (emptied and pressure < p.rest_pressure):
-            fell = s.sensor_seen[k] != 0 and s.sensor_shown[k] - pressure > MAX_FALL
-            s.sensor_seen[k], s.sensor_shown[k] = 1, pressure
-            s.sensor_doubt[k] = max(s.sensor_doubt[k] - RECOVERY * passed, 0.0)
+            fell = s.sensors.seen[k] != 0 and s.sensors.shown[k] - pressure > MAX_FALL
+            s.sensors.seen[k], s.sensors.shown[k] = 1, pressure
+            s.sensors.doubt[k] = max(s.sensors.doubt[k] - RECOVERY * passed, 0.0)
             if s.phase != Phase.STANDING:
-                s.sensor_emptied[k] = pressure > p.vented_pressure
+                s.sensors.emptied[k] = pressure > p.vented_pressure
             elif fell:
-                s.sensor_emptied[k] = 0
+                s.sensors.emptied[k] = 0
             elif pressure > p.vented_pressure:
-                s.sensor_emptied[k] = 1
-        elif s.sensor_seen[k] != 0 or not np.isnan(pressure):
-            s.sensor_doubt[k] = min(s.sensor_doubt[k] + passed, DEAD_AFTER)
-        if s.sensor_doubt[k] >= DEAD_AFTER:
-            s.sensor_dead[k] = 1
-        elif s.sensor_doubt[k] <= 0.0:
-            s.sensor_dead[k] = 0
+                s.sensors.emptied[k] = 1
+        elif s.sensors.seen[k] != 0 or not np.isnan(pressure):
+            s.sensors.doubt[k] = min(s.sensors.doubt[k] + passed, DEAD_AFTER)
+        if s.sensors.doubt[k] >= DEAD_AFTER:
+            s.sensors.dead[k] = 1
+        elif s.sensors.doubt[k] <= 0.0:
+            s.sensors.dead[k] = 0
     wanted = 0.0 if exhaust_closed else 1.0
     # A passive device and an open safety relay let the vents open by themselves.
     opened = not s.device_operational or not relay_closed(readings)
     allowed = SWITCHING + (0.0 if exhaust_closed else p.vent_delay)
     for k in range(VENTS):
         if s.tick <= 1:
-            s.vent_agreed[k] = time
+            s.vents.agreed[k] = time
         position = r.vent_open[k]
-        fitted = s.vent_fitted[k] != 0 or not np.isnan(position)
-        s.vent_fitted[k] = fitted
+        fitted = s.vents.fitted[k] != 0 or not np.isnan(position)
+        s.vents.fitted[k] = fitted
         if not fitted or position == wanted or (exhaust_closed and opened):
-            s.vent_agreed[k] = time
-        s.vent_wrong[k] = fitted and time - s.vent_agreed[k] > allowed
+            s.vents.agreed[k] = time
+        s.vents.wrong[k] = fitted and time - s.vents.agreed[k] > allowed
     _watch_shut_off(s, p, r.shut_off_open, exhaust_closed, opened, time)
 
 
@@ -96,28 +96,28 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
 def _watch_shut_off(s: Any, p: Any, position: float, powered: bool, opened: bool, time: float) -> None:
     """Judge the shut-off valve's `position`; open while `powered`, but where the vents `opened`."""
     if s.tick <= 1:
-        s.shut_off_agreed = time
-    s.shut_off_fitted = s.shut_off_fitted or not np.isnan(position)
-    if not s.shut_off_fitted or position == (1.0 if powered else 0.0) or (powered and opened):
-        s.shut_off_agreed = time
+        s.shut_off.agreed = time
+    s.shut_off.fitted = s.shut_off.fitted or not np.isnan(position)
+    if not s.shut_off.fitted or position == (1.0 if powered else 0.0) or (powered and opened):
+        s.shut_off.agreed = time
     allowed = SWITCHING + (0.0 if powered else p.shut_off_delay)
-    s.shut_off_wrong = s.shut_off_fitted and time - s.shut_off_agreed > allowed
+    s.shut_off.wrong = s.shut_off.fitted and time - s.shut_off.agreed > allowed
 
 
 @compiled
 def air_cause(s: Any) -> int:
     """Return the cause that names the first dead sensor, wrong vent or manifold, or 0."""
     for k in range(SENSORS):
-        if s.sensor_dead[k] != 0:
+        if s.sensors.dead[k] != 0:
             return Cause.SUPPLY_SENSOR + k
     for k in range(VENTS):
-        if s.vent_wrong[k] != 0:
+        if s.vents.wrong[k] != 0:
             return Cause.VENT_1 + k
-    if s.shut_off_wrong:
+    if s.shut_off.wrong:
         return Cause.SHUT_OFF
-    if s.supply_wrong:
+    if s.manifold.wrong:
         return Cause.SUPPLY_VALVE
-    if s.supply_unproven and not s.supply_excused:
+    if s.manifold.unproven and not s.manifold.excused:
         return Cause.SUPPLY_DECAY
     return 0
 
@@ -127,21 +127,21 @@ def air_fault(s: Any) -> int:
     """Return what fails as bits, in the order of FAULTS."""
     bits = 0
     for k in range(SENSORS):
-        if s.sensor_dead[k] != 0:
+        if s.sensors.dead[k] != 0:
             bits |= 1 << k
     for k in range(VENTS):
-        if s.vent_wrong[k] != 0:
+        if s.vents.wrong[k] != 0:
             bits |= 1 << (SENSORS + k)
-    if s.supply_wrong:
+    if s.manifold.wrong:
         bits |= 1 << (SENSORS + VENTS)
-    if s.supply_unproven:
+    if s.manifold.unproven:
         bits |= 2 << (SENSORS + VENTS)
-    if s.lock_wrong:
+    if s.lock.wrong:
         bits |= 4 << (SENSORS + VENTS)
-    if s.shut_off_wrong:
+    if s.shut_off.wrong:
         bits |= 8 << (SENSORS + VENTS)
     for k in range(SENSORS - 1):
-        if s.exhaust_slow[k] != 0:
+        if s.exhausts.slow[k] != 0:
             bits |= 16 << (SENSORS + VENTS + k)
     return bits
 
@@ -149,14 +149,14 @@ def air_fault(s: Any) -> int:
 @compiled
 def is_alive(s: Any, k: int) -> bool:
     """Return whether sensor `k` was seen and has not failed since."""
-    return bool(s.sensor_seen[k] != 0 and s.sensor_dead[k] == 0)
+    return bool(s.sensors.seen[k] != 0 and s.sensors.dead[k] == 0)
 
 
 @compiled
 def chambers_show_pressure(s: Any, p: Any) -> bool:
     """Return whether a living sensor shows pressure in its chamber."""
     for k in range(1, SENSORS):
-        if is_alive(s, k) and s.sensor_shown[k] > p.vented_pressure:
+        if is_alive(s, k) and s.sensors.shown[k] > p.vented_pressure:
             return True
     return False
 
@@ -164,14 +164,14 @@ def chambers_show_pressure(s: Any, p: Any) -> bool:
 @compiled
 def manifold_shows_pressure(s: Any, p: Any) -> bool:
     """Return whether a living sensor shows pressure in the manifold."""
-    return bool(is_alive(s, 0) and s.sensor_shown[0] > p.vented_pressure)
+    return bool(is_alive(s, 0) and s.sensors.shown[0] > p.vented_pressure)
 
 
 @compiled
 def nothing_is_held_up(s: Any, p: Any) -> bool:
     """Return whether no living sensor, the manifold's included, shows air that may hold an arm up."""
     for k in range(SENSORS):
-        if is_alive(s, k) and s.sensor_shown[k] > p.holding_pressure:
+        if is_alive(s, k) and s.sensors.shown[k] > p.holding_pressure:
             return False
     return True
 
@@ -200,16 +200,16 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     """
     whole, dead, fell = True, False, True
     for k in range(SENSORS):
-        if s.sensor_dead[k] == 0 and s.sensor_doubt[k] > 0.0 and s.state != State.ACCESS:
+        if s.sensors.dead[k] == 0 and s.sensors.doubt[k] > 0.0 and s.state != State.ACCESS:
             return False
         if k > 0:
-            dead = dead or s.sensor_dead[k] != 0
-            whole = whole and s.sensor_seen[k] != 0
-            fell = fell and s.sensor_emptied[k] != 0
-    fitted = s.vent_fitted[0] != 0 or s.vent_fitted[1] != 0
+            dead = dead or s.sensors.dead[k] != 0
+            whole = whole and s.sensors.seen[k] != 0
+            fell = fell and s.sensors.emptied[k] != 0
+    fitted = s.vents.fitted[0] != 0 or s.vents.fitted[1] != 0
     opened = readings[0].vent_open[0] == 1.0 or readings[0].vent_open[1] == 1.0
-    passed = time - s.vent_start
-    if s.sensor_dead[0] != 0 or s.shut_off_wrong:
+    passed = time - s.venting.start
+    if s.sensors.dead[0] != 0 or s.shut_off.wrong:
         return False
     if fitted and not opened and s.state != State.ACCESS:
         return False

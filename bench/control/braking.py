@@ -79,7 +79,7 @@ def brake(state: Any, parameters: Any, readings: Any, trusted: bool, time: float
     brake_openings(s, parameters.control[0], e)
     for i in range(3):
         s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
-    if conductance_of_vents(parameters.plant[0], readings[0], s.vent_timer) > 0.0:
+    if conductance_of_vents(parameters.plant[0], readings[0], s.venting.timer) > 0.0:
         stand(s, parameters, time)
     else:
         _rest_or_wait(s, parameters, e, trusted, time)

@@ -35,38 +35,38 @@ def watch_exhausts(s: Any, p: Any, robot: Any, plant: Any, e: Any, readings: Any
     `plant` is one of PLANT_PARAMETERS, `e` the estimator's state. Without trusted encoders a chamber's volume
     is unknown: nothing is judged, and what was found stays.
     """
-    opened = s.vent_timer - SWITCHING
+    opened = s.venting.timer - SWITCHING
     vent = SLOWEST * conductance_of_vents(plant, readings[0], opened)
     known = s.lost == 0 and not s.distrusted and np.isfinite(e.angle.sum() + e.velocity.sum())
     judged = vent > 0.0 and s.phase == Phase.STANDING and known
     supply = readings[0].supply_pressure
-    s.exhaust_bound[12] = supply if p.lowest_pressure <= supply <= p.highest_pressure else plant.atmosphere
+    s.exhausts.bound[12] = supply if p.lowest_pressure <= supply <= p.highest_pressure else plant.atmosphere
     for i in range(3):
         if judged:
             _let_fall(s, robot, plant, e, vent, min(step, _LONGEST), i)
         for k in range(2 * i, 2 * i + 2):
-            shown, alive = s.sensor_shown[1 + k], is_alive(s, 1 + k)
+            shown, alive = s.sensors.shown[1 + k], is_alive(s, 1 + k)
             if not (judged and alive):
-                s.exhaust_bound[6 + k] = max(shown, plant.atmosphere) if alive else p.highest_pressure
-            above = shown > max(s.exhaust_bound[6 + k] + MARGIN, p.holding_pressure)
-            s.exhaust_late[k] = min(s.exhaust_late[k] + step, LATE) if judged and alive and above else 0.0
-            if s.exhaust_late[k] >= LATE:
-                s.exhaust_slow[k] = 1
+                s.exhausts.bound[6 + k] = max(shown, plant.atmosphere) if alive else p.highest_pressure
+            above = shown > max(s.exhausts.bound[6 + k] + MARGIN, p.holding_pressure)
+            s.exhausts.late[k] = min(s.exhausts.late[k] + step, LATE) if judged and alive and above else 0.0
+            if s.exhausts.late[k] >= LATE:
+                s.exhausts.slow[k] = 1
 
 
 @compiled
 def _let_fall(s: Any, robot: Any, plant: Any, e: Any, vent: float, step: float, i: int) -> None:
     """Move the bounds of actuator `i` on by `step` s through `vent`, m3/(s Pa)."""
     position, speed = actuator_motion(robot, plant, e.angle, e.velocity, i)
-    chambers(plant, i, s.exhaust_bound, s.exhaust_rate, 0.0, position, speed, vent)
+    chambers(plant, i, s.exhausts.bound, s.exhausts.rate, 0.0, position, speed, vent)
     for k in range(6 + 2 * i, 8 + 2 * i):
-        s.exhaust_bound[k] = max(s.exhaust_bound[k] + step * s.exhaust_rate[k], plant.atmosphere)
+        s.exhausts.bound[k] = max(s.exhausts.bound[k] + step * s.exhausts.rate[k], plant.atmosphere)
 
 
 @compiled
 def exhaust_cause(s: Any) -> int:
     """Return the cause that names the first exhaust found too slow, or 0."""
     for k in range(CHAMBERS):
-        if s.exhaust_slow[k] != 0:
+        if s.exhausts.slow[k] != 0:
             return Cause.SHOULDER_A_EXHAUST + k
     return 0

@@ -32,36 +32,38 @@ def note_answers(s: Any, d: Any, e: Any) -> None:
     """Note the joints that move along with their references; `d` is PID_STATE."""
     for i in range(3):
         way = np.sign(s.reference_velocity[i])
-        s.answer_from[i] += s.zero_shift[i]
-        if way not in (0.0, s.answer_way[i]):  # a reference that waits for its joint goes on
-            s.answer_way[i], s.answer_from[i] = way, e.angle[i]
-        elif s.answered[i] == 0 and way * (e.angle[i] - s.answer_from[i]) >= _ANSWER:
-            s.answered[i] = 1
+        s.first_motion.start[i] += s.homing.zero_shift[i]
+        if way not in (0.0, s.first_motion.way[i]):  # a reference that waits for its joint goes on
+            s.first_motion.way[i], s.first_motion.start[i] = way, e.angle[i]
+        elif s.first_motion.answered[i] == 0 and way * (e.angle[i] - s.first_motion.start[i]) >= _ANSWER:
+            s.first_motion.answered[i] = 1
             d.integral[i] = 0.0  # grown against the bound, it would throw the joint
-        if s.answer_way[i] != 0.0 and s.measured_step > 0.0:
-            s.answer_bound[i] += s.measured_step * (_LIFT if s.answered[i] != 0 else _GROWTH)
+        if s.first_motion.way[i] != 0.0 and s.measured_step > 0.0:
+            s.first_motion.bound[i] += s.measured_step * (
+                _LIFT if s.first_motion.answered[i] != 0 else _GROWTH
+            )
 
 
 @compiled
 def forget_answers(s: Any) -> None:
     """Have all joints answer again: the guard is open."""
     for i in range(3):
-        s.answered[i], s.answer_way[i], s.answer_bound[i] = 0, 0.0, 0.0
+        s.first_motion.answered[i], s.first_motion.way[i], s.first_motion.bound[i] = 0, 0.0, 0.0
 
 
 @compiled
 def is_free(s: Any, p: Any, i: int) -> bool:
     """Return whether the valve of joint `i` is allowed to open as far as homing does."""
-    return bool(s.answer_bound[i] >= p.home_opening)
+    return bool(s.first_motion.bound[i] >= p.home_opening)
 
 
 @compiled
 def bound_first(s: Any, p: Any, i: int, opening: float) -> float:
     """Return the `opening` of joint `i` within its bound; NaN stays NaN, for the envelope."""
-    free = s.answered[i] != 0 and is_free(s, p, i)
+    free = s.first_motion.answered[i] != 0 and is_free(s, p, i)
     if free or not (s.moving or s.phase == Phase.HOMING) or not np.isfinite(opening):
         return opening
-    most: float = p.move_band[i] + _LEAST + s.answer_bound[i]
+    most: float = p.move_band[i] + _LEAST + s.first_motion.bound[i]
     return min(max(opening, -most), most)
 
 
@@ -69,6 +71,6 @@ def bound_first(s: Any, p: Any, i: int, opening: float) -> float:
 def first_motion_cause(s: Any, p: Any, velocity: Any) -> int:
     """Return the cause that ends a first motion: a joint that has not answered and is fast; or 0."""
     for i in range(3):
-        if s.answered[i] == 0 and not abs(velocity[i]) <= _FASTER * p.home_touch_speed[i]:
+        if s.first_motion.answered[i] == 0 and not abs(velocity[i]) <= _FASTER * p.home_touch_speed[i]:
             return Cause.SHOULDER_FOLLOWING + i
     return 0

@@ -61,14 +61,14 @@ def begin_search(state: Any, p: Any, now: float) -> None:
     reset_integral(state.pid)
     s.disarming = s.tee = False
     s.air_from = now + p.warning_time
-    s.move_start = s.home_begin = time = s.air_from + p.precharge_time
+    s.move.start = s.homing.began = time = s.air_from + p.precharge_time
     s.phase = Phase.HOMING
-    s.home_turn, s.home_since, s.home_pushed = 0, time, time
-    s.home_touching, s.home_way = not p.home_by_index, 1.0
+    s.homing.turn, s.homing.since, s.homing.pushed_since = 0, time, time
+    s.homing.touching, s.homing.way = not p.home_by_index, 1.0
     for i in range(3):
-        s.reference[i] = s.home_from[i] = s.home_begun[i] = angle[i]
+        s.reference[i] = s.homing.start[i] = s.homing.origin[i] = angle[i]
         s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
-        s.home_free[i] = not p.home_by_index
+        s.homing.free[i] = not p.home_by_index
 
 
 @compiled
@@ -79,54 +79,54 @@ def search(s: Any, p: Any, e: Any, d: Any, indexed: Any, time: float, measured_s
     """
     for i in range(3):
         # A zero that was set in this tick: the joint went on as before.
-        s.reference[i] += s.zero_shift[i]
-        s.home_from[i] += s.zero_shift[i]
-        s.home_begun[i] += s.zero_shift[i]
+        s.reference[i] += s.homing.zero_shift[i]
+        s.homing.start[i] += s.homing.zero_shift[i]
+        s.homing.origin[i] += s.homing.zero_shift[i]
         s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
         if indexed[i] == 0:
-            s.home_free[i] = 1
+            s.homing.free[i] = 1
         if time < s.air_from:  # a vented robot may still sink while it warns
-            s.reference[i] = s.home_begun[i] = e.angle[i]
-        if time < s.move_start:
+            s.reference[i] = s.homing.origin[i] = e.angle[i]
+        if time < s.move.start:
             leash = _LEASH * p.home_touch_lead[i]
             s.reference[i] = min(max(s.reference[i], e.angle[i] - leash), e.angle[i] + leash)
-        elif time - measured_step < s.move_start:
-            s.reference[i] = s.home_from[i] = e.angle[i]
-    if not (time > s.home_since and measured_step > 0.0):
+        elif time - measured_step < s.move.start:
+            s.reference[i] = s.homing.start[i] = e.angle[i]
+    if not (time > s.homing.since and measured_step > 0.0):
         return False
-    if s.home_turn >= 3:
+    if s.homing.turn >= 3:
         return not p.home_stops or _go_back(s, p, e, time, measured_step)
-    joint = p.home_order[s.home_turn]
-    if not s.home_touching and s.home_free[joint] != 0 and indexed[joint] != 0:
-        s.home_touching = True
+    joint = p.home_order[s.homing.turn]
+    if not s.homing.touching and s.homing.free[joint] != 0 and indexed[joint] != 0:
+        s.homing.touching = True
         _begin_way(s, e, joint, time)
-    if not s.home_touching:
+    if not s.homing.touching:
         _seek(s, p, e, d, joint, time, measured_step)
     elif not p.home_stops or _press(s, p, e, joint, time, measured_step):
-        s.home_turn, s.home_touching = s.home_turn + 1, not p.home_by_index
+        s.homing.turn, s.homing.touching = s.homing.turn + 1, not p.home_by_index
         s.reference[joint] = e.angle[joint]
-        if s.home_turn < 3:
-            _begin_way(s, e, p.home_order[s.home_turn], time)
+        if s.homing.turn < 3:
+            _begin_way(s, e, p.home_order[s.homing.turn], time)
         else:
-            s.home_since = time
+            s.homing.since = time
     return False
 
 
 @compiled
 def _begin_way(s: Any, e: Any, joint: int, time: float) -> None:
     """Let `joint` go on from where it is."""
-    s.reference[joint] = s.home_from[joint] = s.home_at = e.angle[joint]
-    s.home_since = s.home_pushed = time
-    s.home_way = 1.0
+    s.reference[joint] = s.homing.start[joint] = s.homing.pushed_at = e.angle[joint]
+    s.homing.since = s.homing.pushed_since = time
+    s.homing.way = 1.0
 
 
 @compiled
 def _turn(s: Any, p: Any, joint: int, speed: float, time: float, measured_step: float) -> None:
     """Move the reference of `joint` on at `speed` (rad/s), from rest."""
-    speed *= min((time - s.home_since) / RAMP, 1.0)
+    speed *= min((time - s.homing.since) / RAMP, 1.0)
     s.reference[joint] += speed * measured_step
     s.reference_velocity[joint] = speed
-    s.feed_forward[joint] = s.move_gain[joint] * speed + p.move_band[joint] * direction(speed)
+    s.feed_forward[joint] = s.move.gain[joint] * speed + p.move_band[joint] * direction(speed)
 
 
 @compiled
@@ -143,20 +143,20 @@ def _push(
         _turn(s, p, joint, speed, time, measured_step)
     pushed = is_free(s, p, joint) and lead >= _FIRM * p.home_touch_lead[joint]
     # By its angle, not its velocity, which the other joints shake.
-    if not pushed or abs(e.angle[joint] - s.home_at) > rests:
-        s.home_pushed, s.home_at = time, e.angle[joint]
+    if not pushed or abs(e.angle[joint] - s.homing.pushed_at) > rests:
+        s.homing.pushed_since, s.homing.pushed_at = time, e.angle[joint]
 
 
 @compiled
 def _seek(s: Any, p: Any, e: Any, d: Any, joint: int, time: float, measured_step: float) -> None:
     """Turn `joint` on to its index: as far as it may or can, then in the other direction."""
-    way = s.home_way * p.home_direction[joint]
+    way = s.homing.way * p.home_direction[joint]
     _push(s, p, e, joint, way * p.home_speed[joint], _RESTS, time, measured_step)
-    far = way * (e.angle[joint] - s.home_from[joint]) > p.home_travel[joint]
-    if s.home_way > 0.0 and (far or time - s.home_pushed > _LONGEST_PUSH):
-        s.home_way, s.reference[joint] = -1.0, e.angle[joint]
+    far = way * (e.angle[joint] - s.homing.start[joint]) > p.home_travel[joint]
+    if s.homing.way > 0.0 and (far or time - s.homing.pushed_since > _LONGEST_PUSH):
+        s.homing.way, s.reference[joint] = -1.0, e.angle[joint]
         d.integral[joint] = 0.0  # what pressed it against its stop would press on
-        s.home_since = s.home_pushed = time
+        s.homing.since = s.homing.pushed_since = time
 
 
 @compiled
@@ -164,7 +164,7 @@ def _press(s: Any, p: Any, e: Any, joint: int, time: float, measured_step: float
     """Turn `joint` to its stop; return True once it has been pressed against it, at the stop's angle."""
     _push(s, p, e, joint, p.home_direction[joint] * p.home_touch_speed[joint], _PRESSED, time, measured_step)
     there = abs(e.angle[joint] - p.home_stop[joint]) <= p.home_stop_tolerance[joint]
-    return bool(there and time - s.home_pushed >= p.home_touch_time)
+    return bool(there and time - s.homing.pushed_since >= p.home_touch_time)
 
 
 @compiled
@@ -175,7 +175,7 @@ def _go_back(s: Any, p: Any, e: Any, time: float, measured_step: float) -> bool:
     """
     back = True
     for i in range(3):
-        way = s.home_begun[i] - s.reference[i]
+        way = s.homing.origin[i] - s.reference[i]
         if abs(way) > p.home_touch_speed[i] * measured_step:
             back = False
             speed = p.home_touch_speed[i] if way > 0.0 else -p.home_touch_speed[i]
@@ -201,14 +201,14 @@ def search_cause(
     """
     if not 0.0 <= s.measured_step <= max_gap:
         return Cause.TICK_GAP
-    if not time - s.home_begin <= p.home_longest:
+    if not time - s.homing.began <= p.home_longest:
         return Cause.HOMING_FAILED
     for i in range(3):
-        if s.home_free[i] == 0 and time > s.home_begin:
+        if s.homing.free[i] == 0 and time > s.homing.began:
             return Cause.HOMING_FAILED  # the device knows of no new search: an index of before proves nothing
     # Off its stop a full chamber throws a joint, whose zero is proven by then.
-    faster = _FASTER if s.home_turn < 3 else 2.0 * _FASTER
-    turned = p.home_order[s.home_turn] if s.home_turn < 3 else -1
+    faster = _FASTER if s.homing.turn < 3 else 2.0 * _FASTER
+    turned = p.home_order[s.homing.turn] if s.homing.turn < 3 else -1
     for i in range(3):
         if not abs(s.reference[i] - angle[i]) <= following[i]:
             return Cause.SHOULDER_FOLLOWING + i
@@ -216,14 +216,14 @@ def search_cause(
             return Cause.SHOULDER_FOLLOWING + i
         if i != turned:
             continue
-        if s.home_touching and p.home_stops:
+        if s.homing.touching and p.home_stops:
             beyond = p.home_direction[i] * (angle[i] - p.home_stop[i])
-            rested = time - s.home_pushed
+            rested = time - s.homing.pushed_since
             most = p.home_stop_tolerance[i] if rested >= p.home_touch_time else _OVERSHOOT
             if not (beyond <= most and rested <= _LONGEST_PUSH):
                 return Cause.SHOULDER_ZERO + i
-        elif not time - s.home_pushed <= 1.1 * _LONGEST_PUSH:
+        elif not time - s.homing.pushed_since <= 1.1 * _LONGEST_PUSH:
             return Cause.SHOULDER_FOLLOWING + i
-        elif not abs(angle[i] - s.home_from[i]) <= p.home_travel[i] + _BEYOND:
+        elif not abs(angle[i] - s.homing.start[i]) <= p.home_travel[i] + _BEYOND:
             return Cause.HOMING_FAILED
     return 0

@@ -25,14 +25,14 @@ def watch_lock(s: Any, readings: Any, released: bool, time: float) -> None:
     r = readings[0]
     wrong = r.guard_locked and ((released and s.device_operational) or not r.guard_closed)
     if not wrong or s.tick <= 1:
-        s.lock_agreed = time
+        s.lock.agreed = time
     if not r.guard_locked:
-        s.lock_wrong = False
+        s.lock.wrong = False
     elif lock_is_late(s, time):
-        s.lock_wrong = True
+        s.lock.wrong = True
 
 
 @compiled
 def lock_is_late(s: Any, time: float) -> bool:
     """Return whether the lock's feedback contradicts command or guard, for too long."""
-    return bool(time - s.lock_agreed > UNLOCKING)
+    return bool(time - s.lock.agreed > UNLOCKING)

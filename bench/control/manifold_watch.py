@@ -47,27 +47,27 @@ def watch_manifold(s: Any, p: Any, plant: Any, readings: Any, powered: bool, ste
     known = bool(p.lowest_pressure <= shown <= p.highest_pressure)  # False with NaN
     fell_too_fast = _is_too_low(s, plant, shown, known, step)
     if powered or s.tick <= 1:
-        s.supply_late = s.supply_shut = 0.0
-        s.supply_wrong = False
+        s.manifold.late = s.manifold.shut = 0.0
+        s.manifold.wrong = False
         if known:
-            s.supply_from = s.supply_slow = shown
+            s.manifold.start = s.manifold.slow = shown
         if s.tick <= 1:  # unknown before
-            s.supply_from, s.supply_slow = plant.atmosphere, plant.regulated
+            s.manifold.start, s.manifold.slow = plant.atmosphere, plant.regulated
     else:
-        s.supply_shut += step
-        if s.supply_shut > SHUTTING:
-            s.supply_slow = _fallen(plant, s.supply_slow, SLOWEST, step)
+        s.manifold.shut += step
+        if s.manifold.shut > SHUTTING:
+            s.manifold.slow = _fallen(plant, s.manifold.slow, SLOWEST, step)
         elif known:
-            s.supply_slow = max(s.supply_slow, shown)
+            s.manifold.slow = max(s.manifold.slow, shown)
     if not known:
         return
-    above = not powered and shown > max(s.supply_slow + MARGIN, p.vented_pressure)
-    s.supply_late = min(s.supply_late + step, LATE) if above else 0.0
-    s.supply_wrong = s.supply_late >= LATE
+    above = not powered and shown > max(s.manifold.slow + MARGIN, p.vented_pressure)
+    s.manifold.late = min(s.manifold.late + step, LATE) if above else 0.0
+    s.manifold.wrong = s.manifold.late >= LATE
     if fell_too_fast:
-        s.supply_unproven, s.supply_excused, s.supply_from = True, False, plant.atmosphere
-    elif s.supply_shut > PROOF_TIME and s.supply_from > PROOF_FROM and not above:
-        s.supply_unproven = False
+        s.manifold.unproven, s.manifold.excused, s.manifold.start = True, False, plant.atmosphere
+    elif s.manifold.shut > PROOF_TIME and s.manifold.start > PROOF_FROM and not above:
+        s.manifold.unproven = False
 
 
 @compiled
@@ -76,17 +76,17 @@ def _is_too_low(s: Any, plant: Any, shown: float, known: bool, step: float) -> b
 
     Inputs that did not arrive keep their values, and a stalled loop saw none: no fall is judged across that.
     """
-    bound = _fallen(plant, s.supply_fast, FASTEST, step)
+    bound = _fallen(plant, s.manifold.fast, FASTEST, step)
     if not known:
-        s.supply_fast = bound
+        s.manifold.fast = bound
         return False
     if s.lost != 0 or not s.device_operational or step > _LONGEST:
         bound = -np.inf
     # One reading that is too high is no pressure to fall from.
-    s.supply_fast = max(bound, min(shown, s.supply_before))
-    s.supply_before = shown
-    s.supply_early = s.supply_early + step if shown < bound - MARGIN else 0.0
-    return bool(s.supply_early >= EARLY)
+    s.manifold.fast = max(bound, min(shown, s.manifold.before))
+    s.manifold.before = shown
+    s.manifold.early = s.manifold.early + step if shown < bound - MARGIN else 0.0
+    return bool(s.manifold.early >= EARLY)
 
 
 @compiled

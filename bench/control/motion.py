@@ -40,7 +40,7 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
     elif s.moving:
         if time < s.air_from:
             # Without air a vented robot may still sink while it warns: the move begins where it is by then.
-            begin_move(parameters, s, e.angle, s.move_start)
+            begin_move(parameters, s, e.angle, s.move.start)
         if not follow_move(parameters, s, time):
             if near_address(parameters, state.estimator) or catch_at_address(s, parameters, e, time):
                 arrive(s, parameters, time)
@@ -48,7 +48,7 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
         for i in range(3):
             # Near enough is left alone: with dry friction an integral would hunt for ever.
             away = parameters.angle[0, i] - e.angle[i]
-            moved = abs(away) > p.rest_band[i] and s.air_held[i] & HELD == 0
+            moved = abs(away) > p.rest_band[i] and s.address_air.held[i] & HELD == 0
             s.reference[i] = parameters.angle[0, i] if moved else e.angle[i]
             s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
     if s.phase == Phase.FOLLOW_THROUGH:
@@ -99,9 +99,9 @@ def _control_openings(state: Any, parameters: Any, time: float, measured_step: f
     if charging(s, time) and not planned:
         # A closed-centre spool fills one chamber while it empties the other. Swung around the centre it
         # passes as much in as out of both, which ends at about three quarters of the supply in each.
-        push = p.precharge_opening * square_wave((time - s.move_start) / p.precharge_period)
-    elif s.phase in (Phase.BACKSWING, Phase.TOP) and time - s.swing_start >= p.dither_delay:
-        side = square_wave((time - s.swing_start) / p.dither_period)
+        push = p.precharge_opening * square_wave((time - s.move.start) / p.precharge_period)
+    elif s.phase in (Phase.BACKSWING, Phase.TOP) and time - s.swing.start >= p.dither_delay:
+        side = square_wave((time - s.swing.start) / p.dither_period)
     for i in range(3):
         opening = state.pid[0].output[i] + push + side * p.dither[i]
         s.desired[i] = bound_first(s, p, i, opening)
@@ -125,7 +125,7 @@ def _take_gains(s: Any, c: Any, d: Any, p: Any) -> None:
             d.gains[PROPORTIONAL, i] *= c.downswing_stiffness
             d.gains[DERIVATIVE, i] *= c.downswing_stiffness
     for i in range(3):
-        s.move_gain[i] = d.gains[MOVE, i]
+        s.move.gain[i] = d.gains[MOVE, i]
 
 
 @compiled

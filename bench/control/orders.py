@@ -33,7 +33,7 @@ def carry_out(state: Any, parameters: Any, request: int, time: float) -> None:
             disarm(s, parameters, time)
     elif request == Request.ACCESS:
         if change_state(s, parameters, State.ACCESS, time):
-            s.securing = s.air_trapped = False
+            s.securing = s.venting.trapped = False
     elif request == Request.SECURE:
         s.securing, s.state_since, s.reset_pressed = True, time, -np.inf
     elif request == Request.TEE:
@@ -44,9 +44,9 @@ def carry_out(state: Any, parameters: Any, request: int, time: float) -> None:
 def _reset(s: Any, parameters: Any, time: float) -> None:
     if change_state(s, parameters, State.READY if s.homed else State.SAFE, time):
         s.cause = s.latest_cause = 0
-        s.supply_excused = s.supply_unproven
-        for k in range(len(s.exhaust_slow)):
-            s.exhaust_slow[k] = 0
+        s.manifold.excused = s.manifold.unproven
+        for k in range(len(s.exhausts.slow)):
+            s.exhausts.slow[k] = 0
         s.emergency = False
         s.reaction, s.reset_pressed, s.stopped_at = Reaction.NONE, -np.inf, -np.inf
 
@@ -56,7 +56,7 @@ def _begin_homing(state: Any, parameters: Any, time: float) -> None:
     s, p = state.control[0], parameters.control[0]
     if not change_state(s, parameters, State.HOMING, time):
         return
-    s.homed, s.home_good = False, time
+    s.homed, s.homing.agreed_since = False, time
     if p.home_by_index:
         begin_search(state, p, time)
 
@@ -77,7 +77,7 @@ def _arm(state: Any, parameters: Any, time: float) -> None:
 def _begin_swing(s: Any, parameters: Any, time: float) -> None:
     if not change_state(s, parameters, State.SWINGING, time):
         return
-    s.swinging, s.swing_start, s.struck, s.fastest_head = True, time, False, 0.0
+    s.swinging, s.swing.start, s.swing.struck, s.swing.fastest_head = True, time, False, 0.0
     s.swings += 1
     # The integrals go on: the output of this tick also holds the damping term's noise.
     follow_profile(parameters, s, time)

@@ -94,172 +94,203 @@ spools around their openings up to the top. `feed_forward` is a code of `bench.c
 `rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the openings that carry the spools
 out of their dead bands in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
 
+
+def _nested(*fields: tuple[Any, ...]) -> np.dtype[Any]:
+    return np.dtype(list(fields), align=True)
+
+
+HOMING = _nested(
+    ("agreed_since", "f8"),  # s: from when on all angles agree with the vented robot's pose
+    ("began", "f8"),  # s: when the joints are first turned
+    ("turn", "i8"),  # place in the order of the joint that is turned; 3: all are home
+    ("since", "f8"),  # s: when this joint set off in its direction
+    ("start", "f8", (3,)),  # rad: where each joint set off
+    ("origin", "f8", (3,)),  # rad: where homing began, and to where it goes back
+    ("free", "u1", (3,)),  # the joint's index was forgotten since homing began
+    ("way", "f8"),  # -1 once the index is searched for in the other direction, else 1
+    ("touching", "?"),  # the joint looks for its stop
+    ("pushed_since", "f8"),  # s: from when on it rests against its reference
+    ("pushed_at", "f8"),  # rad: where it does
+    ("zero_shift", "f8", (3,)),  # rad: added to an angle by a zero that was set in this tick
+    ("index_wrong", "i4"),  # cause that names an encoder whose count was wrong at its index, or 0
+)
+"""Memory of `bench.control.homing`."""
+
+FIRST_MOTION = _nested(
+    ("answered", "u1", (3,)),  # the joint moved along since power-up and the guard's last opening
+    ("way", "f8", (3,)),  # direction in which its reference moves, or 0
+    ("start", "f8", (3,)),  # rad: where that began
+    ("bound", "f8", (3,)),  # opening beyond the dead band that its valve is allowed
+)
+"""Memory of `bench.control.first_motion`."""
+
+VENTING = _nested(
+    ("emptied", "?"),  # chambers and manifold are proven empty
+    ("empty_since", "f8"),  # s: from when on the time for sinking counts
+    ("drained_at", "f8"),  # s: when living sensors last showed what may hold an arm up
+    ("trapped", "?"),  # air stayed in the chambers: a person reads the gauges before access
+    ("rest_angle", "f8", (3,)),  # rad: where the joints came to rest
+    ("start", "f8"),  # s: when the vents were opened
+    ("timer", "f8"),  # s for which the vents have been without power
+)
+"""Memory of `bench.control.standing`."""
+
+SENSORS = _nested(
+    ("seen", "u1", (7,)),  # the sensor was once believable
+    ("shown", "f8", (7,)),  # Pa: its last believable value
+    ("emptied", "u1", (7,)),  # it was seen to fall at this venting
+    ("doubt", "f8", (7,)),  # s for which it has not been believable
+    ("dead", "u1", (7,)),  # for too long
+)
+"""Memory of `bench.control.air_watch`: pressure sensors of the manifold and the six chambers."""
+
+VENTS = _nested(
+    ("fitted", "u1", (2,)),  # the vent has reported its position
+    ("agreed", "f8", (2,)),  # s: when that last agreed with the command
+    ("wrong", "u1", (2,)),  # it has disagreed for too long
+)
+SHUT_OFF = _nested(
+    ("fitted", "?"),  # the shut-off valve has reported its position
+    ("agreed", "f8"),  # s: when that last agreed with the command
+    ("wrong", "?"),  # it has disagreed for too long
+)
+"""Memory of `bench.control.air_watch`, as VENTS."""
+
+MANIFOLD = _nested(
+    ("shut", "f8"),  # s since the supply was shut
+    ("start", "f8"),  # Pa: the pressure then
+    ("slow", "f8"),  # Pa: bound of the slowest venting
+    ("fast", "f8"),  # Pa: bound of the fastest
+    ("before", "f8"),  # Pa: last reading
+    ("late", "f8"),  # s for which the slow bound has been broken
+    ("early", "f8"),  # s for which the fast one has
+    ("wrong", "?"),  # it empties too slowly
+    ("unproven", "?"),  # its sensor has to prove itself at the next venting
+    ("excused", "?"),  # a reset has taken notice of that
+)
+"""Memory of `bench.control.manifold_watch`."""
+
+EXHAUSTS = _nested(
+    ("bound", "f8", (13,)),  # Pa, as in AIR_STATE
+    ("rate", "f8", (13,)),  # Pa/s
+    ("late", "f8", (6,)),  # s for which a chamber has been above its bound
+    ("slow", "u1", (6,)),  # its exhaust was found too slow since the last reset
+)
+"""Memory of `bench.control.exhaust_watch`."""
+
+LOCK = _nested(
+    ("agreed", "f8"),  # s: when the guard's lock last agreed with its command
+    ("wrong", "?"),  # it did not for too long, and has not been seen to since
+)
+"""Memory of `bench.control.lock_watch`."""
+
+ADDRESS_AIR = _nested(
+    ("held", "u1", (3,)),  # the joint is in its band: its valve serves its air
+    ("swung", "u1", (3,)),  # its spool is being swung
+    ("trim", "f8", (3,)),  # opening that keeps its pressure difference
+    ("good", "f8"),  # s: when the air was last not as planned
+    ("since", "f8"),  # s: since when it is waited for
+    ("ready", "?"),  # a swing may begin
+)
+"""Memory of `bench.control.address_air`."""
+
+MOVE = _nested(
+    ("start", "f8"),  # s
+    ("duration", "f8"),  # s
+    ("origin", "f8", (3,)),  # rad
+    ("gain", "f8", (3,)),  # opening per rad/s of reference speed, of the last tick's pose
+    ("arm_first", "?"),  # arm and wrist move before the shoulder
+)
+"""Memory of `bench.control.motion`: the slow move under way."""
+
+SWING = _nested(
+    ("start", "f8"),  # s
+    ("sample", "i8"),  # of the profile
+    ("fastest_head", "f8"),  # m/s
+    ("struck", "?"),  # the head has lost speed to a ball
+)
+"""Memory of the swing under way."""
+
 CONTROL_STATE = np.dtype(
     [
-        ("tick", "i8"),
-        ("time", "f8"),
-        ("measured_step", "f8"),
-        ("started", "?"),
-        ("lost", "i4"),
-        ("distrusted", "?"),
-        ("seen", "?"),
+        # From outside, before a tick.
         ("request", "u1"),
         ("request_number", "i8"),
         ("lease_held", "?"),
         ("support_ready", "?"),
         ("supervisor_alive", "?"),
         ("device_operational", "?"),
-        ("warm", "?"),
-        ("first_cause", "i4"),
+        ("warm", "?"),  # STARTING is over
+        ("first_cause", "i4"),  # of the ESTOP after it
+        # This tick, and what its readings are worth.
+        ("tick", "i8"),
+        ("time", "f8"),  # s
+        ("measured_step", "f8"),  # s since the last tick
+        ("started", "?"),  # there was one
+        ("lost", "i4"),  # cause that names readings which are not to be trusted, or 0
+        ("distrusted", "?"),  # since the last reset they were wrong or did not fit the model
+        ("seen", "?"),  # they were trusted once
+        # The answer to a request.
         ("asked", "u1"),
         ("answered_number", "i8"),
         ("answer", "u1"),
         ("refusal", "u1"),
+        # The lifecycle.
         ("state", "u1"),
-        ("state_since", "f8"),
-        ("emergency", "?"),
-        ("homed", "?"),
-        ("home_good", "f8"),
-        ("home_begin", "f8"),
-        ("home_turn", "i8"),
-        ("home_since", "f8"),
-        ("home_from", "f8", (3,)),
-        ("home_begun", "f8", (3,)),
-        ("home_free", "u1", (3,)),
-        ("home_way", "f8"),
-        ("home_touching", "?"),
-        ("home_pushed", "f8"),
-        ("home_at", "f8"),
-        ("zero_shift", "f8", (3,)),
-        ("answered", "u1", (3,)),
-        ("answer_way", "f8", (3,)),
-        ("answer_from", "f8", (3,)),
-        ("answer_bound", "f8", (3,)),
-        ("vented", "?"),
-        ("emptied", "?"),
-        ("empty_since", "f8"),
-        ("drained_at", "f8"),
-        ("air_trapped", "?"),
-        ("rest_angle", "f8", (3,)),
-        ("vent_start", "f8"),
-        ("exhaust_closed", "?"),
-        ("vent_timer", "f8"),
-        ("air", "?"),
-        ("air_from", "f8"),
-        ("securing", "?"),
-        ("entered", "?"),
-        ("disarming", "?"),
-        ("reset_was_low", "?"),
-        ("reset_pressed", "f8"),
-        ("tee", "?"),
-        ("let_off", "u1", (3,)),
+        ("state_since", "f8"),  # s
         ("phase", "u1"),
         ("reaction", "u1"),
-        ("cause", "i4"),
+        ("reaction_start", "f8"),  # s
+        ("still_since", "f8"),  # s: when a joint last moved
+        ("cause", "i4"),  # latched first
         ("latest_cause", "i4"),
+        ("emergency", "?"),  # the stop under way ends in ESTOP
+        ("homed", "?"),
+        ("vented", "?"),  # nothing can move or sink any more
+        ("air", "?"),  # the supply is on
+        ("air_from", "f8"),  # s: when it comes on, after the warning
+        ("exhaust_closed", "?"),  # commanded last
         ("swinging", "?"),
-        ("swing_start", "f8"),
-        ("swing_sample", "i8"),
         ("moving", "?"),
-        ("move_start", "f8"),
-        ("move_time", "f8"),
-        ("move_from", "f8", (3,)),
-        ("arm_first", "?"),
-        ("reaction_start", "f8"),
-        ("blind_row", "i8"),
-        ("still_since", "f8"),
-        ("reference", "f8", (3,)),
-        ("reference_velocity", "f8", (3,)),
-        ("reference_acceleration", "f8", (3,)),
-        ("feed_forward", "f8", (3,)),
-        ("move_gain", "f8", (3,)),
-        ("desired", "f8", (3,)),
-        ("applied", "f8", (3,)),
-        ("head", "f8", (6,)),
-        ("fastest_head", "f8"),
-        ("struck", "?"),
+        ("disarming", "?"),
+        ("securing", "?"),
+        ("entered", "?"),  # the guard was seen open in ACCESS: somebody may be inside until SECURE ends it
+        ("reset_was_low", "?"),
+        ("reset_pressed", "f8"),  # s
+        ("tee", "?"),
         ("swings", "i8"),
-        ("stopped_at", "f8"),
-        ("moved_at", "f8"),
-        ("calm", "f8", (3,)),
-        ("unseen", "u1", (3,)),
-        ("sensor_seen", "u1", (7,)),
-        ("sensor_shown", "f8", (7,)),
-        ("sensor_emptied", "u1", (7,)),
-        ("sensor_doubt", "f8", (7,)),
-        ("sensor_dead", "u1", (7,)),
-        ("vent_fitted", "u1", (2,)),
-        ("vent_agreed", "f8", (2,)),
-        ("vent_wrong", "u1", (2,)),
-        ("shut_off_fitted", "?"),
-        ("shut_off_agreed", "f8"),
-        ("shut_off_wrong", "?"),
-        ("supply_shut", "f8"),
-        ("supply_from", "f8"),
-        ("supply_slow", "f8"),
-        ("supply_fast", "f8"),
-        ("supply_before", "f8"),
-        ("supply_late", "f8"),
-        ("supply_early", "f8"),
-        ("supply_wrong", "?"),
-        ("supply_unproven", "?"),
-        ("supply_excused", "?"),
-        ("exhaust_bound", "f8", (13,)),
-        ("exhaust_rate", "f8", (13,)),
-        ("exhaust_late", "f8", (6,)),
-        ("exhaust_slow", "u1", (6,)),
-        ("lock_agreed", "f8"),
-        ("lock_wrong", "?"),
-        ("index_wrong", "i4"),
-        ("air_held", "u1", (3,)),
-        ("air_swung", "u1", (3,)),
-        ("air_trim", "f8", (3,)),
-        ("air_good", "f8"),
-        ("air_since", "f8"),
-        ("air_ready", "?"),
-        ("low_head", "f8"),
+        # Motion and commands.
+        ("reference", "f8", (3,)),  # rad
+        ("reference_velocity", "f8", (3,)),  # rad/s
+        ("reference_acceleration", "f8", (3,)),  # rad/s2
+        ("feed_forward", "f8", (3,)),  # opening
+        ("desired", "f8", (3,)),  # opening
+        ("applied", "f8", (3,)),  # opening, within the limits
+        ("head", "f8", (6,)),  # x, y, theta (m, m, rad) and their speeds
+        ("low_head", "f8"),  # m less than the clearance that are enough, of a head that rested low
+        ("calm", "f8", (3,)),  # rad/s by which rest is judged
+        ("stopped_at", "f8"),  # s: when a stop was last asked for
+        ("moved_at", "f8"),  # s: when a joint last did not rest
+        ("let_off", "u1", (3,)),  # actuators that `bench.control.escape` moves even in PASSIVE
+        ("unseen", "u1", (3,)),  # joints that BLIND_BRAKE brakes without their encoder
+        ("blind_row", "i8"),  # of its patterns; -1: none
+        # One record for each monitor and move.
+        ("homing", HOMING),
+        ("first_motion", FIRST_MOTION),
+        ("venting", VENTING),
+        ("sensors", SENSORS),
+        ("vents", VENTS),
+        ("shut_off", SHUT_OFF),
+        ("manifold", MANIFOLD),
+        ("exhausts", EXHAUSTS),
+        ("lock", LOCK),
+        ("address_air", ADDRESS_AIR),
+        ("move", MOVE),
+        ("swing", SWING),
     ],
     align=True,
 )
-"""From outside, before a tick: `request`, `request_number`, `lease_held`, `support_ready`,
-`supervisor_alive`, `device_operational`, `warm` (STARTING is over), `first_cause` (of the ESTOP after it),
-`tee`.
-`move_gain` is the opening per rad/s of reference speed in slow moves, of the last tick's pose; `arm_first`
-says that arm and wrist move before the shoulder.
-`home_begun` are the joints' angles when homing began (rad), `home_free` says whose index was forgotten since,
-`home_way` is -1 once the index is searched for in the other direction, `home_touching` says that the joint in
-turn looks for its stop, `home_pushed` and `home_at` since when and where it presses against it (s, rad).
-`zero_shift` is what a zero that was set in this tick added to the joint's angle (rad).
-`answered` are the joints that moved along with their references since power-up and the guard's last opening;
-`answer_way` and `answer_from` are its direction and the angle (rad) where it began, `answer_bound` is the
-opening beyond the dead band that the joint's valve is allowed.
-`stopped_at` is when a stop was last asked for (s), `moved_at` when a joint last did not rest (s),
-`let_off` are the actuators that `bench.control.escape` moves even in PASSIVE.
-`exhaust_closed` was commanded last, `vent_timer` is for how long the vents have been without power (s).
-`calm` are the velocities by which that is judged (rad/s), `rest_angle` where the joints came to rest (rad).
-`empty_since` is from when on the time for sinking counts (s), `drained_at` when all living sensors last
-showed no more than holds nothing up (s); `air_trapped` says that air stayed in the chambers at this venting:
-a person reads the gauges before anybody is let in.
-`entered` says that the guard was seen open in ACCESS: until SECURE has ended it, somebody may be inside.
-`unseen` are the joints that BLIND_BRAKE brakes without their encoder.
-`sensor_…` and `vent_…` are those of `bench.control.air_watch`: whether a sensor was ever believable, its last
-such value (Pa), for how long it has been in doubt (s), whether it is dead; whether a vent has feedback, when
-it last agreed with its command (s), whether it is wrong.
-`supply_…` are those of `bench.control.manifold_watch`: time since the supply was shut (s), the pressure then,
-the two bounds and the last reading (Pa), for how long the bounds have been broken (s), whether the manifold
-empties too slowly, whether its sensor has to prove itself at the next venting, whether a reset has taken
-notice of that. `exhaust_…` are those of `bench.control.exhaust_watch`: bounds and their rates as in AIR_STATE
-(Pa, Pa/s), for how long a chamber has been above its bound (s), whether its exhaust was found too slow since
-the last reset. `lock_agreed` is when the guard's lock last agreed with its command (s), `lock_wrong` that it
-did not and has not been seen to since. `index_wrong` is the cause that names an encoder whose count was wrong
-when its index passed, or 0.
-`air_…` are those of `bench.control.address_air`: whether a joint is in its band, so that its valve serves its
-air, whether its spool is being swung, the opening that keeps its difference, when the air was last not as
-planned and since when it is waited for (s), whether a swing may begin. `low_head` is by how much less than
-the clearance is enough (m), of a head that rested low.
-`lost` is this tick's verdict on the readings, `distrusted` that since the last reset they were found wrong or
-did not fit the model, `seen` that they were trusted once; `emergency` says that the stop under way ends in
-ESTOP; `air` that the supply is on."""
+"""Memory of the step."""
 
 PROFILE = np.dtype(
     [
@@ -334,22 +365,17 @@ def new_control_state(state: State = State.READY) -> ControlState:
         new_record(MODEL_STATE),
         new_record(AIR_STATE),
     )
-    control, begun = made.control, state != State.STARTING
+    control, powered = made.control, state != State.STARTING
+    venting, moves = control["venting"], control["first_motion"]
     control["state"], control["first_cause"] = state, Cause.POWER_UP
-    control["homed"] = control["answered"] = control["answer_bound"] = begun and state != State.SAFE
+    control["homed"] = moves["answered"] = moves["bound"] = powered and state != State.SAFE
     for name in ("lease_held", "support_ready", "supervisor_alive"):
-        control[name] = begun
+        control[name] = powered
     control["device_operational"] = True
-    control["rest_angle"] = np.nan
-    control["sensor_emptied"] = 1  # before air was on there is no decay to be seen
-    for name in (
-        "reset_pressed",
-        "stopped_at",
-        "moved_at",
-        "vent_start",
-        "still_since",
-        "empty_since",
-        "drained_at",
-    ):
+    control["sensors"]["emptied"] = 1  # before air was on there is no decay to be seen
+    venting["rest_angle"] = np.nan
+    for name in ("reset_pressed", "stopped_at", "moved_at", "still_since"):
         control[name] = -np.inf
+    for name in ("start", "empty_since", "drained_at"):
+        venting[name] = -np.inf
     return made

@@ -23,7 +23,7 @@ def follow_profile(parameters: Any, s: Any, time: float) -> bool:
     """Set reference, feed-forward and phase of the swing at `time`; return False once it is over."""
     profile = parameters.profile[0]
     # A ten-millionth of a sample guards the floor against rounding of exact ticks.
-    sample = (time - s.swing_start) / profile.period + 1e-7
+    sample = (time - s.swing.start) / profile.period + 1e-7
     if not sample >= 0.0:  # a clock that runs backwards, or is NaN, stays within the tables
         sample = 0.0
     last = profile.samples - 1
@@ -33,7 +33,7 @@ def follow_profile(parameters: Any, s: Any, time: float) -> bool:
     else:
         k = floor(sample)
         part = max(sample - k - 1e-7, 0.0)
-    s.swing_sample = min(k + 1, last) if over else k
+    s.swing.sample = min(k + 1, last) if over else k
     angle, velocity, valve = parameters.angle, parameters.velocity, parameters.valve
     for i in range(3):
         change = velocity[k + 1, i] - velocity[k, i]
@@ -41,7 +41,7 @@ def follow_profile(parameters: Any, s: Any, time: float) -> bool:
         s.reference_velocity[i] = velocity[k, i] + part * change
         s.reference_acceleration[i] = change / profile.period
         s.feed_forward[i] = valve[k, i] + part * (valve[k + 1, i] - valve[k, i])
-    s.phase = parameters.phase[s.swing_sample]
+    s.phase = parameters.phase[s.swing.sample]
     return not over
 
 
@@ -49,15 +49,17 @@ def follow_profile(parameters: Any, s: Any, time: float) -> bool:
 def begin_move(parameters: Any, s: Any, start: Any, time: float) -> None:
     """Begin a slow move from angles `start` to the address (the profile's first sample)."""
     p = parameters.control[0]
-    s.move_time = 0.3
+    s.move.duration = 0.3
     for i in range(3):
-        s.move_from[i] = start[i]
+        s.move.origin[i] = start[i]
         # The max speed of a quintic is 15/8 of its mean.
-        s.move_time = max(s.move_time, 1.875 * abs(parameters.angle[0, i] - start[i]) / p.move_speed[i])
-    s.arm_first = arm_goes_first(parameters, start)
-    if s.arm_first:
-        s.move_time *= 2.0
-    s.move_start = time
+        s.move.duration = max(
+            s.move.duration, 1.875 * abs(parameters.angle[0, i] - start[i]) / p.move_speed[i]
+        )
+    s.move.arm_first = arm_goes_first(parameters, start)
+    if s.move.arm_first:
+        s.move.duration *= 2.0
+    s.move.start = time
     s.moving = True
     s.phase = Phase.RETURN
 
@@ -66,20 +68,20 @@ def begin_move(parameters: Any, s: Any, start: Any, time: float) -> None:
 def follow_move(parameters: Any, s: Any, time: float) -> bool:
     """Set the reference of the slow move at `time` (quintic: rest to rest); return False once it is over."""
     p = parameters.control[0]
-    whole = min(max((time - s.move_start) / s.move_time, 0.0), 1.0)
-    own_time = 0.5 * s.move_time if s.arm_first else s.move_time
+    whole = min(max((time - s.move.start) / s.move.duration, 0.0), 1.0)
+    own_time = 0.5 * s.move.duration if s.move.arm_first else s.move.duration
     for i in range(3):
-        part = part_of_joint(whole, i, s.arm_first)
+        part = part_of_joint(whole, i, s.move.arm_first)
         shape = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
         slope = 30.0 * part * part * (1.0 - part) * (1.0 - part) / own_time
         bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part) / (own_time * own_time)
-        way = parameters.angle[0, i] - s.move_from[i]
-        s.reference[i] = s.move_from[i] + way * shape
+        way = parameters.angle[0, i] - s.move.origin[i]
+        s.reference[i] = s.move.origin[i] + way * shape
         s.reference_velocity[i] = way * slope
         s.reference_acceleration[i] = way * bend
         # Swung spools are beyond their dead band by themselves.
         band = 0.0 if parameters.profile[0].air_planned else p.move_band[i] * direction(way * slope)
-        s.feed_forward[i] = s.move_gain[i] * way * slope + band
+        s.feed_forward[i] = s.move.gain[i] * way * slope + band
     return bool(whole < 1.0)
 
 
@@ -92,7 +94,7 @@ def direction(speed: float) -> float:
 @compiled
 def charging(s: Any, time: float) -> bool:
     """Return whether the chambers are being charged before the first move."""
-    return bool((s.moving or s.phase == Phase.HOMING) and time < s.move_start)
+    return bool((s.moving or s.phase == Phase.HOMING) and time < s.move.start)
 
 
 @compiled
@@ -108,8 +110,8 @@ def feed_model_forward(state: Any, parameters: Any, time: float) -> None:
     """Set the feed-forward of the swing at `time` from the demanded forces, not the planned openings."""
     s, p, profile = state.control[0], parameters.control[0], parameters.profile[0]
     machine, force, rate = parameters.plant[0], parameters.force, parameters.force_rate
-    k = min(s.swing_sample, profile.samples - 2)
-    part = min(max((time - s.swing_start) / profile.period - k, 0.0), 1.0)
+    k = min(s.swing.sample, profile.samples - 2)
+    part = min(max((time - s.swing.start) / profile.period - k, 0.0), 1.0)
     for i in range(3):
         changing = rate[k, i] + part * (rate[k + 1, i] - rate[k, i])
         if p.feed_forward == PNEUMATIC:

@@ -82,7 +82,7 @@ def _not_vented(p: Any, s: Any, readings: Any) -> int:
     """Return the refusal that names where the pressure may be, or the sensor or valve that proves nothing."""
     if Cause.SUPPLY_SENSOR <= air_cause(s) < Cause.VENT_1:
         return Refusal.SENSOR.value
-    if s.shut_off_wrong:
+    if s.shut_off.wrong:
         return Refusal.VENT.value
     full = readings[0].supply_pressure > p.holding_pressure
     return Refusal.MANIFOLD.value if full else Refusal.NOT_VENTED.value
@@ -92,7 +92,7 @@ def _not_vented(p: Any, s: Any, readings: Any) -> int:
 def _failing(s: Any, request: int) -> int:
     """Return the refusal of `request` for a lock, sensor, vent or manifold that fails, or 0."""
     cause = air_cause(s)
-    if s.lock_wrong:
+    if s.lock.wrong:
         return Refusal.LOCK.value
     # A sensor that fell too fast proves itself at the next venting, which takes a reset and air.
     if cause == 0 or (request == Request.RESET and cause == Cause.SUPPLY_DECAY):
@@ -119,7 +119,7 @@ def _not_at_address(s: Any, parameters: Any, estimator: Any) -> int:
     """Return the refusal of a swing while robot or air are not at the address as planned, or 0."""
     if s.phase != Phase.HOLD or s.swinging:
         return Refusal.NOT_AT_ADDRESS.value
-    if parameters.profile[0].air_planned and not s.air_ready:
+    if parameters.profile[0].air_planned and not s.address_air.ready:
         return Refusal.AIR.value  # meanwhile a joint may move a little
     return 0 if near_address(parameters, estimator) else Refusal.NOT_AT_ADDRESS.value
 
@@ -128,14 +128,14 @@ def _not_at_address(s: Any, parameters: Any, estimator: Any) -> int:
 def _access_refusal(p: Any, s: Any, readings: Any, time: float) -> int:
     if interlock_cause(readings) == Cause.EMERGENCY_STOP:
         return Refusal.EMERGENCY_STOP.value
-    if s.supply_unproven:
+    if s.manifold.unproven:
         return Refusal.SENSOR.value
     # A robot at power-up may still sink: nobody has seen it rest yet.
-    if not (s.vented and time - s.vent_start >= p.vented_still):
+    if not (s.vented and time - s.venting.start >= p.vented_still):
         return _not_vented(p, s, readings)
     # Time and a vent's position prove no flow: what no sensor has shown to go, a person reads at the gauge.
     read = p.local_reset and _is_confirmed(p, s, time)
-    unread = (s.air_trapped or not all_chambers_are_seen(s)) and not read
+    unread = (s.venting.trapped or not all_chambers_are_seen(s)) and not read
     return Refusal.GAUGE.value if unread else Refusal.NONE.value
 
 
@@ -190,11 +190,11 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
         waiting = _not_at_address(s, parameters, state.estimator)
         if waiting != 0:
             return waiting
-    if not s.emptied:
+    if not s.venting.emptied:
         # The pose proves a zero only while no air holds the robot.
         if request == Request.HOME and not p.home_by_index:
             return _not_vented(p, s, readings)
-        if request == Request.RESET and time - s.vent_start >= p.vent_time:
+        if request == Request.RESET and time - s.venting.start >= p.vent_time:
             return _not_vented(p, s, readings)
     if request == Request.RESET and not _is_confirmed(p, s, time):
         return Refusal.LOCAL_RESET

@@ -36,11 +36,11 @@ def _crept(p: Any, s: Any, e: Any) -> bool:
     """
     crept = begun = False
     for i in range(3):
-        begun = begun or not np.isfinite(s.rest_angle[i])
-        crept = crept or abs(e.angle[i] - s.rest_angle[i]) > p.vented_creep
+        begun = begun or not np.isfinite(s.venting.rest_angle[i])
+        crept = crept or abs(e.angle[i] - s.venting.rest_angle[i]) > p.vented_creep
     if crept or begun:
         for i in range(3):
-            s.rest_angle[i] = e.angle[i]
+            s.venting.rest_angle[i] = e.angle[i]
     return crept
 
 
@@ -66,22 +66,22 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
         s.still_since = time
     wait = p.vented_blind if blind else p.vented_still
     rests = time - s.still_since >= wait or s.state == State.ACCESS
-    starting = s.state == State.STARTING and not np.isfinite(s.empty_since)
+    starting = s.state == State.STARTING and not np.isfinite(s.venting.empty_since)
     if nothing_is_held_up(s, p):
-        s.drained_at = time
+        s.venting.drained_at = time
     else:
-        held = time - max(s.drained_at, s.vent_start)
-        s.empty_since = time + max(held - p.vented_sinking, 0.0)
+        held = time - max(s.venting.drained_at, s.venting.start)
+        s.venting.empty_since = time + max(held - p.vented_sinking, 0.0)
     if not (empty and shut) or starting or (crept and s.state != State.ACCESS):
-        s.empty_since = max(s.empty_since, time)
-    sunk = time - s.empty_since >= p.vented_sinking or s.state == State.ACCESS
-    late = time - s.vent_start >= p.vent_time
-    s.emptied = empty and shut and rests and emptiness_is_proven(s, p, readings, time)
-    s.vented = s.emptied and sunk
-    if s.emptied and s.cause == 0:
+        s.venting.empty_since = max(s.venting.empty_since, time)
+    sunk = time - s.venting.empty_since >= p.vented_sinking or s.state == State.ACCESS
+    late = time - s.venting.start >= p.vent_time
+    s.venting.emptied = empty and shut and rests and emptiness_is_proven(s, p, readings, time)
+    s.vented = s.venting.emptied and sunk
+    if s.venting.emptied and s.cause == 0:
         s.distrusted = False  # not by the reset: chambers may still be full then
     slow = exhaust_cause(s)
-    s.air_trapped = s.air_trapped or slow != 0 or (late and not empty)
+    s.venting.trapped = s.venting.trapped or slow != 0 or (late and not empty)
     if slow != 0:
         return int(slow)
     if not late or (empty and shut):
@@ -101,7 +101,7 @@ def _name_trapped(s: Any, trapped: int) -> None:
         s.cause = s.latest_cause = trapped
     elif trapped == 0 and air_cause(s) != 0:
         s.latest_cause = air_cause(s)
-    elif trapped == 0 and s.lock_wrong and s.cause != Cause.GUARD_LOCK:
+    elif trapped == 0 and s.lock.wrong and s.cause != Cause.GUARD_LOCK:
         s.latest_cause = Cause.GUARD_LOCK
 
 
@@ -114,10 +114,10 @@ def _watch_homing(state: Any, parameters: Any, readings: Any, time: float) -> No
         good = good and abs(e.angle[i] - p.home_pose[i]) <= p.home_tolerance[i]
         good = good and readings[0].encoder_indexed[i] != 0
     if not good:
-        s.home_good = time
-    if time - s.home_good >= p.home_time and p.home_stops:
+        s.homing.agreed_since = time
+    if time - s.homing.agreed_since >= p.home_time and p.home_stops:
         begin_search(state, p, time)
-    elif time - s.home_good >= p.home_time:
+    elif time - s.homing.agreed_since >= p.home_time:
         s.homed = True
         change_state(s, parameters, State.READY, time)
     elif time - s.state_since >= 2.0 * p.home_time:
@@ -173,7 +173,7 @@ def watch_standing(
     trapped = _watch_vent(p, s, state.estimator[0], readings, time)
     jumped = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)
     if jumped == 0:
-        jumped = int(s.index_wrong) if s.index_wrong != 0 else resting_jump(state.estimator[0])
+        jumped = int(s.homing.index_wrong) if s.homing.index_wrong != 0 else resting_jump(state.estimator[0])
     _forget_lost_index(s, readings)
     if s.state == State.STARTING:
         if s.warm:

@@ -57,7 +57,7 @@ def begin_reaction(s: Any, parameters: Any, reaction: int, time: float) -> bool:
         return False
     if reaction == Reaction.BLIND_BRAKE:
         profile, planned = parameters.profile[0], s.reaction != Reaction.BRAKE
-        row = s.swing_sample // profile.blind_spacing
+        row = s.swing.sample // profile.blind_spacing
         s.blind_row = min(row, profile.blind_rows - 1) if s.swinging and planned else -1
         if planned:
             s.unseen[0] = s.unseen[1] = s.unseen[2] = 1
@@ -100,9 +100,9 @@ def resting_state(s: Any) -> State:
 @compiled
 def stand(s: Any, parameters: Any, time: float) -> None:
     """Stand: end whatever was under way, vent, and latch the state of a cause."""
-    s.swinging = s.moving = s.disarming = s.air = s.vented = s.emptied = False
-    s.phase, s.vent_start = Phase.STANDING, time
-    s.empty_since = time
+    s.swinging = s.moving = s.disarming = s.air = s.vented = s.venting.emptied = False
+    s.phase, s.venting.start = Phase.STANDING, time
+    s.venting.empty_since = time
     s.reaction = Reaction.VENT if s.cause != 0 else Reaction.NONE
     change_state(s, parameters, resting_state(s), time)
 
@@ -180,8 +180,8 @@ def arrive(s: Any, parameters: Any, time: float) -> None:
 def give_up(control: Any, parameters: Any, time: float) -> None:
     """Latch a tick that failed, in the records `control`: the driver is passive, nothing is under way."""
     s = control[0]
-    s.swinging = s.moving = s.disarming = s.air = s.vented = s.emptied = s.tee = False
-    s.phase, s.vent_start = Phase.STANDING, time
-    s.empty_since = time
+    s.swinging = s.moving = s.disarming = s.air = s.vented = s.venting.emptied = s.tee = False
+    s.phase, s.venting.start = Phase.STANDING, time
+    s.venting.empty_since = time
     latch(s, parameters, Cause.EXCEPTION.value, time)
     s.reaction = Reaction.PASSIVE

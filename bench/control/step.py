@@ -49,7 +49,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     s.tick += 1
     if np.isfinite(time):
         if not s.started:
-            s.vent_start = time
+            s.venting.start = time
         s.measured_step = time - s.time if s.started else 0.0
         s.started, s.time = True, time
     else:
@@ -84,8 +84,8 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
 def _observe(state: Any, parameters: Any, readings: Any, elapsed: float) -> None:
     """Move the observers of valves and air on by `elapsed` s."""
     s = state.control[0]
-    s.vent_timer = 0.0 if s.exhaust_closed and relay_closed(readings) else s.vent_timer + elapsed
-    vent = conductance_of_vents(parameters.plant[0], readings[0], s.vent_timer)
+    s.venting.timer = 0.0 if s.exhaust_closed and relay_closed(readings) else s.venting.timer + elapsed
+    vent = conductance_of_vents(parameters.plant[0], readings[0], s.venting.timer)
     if parameters.model[0].check:
         observe(
             state.model[0],
@@ -125,7 +125,7 @@ def _watch_inputs(state: Any, parameters: Any, readings: Any, elapsed: float, ti
     watch_manifold(s, p, parameters.plant[0], readings, s.exhaust_closed, elapsed)
     watch_exhausts(s, p, parameters.robot, parameters.plant[0], state.estimator[0], readings, elapsed)
     watch_lock(s, readings, is_released(s), time)
-    s.index_wrong = index_cause(s, p, state.encoder[0], parameters.encoder[0], state.estimator[0])
+    s.homing.index_wrong = index_cause(s, p, state.encoder[0], parameters.encoder[0], state.estimator[0])
 
 
 @compiled
@@ -181,7 +181,7 @@ def limit_tick(
     s, p, c = state.control[0], parameters.control[0], command[0]
     centre = parameters.plant[0].centre
     if s.phase != Phase.STANDING and s.reaction <= Reaction.COMPLETE and s.time >= s.air_from:
-        s.air, s.vented, s.emptied, s.air_trapped = True, False, False, False
+        s.air, s.vented, s.venting.emptied, s.venting.trapped = True, False, False, False
     obeyed = s.air and s.phase != Phase.STANDING and not p.read_only
     powered = obeyed and s.reaction != Reaction.PASSIVE
     for i in range(3):
@@ -223,11 +223,11 @@ def step(
 def _move_to_new_zeros(s: Any, e: Any, encoder: Any, elapsed: float) -> None:
     """Let estimates of angles that count from another zero since this tick go on from there."""
     for i in range(3):
-        s.zero_shift[i] = 0.0
+        s.homing.zero_shift[i] = 0.0
         if encoder.zero_set[i] != 0 and encoder.fresh[i] != 0:
             # The angle counts from another zero; the joint went on as before.
             begun = encoder.angle[i] - e.velocity[i] * elapsed
-            s.zero_shift[i] = begun - e.angle[i]
+            s.homing.zero_shift[i] = begun - e.angle[i]
             e.angle[i] = begun
 
 
@@ -247,9 +247,9 @@ def _note_impact(p: Any, s: Any) -> None:
     """Detect a struck ball by the drop of head speed in the impact window."""
     speed = sqrt(s.head[3] * s.head[3] + s.head[4] * s.head[4])
     if s.phase == Phase.IMPACT:
-        s.fastest_head = max(s.fastest_head, speed)
-        if speed < (1.0 - p.strike_drop) * s.fastest_head:
-            s.struck = True
+        s.swing.fastest_head = max(s.swing.fastest_head, speed)
+        if speed < (1.0 - p.strike_drop) * s.swing.fastest_head:
+            s.swing.struck = True
 
 
 @compiled

@@ -74,8 +74,10 @@ def watch_motion(state: Any, parameters: Any, readings: Any, interlock: int, ask
             react(state, parameters, Cause.SUPERVISOR, TRUSTED, time)
         elif air_cause(s) != 0:
             react(state, parameters, air_cause(s), TRUSTED, time)
-        elif s.index_wrong != 0:
-            react(state, parameters, int(s.index_wrong), TRUSTED, time)  # from here on the count is right
+        elif s.homing.index_wrong != 0:
+            react(
+                state, parameters, int(s.homing.index_wrong), TRUSTED, time
+            )  # from here on the count is right
         # A stop needs its valves and encoders as much as a swing does: it is monitored, too.
         if s.reaction > Reaction.COMPLETE:
             _watch_braking(state, parameters, readings, time)
@@ -96,8 +98,8 @@ def _watch_braking(state: Any, parameters: Any, readings: Any, time: float) -> N
     s, e = state.control[0], state.estimator[0]
     if s.reaction == Reaction.BRAKE and not charging(s, time):
         lost = readings[0].supply_pressure < _LOST_SUPPLY * parameters.envelope[0].min_supply_pressure
-        fed = s.vent_timer <= _TIMER * parameters.control[0].shut_off_delay
-        if lost and s.sensor_doubt[0] <= 0.0 and fed:
+        fed = s.venting.timer <= _TIMER * parameters.control[0].shut_off_delay
+        if lost and s.sensors.doubt[0] <= 0.0 and fed:
             react(state, parameters, Cause.SUPPLY_PRESSURE, TRUSTED, time)
         # The estimated velocity as reference: a brake has none.
         row, doubted = BRAKING + s.phase, int(s.cause - Cause.SHOULDER_SENSOR)
@@ -160,15 +162,15 @@ def _watch_swing(state: Any, parameters: Any, readings: Any, time: float) -> Non
         charging(s, time),
         low,
     )
-    if broken == Cause.SUPPLY_PRESSURE and s.sensor_doubt[0] > 0.0:
+    if broken == Cause.SUPPLY_PRESSURE and s.sensors.doubt[0] > 0.0:
         broken = Cause.SUPPLY_SENSOR.value
     if broken == 0 and not charging(s, time):
         row = row_of(s)
         broken = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, row)
     if broken == 0 and s.moving:
         broken = first_motion_cause(s, parameters.control[0], state.estimator[0].velocity)
-    longest = s.move_time + parameters.control[0].move_timeout
-    if broken == 0 and s.moving and time - s.move_start > longest:
+    longest = s.move.duration + parameters.control[0].move_timeout
+    if broken == 0 and s.moving and time - s.move.start > longest:
         broken = Cause.ADDRESS_TIMEOUT.value
     if broken == 0:
         broken = address_air_cause(state, parameters, time)

@@ -128,7 +128,7 @@ def _arm_again(stepper: Lockstep) -> Cause:
     """
     bench = LockstepEngine(stepper)
     stepper.plant_state["emergency_stop_clear"] = True
-    bench.wait_for(lambda: bool(bench.control["emptied"][0]), _LONGEST_VENT)
+    bench.wait_for(lambda: bool(bench.control["venting"]["emptied"][0]), _LONGEST_VENT)
     if bench.request(Request.RESET):
         with suppress(Refused):  # some robots do not reach their address in time
             bench.arm()

@@ -221,7 +221,7 @@ class Series:
         """Come to rest, reset and arm again."""
         engine = self._engine
         engine.wait_for(lambda: engine.phase is Phase.STANDING, LONGEST_STOP)
-        engine.wait_for(lambda: bool(engine.control["emptied"][0]), _LONGEST_VENT)
+        engine.wait_for(lambda: bool(engine.control["venting"]["emptied"][0]), _LONGEST_VENT)
         cause = engine.cause
         if not engine.request(Request.RESET):
             raise Refused(

@@ -192,7 +192,7 @@ class SwingOperator(Generic[AnyStepper]):
         if not parameters.profile["air_planned"][0]:
             return True
         longest = float(parameters.control["air_timeout"][0]) + 1.0
-        return self.run_until(lambda: bool(self.control["air_ready"][0]), longest)
+        return self.run_until(lambda: bool(self.control["address_air"]["ready"][0]), longest)
 
     def start_swing(self, attempts: int, wait: int) -> bool:
         """Request the swing up to `attempts` times, `wait` ticks apart; return whether it began.

@@ -79,7 +79,7 @@ def test_faults_are_the_same_behind_the_driver_and_in_lock_step(name: str) -> No
     advance(10)
     advance(5500, Request.ARM)  # the timed faults have come
     for _ in range(LONGEST_AIR):
-        if lockstep.state.control["air_ready"][0]:
+        if lockstep.state.control["address_air"]["ready"][0]:
             break
         advance(20)
     advance(1500, Request.SWING)

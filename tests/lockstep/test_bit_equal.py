@@ -48,7 +48,7 @@ def swung(pair: Pair, until: float) -> None:
     control = pair.python.state.control
     planned = pair.compiled.parameters.profile["air_planned"][0]
     for _ in range(200):
-        if control["air_ready"][0] or not planned:
+        if control["address_air"]["ready"][0] or not planned:
             break
         pair.advance(50)
     pair.advance(1, Request.SWING)
@@ -104,7 +104,10 @@ def test_planned_air_at_the_address(make_pair: MakePair, default_profile: Profil
     control = pair.python.state.control
     assert pair.advance(1, Request.SWING)["refusal"][0] == Refusal.AIR
     for _ in range(2000):
-        if control["air_ready"][0] and pair.advance(1, Request.SWING)["answer"][0] == Answer.ACCEPTED:
+        if (
+            control["address_air"]["ready"][0]
+            and pair.advance(1, Request.SWING)["answer"][0] == Answer.ACCEPTED
+        ):
             break
         pair.advance(10)
     assert control["swinging"][0]

@@ -72,7 +72,7 @@ def test_reversed_valve_is_stopped_while_its_joint_is_slow(
     powered = records[records["supply_enable"]]
     number = JOINTS.index(joint)
     assert np.abs(powered["plant_velocity"][:, number]).max() < SLOW[joint]
-    assert not bench.state.control["answered"][0, number]
+    assert not bench.state.control["first_motion"]["answered"][0, number]
 
 
 @pytest.mark.parametrize("joint", ["shoulder", "wrist"])
@@ -98,4 +98,4 @@ def test_sound_robot_answers_and_goes_on(
         State.READY if request_ is Request.HOME else State.ARMED
     )
     if request_ is Request.HOME:
-        assert bench.state.control["answered"].all()
+        assert bench.state.control["first_motion"]["answered"].all()

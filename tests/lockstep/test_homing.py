@@ -271,9 +271,9 @@ def test_pressed_stops_of_unknown_robots_lie_well_within_the_tolerance(
     control, limits = bench.state.control[0], parameters.control[0]
     found: dict[int, float] = {}
     while state(bench) is State.HOMING:
-        turn = int(control["home_turn"])
+        turn = int(control["homing"]["turn"])
         records = bench.advance(10)
-        if turn < int(control["home_turn"]):
+        if turn < int(control["homing"]["turn"]):
             joint = int(limits["home_order"][turn])
             found[joint] = float(records["angle"][-1, joint] - limits["home_stop"][joint])
     assert (state(bench), cause(bench)) == (State.READY, Cause.NONE)

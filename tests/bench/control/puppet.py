@@ -66,6 +66,14 @@ def still_profile() -> Profile:
 STILL = still_profile()
 
 
+def put(record: np.ndarray[Any, Any], place: str, value: Any) -> None:
+    """Set the field at `place` of `record`, as "venting.start"."""
+    *groups, field = place.split(".")
+    for group in groups:
+        record = record[group]
+    record[field] = value
+
+
 class Puppet:
     """The step with joints that follow its reference at once, and whatever else a test sets."""
 
@@ -128,12 +136,11 @@ class Puppet:
         return Cause(int(self.control["cause"]))
 
     def give(self, **values: Any) -> Puppet:
-        """Set fields of the readings, or of what the step is told from outside."""
+        """Set fields of the readings, or of the step's memory: "venting.start" is one of a record in it."""
         for name, value in values.items():
             if name == "supply_pressure":
                 self.supply = value
-            record = self.readings if name in (READINGS.names or ()) else self.state.control
-            record[name] = value
+            put(self.readings if name in (READINGS.names or ()) else self.state.control, name, value)
         return self
 
     def tick(self, request: int = 0) -> int:
@@ -187,7 +194,7 @@ class Puppet:
         self.hold()
         assert self.tick(Request.SWING) == Answer.ACCEPTED
         self.run(sample)
-        assert self.control["swing_sample"] == sample
+        assert self.control["swing"]["sample"] == sample
         return self
 
     def enter(self, phase: Phase) -> Puppet:

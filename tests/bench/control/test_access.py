@@ -132,7 +132,7 @@ def test_an_emergency_stays_one_when_trapped_pressure_is_named() -> None:
 def test_a_manifold_without_a_sensor_is_judged_by_time() -> None:
     puppet = reach(State.ARMED, vent_time=0.3)
     puppet.give(supply_pressure=nan)
-    puppet.control["sensor_seen"] = 0  # it never was there
+    puppet.control["sensors"]["seen"] = 0  # it never was there
     puppet.tick(Request.DISARM)
     puppet.run(290)
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
@@ -175,7 +175,7 @@ def test_a_sensor_that_jumps_to_empty_is_no_proof_before_time() -> None:
 
 def test_nobody_is_let_in_at_power_up_before_the_robot_was_seen_to_rest() -> None:
     puppet = reach(State.SAFE, vented_still=2.0)
-    puppet.control["vent_start"] = puppet.time
+    puppet.control["venting"]["start"] = puppet.time
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
     puppet.run(2100)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
@@ -185,7 +185,7 @@ def test_access_waits_as_long_as_an_arm_may_sink_whatever_the_encoders_show() ->
     """A stuck encoder shows rest: only the time with empty chambers tells that a raised arm has sunk."""
     puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, vented_sinking=3.0)
     vent(puppet).run(2900)
-    assert puppet.control["emptied"]
+    assert puppet.control["venting"]["emptied"]
     assert not puppet.control["vented"]
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
     puppet.run(200)
@@ -244,12 +244,12 @@ def test_access_after_trapped_air_with_a_button_takes_a_press_beside_the_gauge()
     assert asked(puppet, Request.ACCESS) is Refusal.GAUGE  # the reset has used that press up
     press(puppet)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
-    assert not puppet.control["air_trapped"]
+    assert not puppet.control["venting"]["trapped"]
 
 
 def test_access_after_trapped_air_without_a_button_waits_for_a_venting_that_is_seen() -> None:
     puppet = reach(State.READY)
-    puppet.control["air_trapped"] = True
+    puppet.control["venting"]["trapped"] = True
     assert asked(puppet, Request.ACCESS) is Refusal.GAUGE
     assert asked(puppet, Request.ARM) is Refusal.NONE
     puppet.run(420)

@@ -15,6 +15,7 @@ from bench.control.air import load_force
 from bench.control.demand import actuator_forces
 from bench.control.gain_table import DAMPING
 from bench.control.planned_air import planned_air, swing_periods, swing_widths, with_planned_air
+from bench.control.records import ADDRESS_AIR
 from bench.control.settings import SIMULATED, build_controller
 from bench.lifecycle import Cause, Phase, Refusal, Request, State
 from bench.simulation.engine import LockstepEngine
@@ -139,7 +140,7 @@ def test_armed_the_chambers_come_to_the_plan_and_a_swing_waits_for_them(
     assert bench.request(Request.SWING)
     bench.advance(1)
     assert bench.control["state"][0] == State.SWINGING
-    assert not bench.control["air_ready"][0]
+    assert not bench.control["address_air"]["ready"][0]
 
 
 @compiled_only
@@ -185,7 +186,7 @@ def test_charging_near_the_ground_leaves_the_head_where_it_is(profile: Profile) 
     height = float(bench.control["head"][0, 1])
     bench.request(Request.ARM)
     lowest = height
-    while bench.control["time"][0] < bench.control["move_start"][0]:
+    while bench.control["time"][0] < bench.control["move"]["start"][0]:
         bench.advance(20)
         lowest = min(lowest, float(bench.control["head"][0, 1]))
     assert height - lowest < 0.002
@@ -245,7 +246,7 @@ def test_a_joint_that_never_comes_to_its_band_is_no_fault_of_the_air() -> None:
     puppet.parameters.control["rest_band"] = 0.0
     puppet.parameters.control["address_tolerance"] = 1.0
     puppet.follows = False
-    puppet.give(air_held=0)
+    puppet.give(**{"address_air.held": 0})
     puppet.offset[:] = 1e-3
     puppet.run(100)
     assert puppet.cause is Cause.ADDRESS_TIMEOUT
@@ -271,7 +272,7 @@ def test_a_joint_that_hunts_around_its_address_is_left_to_the_hold(
     assert puppet.phase is Phase.RETURN
     puppet.run(1500)
     assert (puppet.phase, puppet.cause) == (phase, Cause.NONE)
-    late = [bool(held & LATE) for held in puppet.control["air_held"]]
+    late = [bool(held & LATE) for held in puppet.control["address_air"]["held"]]
     assert late == [False, False, phase is Phase.HOLD]
 
 
@@ -301,12 +302,12 @@ def test_a_dead_band_is_made_up_for_once(*, planned: bool) -> None:
     profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5) if planned else STILL
     puppet = Puppet(profile, replace(QUICK, gains="machine")).enter(Phase.RETURN)
     control, parameters = puppet.control, puppet.parameters.control[0]
-    control["move_from"][:] = puppet.parameters.angle[0] - 0.2
-    control["move_start"], control["move_time"] = puppet.time, 2.0
+    control["move"]["origin"][:] = puppet.parameters.angle[0] - 0.2
+    control["move"]["start"], control["move"]["duration"] = puppet.time, 2.0
     puppet.follows = False
     puppet.run(900)
     assert puppet.phase is Phase.RETURN
-    ahead = control["move_gain"] * control["reference_velocity"]
+    ahead = control["move"]["gain"] * control["reference_velocity"]
     damping = puppet.state.pid[0]["gains"][DAMPING] * control["reference_acceleration"]
     band = np.zeros(3) if planned else parameters["move_band"]
     assert np.all(parameters["move_band"] > 0.0)
@@ -334,18 +335,18 @@ def test_a_joint_that_slips_through_its_band_is_caught(waited: int, caught: bool
     puppet.follows = False
     puppet.shift(0, -0.02)
     puppet.run(waited)
-    assert puppet.control["air_held"][0] == 0
+    assert puppet.control["address_air"]["held"][0] == 0
     for _ in range(150):
         puppet.offset[0] += 0.0002
         puppet.tick()
-    assert bool(puppet.control["air_held"][0] & SLIPPED) is caught
-    assert not any(held & LATE for held in puppet.control["air_held"])
+    assert bool(puppet.control["address_air"]["held"][0] & SLIPPED) is caught
+    assert not any(held & LATE for held in puppet.control["address_air"]["held"])
 
 
 def test_without_planned_air_nothing_of_it_happens() -> None:
     puppet = Puppet().hold()
-    for name in ("air_held", "air_swung", "air_trim", "air_good", "air_since", "air_ready"):
-        assert not np.any(puppet.control[name]), name
+    for name in ADDRESS_AIR.names or ():
+        assert not np.any(puppet.control["address_air"][name]), name
     assert not puppet.state.air["started"][0]
     puppet.tick(Request.SWING)
     assert puppet.bench is State.SWINGING

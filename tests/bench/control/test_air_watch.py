@@ -70,7 +70,7 @@ def test_no_value_that_cannot_be_is_believed(value: float) -> None:
 @each_sensor
 def test_a_fitted_sensor_that_never_was_there_is_missing(sensor: Cause) -> None:
     puppet = reach(State.ESTOP, homed=False)
-    puppet.control["sensor_seen"] = 0
+    puppet.control["sensors"]["seen"] = 0
     kill(puppet, sensor)
     puppet.run(DEAD_TICKS)
     press(puppet)
@@ -118,7 +118,7 @@ def test_an_open_vent_the_longest_time_and_a_person_prove_what_a_dead_chamber_se
     sensor: Cause,
 ) -> None:
     puppet = fit(reach(State.READY, vented_blind=0.5, local_reset=True), vents=True)
-    puppet.control["vent_start"] = puppet.time
+    puppet.control["venting"]["start"] = puppet.time
     kill(puppet, sensor)
     puppet.run(400)
     assert asked(puppet, Request.ACCESS) is Refusal.SENSOR
@@ -199,8 +199,8 @@ def test_a_sensor_that_dies_stops_whatever_moves_as_other_trusted_causes_do(sens
 @pytest.mark.parametrize("request_", [Request.ARM, Request.HOME], ids=lambda request: request.name)
 def test_nothing_begins_to_move_with_a_dead_sensor(sensor: Cause, request_: Request) -> None:
     puppet = fit(reach(State.READY))
-    puppet.control["sensor_dead"][sensor - Cause.SUPPLY_SENSOR] = 1
-    puppet.control["sensor_doubt"][sensor - Cause.SUPPLY_SENSOR] = DEAD_AFTER
+    puppet.control["sensors"]["dead"][sensor - Cause.SUPPLY_SENSOR] = 1
+    puppet.control["sensors"]["doubt"][sensor - Cause.SUPPLY_SENSOR] = DEAD_AFTER
     kill(puppet, sensor)
     assert asked(puppet, request_) is Refusal.SENSOR
 

@@ -21,7 +21,7 @@ from bench.control.requests import (
     take_request,
 )
 from bench.lifecycle import ACCEPTED_IN, NEEDS_LEASE, Answer, Cause, Phase, Reaction, Refusal, Request, State
-from tests.bench.control.puppet import Puppet
+from tests.bench.control.puppet import Puppet, put
 
 FROM = {
     Request.RESET: State.FAULT,
@@ -70,9 +70,9 @@ def good(template: Situation) -> Callable[[Request], Situation]:
         s["phase"] = Phase.HOLD if s["state"][0] == State.ARMED else Phase.STANDING
         for name in ("lease_held", "support_ready", "supervisor_alive", "device_operational"):
             s[name] = True
-        s["emptied"] = s["vented"] = True
-        s["sensor_seen"] = 1
-        s["vent_start"] = 0.0
+        s["venting"]["emptied"] = s["vented"] = True
+        s["sensors"]["seen"] = 1
+        s["venting"]["start"] = 0.0
         p["vent_time"], p["local_reset_time"], p["home_by_index"] = VENT_TIME, RESET_TIME, False
         p["address_tolerance"], p["still_speed"], p["still_time"] = TOLERANCE, STILL, STILL_TIME
         parameters.angle[0] = 0.0
@@ -101,7 +101,7 @@ class Condition:
             "estimator": situation.state.estimator,
         }[self.where]
         for name, value in self.values.items():
-            record[name] = value
+            put(record, name, value)
 
 
 def one_dead(sensor: int) -> tuple[int, ...]:
@@ -148,18 +148,18 @@ CONDITIONS = (
     ),
     Condition("readings", Refusal.READINGS, MOVES_OR_RESETS, "control", {"lost": Cause.ARM_ENCODER}),
     Condition("supervisor", Refusal.SUPERVISOR, MOVES_OR_RESETS, "control", {"supervisor_alive": False}),
-    Condition("lock", Refusal.LOCK, MOVES_OR_RESETS, "control", {"lock_wrong": True}),
-    Condition("manifold's sensor", Refusal.SENSOR, MOVES_OR_RESETS, "control", {"sensor_dead": one_dead(0)}),
-    Condition("first vent", Refusal.VENT, MOVES_OR_RESETS, "control", {"vent_wrong": (1, 0)}),
-    Condition("second vent", Refusal.VENT, MOVES_OR_RESETS, "control", {"vent_wrong": (0, 1)}),
-    Condition("shut-off valve", Refusal.VENT, MOVES_OR_RESETS, "control", {"shut_off_wrong": True}),
-    Condition("supply valve", Refusal.MANIFOLD, MOVES_OR_RESETS, "control", {"supply_wrong": True}),
+    Condition("lock", Refusal.LOCK, MOVES_OR_RESETS, "control", {"lock.wrong": True}),
+    Condition("manifold's sensor", Refusal.SENSOR, MOVES_OR_RESETS, "control", {"sensors.dead": one_dead(0)}),
+    Condition("first vent", Refusal.VENT, MOVES_OR_RESETS, "control", {"vents.wrong": (1, 0)}),
+    Condition("second vent", Refusal.VENT, MOVES_OR_RESETS, "control", {"vents.wrong": (0, 1)}),
+    Condition("shut-off valve", Refusal.VENT, MOVES_OR_RESETS, "control", {"shut_off.wrong": True}),
+    Condition("supply valve", Refusal.MANIFOLD, MOVES_OR_RESETS, "control", {"manifold.wrong": True}),
     Condition(
         "manifold that fell too fast",
         Refusal.SENSOR,
         only(Request.ARM, Request.SWING, Request.HOME, Request.ACCESS),
         "control",
-        {"supply_unproven": True},
+        {"manifold.unproven": True},
     ),
     Condition(
         "stopped just now",
@@ -175,7 +175,7 @@ CONDITIONS = (
         "control",
         {"moved_at": NOW - 2.0**-5},
     ),
-    Condition("air in a chamber", Refusal.NOT_VENTED, only(Request.ARM), "control", {"sensor_shown": 9e5}),
+    Condition("air in a chamber", Refusal.NOT_VENTED, only(Request.ARM), "control", {"sensors.shown": 9e5}),
     Condition(
         "support", Refusal.SUPPORT, only(Request.ARM, Request.SWING), "control", {"support_ready": False}
     ),
@@ -190,16 +190,16 @@ CONDITIONS = (
         Refusal.NOT_VENTED,
         only(Request.ACCESS, Request.HOME, Request.RESET),
         "control",
-        {"emptied": False, "vented": False},
+        {"venting.emptied": False, "vented": False},
     ),
     Condition("arm may sink", Refusal.NOT_VENTED, only(Request.ACCESS), "control", {"vented": False}),
-    Condition("trapped air", Refusal.GAUGE, only(Request.ACCESS), "control", {"air_trapped": True}),
+    Condition("trapped air", Refusal.GAUGE, only(Request.ACCESS), "control", {"venting.trapped": True}),
     Condition(
         "no sensor",
         Refusal.GAUGE,
         only(Request.ACCESS),
         "control",
-        {"sensor_seen": (1, 1, 0, 1, 1, 1, 1)},
+        {"sensors.seen": (1, 1, 0, 1, 1, 1, 1)},
     ),
     Condition(
         "button",
@@ -263,7 +263,7 @@ def test_what_is_no_request_is_refused(good: Make, request_: int) -> None:
 def test_a_stop_is_under_way_while_it_moves(good: Make, values: dict[str, int], stopping: bool) -> None:
     situation = good(Request.TEE)
     for name, value in values.items():
-        situation.state.control[name] = value
+        put(situation.state.control, name, value)
     assert situation.refusal(Request.TEE) is (Refusal.STOPPING if stopping else Refusal.NONE)
 
 
@@ -283,15 +283,15 @@ def test_a_chamber_without_sensor_bars_what_moves_and_sends_a_person_to_the_gaug
     refusals = dict.fromkeys(sorted(MOVES_OR_RESETS), Refusal.SENSOR) | {Request.ACCESS: Refusal.GAUGE}
     for request, refusal in refusals.items():
         situation = good(request)
-        situation.state.control["sensor_dead"] = one_dead(sensor)
+        situation.state.control["sensors"]["dead"] = one_dead(sensor)
         assert situation.refusal(request) is refusal
 
 
 @pytest.mark.parametrize(
     ("found", "refusal"),
     [
-        ({"shut_off_wrong": True}, Refusal.VENT),
-        ({"sensor_dead": one_dead(2)}, Refusal.SENSOR),
+        ({"shut_off.wrong": True}, Refusal.VENT),
+        ({"sensors.dead": one_dead(2)}, Refusal.SENSOR),
         ({}, Refusal.NOT_VENTED),
     ],
 )
@@ -300,7 +300,7 @@ def test_access_names_what_proves_no_empty_chambers(
 ) -> None:
     situation = good(Request.ACCESS)
     for name, value in (found | {"vented": False}).items():
-        situation.state.control[name] = value
+        put(situation.state.control, name, value)
     assert situation.refusal(Request.ACCESS) is refusal
 
 
@@ -327,7 +327,7 @@ def test_what_was_in_flight_when_a_stop_came_is_refused(good: Make, since: float
 
 def test_a_swing_begins_once_its_planned_air_is_ready(good: Make) -> None:
     situation = good(Request.SWING)
-    situation.parameters.profile["air_planned"] = situation.state.control["air_ready"] = True
+    situation.parameters.profile["air_planned"] = situation.state.control["address_air"]["ready"] = True
     assert situation.refusal(Request.SWING) is Refusal.NONE
 
 
@@ -357,7 +357,7 @@ def test_a_robot_rests_once_it_has_been_slow_for_a_while(good: Make, since: floa
 def test_a_search_of_the_index_begins_with_air(good: Make) -> None:
     situation = good(Request.HOME)
     situation.parameters.control["home_by_index"] = True
-    situation.state.control["emptied"] = False
+    situation.state.control["venting"]["emptied"] = False
     assert situation.refusal(Request.HOME) is Refusal.NONE
 
 
@@ -369,7 +369,10 @@ def test_a_reset_waits_for_the_air_from_the_time_on_in_which_it_should_be_out(
     good: Make, since: float, refusal: Refusal
 ) -> None:
     situation = good(Request.RESET)
-    situation.state.control["emptied"], situation.state.control["vent_start"] = False, NOW - since
+    situation.state.control["venting"]["emptied"], situation.state.control["venting"]["start"] = (
+        False,
+        NOW - since,
+    )
     assert situation.refusal(Request.RESET) is refusal
 
 

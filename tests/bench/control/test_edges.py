@@ -90,7 +90,9 @@ NO_LEASE: dict[str, Act] = {"lease not held": give(lease_held=False)}
 UNCLEAR: dict[str, Act] = {**NO_LEASE, "readings lost": lose}
 """Of what refuses a request only one condition and one that the step finds; all: `test_answers.py`."""
 UNPRESSED: dict[str, Act] = {"button not pressed": give(reset_pressed=-np.inf)}
-PRESSURE: dict[str, Act] = {"not vented": give(emptied=False, vented=False, vent_start=np.inf)}
+PRESSURE: dict[str, Act] = {
+    "not vented": give(**{"venting.emptied": False, "vented": False, "venting.start": np.inf})
+}
 CLOSED: dict[str, Act] = {"guard open": give(guard_closed=False), **NO_LEASE}
 AWAY: dict[str, Act] = {"not at the address": lambda puppet: puppet.shift(0, 0.02)}
 BRAKED, SWUNG = 0.1, 2.0

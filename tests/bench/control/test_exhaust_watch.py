@@ -21,7 +21,7 @@ from drivers.base.records import READINGS
 from sim.motion import chambers
 from sim.plant import PlantParameters, build_plant
 from tests.bench.control.operating import asked, press, reach
-from tests.bench.control.puppet import ADDRESS, ATMOSPHERE
+from tests.bench.control.puppet import ADDRESS, ATMOSPHERE, put
 
 PARAMETERS = PlantParameters()
 BUILT = build_plant(PARAMETERS)
@@ -41,7 +41,7 @@ class Exhausts:
         self.estimator["angle"] = angle
         self.plant = BUILT.plant.copy()
         self.plant["exhaust"][0, :6] = shares
-        self.control["phase"], self.control["sensor_seen"] = Phase.STANDING, 1
+        self.control["phase"], self.control["sensors"]["seen"] = Phase.STANDING, 1
         self.readings["supply_pressure"], self.readings["vent_open"] = ATMOSPHERE, 1.0
         self.pressure, self.rate = np.full(13, begin), np.zeros(13)
         self.pressure[12] = ATMOSPHERE
@@ -51,13 +51,17 @@ class Exhausts:
         """Vent for `seconds`."""
         plant, e = self.plant[0], self.estimator[0]
         for _ in range(round(seconds / TICK)):
-            self.control["vent_timer"] += TICK
-            vent = plant["vent_conductance"] if self.control["vent_timer"][0] > plant["vent_delay"] else 0.0
+            self.control["venting"]["timer"] += TICK
+            vent = (
+                plant["vent_conductance"]
+                if self.control["venting"]["timer"][0] > plant["vent_delay"]
+                else 0.0
+            )
             for i in range(3):
                 position, speed = actuator_motion(BUILT.robot, plant, e["angle"], e["velocity"], i)
                 chambers(plant, i, self.pressure, self.rate, 0.0, position, speed, vent)
             self.pressure[6:12] += TICK * self.rate[6:12]
-            self.control["sensor_shown"][0, 1:] = self.pressure[6:12] + self.shown
+            self.control["sensors"]["shown"][0, 1:] = self.pressure[6:12] + self.shown
             watch_exhausts(
                 self.control[0], self.limits[0], BUILT.robot, BUILT.plant[0], e, self.readings, TICK
             )
@@ -66,7 +70,7 @@ class Exhausts:
     @property
     def found(self) -> list[int]:
         """Numbers of the chambers whose exhausts are too slow."""
-        return np.flatnonzero(self.control["exhaust_slow"][0]).tolist()
+        return np.flatnonzero(self.control["exhausts"]["slow"][0]).tolist()
 
 
 POSES = [ADDRESS, ADDRESS + [-1.2, 0.0, -0.8], ADDRESS + [1.5, -0.3, 0.1]]
@@ -113,8 +117,8 @@ def test_a_sensor_whose_zero_is_off_shows_as_an_exhaust(zero: float, found: list
         ("control", {"phase": Phase.HOLD}),
         ("control", {"lost": Cause.ARM_ENCODER}),
         ("control", {"distrusted": True}),
-        ("control", {"sensor_seen": 0}),
-        ("control", {"sensor_dead": 1}),
+        ("control", {"sensors.seen": 0}),
+        ("control", {"sensors.dead": 1}),
         ("estimator", {"angle": nan}),
         ("readings", {"vent_open": 0.0}),
     ],
@@ -123,15 +127,17 @@ def test_a_sensor_whose_zero_is_off_shows_as_an_exhaust(zero: float, found: list
 def test_what_does_not_vent_or_is_not_known_is_not_judged(record: str, values: dict[str, Any]) -> None:
     exhausts = Exhausts(0.0)
     for name, value in values.items():
-        getattr(exhausts, record)[name] = value
+        put(getattr(exhausts, record), name, value)
     assert exhausts.run(8.0).found == []
 
 
 def test_an_exhaust_is_judged_from_when_its_vents_are_sure_to_be_open() -> None:
     delay = PARAMETERS.supply.vent_delay + SWITCHING
     exhausts = Exhausts(0.0).run(delay - 2.0 * TICK)
-    assert not exhausts.control["exhaust_late"].any()
-    assert np.all(exhausts.control["exhaust_bound"][0, 6:12] == exhausts.control["sensor_shown"][0, 1:])
+    assert not exhausts.control["exhausts"]["late"].any()
+    assert np.all(
+        exhausts.control["exhausts"]["bound"][0, 6:12] == exhausts.control["sensors"]["shown"][0, 1:]
+    )
     exhausts.run(LATE + 0.5)
     assert exhausts.found == [0, 1, 2, 3, 4, 5]
 
@@ -144,7 +150,7 @@ def test_without_a_supply_sensor_the_manifold_counts_as_empty() -> None:
 
 def test_a_slow_exhaust_is_latched_until_a_reset_and_lets_nobody_in_without_a_press() -> None:
     puppet = reach(State.READY, vent_time=5.0, local_reset=True)
-    puppet.control["exhaust_slow"][3] = 1
+    puppet.control["exhausts"]["slow"][3] = 1
     puppet.tick()
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.ARM_B_EXHAUST)
     assert puppet.cycle["air_fault"][0] == 1 << 16
@@ -161,7 +167,7 @@ def test_a_slow_exhaust_is_latched_until_a_reset_and_lets_nobody_in_without_a_pr
 @pytest.mark.parametrize("source", [State.ESTOP, State.FAULT], ids=lambda state: state.name)
 def test_a_slow_exhaust_is_named_in_a_latched_state_and_stays(source: State) -> None:
     puppet = reach(source)
-    puppet.control["exhaust_slow"][0] = 1
+    puppet.control["exhausts"]["slow"][0] = 1
     puppet.tick()
     assert (puppet.bench, puppet.cause) == (source, Cause.SHOULDER_A_EXHAUST)
     puppet.give(chamber_pressure=(5e5,) * 6).run(300)  # after the time for venting

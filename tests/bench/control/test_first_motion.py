@@ -38,7 +38,7 @@ class Joints:
 
     @property
     def answered(self) -> list[int]:
-        return [int(joint) for joint in self.state["answered"][0]]
+        return [int(joint) for joint in self.state["first_motion"]["answered"][0]]
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def test_answer_motion_along_with_the_reference_frees_the_valve_gently(joints: J
     assert joints.answered == [0, 1, 0]
     assert joints.pid["integral"][0].tolist() == [0.3, 0.0, 0.3]
     assert joints.bound(1.0) < 0.05
-    while joints.state["answer_bound"][0, 1] < OPENING:
+    while joints.state["first_motion"]["bound"][0, 1] < OPENING:
         joints.tick(-0.2, 0.9)
     assert joints.bound(1.0) == 1.0
 
@@ -90,7 +90,7 @@ def test_answer_motion_against_the_reference_is_none(joints: Joints) -> None:
 
 def test_answer_zero_set_by_the_index_is_no_motion(joints: Joints) -> None:
     joints.tick(0.2, 1.0)
-    joints.state["zero_shift"][0, 1] = 2.0
+    joints.state["homing"]["zero_shift"][0, 1] = 2.0
     joints.tick(0.2, 3.01)
     assert joints.answered == [0, 0, 0]
 
@@ -98,7 +98,7 @@ def test_answer_zero_set_by_the_index_is_no_motion(joints: Joints) -> None:
 def test_bound_clock_that_stands_still_does_not_grow(joints: Joints) -> None:
     joints.state["measured_step"] = -1.0
     joints.tick(0.2, 1.0)
-    assert joints.state["answer_bound"][0, 1] == 0.0
+    assert joints.state["first_motion"]["bound"][0, 1] == 0.0
 
 
 def test_bound_outside_of_slow_moves_is_none(joints: Joints) -> None:
@@ -109,8 +109,8 @@ def test_bound_outside_of_slow_moves_is_none(joints: Joints) -> None:
 
 
 def test_opened_guard_has_all_joints_answer_again(joints: Joints) -> None:
-    for name in ("answered", "answer_way", "answer_bound"):
-        joints.state[name] = 1
+    for name in ("answered", "way", "bound"):
+        joints.state["first_motion"][name] = 1
     forget_answers(joints.state[0])
     assert joints.answered == [0, 0, 0]
     assert joints.bound(1.0) == pytest.approx(BAND + 0.005)
@@ -121,5 +121,5 @@ def test_fast_joint_that_has_not_answered_ends_the_motion(joints: Joints, speed:
     velocity = np.array([1.4, 0.0, speed])
     cause: Any = first_motion_cause(joints.state[0], joints.parameters[0], velocity)
     assert cause == Cause.WRIST_FOLLOWING
-    joints.state["answered"][0, 2] = 1
+    joints.state["first_motion"]["answered"][0, 2] = 1
     assert first_motion_cause(joints.state[0], joints.parameters[0], velocity) == 0

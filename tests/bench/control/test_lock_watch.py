@@ -62,7 +62,7 @@ def test_it_is_named_with_somebody_inside_who_is_not_locked_in() -> None:
 @pytest.mark.parametrize("request_", [Request.ARM, Request.HOME], ids=lambda request: request.name)
 def test_nothing_moves_behind_a_lock_that_is_not_proven(request_: Request) -> None:
     puppet = reach(State.READY)
-    puppet.control["lock_wrong"] = True
+    puppet.control["lock"]["wrong"] = True
     assert asked(puppet, request_) is Refusal.LOCK
 
 
@@ -92,4 +92,4 @@ def test_a_device_that_went_passive_locks_the_guard_by_itself() -> None:
     puppet.give(guard_closed=False).run(10)
     puppet.give(guard_closed=True, guard_locked=True, device_operational=False).run(2 * LATE)
     assert puppet.cause is Cause.DEVICE_PASSIVE
-    assert not puppet.control["lock_wrong"]
+    assert not puppet.control["lock"]["wrong"]

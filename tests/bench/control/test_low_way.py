@@ -60,15 +60,15 @@ def test_every_joint_comes_from_its_start_to_its_end(*, first: bool) -> None:
     s, parameters = puppet.control, puppet.parameters
     start = parameters.angle[0] - [0.3, 0.1, 0.2]
     begin_move(parameters, puppet.state.control[0], start, 1.0)
-    puppet.state.control["arm_first"] = first
+    puppet.state.control["move"]["arm_first"] = first
     references = []
-    for time in np.linspace(1.0, 1.0 + float(s["move_time"]), 1001):
+    for time in np.linspace(1.0, 1.0 + float(s["move"]["duration"]), 1001):
         follow_move(parameters, puppet.state.control[0], time)
         references.append((s["reference"].copy(), s["reference_velocity"].copy()))
     angle, velocity = (np.array(column) for column in zip(*references, strict=True))
     assert angle[0] == pytest.approx(start)
     assert angle[-1] == pytest.approx(parameters.angle[0])
-    step = float(s["move_time"]) / 1000
+    step = float(s["move"]["duration"]) / 1000
     assert np.gradient(angle, step, axis=0)[1:-1] == pytest.approx(velocity[1:-1], abs=2e-3)
     if first:
         assert np.all(angle[:500, 0] == start[0])

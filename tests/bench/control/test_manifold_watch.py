@@ -46,7 +46,7 @@ class Manifold:
     @property
     def found(self) -> tuple[bool, bool]:
         """Whether it empties too slowly, and whether it fell too fast."""
-        return bool(self.control["supply_wrong"][0]), bool(self.control["supply_unproven"][0])
+        return bool(self.control["manifold"]["wrong"][0]), bool(self.control["manifold"]["unproven"][0])
 
 
 @pytest.mark.parametrize("constant", [0.02, 0.04, 0.08, 0.15])

@@ -169,7 +169,7 @@ def test_homing_by_the_vented_pose_needs_empty_chambers(fitted: bool) -> None:
     """A sensor in each chamber proves them empty, or the time for venting."""
     puppet = reach(State.SAFE, fitted=fitted, vent_time=0.1)
     shown = TIMES.vented_pressure + 1.0 if fitted else nan
-    puppet.give(vent_start=puppet.time, chamber_pressure=(shown,) * 6).tick()
+    puppet.give(**{"venting.start": puppet.time}, chamber_pressure=(shown,) * 6).tick()
     assert asked(puppet, Request.HOME) is Refusal.NOT_VENTED
     if fitted:
         puppet.give(chamber_pressure=(TIMES.vented_pressure - 1.0,) * 6).tick()

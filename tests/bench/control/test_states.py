@@ -116,7 +116,7 @@ def test_a_blind_brake_begins_in_the_row_of_the_sample(
 ) -> None:
     state, parameters = bench
     s = state.control[0]
-    s["swinging"], s["swing_sample"] = swinging, sample
+    s["swinging"], s["swing"]["sample"] = swinging, sample
     assert parameters.profile["blind_spacing"][0] == 20
     begin_reaction(s, parameters, Reaction.BLIND_BRAKE, 0.0)
     assert s["blind_row"] == row
@@ -126,7 +126,7 @@ def test_a_blind_brake_begins_in_the_row_of_the_sample(
 def test_a_pattern_brakes_all_joints_without_their_encoders(bench: Bench, before: Reaction) -> None:
     state, parameters = bench
     s = state.control[0]
-    s["swinging"], s["swing_sample"] = True, 32
+    s["swinging"], s["swing"]["sample"] = True, 32
     begin_reaction(s, parameters, before, 1.0)
     begin_reaction(s, parameters, Reaction.BLIND_BRAKE, 1.1)
     assert (s["blind_row"], s["unseen"].tolist()) == (1, [1, 1, 1])
@@ -135,7 +135,7 @@ def test_a_pattern_brakes_all_joints_without_their_encoders(bench: Bench, before
 def test_a_blind_brake_out_of_a_brake_plays_no_pattern(bench: Bench) -> None:
     state, parameters = bench
     s = state.control[0]
-    s["swinging"], s["swing_sample"], s["unseen"] = True, 32, 1
+    s["swinging"], s["swing"]["sample"], s["unseen"] = True, 32, 1
     begin_reaction(s, parameters, Reaction.BRAKE, 1.0)
     begin_reaction(s, parameters, Reaction.BLIND_BRAKE, 1.1)
     assert (s["reaction"], s["reaction_start"], s["still_since"]) == (Reaction.BLIND_BRAKE, 1.1, 1.1)
@@ -159,7 +159,12 @@ def test_at_rest_a_cause_is_latched(
     s = bench[0].control[0]
     s["cause"], s["emergency"], s["homed"], s["phase"], s["air"] = cause, emergency, homed, Phase.HOLD, True
     stand(s, bench[1], 3.0)
-    assert (s["state"], s["phase"], bool(s["air"]), s["vent_start"]) == (state, Phase.STANDING, False, 3.0)
+    assert (s["state"], s["phase"], bool(s["air"]), s["venting"]["start"]) == (
+        state,
+        Phase.STANDING,
+        False,
+        3.0,
+    )
     assert s["reaction"] == (Reaction.VENT if cause else Reaction.NONE)
 
 
@@ -258,7 +263,7 @@ def test_a_tick_that_failed_leaves_nothing_under_way(bench: Bench) -> None:
     give_up(control, bench[1], 1.0)
     s = control[0]
     assert not any(s[name] for name in under_way)
-    assert (s["phase"], s["state"], s["vent_start"]) == (Phase.STANDING, State.FAULT, 1.0)
+    assert (s["phase"], s["state"], s["venting"]["start"]) == (Phase.STANDING, State.FAULT, 1.0)
     assert (s["cause"], s["reaction"]) == (Cause.EXCEPTION, Reaction.PASSIVE)
 
 

@@ -289,7 +289,7 @@ def test_the_profile_is_interpolated_between_its_samples(tick: float) -> None:
         at = (puppet.time - start) / profile.period
         if at >= SAMPLES - 1 - 1e-6:
             break
-        assert puppet.control["swing_sample"] == int(at + 1e-6)
+        assert puppet.control["swing"]["sample"] == int(at + 1e-6)
         assert puppet.phase is profile.phase_of(int(at + 1e-6))
         for name, values in (
             ("reference", profile.angle),
@@ -321,9 +321,9 @@ def test_the_downswing_keeps_its_share_of_the_damping() -> None:
         puppet = Puppet(curved(), replace(QUICK, downswing_damping=share)).swing(50)
         profile = curved()
         for phase, last in (("backswing", BEGINS[2]), ("downswing", BEGINS[3] + 100)):
-            while puppet.control["swing_sample"] < last - 10:
+            while puppet.control["swing"]["sample"] < last - 10:
                 puppet.tick()
-            planned = profile.valve[int(puppet.control["swing_sample"])]
+            planned = profile.valve[int(puppet.control["swing"]["sample"])]
             added[share, phase] = np.abs(puppet.control["feed_forward"] - planned).max()
     assert added[0.0, "downswing"] < 1e-6
     assert added[1.0, "downswing"] > 1e-4
@@ -345,7 +345,7 @@ def test_a_clock_that_runs_backwards_stops_the_swing_within_the_tables(back: flo
     puppet = Puppet().swing(250)
     puppet.time -= back + puppet.period
     puppet.tick()
-    assert 0 <= puppet.control["swing_sample"] <= 250
+    assert 0 <= puppet.control["swing"]["sample"] <= 250
     assert puppet.reaction is not Reaction.NONE
     assert np.isfinite(puppet.control["reference"]).all()
 
@@ -621,7 +621,7 @@ def braked_blindly(sample: int, seed: int) -> tuple[int, Array, Array]:
         desired[k], applied[k] = puppet.control["desired"], puppet.record["valve"][0]
         if k == 0:
             assert puppet.reaction is Reaction.BLIND_BRAKE
-            assert puppet.control["blind_row"] == puppet.control["swing_sample"] // SPACING
+            assert puppet.control["blind_row"] == puppet.control["swing"]["sample"] // SPACING
     assert puppet.phase is Phase.STANDING
     return int(puppet.control["blind_row"]), desired, applied
 
@@ -731,7 +731,7 @@ def test_any_readings_at_any_time_give_a_bounded_command(
         assert s["phase"] in set(Phase)
         assert s["reaction"] in set(Reaction)
         assert s["cause"] in set(Cause)
-        assert 0 <= s["swing_sample"] < SAMPLES
+        assert 0 <= s["swing"]["sample"] < SAMPLES
         assert -1 <= s["blind_row"] < len(STILL.blind_brake)
         if s["phase"] == Phase.STANDING or s["reaction"] >= Reaction.PASSIVE:
             assert unpack_command(command) == PASSIVE

@@ -110,6 +110,15 @@ def test_the_first_snapshot_within_the_record_is_stored(make_day: MakeDay) -> No
         assert not metadata["replayable"]
 
 
+def assert_same_values(before: np.ndarray[Any, Any], after: np.ndarray[Any, Any]) -> None:
+    """Compare all fields bit for bit, not the gaps between them."""
+    for name in before.dtype.names or ():
+        if before.dtype[name].names:
+            assert_same_values(before[name], after[name])
+        else:
+            assert before[name].tobytes() == after[name].tobytes(), name
+
+
 def test_a_snapshot_gives_the_controllers_memory_back() -> None:
     state = some_state(1)
     snapshot = np.zeros(1, SNAPSHOT)
@@ -118,9 +127,8 @@ def test_a_snapshot_gives_the_controllers_memory_back() -> None:
     assert snapshot["time"][0] == 1000.125
     metadata = json.loads(json.dumps({"snapshot": snapshot_entry(snapshot)}))
     again = unpack_snapshot(read_snapshot(metadata, "x.parquet"))
-    for name, before, after in zip(ControlState._fields, state, again, strict=True):
-        for field in before.dtype.names:
-            assert before[field].tobytes() == after[field].tobytes(), (name, field)
+    for before, after in zip(state, again, strict=True):
+        assert_same_values(before, after)
     again.control["tick"] = 3
     assert snapshot["tick"][0] == 150
 

@@ -89,7 +89,7 @@ class SwingBench:
 
     def has_air(self) -> bool:
         """Whether the chambers are as planned, or no pressures are."""
-        return not self.air_planned or bool(self.cycle.state.control["air_ready"][0])
+        return not self.air_planned or bool(self.cycle.state.control["address_air"]["ready"][0])
 
     def rests(self) -> bool:
         """Whether the robot stands, as plant and controller see it."""
