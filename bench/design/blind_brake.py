@@ -2,14 +2,16 @@
 
 From the nominal states at each row a compass search (Kolda, Lewis and Torczon 2003) looks for a pattern of
 openings and durations, starting from centred spools and from the row's pattern of the starting swing. A
-candidate that is good enough is taken as it is. The search is deterministic.
+candidate that is good enough is taken as it is. Rows for which none is found search on from the patterns of
+the rows around them: the cost has many local minima, and what stops the robot 20 ms later often stops it now.
+The search is deterministic.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,27 @@ _GOOD = 0.35
 """Cost below which a candidate is taken: no load above half its rating, and it comes to rest."""
 _STEPS = (0.3, 0.12)
 _ROUNDS = 6
+_LOW, _HIGH = np.array([-1.0] * 3 + [0.0] * 3), np.array([1.0] * 3 + [_LONGEST] * 3)
+_MOVING = (-0.4, -0.2, -0.2, 0.15, 0.15, 0.15)
+"""Pattern from which a search begins where centred spools are not good enough."""
+_NEAR, _TRIED, _SWEEPS = 4, 3, 3
+"""Rows to either side whose patterns a row without a good one tries; the best of them that are searched from;
+and how often."""
+
+
+class _Found(NamedTuple):
+    """A pattern (6,) and its cost for a row."""
+
+    cost: float
+    pattern: Array
+
+
+def _cost_of(found: _Found) -> float:
+    return found.cost
+
+
+def _start_of(start: Array | None, row: int) -> Array | None:
+    return None if start is None else start[min(row, len(start) - 1)]
 
 
 @compiled
@@ -56,19 +79,69 @@ def play_blind(
     return lowest, highest, speed / max(counted, 1)
 
 
-def _cost(plant: Plant, states: list[tuple[NDArray[Any], NDArray[Any]]], pattern: Array, ticks: int) -> float:
-    shoulder = plant.parameters.shoulder
-    total = 0.02 * float(np.sum(np.abs(pattern[:3])))
-    for state, command in states:
-        trial, applied = state.copy(), command.copy()
-        low, high, speed = play_blind(*plant.records, trial, applied, pattern, ticks)
-        total += 40 * float(
-            np.sum(np.maximum(stop_shares(trial["stop_energy"][0], plant.parameters) - 0.5, 0.0))
-        )
-        total += 10 * max(high - shoulder.upper, 0.0) + 10 * max(shoulder.lower - low, 0.0)
-        total += 5e-5 * float(np.sum(np.maximum(trial["peak_pressure"] - 1.1e6, 0.0))) + 0.5 * speed
-        total += 50 * max(-float(trial["lowest_clearance"][0]), 0.0)
-    return total
+class _BlindSearch(NamedTuple):
+    """The search for patterns (6,), one for each row."""
+
+    plant: Plant
+    begun: list[list[tuple[NDArray[Any], NDArray[Any]]]]
+    """Plant states and commands from which each row's pattern has to stop the robot."""
+    ticks: int
+
+    def cost(self, row: int, pattern: Array) -> float:
+        """Return what `pattern` costs: loads, way of the shoulder, pressure, motion at the end, ground."""
+        shoulder = self.plant.parameters.shoulder
+        total = 0.02 * float(np.sum(np.abs(pattern[:3])))
+        for state, command in self.begun[row]:
+            trial, applied = state.copy(), command.copy()
+            low, high, speed = play_blind(*self.plant.records, trial, applied, pattern, self.ticks)
+            total += 40 * float(
+                np.sum(np.maximum(stop_shares(trial["stop_energy"][0], self.plant.parameters) - 0.5, 0.0))
+            )
+            total += 10 * max(high - shoulder.upper, 0.0) + 10 * max(shoulder.lower - low, 0.0)
+            total += 5e-5 * float(np.sum(np.maximum(trial["peak_pressure"] - 1.1e6, 0.0))) + 0.5 * speed
+            total += 50 * max(-float(trial["lowest_clearance"][0]), 0.0)
+        return total
+
+    def first(self, row: int, start: Array | None) -> _Found:
+        """Return the pattern for `row` found from centred spools and from `start`."""
+        begun = [np.zeros(6)] if start is None else [np.zeros(6), np.clip(start, _LOW, _HIGH)]
+        found = min((_Found(self.cost(row, pattern), pattern) for pattern in begun), key=_cost_of)
+        if found.cost <= _GOOD:
+            return found
+        moving = found if np.any(found.pattern) else self._found(row, np.array(_MOVING))
+        return min(found, self._descended(row, moving), key=_cost_of)
+
+    def around(self, row: int, patterns: Sequence[_Found]) -> _Found:
+        """Return the best of the pattern of `row` and what is found from those of the rows around it."""
+        best = patterns[row]
+        near = [*patterns[max(row - _NEAR, 0) : row], *patterns[row + 1 : row + 1 + _NEAR]]
+        tried = sorted((self._found(row, other.pattern) for other in near), key=_cost_of)
+        for begun in tried[:_TRIED]:
+            best = min(best, self._descended(row, begun), key=_cost_of)
+            if best.cost <= _GOOD:
+                break
+        return best
+
+    def _found(self, row: int, pattern: Array) -> _Found:
+        return _Found(self.cost(row, pattern), pattern)
+
+    def _descended(self, row: int, begun: _Found) -> _Found:
+        """Return what the compass search finds from `begun`."""
+        found = begun
+        for size in _STEPS:
+            for _ in range(_ROUNDS):
+                moved = False
+                for i in range(6):
+                    for sign in (1.0, -1.0):
+                        trial = found.pattern.copy()
+                        trial[i] += sign * size * (_LONGEST if i >= 3 else 1.0)
+                        tried = self._found(row, np.clip(trial, _LOW, _HIGH))
+                        if tried.cost < found.cost:
+                            found, moved = tried, True
+                            break
+                if not moved or found.cost < _GOOD:
+                    break
+        return found
 
 
 def design_blind_brake(
@@ -91,38 +164,16 @@ def design_blind_brake(
             rehearsal.advance(min(spacing, len(profile.angle) - row * spacing))
         past_contact = row * spacing * profile.period > profile.impact_time - 0.01
         begun.append(states if past_contact else states[1:])
-    low, high = np.array([-1.0] * 3 + [0.0] * 3), np.array([1.0] * 3 + [_LONGEST] * 3)
-
-    def search(row: int) -> Array:
-        candidates = [np.zeros(6)]
-        if start is not None:
-            candidates.append(np.clip(start[min(row, len(start) - 1)], low, high))
-        costs = [_cost(plant, begun[row], candidate, ticks) for candidate in candidates]
-        best, cost = candidates[int(np.argmin(costs))], min(costs)
-        if cost > _GOOD:
-            tried = best if np.any(best) else np.array([-0.4, -0.2, -0.2, 0.15, 0.15, 0.15])
-            tried_cost = _cost(plant, begun[row], tried, ticks)
-            for size in _STEPS:
-                for _ in range(_ROUNDS):
-                    moved = False
-                    for i in range(6):
-                        for sign in (1.0, -1.0):
-                            trial = tried.copy()
-                            trial[i] += sign * size * (_LONGEST if i >= 3 else 1.0)
-                            trial = np.clip(trial, low, high)
-                            trial_cost = _cost(plant, begun[row], trial, ticks)
-                            if trial_cost < tried_cost:
-                                tried, tried_cost, moved = trial, trial_cost, True
-                                break
-                    if not moved or tried_cost < _GOOD:
-                        break
-            if tried_cost < cost:
-                best = tried
-        return np.round(best, 4)
-
-    patterns = np.zeros((rows, 6))
+    search = _BlindSearch(plant, begun, ticks)
     with ThreadPoolExecutor(2) as pool:
-        for row, pattern in enumerate(pool.map(search, range(rows))):
-            patterns[row] = pattern
-            progress((row + 1) / rows)
-    return patterns
+        found = list[_Found]()
+        for pattern in pool.map(lambda row: search.first(row, _start_of(start, row)), range(rows)):
+            found.append(pattern)
+            progress(0.5 * len(found) / rows)
+        for sweep in range(_SWEEPS):
+            left = [row for row in range(rows) if found[row].cost > _GOOD]
+            around = list(pool.map(lambda row, now=tuple(found): search.around(row, now), left))
+            for row, pattern in zip(left, around, strict=True):
+                found[row] = pattern
+            progress(0.5 + 0.5 * (sweep + 1) / _SWEEPS)
+    return np.round([pattern.pattern for pattern in found], 4)
