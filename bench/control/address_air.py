@@ -68,7 +68,7 @@ _PASSED = 0.5
 """s after which a joint that slips through its band is caught there: its PID's integral would drive it past
 again and again, as far as the ball."""
 HELD, LATE, SLIPPED = 1, 2, 4
-"""Bits of `air_held`. Friction holds a joint. A late one is pushed free and caught, its chambers may leak.
+"""Bits of `held`. Friction holds a joint. A late one is pushed free and caught, its chambers may leak.
 One that slipped past its address is only caught."""
 _LEAKING = 1.5
 """Times the tolerance within which the pressures of late joints are as planned: spools hold them."""

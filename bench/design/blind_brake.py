@@ -3,7 +3,7 @@
 From the nominal states at each row a compass search (Kolda, Lewis and Torczon 2003) looks for a pattern of
 openings and durations, starting from centred spools and from the row's pattern of the starting swing. A
 candidate that is good enough is taken as it is. Rows for which none is found search on from the patterns of
-the rows around them: the cost has many local minima, and what stops the robot 20 ms later often stops it now.
+the rows around them: the cost has many local minima, and a pattern for 20 ms later often stops the robot now.
 The search is deterministic.
 """
 
@@ -83,15 +83,15 @@ class _BlindSearch(NamedTuple):
     """The search for patterns (6,), one for each row."""
 
     plant: Plant
-    begun: list[list[tuple[NDArray[Any], NDArray[Any]]]]
+    states: list[list[tuple[NDArray[Any], NDArray[Any]]]]
     """Plant states and commands from which each row's pattern has to stop the robot."""
     ticks: int
 
     def cost(self, row: int, pattern: Array) -> float:
-        """Return what `pattern` costs: loads, way of the shoulder, pressure, motion at the end, ground."""
+        """Return the cost of `pattern`: loads, way of the shoulder, pressure, motion at the end, ground."""
         shoulder = self.plant.parameters.shoulder
         total = 0.02 * float(np.sum(np.abs(pattern[:3])))
-        for state, command in self.begun[row]:
+        for state, command in self.states[row]:
             trial, applied = state.copy(), command.copy()
             low, high, speed = play_blind(*self.plant.records, trial, applied, pattern, self.ticks)
             total += 40 * float(
@@ -104,20 +104,20 @@ class _BlindSearch(NamedTuple):
 
     def first(self, row: int, start: Array | None) -> _Found:
         """Return the pattern for `row` found from centred spools and from `start`."""
-        begun = [np.zeros(6)] if start is None else [np.zeros(6), np.clip(start, _LOW, _HIGH)]
-        found = min((_Found(self.cost(row, pattern), pattern) for pattern in begun), key=_cost_of)
+        origins = [np.zeros(6)] if start is None else [np.zeros(6), np.clip(start, _LOW, _HIGH)]
+        found = min((self._found(row, pattern) for pattern in origins), key=_cost_of)
         if found.cost <= _GOOD:
             return found
         moving = found if np.any(found.pattern) else self._found(row, np.array(_MOVING))
         return min(found, self._descended(row, moving), key=_cost_of)
 
     def around(self, row: int, patterns: Sequence[_Found]) -> _Found:
-        """Return the best of the pattern of `row` and what is found from those of the rows around it."""
+        """Return the best pattern for `row`: its own, or one found from those of the rows around it."""
         best = patterns[row]
         near = [*patterns[max(row - _NEAR, 0) : row], *patterns[row + 1 : row + 1 + _NEAR]]
         tried = sorted((self._found(row, other.pattern) for other in near), key=_cost_of)
-        for begun in tried[:_TRIED]:
-            best = min(best, self._descended(row, begun), key=_cost_of)
+        for origin in tried[:_TRIED]:
+            best = min(best, self._descended(row, origin), key=_cost_of)
             if best.cost <= _GOOD:
                 break
         return best
@@ -125,9 +125,9 @@ class _BlindSearch(NamedTuple):
     def _found(self, row: int, pattern: Array) -> _Found:
         return _Found(self.cost(row, pattern), pattern)
 
-    def _descended(self, row: int, begun: _Found) -> _Found:
-        """Return what the compass search finds from `begun`."""
-        found = begun
+    def _descended(self, row: int, origin: _Found) -> _Found:
+        """Return the pattern that the compass search finds from `origin`."""
+        found = origin
         for size in _STEPS:
             for _ in range(_ROUNDS):
                 moved = False

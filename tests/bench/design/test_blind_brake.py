@@ -21,7 +21,7 @@ def hollow(_: Any, row: int, pattern: np.ndarray[Any, Any]) -> float:
 @pytest.fixture
 def search(monkeypatch: pytest.MonkeyPatch) -> _BlindSearch:
     monkeypatch.setattr(_BlindSearch, "cost", hollow)
-    return _BlindSearch(plant=None, begun=[], ticks=0)  # type: ignore[arg-type]
+    return _BlindSearch(plant=None, states=[], ticks=0)  # type: ignore[arg-type]
 
 
 def test_a_search_from_centred_spools_stays_in_its_hollow(search: _BlindSearch) -> None:
