@@ -54,54 +54,59 @@ def _is_believable(p: Any, pressure: float) -> bool:
 @compiled
 def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, time: float) -> None:
     """Judge sensors and vents `step` s after the last tick; `exhaust_closed` was commanded in it."""
-    r = readings[0]
+    r, sensors, vents = readings[0], s.sensors, s.vents
     passed = min(step, _LONGEST)
     # Nothing that has been open to the air for so long holds less than the atmosphere.
     emptied = s.phase == Phase.STANDING and time - s.venting.start > p.vent_time
     for k in range(SENSORS):
         pressure = r.supply_pressure if k == 0 else r.chamber_pressure[k - 1]
         if _is_believable(p, pressure) and not (emptied and pressure < p.rest_pressure):
-            fell = s.sensors.seen[k] != 0 and s.sensors.shown[k] - pressure > MAX_FALL
-            s.sensors.seen[k], s.sensors.shown[k] = 1, pressure
-            s.sensors.doubt[k] = max(s.sensors.doubt[k] - RECOVERY * passed, 0.0)
+            fell = sensors.seen[k] != 0 and sensors.shown[k] - pressure > MAX_FALL
+            sensors.seen[k], sensors.shown[k] = 1, pressure
+            sensors.doubt[k] = max(sensors.doubt[k] - RECOVERY * passed, 0.0)
             if s.phase != Phase.STANDING:
-                s.sensors.emptied[k] = pressure > p.vented_pressure
+                sensors.emptied[k] = pressure > p.vented_pressure
             elif fell:
-                s.sensors.emptied[k] = 0
+                sensors.emptied[k] = 0
             elif pressure > p.vented_pressure:
-                s.sensors.emptied[k] = 1
-        elif s.sensors.seen[k] != 0 or not np.isnan(pressure):
-            s.sensors.doubt[k] = min(s.sensors.doubt[k] + passed, DEAD_AFTER)
-        if s.sensors.doubt[k] >= DEAD_AFTER:
-            s.sensors.dead[k] = 1
-        elif s.sensors.doubt[k] <= 0.0:
-            s.sensors.dead[k] = 0
+                sensors.emptied[k] = 1
+        elif sensors.seen[k] != 0 or not np.isnan(pressure):
+            sensors.doubt[k] = min(sensors.doubt[k] + passed, DEAD_AFTER)
+        if sensors.doubt[k] >= DEAD_AFTER:
+            sensors.dead[k] = 1
+        elif sensors.doubt[k] <= 0.0:
+            sensors.dead[k] = 0
     wanted = 0.0 if exhaust_closed else 1.0
     # A passive device and an open safety relay let the vents open by themselves.
     opened = not s.device_operational or not relay_closed(readings)
     allowed = SWITCHING + (0.0 if exhaust_closed else p.vent_delay)
     for k in range(VENTS):
         if s.tick <= 1:
-            s.vents.agreed[k] = time
+            vents.agreed[k] = time
         position = r.vent_open[k]
-        fitted = s.vents.fitted[k] != 0 or not np.isnan(position)
-        s.vents.fitted[k] = fitted
+        fitted = vents.fitted[k] != 0 or not np.isnan(position)
+        vents.fitted[k] = fitted
         if not fitted or position == wanted or (exhaust_closed and opened):
-            s.vents.agreed[k] = time
-        s.vents.wrong[k] = fitted and time - s.vents.agreed[k] > allowed
-    _watch_shut_off(s, p, r.shut_off_open, exhaust_closed, opened, time)
+            vents.agreed[k] = time
+        vents.wrong[k] = fitted and time - vents.agreed[k] > allowed
+    _watch_shut_off(s.shut_off, p, r.shut_off_open, exhaust_closed, opened, s.tick <= 1, time)
 
 
 @compiled
-def _watch_shut_off(s: Any, p: Any, position: float, powered: bool, opened: bool, time: float) -> None:
-    """Judge the shut-off valve's `position`; open while `powered`, but where the vents `opened`."""
-    if s.tick <= 1:
-        s.shut_off.agreed = time
-    s.shut_off.fitted = s.shut_off.fitted or not np.isnan(position)
-    if not s.shut_off.fitted or position == (1.0 if powered else 0.0) or (powered and opened):
-        s.shut_off.agreed = time
+def _watch_shut_off(
+    valve: Any, p: Any, position: float, powered: bool, opened: bool, first: bool, time: float
+) -> None:
+    """Judge the shut-off valve's `position`; open while `powered`, but where the vents `opened`.
+
+    `valve` is its SHUT_OFF; `first` says that this is the first tick.
+    """
+    if first:
+        valve.agreed = time
+    valve.fitted = valve.fitted or not np.isnan(position)
+    if not valve.fitted or position == (1.0 if powered else 0.0) or (powered and opened):
+        valve.agreed = time
     allowed = SWITCHING + (0.0 if powered else p.shut_off_delay)
-    s.shut_off.wrong = s.shut_off.fitted and time - s.shut_off.agreed > allowed
+    valve.wrong = valve.fitted and time - valve.agreed > allowed
 
 
 @compiled
@@ -147,40 +152,40 @@ def air_fault(s: Any) -> int:
 
 
 @compiled
-def is_alive(s: Any, k: int) -> bool:
+def is_alive(sensors: Any, k: int) -> bool:
     """Return whether sensor `k` was seen and has not failed since."""
-    return bool(s.sensors.seen[k] != 0 and s.sensors.dead[k] == 0)
+    return bool(sensors.seen[k] != 0 and sensors.dead[k] == 0)
 
 
 @compiled
-def chambers_show_pressure(s: Any, p: Any) -> bool:
+def chambers_show_pressure(sensors: Any, p: Any) -> bool:
     """Return whether a living sensor shows pressure in its chamber."""
     for k in range(1, SENSORS):
-        if is_alive(s, k) and s.sensors.shown[k] > p.vented_pressure:
+        if is_alive(sensors, k) and sensors.shown[k] > p.vented_pressure:
             return True
     return False
 
 
 @compiled
-def manifold_shows_pressure(s: Any, p: Any) -> bool:
+def manifold_shows_pressure(sensors: Any, p: Any) -> bool:
     """Return whether a living sensor shows pressure in the manifold."""
-    return bool(is_alive(s, 0) and s.sensors.shown[0] > p.vented_pressure)
+    return bool(is_alive(sensors, 0) and sensors.shown[0] > p.vented_pressure)
 
 
 @compiled
-def nothing_is_held_up(s: Any, p: Any) -> bool:
+def nothing_is_held_up(sensors: Any, p: Any) -> bool:
     """Return whether no living sensor, the manifold's included, shows air that may hold an arm up."""
     for k in range(SENSORS):
-        if is_alive(s, k) and s.sensors.shown[k] > p.holding_pressure:
+        if is_alive(sensors, k) and sensors.shown[k] > p.holding_pressure:
             return False
     return True
 
 
 @compiled
-def all_chambers_are_seen(s: Any) -> bool:
+def all_chambers_are_seen(sensors: Any) -> bool:
     """Return whether a living sensor shows each chamber's pressure."""
     for k in range(1, SENSORS):
-        if not is_alive(s, k):
+        if not is_alive(sensors, k):
             return False
     return True
 

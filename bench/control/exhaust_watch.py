@@ -45,7 +45,7 @@ def watch_exhausts(s: Any, p: Any, robot: Any, plant: Any, e: Any, readings: Any
         if judged:
             _let_fall(s, robot, plant, e, vent, min(step, _LONGEST), i)
         for k in range(2 * i, 2 * i + 2):
-            shown, alive = s.sensors.shown[1 + k], is_alive(s, 1 + k)
+            shown, alive = s.sensors.shown[1 + k], is_alive(s.sensors, 1 + k)
             if not (judged and alive):
                 s.exhausts.bound[6 + k] = max(shown, plant.atmosphere) if alive else p.highest_pressure
             above = shown > max(s.exhausts.bound[6 + k] + MARGIN, p.holding_pressure)
@@ -64,9 +64,9 @@ def _let_fall(s: Any, robot: Any, plant: Any, e: Any, vent: float, step: float, 
 
 
 @compiled
-def exhaust_cause(s: Any) -> int:
+def exhaust_cause(exhausts: Any) -> int:
     """Return the cause that names the first exhaust found too slow, or 0."""
     for k in range(CHAMBERS):
-        if s.exhausts.slow[k] != 0:
+        if exhausts.slow[k] != 0:
             return Cause.SHOULDER_A_EXHAUST + k
     return 0

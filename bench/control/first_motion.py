@@ -30,18 +30,17 @@ _FASTER = 3.0
 @compiled
 def note_answers(s: Any, d: Any, e: Any) -> None:
     """Note the joints that move along with their references; `d` is PID_STATE."""
+    m = s.first_motion
     for i in range(3):
         way = np.sign(s.reference_velocity[i])
-        s.first_motion.start[i] += s.homing.zero_shift[i]
-        if way not in (0.0, s.first_motion.way[i]):  # a reference that waits for its joint goes on
-            s.first_motion.way[i], s.first_motion.start[i] = way, e.angle[i]
-        elif s.first_motion.answered[i] == 0 and way * (e.angle[i] - s.first_motion.start[i]) >= _ANSWER:
-            s.first_motion.answered[i] = 1
+        m.start[i] += s.homing.zero_shift[i]
+        if way not in (0.0, m.way[i]):  # a reference that waits for its joint goes on
+            m.way[i], m.start[i] = way, e.angle[i]
+        elif m.answered[i] == 0 and way * (e.angle[i] - m.start[i]) >= _ANSWER:
+            m.answered[i] = 1
             d.integral[i] = 0.0  # grown against the bound, it would throw the joint
-        if s.first_motion.way[i] != 0.0 and s.measured_step > 0.0:
-            s.first_motion.bound[i] += s.measured_step * (
-                _LIFT if s.first_motion.answered[i] != 0 else _GROWTH
-            )
+        if m.way[i] != 0.0 and s.measured_step > 0.0:
+            m.bound[i] += s.measured_step * (_LIFT if m.answered[i] != 0 else _GROWTH)
 
 
 @compiled

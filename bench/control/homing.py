@@ -58,17 +58,18 @@ _FASTER = 12.0
 def begin_search(state: Any, p: Any, now: float) -> None:
     """Warn from `now` (s) on, charge, then search: set-point := measured, for all joints."""
     s, angle = state.control[0], state.estimator[0].angle
+    h = s.homing
     reset_integral(state.pid)
     s.disarming = s.tee = False
     s.air_from = now + p.warning_time
-    s.move.start = s.homing.began = time = s.air_from + p.precharge_time
+    s.move.start = h.began = time = s.air_from + p.precharge_time
     s.phase = Phase.HOMING
-    s.homing.turn, s.homing.since, s.homing.pushed_since = 0, time, time
-    s.homing.touching, s.homing.way = not p.home_by_index, 1.0
+    h.turn, h.since, h.pushed_since = 0, time, time
+    h.touching, h.way = not p.home_by_index, 1.0
     for i in range(3):
-        s.reference[i] = s.homing.start[i] = s.homing.origin[i] = angle[i]
+        s.reference[i] = h.start[i] = h.origin[i] = angle[i]
         s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
-        s.homing.free[i] = not p.home_by_index
+        h.free[i] = not p.home_by_index
 
 
 @compiled
@@ -77,47 +78,49 @@ def search(s: Any, p: Any, e: Any, d: Any, indexed: Any, time: float, measured_s
 
     `e` is ESTIMATOR_STATE, `d` PID_STATE.
     """
+    h = s.homing
     for i in range(3):
         # A zero that was set in this tick: the joint went on as before.
-        s.reference[i] += s.homing.zero_shift[i]
-        s.homing.start[i] += s.homing.zero_shift[i]
-        s.homing.origin[i] += s.homing.zero_shift[i]
+        s.reference[i] += h.zero_shift[i]
+        h.start[i] += h.zero_shift[i]
+        h.origin[i] += h.zero_shift[i]
         s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
         if indexed[i] == 0:
-            s.homing.free[i] = 1
+            h.free[i] = 1
         if time < s.air_from:  # a vented robot may still sink while it warns
-            s.reference[i] = s.homing.origin[i] = e.angle[i]
+            s.reference[i] = h.origin[i] = e.angle[i]
         if time < s.move.start:
             leash = _LEASH * p.home_touch_lead[i]
             s.reference[i] = min(max(s.reference[i], e.angle[i] - leash), e.angle[i] + leash)
         elif time - measured_step < s.move.start:
-            s.reference[i] = s.homing.start[i] = e.angle[i]
-    if not (time > s.homing.since and measured_step > 0.0):
+            s.reference[i] = h.start[i] = e.angle[i]
+    if not (time > h.since and measured_step > 0.0):
         return False
-    if s.homing.turn >= 3:
+    if h.turn >= 3:
         return not p.home_stops or _go_back(s, p, e, time, measured_step)
-    joint = p.home_order[s.homing.turn]
-    if not s.homing.touching and s.homing.free[joint] != 0 and indexed[joint] != 0:
-        s.homing.touching = True
+    joint = p.home_order[h.turn]
+    if not h.touching and h.free[joint] != 0 and indexed[joint] != 0:
+        h.touching = True
         _begin_way(s, e, joint, time)
-    if not s.homing.touching:
+    if not h.touching:
         _seek(s, p, e, d, joint, time, measured_step)
     elif not p.home_stops or _press(s, p, e, joint, time, measured_step):
-        s.homing.turn, s.homing.touching = s.homing.turn + 1, not p.home_by_index
+        h.turn, h.touching = h.turn + 1, not p.home_by_index
         s.reference[joint] = e.angle[joint]
-        if s.homing.turn < 3:
-            _begin_way(s, e, p.home_order[s.homing.turn], time)
+        if h.turn < 3:
+            _begin_way(s, e, p.home_order[h.turn], time)
         else:
-            s.homing.since = time
+            h.since = time
     return False
 
 
 @compiled
 def _begin_way(s: Any, e: Any, joint: int, time: float) -> None:
     """Let `joint` go on from where it is."""
-    s.reference[joint] = s.homing.start[joint] = s.homing.pushed_at = e.angle[joint]
-    s.homing.since = s.homing.pushed_since = time
-    s.homing.way = 1.0
+    h = s.homing
+    s.reference[joint] = h.start[joint] = h.pushed_at = e.angle[joint]
+    h.since = h.pushed_since = time
+    h.way = 1.0
 
 
 @compiled
@@ -138,25 +141,27 @@ def _push(
     The reference waits for a joint that lags: the air then presses it no harder. A valve that is hardly open
     yet does not count: its chambers are not charged.
     """
+    h = s.homing
     lead = abs(s.reference[joint] - e.angle[joint])
     if lead < p.home_touch_lead[joint]:
         _turn(s, p, joint, speed, time, measured_step)
     pushed = is_free(s, p, joint) and lead >= _FIRM * p.home_touch_lead[joint]
     # By its angle, not its velocity, which the other joints shake.
-    if not pushed or abs(e.angle[joint] - s.homing.pushed_at) > rests:
-        s.homing.pushed_since, s.homing.pushed_at = time, e.angle[joint]
+    if not pushed or abs(e.angle[joint] - h.pushed_at) > rests:
+        h.pushed_since, h.pushed_at = time, e.angle[joint]
 
 
 @compiled
 def _seek(s: Any, p: Any, e: Any, d: Any, joint: int, time: float, measured_step: float) -> None:
     """Turn `joint` on to its index: as far as it may or can, then in the other direction."""
-    way = s.homing.way * p.home_direction[joint]
+    h = s.homing
+    way = h.way * p.home_direction[joint]
     _push(s, p, e, joint, way * p.home_speed[joint], _RESTS, time, measured_step)
-    far = way * (e.angle[joint] - s.homing.start[joint]) > p.home_travel[joint]
-    if s.homing.way > 0.0 and (far or time - s.homing.pushed_since > _LONGEST_PUSH):
-        s.homing.way, s.reference[joint] = -1.0, e.angle[joint]
+    far = way * (e.angle[joint] - h.start[joint]) > p.home_travel[joint]
+    if h.way > 0.0 and (far or time - h.pushed_since > _LONGEST_PUSH):
+        h.way, s.reference[joint] = -1.0, e.angle[joint]
         d.integral[joint] = 0.0  # what pressed it against its stop would press on
-        s.homing.since = s.homing.pushed_since = time
+        h.since = h.pushed_since = time
 
 
 @compiled
@@ -199,16 +204,17 @@ def search_cause(
     A joint that does not follow its reference, or is too fast, has its own cause: it, or its valve, may be
     stuck. While zeros are unknown the model-based check is blind to it.
     """
+    h = s.homing
     if not 0.0 <= s.measured_step <= max_gap:
         return Cause.TICK_GAP
-    if not time - s.homing.began <= p.home_longest:
+    if not time - h.began <= p.home_longest:
         return Cause.HOMING_FAILED
     for i in range(3):
-        if s.homing.free[i] == 0 and time > s.homing.began:
+        if h.free[i] == 0 and time > h.began:
             return Cause.HOMING_FAILED  # the device knows of no new search: an index of before proves nothing
     # Off its stop a full chamber throws a joint, whose zero is proven by then.
-    faster = _FASTER if s.homing.turn < 3 else 2.0 * _FASTER
-    turned = p.home_order[s.homing.turn] if s.homing.turn < 3 else -1
+    faster = _FASTER if h.turn < 3 else 2.0 * _FASTER
+    turned = p.home_order[h.turn] if h.turn < 3 else -1
     for i in range(3):
         if not abs(s.reference[i] - angle[i]) <= following[i]:
             return Cause.SHOULDER_FOLLOWING + i
@@ -216,14 +222,14 @@ def search_cause(
             return Cause.SHOULDER_FOLLOWING + i
         if i != turned:
             continue
-        if s.homing.touching and p.home_stops:
+        if h.touching and p.home_stops:
             beyond = p.home_direction[i] * (angle[i] - p.home_stop[i])
-            rested = time - s.homing.pushed_since
+            rested = time - h.pushed_since
             most = p.home_stop_tolerance[i] if rested >= p.home_touch_time else _OVERSHOOT
             if not (beyond <= most and rested <= _LONGEST_PUSH):
                 return Cause.SHOULDER_ZERO + i
-        elif not time - s.homing.pushed_since <= 1.1 * _LONGEST_PUSH:
+        elif not time - h.pushed_since <= 1.1 * _LONGEST_PUSH:
             return Cause.SHOULDER_FOLLOWING + i
-        elif not abs(angle[i] - s.homing.start[i]) <= p.home_travel[i] + _BEYOND:
+        elif not abs(angle[i] - h.start[i]) <= p.home_travel[i] + _BEYOND:
             return Cause.HOMING_FAILED
     return 0

@@ -43,31 +43,32 @@ def watch_manifold(s: Any, p: Any, plant: Any, readings: Any, powered: bool, ste
 
     `plant` is one of PLANT_PARAMETERS.
     """
+    m = s.manifold
     shown = readings[0].supply_pressure
     known = bool(p.lowest_pressure <= shown <= p.highest_pressure)  # False with NaN
     fell_too_fast = _is_too_low(s, plant, shown, known, step)
     if powered or s.tick <= 1:
-        s.manifold.late = s.manifold.shut = 0.0
-        s.manifold.wrong = False
+        m.late = m.shut = 0.0
+        m.wrong = False
         if known:
-            s.manifold.start = s.manifold.slow = shown
+            m.start = m.slow = shown
         if s.tick <= 1:  # unknown before
-            s.manifold.start, s.manifold.slow = plant.atmosphere, plant.regulated
+            m.start, m.slow = plant.atmosphere, plant.regulated
     else:
-        s.manifold.shut += step
-        if s.manifold.shut > SHUTTING:
-            s.manifold.slow = _fallen(plant, s.manifold.slow, SLOWEST, step)
+        m.shut += step
+        if m.shut > SHUTTING:
+            m.slow = _fallen(plant, m.slow, SLOWEST, step)
         elif known:
-            s.manifold.slow = max(s.manifold.slow, shown)
+            m.slow = max(m.slow, shown)
     if not known:
         return
-    above = not powered and shown > max(s.manifold.slow + MARGIN, p.vented_pressure)
-    s.manifold.late = min(s.manifold.late + step, LATE) if above else 0.0
-    s.manifold.wrong = s.manifold.late >= LATE
+    above = not powered and shown > max(m.slow + MARGIN, p.vented_pressure)
+    m.late = min(m.late + step, LATE) if above else 0.0
+    m.wrong = m.late >= LATE
     if fell_too_fast:
-        s.manifold.unproven, s.manifold.excused, s.manifold.start = True, False, plant.atmosphere
-    elif s.manifold.shut > PROOF_TIME and s.manifold.start > PROOF_FROM and not above:
-        s.manifold.unproven = False
+        m.unproven, m.excused, m.start = True, False, plant.atmosphere
+    elif m.shut > PROOF_TIME and m.start > PROOF_FROM and not above:
+        m.unproven = False
 
 
 @compiled
@@ -76,17 +77,18 @@ def _is_too_low(s: Any, plant: Any, shown: float, known: bool, step: float) -> b
 
     Inputs that did not arrive keep their values, and a stalled loop saw none: no fall is judged across that.
     """
-    bound = _fallen(plant, s.manifold.fast, FASTEST, step)
+    m = s.manifold
+    bound = _fallen(plant, m.fast, FASTEST, step)
     if not known:
-        s.manifold.fast = bound
+        m.fast = bound
         return False
     if s.lost != 0 or not s.device_operational or step > _LONGEST:
         bound = -np.inf
     # One reading that is too high is no pressure to fall from.
-    s.manifold.fast = max(bound, min(shown, s.manifold.before))
-    s.manifold.before = shown
-    s.manifold.early = s.manifold.early + step if shown < bound - MARGIN else 0.0
-    return bool(s.manifold.early >= EARLY)
+    m.fast = max(bound, min(shown, m.before))
+    m.before = shown
+    m.early = m.early + step if shown < bound - MARGIN else 0.0
+    return bool(m.early >= EARLY)
 
 
 @compiled

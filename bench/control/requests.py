@@ -109,7 +109,7 @@ def _settling(p: Any, s: Any, request: int, time: float) -> int:
     if request != Request.SWING and time - s.moved_at < p.still_time:
         return Refusal.MOVING.value
     # Trapped air holds a robot up, and lets it fall while its chambers vent further in the warning.
-    if request == Request.ARM and chambers_show_pressure(s, p):
+    if request == Request.ARM and chambers_show_pressure(s.sensors, p):
         return Refusal.NOT_VENTED.value
     return 0
 
@@ -135,7 +135,7 @@ def _access_refusal(p: Any, s: Any, readings: Any, time: float) -> int:
         return _not_vented(p, s, readings)
     # Time and a vent's position prove no flow: what no sensor has shown to go, a person reads at the gauge.
     read = p.local_reset and _is_confirmed(p, s, time)
-    unread = (s.venting.trapped or not all_chambers_are_seen(s)) and not read
+    unread = (s.venting.trapped or not all_chambers_are_seen(s.sensors)) and not read
     return Refusal.GAUGE.value if unread else Refusal.NONE.value
 
 

@@ -57,8 +57,8 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     last air goes as slowly as the first.
     """
     blind = s.lost != 0 or s.distrusted
-    empty = not chambers_show_pressure(s, p)
-    shut = not manifold_shows_pressure(s, p)
+    empty = not chambers_show_pressure(s.sensors, p)
+    shut = not manifold_shows_pressure(s.sensors, p)
     calm = is_calm(s, p)
     # Of an encoder that is not trusted a slow way is believed, no fast one.
     crept = _crept(p, s, e) and s.lost == 0 and (calm or not blind)
@@ -67,7 +67,7 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     wait = p.vented_blind if blind else p.vented_still
     rests = time - s.still_since >= wait or s.state == State.ACCESS
     starting = s.state == State.STARTING and not np.isfinite(s.venting.empty_since)
-    if nothing_is_held_up(s, p):
+    if nothing_is_held_up(s.sensors, p):
         s.venting.drained_at = time
     else:
         held = time - max(s.venting.drained_at, s.venting.start)
@@ -80,7 +80,7 @@ def _watch_vent(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     s.vented = s.venting.emptied and sunk
     if s.venting.emptied and s.cause == 0:
         s.distrusted = False  # not by the reset: chambers may still be full then
-    slow = exhaust_cause(s)
+    slow = exhaust_cause(s.exhausts)
     s.venting.trapped = s.venting.trapped or slow != 0 or (late and not empty)
     if slow != 0:
         return int(slow)

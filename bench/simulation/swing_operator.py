@@ -149,7 +149,7 @@ class SwingOperator(Generic[AnyStepper]):
 
     def shows_no_pressure(self) -> bool:
         """Return whether no living sensor shows pressure in its chamber."""
-        return not chambers_show_pressure(self.control[0], self.stepper.parameters.control[0])
+        return not chambers_show_pressure(self.control["sensors"][0], self.stepper.parameters.control[0])
 
     def arm(self, *, at_rest: bool = True) -> bool:
         """Charge the chambers of the robot once it is vented, and take it to its address.

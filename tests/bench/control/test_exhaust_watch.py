@@ -91,7 +91,7 @@ def test_a_throttled_exhaust_is_named_by_its_chamber(angle: Any, share: float, c
     shares[chamber] = share
     exhausts = Exhausts(shares, angle=angle).run(6.0)
     assert exhausts.found == [chamber]
-    assert exhaust_cause(exhausts.control[0]) == Cause.SHOULDER_A_EXHAUST + chamber
+    assert exhaust_cause(exhausts.control["exhausts"][0]) == Cause.SHOULDER_A_EXHAUST + chamber
     assert air_fault(exhausts.control[0]) == 1 << (13 + chamber)
 
 
@@ -101,7 +101,7 @@ def test_the_last_air_behind_a_throttled_exhaust_shows_too() -> None:
 
 
 def test_a_healthy_robot_names_no_exhaust() -> None:
-    assert exhaust_cause(Exhausts(1.0).run(0.1).control[0]) == 0
+    assert exhaust_cause(Exhausts(1.0).run(0.1).control["exhausts"][0]) == 0
 
 
 @pytest.mark.parametrize(("zero", "found"), [(3e3, []), (8e3, [4])])
