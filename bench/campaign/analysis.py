@@ -6,8 +6,8 @@ and each level has its own variance (`bench.campaign.unequal_variances`): a stat
 for balls that were not hit, or for "this ball" where there was one only. All pairs of a section err together
 with the plan's level (the distribution of the largest |t|, single step: a pair differs exactly if its joint
 interval leaves out 0); two one-sided tests (TOST), adjusted by Holm, say "the same". Before the plan's end an
-interim analysis spends its share of the error rate (`bench.campaign.interim_analysis`). In a split-plot the
-unit for clubs is the mounting and, within each club, for balls the shot (`bench.campaign.split_plot`).
+interim analysis spends its share of the error rate (`bench.campaign.sample_size`). In a split-plot the
+unit for clubs is the mounting and, within each club, for balls the shot (`bench.campaign.block_model`).
 """
 
 from __future__ import annotations
@@ -22,25 +22,34 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from bench.campaign.block_model import Array, BlockFit, Codes, Contrast, fit_blocks, holm
-from bench.campaign.gate import OUTSIDE
-from bench.campaign.interim_analysis import Look, look_now
-from bench.campaign.plan import CampaignPlan, controls_per_block, levels
-from bench.campaign.power import power_of_shift, same_power_of_error
-from bench.campaign.randomization import Role
-from bench.campaign.repeatability import variance_components
-from bench.campaign.split_plot import (
+from bench.campaign.block_model import (
+    Array,
+    BlockFit,
+    Codes,
+    Contrast,
     are_pooled,
     ball_columns,
     enough_mountings,
+    fit_blocks,
+    holm,
     independent_codes,
     set_codes,
     shots_within,
     within_club,
 )
-from bench.campaign.systematic_uncertainty import common_errors
-from bench.campaign.unequal_variances import JointErrors, UnitErrors, UnitLayout, together, units_of
-from bench.campaign.variance_ratio import ScatterRatio, scatter_ratios
+from bench.campaign.gate import OUTSIDE
+from bench.campaign.plan import CampaignPlan, controls_per_block, levels
+from bench.campaign.repeatability import ScatterRatio, scatter_ratios, variance_components
+from bench.campaign.sample_size import Look, look_now, power_of_shift, same_power_of_error
+from bench.campaign.shot_sequence import Role
+from bench.campaign.unequal_variances import (
+    JointErrors,
+    UnitErrors,
+    UnitLayout,
+    common_errors,
+    together,
+    units_of,
+)
 from bench.shot.shot import Shot, ShotStatus
 
 COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}

@@ -17,10 +17,10 @@ import numpy as np
 from scipy import stats
 
 from bench.campaign.analysis import mean_error
+from bench.campaign.block_model import independent_codes
 from bench.campaign.conformity import COVERAGE
 from bench.campaign.plan import CampaignPlan, StatedCalibration, levels
-from bench.campaign.randomization import Role, sections
-from bench.campaign.split_plot import independent_codes
+from bench.campaign.shot_sequence import Role, sections
 from bench.shot.shot import Shot, ShotStatus
 from sim.air import Air
 from sim.flight import fly_many

@@ -14,15 +14,19 @@ from matplotlib.ticker import MaxNLocator
 
 from bench.campaign.analysis import SectionAnalysis, values_of
 from bench.campaign.block_model import Array
-from bench.campaign.control_chart import ControlChart
-from bench.campaign.differences import DifferenceTable, difference_tables, section_labels
-from bench.campaign.dispersion import DispersionEllipse
+from bench.campaign.control_chart import ControlChart, DispersionEllipse
 from bench.campaign.display_units import DisplayUnit, UnitSystem, display_unit
-from bench.campaign.findings import Findings, SectionViews
+from bench.campaign.findings import (
+    QUANTITY_NAMES,
+    DifferenceTable,
+    Findings,
+    SectionViews,
+    difference_tables,
+    section_labels,
+)
 from bench.campaign.plan import CampaignPlan, levels
-from bench.campaign.quantities import QUANTITY_NAMES
-from bench.campaign.randomization import Role
 from bench.campaign.repeatability import FIGURES
+from bench.campaign.shot_sequence import Role
 from bench.campaign.verdicts import NAMES
 from bench.shot.plot_style import STYLE, colour_of, marker_of, styled, to_svg
 from bench.shot.shot import Shot, ShotStatus

@@ -1,15 +1,27 @@
-"""A campaign with all its data in the database, and the issues of its report."""
+"""A campaign with all its data in the database: digests, exclusions, interruptions, issues of its report.
+
+Shots that a person excludes, with name and reason: never deleted, each exclusion kept and reported. The
+shot's record stays as it was taken, so that a campaign that goes on goes on as planned: the shot is not
+repeated. Reports, figures and tables see it as excluded.
+"""
 
 from __future__ import annotations
 
+import json
+import platform
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from bench.campaign.exclusions import reasons_by_hand, with_exclusions
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
+from bench.errors import Refused
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.records import (
@@ -23,6 +35,212 @@ from bench.store.records import (
     ShotNote,
     Standing,
 )
+
+SHOT_DIGITS = 8
+"""Hex digits of a shot's digest on a page."""
+NO_DATA = frozenset({"look", "issue"})
+"""Kinds of events that say what was made of the data, not what they are."""
+
+
+def shot_digests(shots: Iterable[Shot]) -> list[str]:
+    """Return the digest of each shot, all its columns; 64 hex digits."""
+    return [_digest([*vars(shot).values()]) for shot in shots]
+
+
+def parts_digests(
+    entry: CampaignEntry,
+    shots: Sequence[str],
+    events: Iterable[Event],
+    prompts: Iterable[Prompt],
+    notes: Iterable[ShotNote],
+    exclusions: Sequence[ShotExclusion] = (),
+) -> dict[str, str]:
+    """Return the digests of plan, campaign, shots, events, prompts, notes, and exclusions if any.
+
+    `shots` are those of the shots.
+    """
+    begun = asdict(entry)
+    plan = begun.pop("plan")
+    return {
+        "plan": _digest(plan),
+        "campaign": _digest(begun),
+        "shots": _digest(shots),
+        "events": _digest([one for one in events if one.kind not in NO_DATA]),
+        "prompts": _digest(list(prompts)),
+        "notes": _digest(list(notes)),
+        **({"exclusions": _digest(exclusions)} if exclusions else {}),
+    }
+
+
+def whole_digest(parts: dict[str, str]) -> str:
+    """Return one digest of all parts, 64 hex digits (SHA-256)."""
+    return _digest(parts)
+
+
+def _digest(value: Any) -> str:
+    return sha256(_text(value).encode()).hexdigest()
+
+
+def _text(value: Any) -> str:
+    """Return JSON that is the same for the same values, figures with all their digits."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return value.isoformat()
+    raise TypeError(f"{type(value).__name__} has no digest")
+
+
+LONGEST_REASON = 500
+"""Max number of characters of a reason."""
+
+
+def with_exclusions(shots: Sequence[Shot], exclusions: Sequence[ShotExclusion]) -> list[Shot]:
+    """Return `shots`, those that are excluded by hand with that status and reason."""
+    reasons = reasons_by_hand(exclusions)
+    return [
+        replace(shot, status=ShotStatus.EXCLUDED, reason=f"excluded by hand: {reasons[shot.shot]}")
+        if shot.shot in reasons and shot.status is ShotStatus.VALID
+        else shot
+        for shot in shots
+    ]
+
+
+def reasons_by_hand(exclusions: Sequence[ShotExclusion]) -> dict[int, str]:
+    """Return the reasons of the shots that are excluded by hand now: the last word on a shot holds."""
+    last = {exclusion.shot: exclusion for exclusion in exclusions}
+    return {shot: one.reason for shot, one in last.items() if one.excluded}
+
+
+def exclude_shot(
+    store: CampaignStore, campaign: str, shot: int, reason: str, by: str, now: datetime, *, undo: bool = False
+) -> None:
+    """Exclude a shot, or with `undo` let it count again; `by` decides.
+
+    Raises:
+        Refused: the shot is not there or does not count already; name or reason are missing or too long.
+    """
+    place, reason, by = f"campaign {campaign}, shot {shot}", reason.strip(), by.strip()
+    if not 1 <= len(reason) <= LONGEST_REASON:
+        found = f"a reason of {len(reason)} characters"
+        raise Refused(place, found, f"1 to {LONGEST_REASON}", "Give the reason in short, with --reason.")
+    if not by:
+        raise Refused(place, "no name", "the name of who decides", "Name the person with --by.")
+    taken = {stored.shot.shot: stored.shot for stored in store.shots(campaign)}
+    if shot not in taken:
+        expected = f"a shot from 1 to {max(taken)}" if taken else "a shot, once there is one"
+        raise Refused(place, "no such shot", expected, "See the numbers in golfbench campaign export.")
+    by_hand = shot in reasons_by_hand(store.exclusions(campaign))
+    if undo and not by_hand:
+        raise Refused(place, "not excluded by hand", "one that is", "The report lists them.")
+    if by_hand and not undo:
+        raise Refused(
+            place, "excluded by hand already", "a shot that counts", "Add --undo to let it count again."
+        )
+    if not undo and taken[shot].status is not ShotStatus.VALID:
+        found = f"{taken[shot].status} already: {taken[shot].reason}"
+        raise Refused(place, found, "a shot that counts", "Comment it with golfbench campaign mark.")
+    store.add_exclusion(campaign, ShotExclusion(shot, now, by, reason, not undo, max(taken)))
+
+
+PACKAGES = ("golfbench", "numpy", "numba", "scipy", "filterpy", "sqlalchemy")
+"""Packages whose versions are recorded."""
+_TOP = Path(__file__).parents[2]
+_MOST = 5
+"""Max number of changed values that are named."""
+
+
+class RunStart(NamedTuple):
+    """A run's beginning: by whom, with which software and on what."""
+
+    by: str = ""
+    versions: Mapping[str, Any] = {}
+    facts: Mapping[str, Any] = {}
+    """Facts of the running bench, and the digest of the configuration."""
+
+
+@cache
+def software_versions() -> dict[str, str]:
+    """Return the versions of the recorded packages and of Python, and a digest of golfbench's own files."""
+    digest = sha256()
+    for folder in ("bench", "drivers", "sim"):
+        for path in sorted((_TOP / folder).rglob("*")):
+            if path.suffix in {".py", ".toml", ".j2", ".json"}:
+                digest.update(str(path.relative_to(_TOP)).encode() + b"\0" + path.read_bytes())
+    found = {name: version(name) for name in PACKAGES}
+    return {**found, "python": platform.python_version(), "source": digest.hexdigest()[:12]}
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration in words, of two digits or more."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def found_at_begin(
+    standing: Standing,
+    runs: list[CampaignRun],
+    shots: int,
+    seen: datetime | None,
+    start: RunStart,
+    now: datetime,
+) -> Iterator[tuple[str, str]]:
+    """Yield (kind, text) of the events at the beginning of a run that follows `runs` and `shots` shots.
+
+    `seen` is the last sign of life of the run before, None if unknown.
+    """
+    if not runs and not shots:
+        return
+    who = f" by {start.by}" if start.by else ""
+    since = "" if seen is None else f", {_gap(now - seen)} after its last sign of life at {_clock(seen, now)}"
+    if standing.state in {CampaignState.RUNNING, CampaignState.WAITING}:
+        yield "killed", f"the runner had ended without closing the campaign; resumed{who}{since}"
+    else:
+        reason = f" ({standing.reason})" if standing.reason else ""
+        yield "resumed", f"resumed{who}, it was {standing.state}{reason}{since}"
+    if not runs:
+        return
+    before = runs[-1]
+    if changes := changed(before.versions, start.versions):
+        yield "software", f"software changed since run {before.number}: {named(changes)}"
+    if changes := changed(before.facts, start.facts):
+        yield "configuration", f"bench changed since run {before.number}: {named(changes)}"
+
+
+def changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") -> list[str]:
+    """Return the values that differ, as "key old → new"; keys of tables are joined by dots."""
+    found = []
+    for key in sorted(before.keys() | now.keys()):
+        one, two = before.get(key), now.get(key)
+        if isinstance(one, Mapping) and isinstance(two, Mapping):
+            found += changed(one, two, f"{path}{key}.")
+        elif one != two:
+            found.append(f"{path}{key} {_value(one)} → {_value(two)}")
+    return found
+
+
+def named(changes: list[str]) -> str:
+    """Return `changes` in a line, the first ones if there are many."""
+    more = f" and {len(changes) - _MOST} more" if len(changes) > _MOST else ""
+    return f"{', '.join(changes[:_MOST])}{more}"
+
+
+def _value(value: object) -> str:
+    if isinstance(value, list | Mapping):
+        return f"({len(value)} values)"
+    return "nothing" if value in (None, "") else str(value)
+
+
+def _gap(gap: timedelta) -> str:
+    seconds = gap.total_seconds()
+    return duration_text(seconds) if seconds >= 0 else "at an unknown time (the clock went back)"
+
+
+def _clock(then: datetime, now: datetime) -> str:
+    return f"{then:%H:%M:%S}" if then.date() == now.date() else f"{then:%Y-%m-%d %H:%M:%S}"
+
 
 ISSUE = "issue"
 """Kind of an event: the report was issued."""

@@ -13,30 +13,49 @@ from typing import Any
 from bench.campaign.analysis import Level, SectionAnalysis
 from bench.campaign.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
 from bench.campaign.campaign_plots import campaign_figures
-from bench.campaign.campaign_record import ISSUE, CampaignRecord
+from bench.campaign.campaign_record import (
+    ISSUE,
+    NO_DATA,
+    SHOT_DIGITS,
+    CampaignRecord,
+    parts_digests,
+    reasons_by_hand,
+    shot_digests,
+    software_versions,
+    whole_digest,
+)
 from bench.campaign.carry import measured_of
 from bench.campaign.conformity import DECISION_RULE
 from bench.campaign.control_chart import LEAST_VALUES, NELSON
-from bench.campaign.differences import difference_tables, not_compared, section_labels
-from bench.campaign.digest import NO_DATA, SHOT_DIGITS, parts_digests, shot_digests, whole_digest
 from bench.campaign.display_units import DisplayUnit, UnitSystem, display_unit, number_text, two_digits
-from bench.campaign.equipment import (
-    EquipmentTable,
-    ball_table,
-    carry_words,
-    club_table,
-    golfer_table,
-    without_simulated_balls,
+from bench.campaign.findings import (
+    QUANTITIES,
+    QUANTITY_NAMES,
+    Findings,
+    RankedLevel,
+    SectionViews,
+    as_flown,
+    difference_tables,
+    findings,
+    findings_record,
+    not_compared,
+    section_labels,
 )
-from bench.campaign.exclusions import reasons_by_hand
-from bench.campaign.findings import Findings, SectionViews, as_flown, findings, findings_record
-from bench.campaign.interruptions import software_versions
-from bench.campaign.iso17025 import STATEMENT, calibration_table, item_table, particulars
 from bench.campaign.page import BALL, CLUB, flat, page_template, shot_figures
 from bench.campaign.plan import levels
 from bench.campaign.prompts import PromptKind
-from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
-from bench.campaign.ranking import RankedLevel
+from bench.campaign.report_tables import (
+    STATEMENT,
+    EquipmentTable,
+    ball_table,
+    calibration_table,
+    carry_words,
+    club_table,
+    golfer_table,
+    item_table,
+    particulars,
+    without_simulated_balls,
+)
 from bench.campaign.verdicts import confidence_words, quantity_name
 from bench.shot.plot_style import marker_svg
 from bench.shot.shot import Shot, ShotStatus

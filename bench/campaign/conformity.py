@@ -19,10 +19,10 @@ import numpy as np
 from scipy import stats
 
 from bench.campaign.display_units import DisplayUnit, UnitSystem, display_unit
-from bench.campaign.interim_analysis import share_done
 from bench.campaign.plan import FLOWN, CampaignPlan, SetUp, levels, stated_uncertainty
-from bench.campaign.randomization import Role, Section, sections
 from bench.campaign.rules import UNITS_OF_RULES, RuleSet, rule_on
+from bench.campaign.sample_size import share_done
+from bench.campaign.shot_sequence import Role, Section, sections
 from bench.shot.shot import Shot, ShotStatus
 
 COVERAGE = 0.95449973610364

@@ -19,15 +19,13 @@ from typing import Any, NamedTuple, Self
 
 from bench.campaign.bench_setup import Preparation
 from bench.campaign.carry import Measured, ShotCarry, require_carry
-from bench.campaign.corrections import CorrectedProfiles
+from bench.campaign.corrections import CorrectedProfiles, Drift
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.plan_requirements import START_SERIES, needs_series, series_words
+from bench.campaign.plan_requirements import START_SERIES, Profiles, needs_series, series_words
 from bench.campaign.prompts import PromptKind
-from bench.campaign.relearning import Drift
 from bench.campaign.runner import Hindrance, ShotPostponed, Suspended
 from bench.campaign.shot_sequence import Step
 from bench.campaign.simulated_shots import Taken, ball_as_hit, monitored, random_of, reported_carry
-from bench.campaign.swings import Profiles
 from bench.errors import BenchError, Refused
 from bench.from_toml import format_value
 from bench.learning.learn import LearningProblem

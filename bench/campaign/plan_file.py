@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 from bench.campaign.plan import STATED, CampaignPlan, Quantity, levels
-from bench.campaign.randomization import hits_needed
 from bench.campaign.rules import rule_names
+from bench.campaign.shot_sequence import hits_needed
 from bench.config import Configuration, variants_with
 from bench.errors import BenchError, did_you_mean
 from bench.from_toml import (

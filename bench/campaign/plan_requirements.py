@@ -1,18 +1,187 @@
-"""Needs of a plan on a running bench: disk, work by hand, and settings of the bench that do not suit it."""
+"""Needs of a plan on a bench: swings, calibrations, disk, work by hand and settings."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable
-from itertools import pairwise
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from itertools import pairwise, product
+from math import hypot
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from sqlalchemy import Engine
+
+from bench.calibration.archive import calibration_of, effective_calibration
+from bench.calibration.calibration import Calibration, CalibrationProblem, Entry, apply
 from bench.campaign.bench_setup import load_lists
+from bench.campaign.block_model import as_split_plot, fully_randomised
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.randomization import all_trials, is_mounted
-from bench.campaign.split_plot import as_split_plot, fully_randomised
-from bench.swing.profile import Profile
+from bench.campaign.shot_sequence import all_trials, is_mounted
+from bench.config import Configuration
+from bench.errors import BenchError
+from bench.readiness import assess, felt_alike, mount
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+from sim.kinematics import head_motion
+from sim.robot import Club, RobotParameters
+
+Profiles = Mapping[tuple[str, str], Profile]
+"""Keyed by the plan's names of swing and club."""
+
+
+def require_swings(
+    plan: CampaignPlan, configuration: Configuration, when: datetime | None = None
+) -> Profiles:
+    """Return the plan's profiles, assessed with the bench's calibrations in force at `when`, default now.
+
+    Raises:
+        BenchError: a profile or a calibration is missing or cannot be read.
+        ExceptionGroup: of BenchErrors, if one does not fit a club or cannot be swung here.
+    """
+    found, faults = dict[tuple[str, str], Profile](), list[Exception]()
+    when = when or datetime.now(UTC)
+    for swing, name in product(plan.design.swings, plan.design.clubs):
+        path = find_profile(plan.profile(swing, name))
+        profile = found[swing, name] = load_profile(path)
+        club = plan.clubs[name]
+        if not felt_alike(club, configuration.clubs.get(profile.club)) and name != profile.club:
+            faults.append(
+                BenchError(
+                    f"{path}: club",
+                    f"a swing designed for club {profile.club!r}",
+                    f"one for {name!r}, or for a club of the same masses and lengths",
+                    f"Design one (golfbench profile design, with club {name}) and name it: "
+                    f'[swings.{swing}] {name} = "PROFILE".',
+                )
+            )
+            continue
+        mounted, calibration = _mount(plan, configuration, name, when)
+        faults.extend(assess(mounted, calibration, profile, path).faults)
+    if faults:
+        raise ExceptionGroup("the plan's swings do not fit", faults)
+    return found
+
+
+def calibrated(
+    plan: CampaignPlan, configuration: Configuration, when: datetime
+) -> tuple[CampaignPlan, Configuration]:
+    """Return plan and configuration with the calibrations of the bench in force at `when`.
+
+    Raises:
+        BenchError: a calibration cannot be read, or belongs to another machine.
+    """
+    clubs = {}
+    for name in plan.design.clubs:
+        mounted, calibration = _mount(plan, configuration, name, when)
+        clubs[name] = apply(calibration, mounted).clubs[name]
+    measured = apply(calibration_of(configuration, when), configuration)
+    return replace(plan, clubs=plan.clubs | clubs), measured
+
+
+def arming_problems(
+    plan: CampaignPlan, configuration: Configuration, when: datetime
+) -> list[CalibrationProblem]:
+    """Return the calibrations that block arming at `when` with one of the plan's clubs, each once."""
+    problems = [
+        problem
+        for name in plan.design.clubs
+        for problem in _mount(plan, configuration, name, when)[1].problems(when)
+    ]
+    return list({problem.text: problem for problem in problems}.values())
+
+
+def _mount(
+    plan: CampaignPlan, configuration: Configuration, name: str, when: datetime
+) -> tuple[Configuration, Calibration]:
+    """Return the configuration with the plan's club `name` mounted, and the calibrations for it."""
+    clubs = configuration.clubs | {name: plan.clubs[name]}
+    return mount(replace(configuration, clubs=clubs), name, when)
+
+
+_STEP = 1e-4
+"""Step of lengths (m) and angles (rad) for derivatives."""
+
+
+def calibrations_in_force(
+    database: Engine, bench: str, clubs: Iterable[str], now: datetime
+) -> dict[str, Any]:
+    """Return the calibrations of `bench` in force `now` with each of `clubs` mounted, as JSON values."""
+    found: dict[int, Entry] = {}
+    nominal: set[str] = set()
+    for club in clubs:
+        calibration = effective_calibration(database, bench, now, club=club)
+        found |= {entry.id: entry for entry in calibration.entries}
+        nominal |= {f"club {club}" if kind == "club" else kind.value for kind in calibration.nominal}
+    return {
+        "when": now.isoformat(),
+        "in_force": [found[number].record() for number in sorted(found)],
+        "nominal": sorted(nominal),
+    }
+
+
+def calibration_versions(database: Engine, bench: str, clubs: Iterable[str], now: datetime) -> dict[str, str]:
+    """Return the versions of the calibrations in force by kind and club, to see what changes between runs."""
+    found = calibrations_in_force(database, bench, clubs, now)
+    return {
+        " ".join(filter(None, (str(one["kind"]), str(one["subject"])))): f"version {one['version']}"
+        for one in found["in_force"]
+    }
+
+
+def calibration_warnings(
+    database: Engine, bench: str, clubs: Iterable[str], now: datetime, end: datetime, *, required: bool
+) -> list[str]:
+    """Return the calibrations that keep the bench from arming `now` or before `end`, each with its action.
+
+    `required` includes those that were never made, as on a machine.
+    """
+    found = [effective_calibration(database, bench, now, club=club, required=required) for club in clubs]
+    today = dict.fromkeys(problem.text for one in found for problem in one.problems(now))
+    ending = dict.fromkeys(problem.text for one in found for problem in one.problems(end, now))
+    restart = ", then start the bench again: it does not arm before."
+    return [
+        *(f"{text[0].upper()}{text[1:]}{restart}" for text in today),
+        *(
+            f"{text[0].upper()}{text[1:]}, before the expected end of the campaign, {end:%Y-%m-%d %H:%M} UTC."
+            for text in ending
+            if text not in today
+        ),
+    ]
+
+
+def speed_sensitivities(
+    profiles: Profiles, clubs: Mapping[str, Club], robot: RobotParameters
+) -> list[dict[str, Any]]:
+    """Return by swing and club how club speed at the ball depends on club length and encoder zeros."""
+    return [
+        {"swing": swing, "club": club, **speed_sensitivity(profile, replace(robot, club=clubs[club]))}
+        for (swing, club), profile in profiles.items()
+    ]
+
+
+def speed_sensitivity(profile: Profile, robot: RobotParameters) -> dict[str, float]:
+    """Return derivatives of the planned club speed at contact.
+
+    "length": by the club's length to its face, (m/s)/m; "zeros": root of the sum of squares of those by the
+    three encoders' zeros, (m/s)/rad: their errors are independent and equally uncertain.
+    """
+    at = min(round(profile.impact_time / profile.period), len(profile.angle) - 1)
+    angles, rates = profile.angle[at], profile.velocity[at]
+
+    def speed(length: float, *zeros: float) -> float:
+        club = replace(robot.club, length_to_face=robot.club.length_to_face + length)
+        record = replace(robot, club=club).record[0]
+        motion = head_motion(record, *(angles + zeros), *rates)
+        return hypot(motion[3], motion[4])
+
+    def slope(place: int) -> float:
+        step = [_STEP if place == index else 0.0 for index in range(4)]
+        return (speed(*step) - speed(*(-one for one in step))) / (2 * _STEP)
+
+    return {"length": slope(0), "zeros": hypot(slope(1), slope(2), slope(3))}
+
 
 BYTES = 1_400_000
 """Size of a shot's record in real time, bytes."""

@@ -13,11 +13,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from bench.campaign.bench_setup import LoadList, load_lists
+from bench.campaign.block_model import within_club
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.prompts import places
-from bench.campaign.randomization import PlannedShot, Role, all_trials, hits_needed, is_mounted, sections
 from bench.campaign.sample_size import SeriesSize, alpha_at_end, foreseen, series_needed
-from bench.campaign.split_plot import within_club
+from bench.campaign.shot_sequence import PlannedShot, Role, all_trials, hits_needed, is_mounted, sections
 from bench.store.records import Hit
 
 UNITS: Mapping[str, str] = {

@@ -11,21 +11,30 @@ from typing import Any
 
 from bench.calibration.archive import newest_aerodynamics
 from bench.campaign.analysis import decide
-from bench.campaign.bench_calibrations import calibration_warnings, calibrations_in_force, speed_sensitivities
 from bench.campaign.campaign_control import bench_lock, require_free, runner_lock
+from bench.campaign.campaign_record import RunStart, software_versions
 from bench.campaign.carry import Measured, measured_of
 from bench.campaign.corrections import CampaignCorrections
 from bench.campaign.gate import planned_delivery
-from bench.campaign.interruptions import RunStart, software_versions
 from bench.campaign.live_shots import HOLDER, LiveShots, require_live
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
-from bench.campaign.plan_requirements import START_SERIES, needs, needs_series, series_words
+from bench.campaign.plan_requirements import (
+    START_SERIES,
+    Profiles,
+    calibrated,
+    calibration_warnings,
+    calibrations_in_force,
+    needs,
+    needs_series,
+    require_swings,
+    series_words,
+    speed_sensitivities,
+)
 from bench.campaign.progress import Broadcast, Together
 from bench.campaign.runner import BATCH, Operator, Runner, RunOutcome, ShotSource, Watcher
 from bench.campaign.shot_sequence import Course, course
 from bench.campaign.simulated_shots import SimulatedShots
-from bench.campaign.swings import Profiles, calibrated, require_swings
 from bench.config import Configuration
 from bench.errors import Refused
 from bench.network.bench_service import BenchStatus

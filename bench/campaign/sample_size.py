@@ -1,6 +1,12 @@
-"""Power, resolution and size of a test series, foretold by the model that judges it.
+"""Power, sample size and interim analyses of a comparison.
 
-The plan's own order of shots and its turns of balls give each difference its error and degrees of freedom
+The error level of a look at a campaign before its end, so that all looks together keep the confidence. Alpha
+spending (Lan and DeMets 1983) with a function like O'Brien and Fleming's: nearly nothing early, nearly all at
+the end. What a look may spend follows from the share of the plan's shots that are done and from the looks
+before it; neither their number nor their times need be planned.
+
+Power, resolution and size of a test series, foretold by the model that judges it. The plan's own order of
+shots and its turns of balls give each difference its error and degrees of freedom
 (`bench.campaign.unequal_variances`); other sizes are scaled from there. A series is balls and shots: many
 hits of one ball do not replace balls of its model.
 """
@@ -8,21 +14,157 @@ hits of one ball do not replace balls of its model.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from itertools import combinations
 from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
-from bench.campaign.block_model import Codes, fit_blocks
-from bench.campaign.interim_analysis import look_level
+from bench.campaign.block_model import Array, Codes, are_pooled, enough_mountings, fit_blocks
 from bench.campaign.plan import CampaignPlan, controls_per_block, levels
-from bench.campaign.power import blocks_needed, power_of_shift, same_power_of_error
-from bench.campaign.randomization import Role, block_trials, sections
-from bench.campaign.shot_sequence import looks_after
-from bench.campaign.split_plot import are_pooled, enough_mountings
+from bench.campaign.shot_sequence import Role, block_trials, is_settled, looks_after, sections
 from bench.campaign.unequal_variances import Draws, UnitLayout, drawn_pairs, together, units_of
+from bench.shot.shot import Shot
+
+_MOST = 1_000_000
+"""Max number of blocks that is searched."""
+
+
+def power_of_shift(shift: float, freedom: float, alpha: float) -> float:
+    """Return the chance to find a difference of `shift` true standard errors, two-sided at `alpha`."""
+    if alpha <= 0 or freedom <= 0:
+        return 0.0
+    shift = abs(shift)
+    limit = -special.stdtrit(freedom, alpha / 2)
+    # Beyond that the other tail is nothing, and scipy's noncentral t loses its footing.
+    lower = special.nctdtr(freedom, shift, -limit) if shift < 5 else 0.0
+    return float(1 - special.nctdtr(freedom, shift, limit) + lower)
+
+
+def same_power_of_error(
+    margin: float, error: float, freedom: float, alpha: float, difference: float = 0.0
+) -> float:
+    """Return the chance that two one-sided tests at `alpha` call a true `difference` less than `margin`.
+
+    `error` is the difference's true standard error. Exact: the normal probability of the estimate, averaged
+    over the distribution of the deviation seen.
+    """
+    if freedom <= 0 or margin <= 0 or alpha <= 0:
+        return 0.0
+    if error <= 0:
+        return float(abs(difference) < margin)
+    steps = (np.arange(500) + 0.5) / 500
+    seen = np.sqrt(2 * special.gammaincinv(freedom / 2, steps) / freedom)
+    half = margin + special.stdtrit(freedom, alpha) * error * seen
+    inside = special.ndtr((half - difference) / error) - special.ndtr((-half - difference) / error)
+    return float(np.where(half > 0, inside, 0.0).mean())
+
+
+def blocks_needed(chance: Callable[[int], float], power: float) -> int | None:
+    """Return the min number of blocks whose `chance` reaches `power`; None if no feasible number does."""
+    high = 2
+    while chance(high) < power:
+        high *= 2
+        if high > _MOST:
+            return None
+    low = max(2, high // 2)
+    while low < high:
+        middle = (low + high) // 2
+        if chance(middle) < power:
+            low = middle + 1
+        else:
+            high = middle
+    return high
+
+
+_POINTS = 201
+"""Points of the grid of each look's statistic."""
+
+
+class Look(NamedTuple):
+    """One look at one section."""
+
+    share: float
+    """Share of the section's planned shots that are done."""
+    number: int
+    """From 1, looks at fewer shots counted."""
+    alpha: float
+    """Error level of this look, two-sided."""
+
+
+def spent(alpha: float, share: float) -> float:
+    """Return the error that all looks up to this share of the shots may spend together."""
+    if share >= 1:
+        return alpha
+    return float(4 * stats.norm.sf(stats.norm.isf(alpha / 4) / sqrt(share))) if share > 0 else 0.0
+
+
+@lru_cache(maxsize=4096)
+def look_level(alpha: float, shares: tuple[float, ...]) -> float:
+    """Return the two-sided level of the last of the looks at these increasing `shares`."""
+    if len(shares) == 1:
+        return spent(alpha, shares[0])
+    grid, weights, before = _inside(alpha, shares[:-1])
+    budget = spent(alpha, shares[-1]) - spent(alpha, shares[-2])
+    error = sqrt(shares[-1] - shares[-2])
+    if budget < 1e-14:
+        return 0.0
+
+    def crossing(limit: float) -> float:
+        edge = limit * sqrt(shares[-1])
+        beyond = stats.norm.sf((edge - grid) / error) + stats.norm.cdf((-edge - grid) / error)
+        return float(weights @ (before * beyond)) - budget
+
+    # Never more than what one look could spend, never less than its own share alone.
+    least = float(stats.norm.isf(spent(alpha, shares[-1]) / 2)) - 1e-9
+    most = float(stats.norm.isf(budget / 2)) + 1e-9
+    if crossing(least) <= 0:
+        return spent(alpha, shares[-1])
+    return 2 * float(stats.norm.sf(optimize.brentq(crossing, least, most, xtol=1e-9)))
+
+
+@lru_cache(maxsize=4096)
+def _inside(alpha: float, shares: tuple[float, ...]) -> tuple[Array, Array, Array]:
+    """Return grid, weights and density of the score after these looks, where none has crossed its limit."""
+    level = look_level(alpha, shares)
+    limit = min(float(stats.norm.isf(level / 2)) if level > 0 else 9.0, 9.0) * sqrt(shares[-1])
+    grid, weights = np.polynomial.legendre.leggauss(_POINTS)
+    grid, weights = grid * limit, weights * limit
+    if len(shares) == 1:
+        return grid, weights, stats.norm.pdf(grid, scale=sqrt(shares[0]))
+    old, old_weights, before = _inside(alpha, shares[:-1])
+    error = sqrt(shares[-1] - shares[-2])
+    moved = stats.norm.pdf(grid[:, None] - old[None, :], scale=error)
+    return grid, weights, moved @ (old_weights * before)
+
+
+def share_done(plan: CampaignPlan, shots: Iterable[Shot]) -> float:
+    """Return the share of a section's planned shots that its `shots` have settled."""
+    planned = plan.design.blocks * len(levels(plan)) * plan.shots_per_mounting
+    return min(sum(s.role == Role.TEST and is_settled(plan, s) for s in shots) / planned, 1.0)
+
+
+def look_now(plan: CampaignPlan, shots: Sequence[Shot], looks: Sequence[int] | None) -> Look:
+    """Return the look at a section's `shots` now.
+
+    `looks` are the numbers of shots at which results were looked at before; None: unknown, then an unfinished
+    section counts as looked at after each of its blocks. The stopping rule's own looks are added.
+    """
+    alpha, now = 1 - plan.analysis.confidence, share_done(plan, shots)
+    first = min((shot.block for shot in shots if shot.block), default=1)
+    rule = {number / plan.design.blocks for number in looks_after(plan)}
+    if looks is not None:
+        rule |= {share_done(plan, [s for s in shots if s.shot <= count]) for count in looks}
+    elif now < 1 and not rule:
+        blocks = {shot.block - first + 1 for shot in shots if shot.block}
+        rule = {number / plan.design.blocks for number in blocks}
+    before = sorted(share for share in rule if 0 < share < now - 1e-9)
+    shares = tuple(round(share, 9) for share in (*before, now))
+    return Look(now, len(shares), look_level(alpha, shares) if now > 0 else 0.0)
+
 
 _REFERENCE = 40
 """Max number of blocks laid out as planned; larger series are scaled from there."""

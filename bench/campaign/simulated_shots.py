@@ -18,10 +18,9 @@ from zlib import crc32
 import numpy as np
 
 from bench.campaign.carry import Measured, ShotCarry
-from bench.campaign.corrections import CorrectedProfiles
+from bench.campaign.corrections import CorrectedProfiles, Drift
 from bench.campaign.plan import CampaignPlan, Simulation
 from bench.campaign.prompts import PromptKind
-from bench.campaign.relearning import Drift
 from bench.campaign.shot_sequence import Step
 from bench.config import Configuration
 from bench.learning.learn import LearningProblem, Swinger, on_series

@@ -10,11 +10,13 @@ paired t test of balls.
 Not a likelihood: REML sets a negative variance between balls to zero and then takes their hits for
 independent. Nor statsmodels: its mixed model has one scatter for all levels and no degrees of freedom, its
 cluster-robust errors hold for many clusters only, and one fit takes seconds.
+
+Errors that all shots of a level have in common, which more shots do not average away.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from math import inf, sqrt
 from typing import NamedTuple
@@ -25,6 +27,8 @@ from scipy import special
 from scipy.stats import qmc
 
 from bench.campaign.block_model import Array, BlockFit, Codes, Contrast
+from bench.campaign.plan import CampaignPlan, levels
+from bench.shot.shot import Shot, ShotStatus
 
 Single = NDArray[np.float32]
 
@@ -390,3 +394,24 @@ def _normal_square(squared: Single, freedom: float) -> Single:
 def _root(covariance: Array) -> Single:
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), dtype=np.float32)
+
+
+def common_errors(plan: CampaignPlan, shots: Sequence[Shot]) -> Mapping[str, float]:
+    """Return the standard uncertainty (m) of each ball's carry from its measured aerodynamics.
+
+    Empty where they do not separate the levels: clubs and swings hit the same ball, and carry of another
+    source, or another quantity, does not come from them. The total has the uncertainty of its carry.
+    """
+    if plan.design.compare != "ball" or plan.analysis.quantity not in {"carry_m", "total_m"}:
+        return {}
+    found = {}
+    for name in levels(plan):
+        errors = [
+            error
+            for shot in shots
+            if shot.ball == name and shot.status is ShotStatus.VALID and shot.carry_source == "measured"
+            if (error := shot.carry_measured_error_m) is not None
+        ]
+        if errors:
+            found[name] = float(np.mean(errors))
+    return found

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from bench.campaign.display_units import UnitSystem
     from bench.campaign.findings import Findings
     from bench.campaign.plan import CampaignPlan
+    from bench.campaign.plan_requirements import Profiles
     from bench.campaign.runner import RunOutcome
-    from bench.campaign.swings import Profiles
     from bench.commands.campaign_baseline import Band, Checked
     from bench.config import Configuration
     from bench.store.campaigns import CampaignStore
@@ -82,9 +82,15 @@ def check(
 
     Exits with 2 and lists all mistakes; with 1 if a calibration blocks arming.
     """
-    from bench.campaign.plan_requirements import START_SERIES, free_space, needs, needs_series, needs_words
+    from bench.campaign.plan_requirements import (
+        START_SERIES,
+        arming_problems,
+        free_space,
+        needs,
+        needs_series,
+        needs_words,
+    )
     from bench.campaign.preview import preview_record, show_preview
-    from bench.campaign.swings import arming_problems
 
     plan, configuration, profiles = _checked(context, file)
     free, series = free_space(configuration.bench.data_dir), ""
@@ -114,7 +120,7 @@ def check(
 def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configuration, Profiles]:
     """Return the plan in `file`, whose swings fit its clubs, the configuration and the plan's profiles."""
     from bench.campaign.plan_file import load_plan
-    from bench.campaign.swings import require_swings
+    from bench.campaign.plan_requirements import require_swings
 
     configuration = context.ensure_object(Session).configuration()
     plan = load_plan(file, configuration)
@@ -253,8 +259,8 @@ def _bench_facts(
     plan: CampaignPlan, configuration: Configuration, measured: Measured, store: CampaignStore
 ) -> dict[str, Any]:
     """Return the facts to record about the running bench; it can swing `plan`."""
-    from bench.campaign.bench_calibrations import calibration_versions
-    from bench.campaign.notifications import read_services
+    from bench.campaign.plan_requirements import calibration_versions
+    from bench.campaign.progress import read_services
     from bench.campaign.runner_control import bench_facts
     from bench.network.client import BenchClient
 
@@ -316,8 +322,7 @@ def _take(
     by: str,
 ) -> RunOutcome:
     """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
-    from bench.campaign.notifications import notifying
-    from bench.campaign.progress import Together
+    from bench.campaign.progress import Together, notifying
     from bench.campaign.prompts import PromptKind
     from bench.campaign.runner_control import run_campaign, run_start
     from bench.commands.campaign_runner_screen import CampaignScreen
@@ -384,7 +389,7 @@ def report(
     from bench.campaign.campaign_report import write_campaign_report
     from bench.campaign.display_units import UnitSystem
     from bench.campaign.findings import findings, findings_record
-    from bench.campaign.iso17025 import issue_report
+    from bench.campaign.report_tables import issue_report
 
     with _found(context, campaign) as (store, entry):
         record = load_record(store, entry)
@@ -556,7 +561,7 @@ def exclude(
 
     A running campaign does not repeat it.
     """
-    from bench.campaign.exclusions import exclude_shot
+    from bench.campaign.campaign_record import exclude_shot
 
     with _found(context, campaign) as (store, entry):
         exclude_shot(store, entry.id, shot, reason, by or user_name(), datetime.now(UTC), undo=undo)
@@ -705,7 +710,7 @@ def export(
     output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
 ) -> None:
     """Export a campaign's shots, one row each."""
-    from bench.campaign.exclusions import with_exclusions
+    from bench.campaign.campaign_record import with_exclusions
     from bench.shot.shot_table import shot_table_text, write_shot_table
 
     with _found(context, campaign) as (store, entry):

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from bench.campaign.randomization import Role
 from bench.campaign.runner import RunOutcome
+from bench.campaign.shot_sequence import Role
 from bench.errors import BenchError
 from bench.from_toml import format_value, read_toml
 from bench.shot.shot import Shot, ShotStatus

@@ -203,7 +203,7 @@ def _outlook(plan: CampaignPlan) -> list[str]:
     """Return shots, duration and resolution in words."""
     from bench.campaign.plan_requirements import needs
     from bench.campaign.preview import outlook_words
-    from bench.campaign.randomization import all_trials
+    from bench.campaign.shot_sequence import all_trials
 
     shots = len(all_trials(plan))
     minutes = (shots * plan.design.seconds_per_shot + needs(plan).hand_work) / 60.0

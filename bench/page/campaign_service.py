@@ -13,13 +13,12 @@ from datetime import UTC, datetime
 from typing import Any
 
 from bench.campaign.campaign_control import answer, ask, is_running, standing_now
-from bench.campaign.control_chart import control_charts
-from bench.campaign.dispersion import dispersion_ellipses
-from bench.campaign.exclusions import with_exclusions
+from bench.campaign.campaign_record import with_exclusions
+from bench.campaign.control_chart import control_charts, dispersion_ellipses
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
 from bench.campaign.prompts import balls_of, places
-from bench.campaign.randomization import Role, sections
+from bench.campaign.shot_sequence import Role, sections
 from bench.config import Configuration, database_url
 from bench.errors import BenchError, Refused
 from bench.page.answers import Asked, InvalidBody, UnknownName

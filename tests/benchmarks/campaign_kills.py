@@ -22,10 +22,10 @@ import numpy as np
 from bench.campaign.campaign_control import runner_lock
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.plan_requirements import require_swings
 from bench.campaign.runner import Runner, Watcher
 from bench.campaign.runner_control import course_of, new_entry
 from bench.campaign.simulated_shots import BEGIN, SimulatedShots
-from bench.campaign.swings import require_swings
 from bench.config import Configuration, database_url, load_configuration
 from bench.shot.shot_table import shot_table_text
 from bench.simulation.swing_operator import never

@@ -22,10 +22,10 @@ from bench.campaign.campaign_report import write_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.plan_requirements import require_swings
 from bench.campaign.runner import Watcher
 from bench.campaign.runner_control import new_entry, run_campaign
 from bench.campaign.simulated_shots import BEGIN, SimulatedShots
-from bench.campaign.swings import require_swings
 from bench.config import database_url, load_configuration
 from bench.shot.shot import Shot
 from bench.simulation.swing_operator import never

@@ -19,8 +19,8 @@ import numpy as np
 from bench.campaign.analysis import analyse
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.plan_file import load_plan
-from bench.campaign.randomization import Role, block_trials, sections
 from bench.campaign.sample_size import foreseen
+from bench.campaign.shot_sequence import Role, block_trials, sections
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row

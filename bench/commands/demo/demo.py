@@ -27,9 +27,9 @@ from bench.campaign.display_units import MPH, YARD
 from bench.campaign.findings import Findings, findings
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.plan_requirements import require_swings
 from bench.campaign.runner import RunOutcome
 from bench.campaign.runner_control import bench_facts, new_entry, run_campaign
-from bench.campaign.swings import require_swings
 from bench.campaign.verdicts import robot_words
 from bench.commands.campaign_runner_screen import CampaignScreen
 from bench.commands.campaign_screen import campaign_bar

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from bench.campaign.corrections import Robot
+from bench.campaign.corrections import Arm, Drift, Robot
 from bench.campaign.plan import CampaignPlan
-from bench.campaign.relearning import Arm, Drift
+from bench.campaign.plan_requirements import Profiles
 from bench.campaign.simulated_shots import SimulatedShots
-from bench.campaign.swings import Profiles
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 

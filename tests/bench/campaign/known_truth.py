@@ -22,9 +22,8 @@ from bench.campaign.analysis import Pair, SectionAnalysis, analyse, decide
 from bench.campaign.bench_setup import sample_for
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.plan_file import load_plan
-from bench.campaign.randomization import Role, block_trials, sections
 from bench.campaign.sample_size import foreseen
-from bench.campaign.shot_sequence import looks_after
+from bench.campaign.shot_sequence import Role, block_trials, looks_after, sections
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row

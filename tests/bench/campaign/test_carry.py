@@ -19,12 +19,12 @@ from bench.campaign.block_model import Contrast
 from bench.campaign.campaign_record import CampaignRecord
 from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.carry import ShotCarry, measured_of, require_carry
-from bench.campaign.equipment import carry_words
 from bench.campaign.findings import as_flown, findings
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.report_tables import carry_words
 from bench.campaign.runner_control import new_entry
-from bench.campaign.systematic_uncertainty import common_errors
+from bench.campaign.unequal_variances import common_errors
 from bench.campaign.verdicts import quantity_name
 from bench.config import Configuration
 from bench.errors import BenchError, Refused

@@ -14,11 +14,10 @@ import pytest
 from sqlalchemy import Engine
 
 from bench.campaign import corrections
-from bench.campaign.corrections import CampaignCorrections
+from bench.campaign.corrections import CampaignCorrections, Drift
 from bench.campaign.plan_file import load_plan
-from bench.campaign.relearning import Drift
+from bench.campaign.plan_requirements import require_swings
 from bench.campaign.runner_control import new_entry
-from bench.campaign.swings import require_swings
 from bench.config import database_url, load_configuration
 from bench.learning.learn import LearningProblem, Swinger
 from bench.learning.store import Conditions, Learned, keep, learned_swings

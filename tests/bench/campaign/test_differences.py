@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from bench.campaign.analysis import SectionAnalysis, analyse
-from bench.campaign.differences import difference_tables, difference_to, not_compared, section_labels
+from bench.campaign.findings import difference_tables, difference_to, not_compared, section_labels
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.randomization import sections
+from bench.campaign.shot_sequence import sections
 from bench.config import load_configuration
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 

@@ -10,9 +10,8 @@ import pytest
 from bench.campaign.campaign_record import CampaignRecord
 from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.display_units import UnitSystem, display_unit, number_text, two_digits
-from bench.campaign.findings import findings
+from bench.campaign.findings import QUANTITIES, QUANTITY_NAMES, findings
 from bench.campaign.page import BALL, CLUB
-from bench.campaign.quantities import QUANTITIES, QUANTITY_NAMES
 from tests.bench.campaign.test_campaign_report import _record, _words
 from tests.benchmarks.campaign_statistics import Truth
 

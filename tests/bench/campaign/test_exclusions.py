@@ -10,9 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from bench.campaign.campaign_record import CampaignRecord, load_record
+from bench.campaign.campaign_record import (
+    LONGEST_REASON,
+    CampaignRecord,
+    exclude_shot,
+    load_record,
+    with_exclusions,
+)
 from bench.campaign.campaign_report import render_campaign_report
-from bench.campaign.exclusions import LONGEST_REASON, exclude_shot, with_exclusions
 from bench.campaign.findings import findings
 from bench.campaign.verification import verify_page
 from bench.config import database_url

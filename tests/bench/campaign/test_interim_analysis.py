@@ -12,10 +12,10 @@ from scipy import stats
 
 from bench.campaign.campaign_record import load_record, note_look
 from bench.campaign.findings import findings
-from bench.campaign.interim_analysis import look_level, look_now, share_done, spent
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner_control import new_entry
+from bench.campaign.sample_size import look_level, look_now, share_done, spent
 from bench.campaign.verdicts import confidence_words
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore, StoredShot

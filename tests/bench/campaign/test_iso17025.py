@@ -11,9 +11,9 @@ import pytest
 from bench.campaign.campaign_record import CampaignRecord, load_record
 from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings
-from bench.campaign.iso17025 import calibration_table, issue_report, item_table, particulars
 from bench.campaign.plan import ItemParticulars, StatedCalibration
 from bench.campaign.plan_file import load_plan, plan_from_record
+from bench.campaign.report_tables import calibration_table, issue_report, item_table, particulars
 from bench.campaign.runner_control import new_entry
 from bench.config import database_url, load_configuration
 from bench.errors import BenchError, Refused

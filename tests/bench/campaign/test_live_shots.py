@@ -23,18 +23,17 @@ from bench.campaign.budget import uncertainty_budgets
 from bench.campaign.campaign_control import ask
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import render_campaign_report
+from bench.campaign.corrections import Drift
 from bench.campaign.findings import findings
 from bench.campaign.gate import Centre
 from bench.campaign.live_shots import LiveShots, require_live
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.plan_requirements import Profiles, require_swings
 from bench.campaign.prompts import PromptKind
-from bench.campaign.randomization import Arm, PlannedShot, Role
-from bench.campaign.relearning import Drift
 from bench.campaign.runner import Hindrance, Suspended, Watcher
 from bench.campaign.runner_control import bench_facts, new_entry, run_campaign
-from bench.campaign.shot_sequence import Step
-from bench.campaign.swings import Profiles, require_swings
+from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
 from bench.learning.store import learned_swings
@@ -872,7 +871,7 @@ def test_a_swing_is_relearned_on_the_bench_without_a_ball(
     plan = load_plan(tmp_path / "plan.toml", configuration)
     arm = ("default", "driver")
     asked = chain([None, Drift(arm, "drifted")], repeat(None))
-    monkeypatch.setattr("bench.campaign.relearning.Drifts.before", lambda self, step: next(asked))
+    monkeypatch.setattr("bench.campaign.corrections.Drifts.before", lambda self, step: next(asked))
     monkeypatch.setattr("bench.learning.learn.LearningResult.within", True)
     url = database_url("", configuration.bench.data_dir)
     with running_bench(file) as bench, open_database(url) as engine:

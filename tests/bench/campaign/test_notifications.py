@@ -12,7 +12,7 @@ from threading import Event, Thread
 
 import pytest
 
-from bench.campaign.notifications import Notifier, Service, notifying, read_services
+from bench.campaign.progress import Notifier, Service, notifying, read_services
 from bench.errors import BenchError
 from bench.store.records import CampaignEntry, CampaignState
 from tests.bench.store.test_campaigns import ENTRY

@@ -14,20 +14,20 @@ from bench.campaign.bench_setup import Fitting, missing
 from bench.campaign.gate import Centre
 from bench.campaign.plan import CampaignPlan, reference_level
 from bench.campaign.plan_file import EXAMPLES, campaign_names, find_plan, load_plan, plan_from_record
-from bench.campaign.power import blocks_needed, power_of_shift, same_power_of_error
+from bench.campaign.plan_requirements import require_swings
 from bench.campaign.preview import outlook, outlook_words, preview_record
-from bench.campaign.randomization import (
+from bench.campaign.rules import control_ball_speed, rule_sets
+from bench.campaign.sample_size import blocks_needed, power_of_shift, same_power_of_error
+from bench.campaign.shot_sequence import (
     Arm,
     PlannedShot,
     Role,
+    Step,
     all_trials,
     block_trials,
     hits_needed,
     sections,
 )
-from bench.campaign.rules import control_ball_speed, rule_sets
-from bench.campaign.shot_sequence import Step
-from bench.campaign.swings import require_swings
 from bench.cli import app
 from bench.config import Configuration, load_configuration
 from bench.errors import BenchError

@@ -13,8 +13,8 @@ import pytest
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.progress import Broadcast, CampaignProgress
-from bench.campaign.randomization import PlannedShot, all_trials
 from bench.campaign.runner_control import new_entry
+from bench.campaign.shot_sequence import PlannedShot, all_trials
 from bench.commands.campaign_screen import ProgressScreen, campaign_bar, progress_lines, shot_line
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus

@@ -23,13 +23,12 @@ from bench.campaign.campaign_control import answer
 from bench.campaign.gate import Centre
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.plan_requirements import require_swings
 from bench.campaign.preview import preview_record, show_preview
 from bench.campaign.prompts import PromptKind, balls_of, places, require_count
-from bench.campaign.randomization import Arm, PlannedShot, Role, all_trials
 from bench.campaign.runner import Runner, RunOutcome, Watcher
 from bench.campaign.runner_control import course_of, new_entry
-from bench.campaign.shot_sequence import Step
-from bench.campaign.swings import require_swings
+from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step, all_trials
 from bench.commands.campaign_screen import CampaignBar
 from bench.commands.campaign_terminal import TerminalOperator
 from bench.config import database_url, load_configuration

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.campaign.corrections import Drift, Drifts
 from bench.campaign.gate import Centre
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.randomization import Arm, PlannedShot, Role
-from bench.campaign.relearning import Drift, Drifts
-from bench.campaign.shot_sequence import Step
+from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 

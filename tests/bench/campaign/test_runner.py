@@ -22,13 +22,13 @@ from sqlalchemy import make_url
 
 from bench.campaign.bench_setup import Preparation, sample_for
 from bench.campaign.campaign_control import ask, is_running, runner_lock
+from bench.campaign.campaign_record import RunStart, changed
+from bench.campaign.corrections import Drift
 from bench.campaign.gate import Centre
-from bench.campaign.interruptions import RunStart, changed
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.plan_requirements import require_swings
 from bench.campaign.prompts import PromptKind
-from bench.campaign.randomization import Arm, PlannedShot, Role
-from bench.campaign.relearning import Drift
 from bench.campaign.runner import Hindrance, Runner, RunOutcome, ShotPostponed, Watcher
 from bench.campaign.runner_control import (
     CANNOT_CHANGE_A_SHOT,
@@ -37,9 +37,8 @@ from bench.campaign.runner_control import (
     require_resumable,
     run_start,
 )
-from bench.campaign.shot_sequence import Step
+from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.campaign.simulated_shots import Taken
-from bench.campaign.swings import require_swings
 from bench.config import Configuration, database_url, load_configuration
 from bench.errors import BenchError, Refused
 from bench.shot.shot import Shot, ShotStatus
@@ -443,7 +442,7 @@ def test_a_figure_that_is_not_known_is_not_looked_at_unless_the_centre_is(make: 
 
 
 def _trials(plan: CampaignPlan) -> Any:
-    from bench.campaign.randomization import all_trials
+    from bench.campaign.shot_sequence import all_trials
 
     return all_trials(plan)
 

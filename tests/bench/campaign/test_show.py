@@ -21,7 +21,7 @@ import pytest
 
 from bench.campaign.campaign_control import ask
 from bench.campaign.plan_file import load_plan
-from bench.campaign.randomization import all_trials
+from bench.campaign.shot_sequence import all_trials
 from bench.config import database_url, load_configuration
 from bench.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.network.free_port import free_port

@@ -12,10 +12,9 @@ import pytest
 from bench.campaign.gate import Centre
 from bench.campaign.plan import CampaignPlan, Simulation
 from bench.campaign.plan_file import load_plan
-from bench.campaign.randomization import all_trials
-from bench.campaign.shot_sequence import Step
+from bench.campaign.plan_requirements import require_swings
+from bench.campaign.shot_sequence import Step, all_trials
 from bench.campaign.simulated_shots import MonitorResult, SimulatedShots, Taken, hear
-from bench.campaign.swings import require_swings
 from bench.config import Configuration
 from bench.shot.shot import ShotStatus
 from bench.shot.shot_matcher import NOT_TOLD

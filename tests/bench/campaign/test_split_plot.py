@@ -17,6 +17,7 @@ from scipy import stats
 
 from bench.campaign.analysis import SectionAnalysis, analyse
 from bench.campaign.bench_setup import Fitting, missing, sample_for
+from bench.campaign.block_model import as_split_plot, fully_randomised
 from bench.campaign.campaign_record import CampaignRecord
 from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings, findings_record
@@ -27,10 +28,8 @@ from bench.campaign.plan_requirements import needs, needs_words
 from bench.campaign.preview import outlook, outlook_words, show_preview
 from bench.campaign.progress import CampaignProgress
 from bench.campaign.prompts import PromptKind
-from bench.campaign.randomization import PlannedShot, all_trials, sections
 from bench.campaign.runner_control import new_entry
-from bench.campaign.shot_sequence import Step
-from bench.campaign.split_plot import as_split_plot, fully_randomised
+from bench.campaign.shot_sequence import PlannedShot, Step, all_trials, sections
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignState, Standing

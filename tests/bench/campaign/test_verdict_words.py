@@ -13,9 +13,8 @@ from bench.campaign.analysis import analyse
 from bench.campaign.findings import findings
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.repeatability import successive_scatter
+from bench.campaign.repeatability import scatter_ratios, successive_scatter
 from bench.campaign.sample_size import foreseen, series_needed
-from bench.campaign.variance_ratio import scatter_ratios
 from bench.campaign.verdicts import Verdict
 from bench.config import load_configuration
 from bench.shot.shot import Shot

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.campaign.campaign_record import CampaignRecord
+from bench.campaign.campaign_record import CampaignRecord, shot_digests, whole_digest
 from bench.campaign.campaign_report import record_parts, render_campaign_report
-from bench.campaign.digest import shot_digests, whole_digest
 from bench.campaign.display_units import UnitSystem
 from bench.campaign.findings import findings
 from bench.campaign.verification import missing_records, verify_page

@@ -21,9 +21,9 @@ from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.plan_file import campaign_names, load_plan
-from bench.campaign.randomization import all_trials
 from bench.campaign.runner import Watcher
 from bench.campaign.runner_control import new_entry, run_campaign
+from bench.campaign.shot_sequence import all_trials
 from bench.campaign.simulated_shots import BEGIN
 from bench.cli import app, main
 from bench.config import database_url, load_configuration

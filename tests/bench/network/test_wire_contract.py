@@ -18,8 +18,8 @@ from jsonschema import Draft202012Validator
 
 from bench.campaign.plan_file import load_plan
 from bench.campaign.progress import CampaignProgress
-from bench.campaign.randomization import all_trials
 from bench.campaign.runner_control import new_entry
+from bench.campaign.shot_sequence import all_trials
 from bench.config import load_configuration
 from bench.errors import BenchError
 from bench.network.client import BenchClient
