@@ -11,11 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.commands.options import Json, ProfileName, argument, flag, option
+from bench.commands.options import (
+    ClusterAddress,
+    Json,
+    Processes,
+    ProfileName,
+    argument,
+    flag,
+    option,
+    sweep_engine,
+)
 from bench.commands.output import console_of, write_text
 from bench.commands.progress import progress_of
 from bench.commands.session import Session, exit_unless
-from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 from bench.errors import BenchError
 from bench.interrupt import deferred_interrupt
 

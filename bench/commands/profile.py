@@ -13,11 +13,22 @@ import typer
 from rich.console import Console
 
 from bench.commands.compare import compare
-from bench.commands.options import ClubName, Json, Plot, ProfileName, argument, flag, option, require_picture
+from bench.commands.options import (
+    ClubName,
+    ClusterAddress,
+    Json,
+    Plot,
+    Processes,
+    ProfileName,
+    argument,
+    flag,
+    option,
+    require_picture,
+    sweep_engine,
+)
 from bench.commands.output import console_of
 from bench.commands.progress import progress_bar, progress_of, progress_of_steps
 from bench.commands.session import Session, exit_unless, show_json
-from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 from bench.errors import BenchError, Refused
 from bench.interrupt import deferred_interrupt
 

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from bench.commands.options import option
+from bench.commands.options import ClusterAddress, Processes, option, sweep_engine
 from bench.commands.output import console_of
 from bench.commands.progress import progress_of_steps
 from bench.commands.session import Session
-from bench.commands.sweep_engine import ClusterAddress, Processes, sweep_engine
 from bench.errors import BenchError
 from bench.interrupt import deferred_interrupt
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bench.address import identity_files
-from bench.commands.sweep_engine import sweep_engine
+from bench.commands.options import sweep_engine
 from bench.config import load_configuration
 from bench.errors import BenchError, ExitCode, Refused
 from bench.network.certificates import make_authority, make_certificate, write_identity
