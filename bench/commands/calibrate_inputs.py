@@ -120,8 +120,8 @@ def _simulated(configuration: Configuration) -> Iterator[tuple[WatchedMachine, H
 @contextmanager
 def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]]:
     """Take the bench's place."""
+    from bench.commissioning.inputs import by_person, turned_once
     from bench.commissioning.live_robot import Hands, live_robot
-    from bench.commissioning.regulator import by_person, turned_once
     from bench.processes.ownership import take_bench
 
     if not at_terminal():

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from bench.commissioning.known_robot import KnownRobot
     from bench.commissioning.live_robot import Hands
     from bench.commissioning.machine import CommissionedMachine
-    from bench.commissioning.steps import NamedStep
-    from bench.commissioning.swung_robot import SwungRobot
+    from bench.commissioning.steps import NamedStep, SwungRobot
     from bench.config import Configuration
     from bench.control.settings import EnvelopeSettings
     from sim.live.contact_watch import ContactWatch
@@ -242,7 +241,7 @@ def _simulated(configuration: Configuration, truth: Configuration) -> Iterator[_
     """Yield the robot of `truth`, simulated in lock-step."""
     from bench.commands.calibrate_inputs import simulated_hands
     from bench.commissioning.driver_machine import SimulatedMachine
-    from bench.commissioning.swung_robot import SimulatedRobot
+    from bench.commissioning.steps import SimulatedRobot
 
     faults = tuple(truth.faults.values())
     with SimulatedMachine(truth.plant, configuration.plant, faults) as machine:
@@ -256,8 +255,8 @@ def _live(
 ) -> Iterator[_Machine]:
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
     from bench.commands.calibrate_inputs import SIMULATED_PATIENCE
+    from bench.commissioning.inputs import in_simulation
     from bench.commissioning.live_robot import Hands, live_robot
-    from bench.commissioning.regulator import in_simulation
     from bench.processes.ownership import take_bench
     from sim.live.contact_watch import ContactWatch
 
@@ -291,8 +290,8 @@ def _hands_of_person(
     """Return the hands of the person at the terminal, `regulator` being the program that turns it, if any."""
     from bench.commands.calibrate_inputs import ask_person, gauge_from_person, saying
     from bench.commands.learn import mark_from_person
+    from bench.commissioning.inputs import by_person, by_program, turned_once
     from bench.commissioning.live_robot import Hands
-    from bench.commissioning.regulator import by_person, by_program, turned_once
 
     def ask(text: str) -> None:
         with paused(bar):
@@ -319,7 +318,7 @@ def _hands_of_person(
 
 def _mark_in(contacts: ContactWatch, truth: PlantParameters) -> tuple[float, float] | None:
     """Return the mark of the newest of the simulated `contacts` on the club of `truth`."""
-    from bench.commissioning.swung_robot import read_mark
+    from bench.commissioning.steps import read_mark
 
     contacts.attach()
     contact, site = contacts.look(), truth.site
@@ -364,7 +363,7 @@ def _loads(machine: SimulatedMachine) -> str:
 
 def _write_report(state: Commissioning, nominal: PlantParameters, made: datetime) -> None:
     """Write the report of what was done so far."""
-    from bench.commissioning.report import commissioning_report
+    from bench.commissioning.robot_file import commissioning_report
     from bench.telemetry.whole_file import whole_file
 
     with whole_file(state.folder / "report.html") as stream:

@@ -14,10 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.calibration.values import SeenInputs
-from bench.commissioning.diagnosed_robot import DiagnosedRobot
 from bench.commissioning.driver_machine import Stalled
-from bench.commissioning.following import with_following_limits
-from bench.commissioning.healthy_limits import HealthyLimits
 from bench.commissioning.inputs_check import (
     InputHands,
     InputsStep,
@@ -31,6 +28,7 @@ from bench.commissioning.learned_swing import LearnedSwing
 from bench.commissioning.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
 from bench.commissioning.response_times import ResponseTimes
 from bench.commissioning.rising_swings import RisingSwings
+from bench.commissioning.robot_swings import HealthyLimits, with_following_limits
 from bench.commissioning.slow_moves import SlowMoves
 from bench.commissioning.steps import (
     SWING_FILE,
@@ -38,12 +36,12 @@ from bench.commissioning.steps import (
     NamedStep,
     StepResult,
     SwingingStep,
+    SwungRobot,
     Traces,
+    WrongMachine,
 )
-from bench.commissioning.swung_robot import SwungRobot
-from bench.commissioning.valve_edges import ValveEdges
-from bench.commissioning.wiring import Wiring
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.swing_diagnosis import DiagnosedRobot
+from bench.commissioning.wiring import ValveEdges, Wiring
 from bench.config import Configuration
 from bench.errors import BenchError, Refused
 from bench.swing.profile import load_profile

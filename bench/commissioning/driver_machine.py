@@ -27,7 +27,7 @@ from bench.commissioning.machine import (
     Until,
     bound_passed,
 )
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.steps import WrongMachine
 from bench.errors import Refused
 from bench.loop import record_reading
 from bench.simulation.loads import Loads, loads_of

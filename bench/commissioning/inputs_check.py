@@ -13,10 +13,9 @@ from typing import Protocol
 
 from bench.calibration.values import SeenInputs
 from bench.calibration.wiring_digest import wiring_digest
-from bench.commissioning.inputs import ACTS, Act, InputFinding, Stage, fitted, judged, stages
+from bench.commissioning.inputs import ACTS, Act, InputFinding, Regulator, Stage, fitted, judged, stages
 from bench.commissioning.machine import DRIFT
-from bench.commissioning.regulator import Regulator
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.steps import WrongMachine
 from bench.config import Configuration
 from bench.errors import Refused
 from drivers.base import CHAMBERS, Command, Readings

@@ -23,8 +23,7 @@ from bench.commissioning.moves import (
     require_within,
     slow_bounds,
 )
-from bench.commissioning.steps import StepResult, Traces
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.steps import StepResult, Traces, WrongMachine
 from drivers.base import JOINTS, Triple
 
 _FILL, _COUNTER = 0.10, 0.05

@@ -15,9 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.commissioning.rising_swings import bench_of, require_safe
-from bench.commissioning.steps import LEARNED_FILE, SWING_FILE, StepResult
-from bench.commissioning.swung_robot import SwingSeries, SwungRobot
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.steps import (
+    LEARNED_FILE,
+    SWING_FILE,
+    StepResult,
+    SwingSeries,
+    SwungRobot,
+    WrongMachine,
+)
 from bench.config import Configuration
 from bench.learning.delivery_measurement import delivery_from_encoders, strike_from_mark
 from bench.learning.delivery_metrics import Figures, Tolerance, figures_of

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, cast
 
-from bench.commissioning.inputs import Act
+from bench.commissioning.inputs import Act, Regulator
 from bench.commissioning.machine import MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine_process import MachinePlan
 from bench.commissioning.machine_server import (
@@ -23,8 +23,7 @@ from bench.commissioning.machine_server import (
     Vent,
     WatchInputs,
 )
-from bench.commissioning.regulator import Regulator
-from bench.commissioning.swung_robot import Mark
+from bench.commissioning.steps import Mark
 from bench.config import Configuration
 from bench.errors import BenchError, ExitCode
 from bench.processes.child import Child

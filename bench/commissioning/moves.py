@@ -15,7 +15,7 @@ from bench.commissioning.machine import (
     Segment,
     Until,
 )
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.steps import WrongMachine
 from drivers.base import CHAMBERS, JOINTS, Triple
 from sim.driver import joint_travel
 from sim.kane import mass_matrix

@@ -13,16 +13,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.commissioning.fastest_swing import design_at, fastest_swing
-from bench.commissioning.following import with_following_limits
-from bench.commissioning.healthy_limits import make_healthy_limits
-from bench.commissioning.slowed_swing import slowed
-from bench.commissioning.steps import SWING_FILE, StepResult
-from bench.commissioning.swung_robot import SwungRobot
-from bench.commissioning.wrong_machine import (
+from bench.commissioning.robot_swings import (
+    design_at,
+    fastest_swing,
+    make_healthy_limits,
+    slowed,
+    with_following_limits,
+)
+from bench.commissioning.steps import (
+    SWING_FILE,
     PredictionFails,
     PredictionStopped,
+    StepResult,
     SwingStopped,
+    SwungRobot,
     WrongMachine,
 )
 from bench.config import Configuration

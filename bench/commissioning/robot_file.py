@@ -1,15 +1,21 @@
-"""robot.toml: the commissioned robot as a configuration over the one it began with."""
+"""The commissioned robot as a configuration over the one it began with, and the report to sign."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from datetime import date
+from datetime import date, datetime
+from importlib.resources import files
 from textwrap import wrap
 
+import jinja2
+
+from bench.commissioning.commissioning import ALL_STEPS, Commissioning
 from bench.commissioning.known_robot import FoundValue, KnownRobot
+from bench.commissioning.steps import NamedStep
 from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
+from sim.plant import PlantParameters
 
 GUESSES = (
     "lengths",
@@ -103,3 +109,29 @@ def _keys(found: Iterable[FoundValue]) -> dict[str, list[FoundValue]]:
         name, _, last = value.key.rpartition(".")
         keys.setdefault(name if last.isdigit() else value.key, []).append(value)
     return keys
+
+
+def commissioning_report(state: Commissioning, nominal: PlantParameters, made: datetime) -> str:
+    """Return the report of `state` as HTML; `nominal` is the robot as configured."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string(
+        (files("bench.commissioning") / "commissioning.html.j2").read_text(encoding="utf-8")
+    )
+    known = KnownRobot(nominal, state.values)
+    done = {step.name for step in state.done}
+    return template.render(
+        state=state,
+        made=made,
+        minutes=sum(step.seconds for step in state.done) / 60,
+        configured=lambda key: f"{value_at(known.nominal, key):.6g}",
+        left=_titles([step for step in ALL_STEPS if step.name not in done]),
+        guesses=GUESSES,
+        no_calibration=NO_CALIBRATION,
+        steps=len(ALL_STEPS),
+    )
+
+
+def _titles(steps: list[NamedStep]) -> list[str]:
+    return [step.title for step in steps]

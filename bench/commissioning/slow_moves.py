@@ -31,8 +31,7 @@ from bench.commissioning.moves import (
     require_within,
     slow_bounds,
 )
-from bench.commissioning.steps import StepResult, Traces
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.steps import StepResult, Traces, WrongMachine
 from bench.control.measured_plant import value_at, with_values
 from drivers.base import JOINTS, Triple
 from sim.driver import joint_travel

@@ -25,12 +25,11 @@ from rich.table import Table
 
 from bench.commissioning.commissioning import begin, commission
 from bench.commissioning.driver_machine import SimulatedMachine
-from bench.commissioning.fastest_swing import fastest_swing
 from bench.commissioning.known_robot import KnownRobot
 from bench.commissioning.rising_swings import bench_of
-from bench.commissioning.steps import LEARNED_FILE, SWING_FILE
+from bench.commissioning.robot_swings import fastest_swing
+from bench.commissioning.steps import LEARNED_FILE, SWING_FILE, SimulatedRobot
 from bench.commissioning.swing_diagnosis import diagnose
-from bench.commissioning.swung_robot import SimulatedRobot
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.measured_plant import value_at
 from bench.errors import Refused

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from bench.commissioning import fastest_swing
-from bench.commissioning.fastest_swing import design_at
+from bench.commissioning import robot_swings
+from bench.commissioning.robot_swings import design_at
 from bench.config import load_configuration, shipped_configuration
 from bench.design.designer import DesignFailed, SwingDemand
 
@@ -24,7 +24,7 @@ def test_a_slower_backswing_is_tried(monkeypatch: pytest.MonkeyPatch, works_from
             raise DesignFailed(f"wrist folded too far in {demand.backswing_time} s")
         return SimpleNamespace(profile=name)
 
-    monkeypatch.setattr(fastest_swing, "design_swing", design)
+    monkeypatch.setattr(robot_swings, "design_swing", design)
     configuration = load_configuration(shipped_configuration())
     if works_from > 1.1:
         with pytest.raises(DesignFailed, match=r"in 0.85 s"):

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.commissioning.following import with_following_limits
+from bench.commissioning.robot_swings import with_following_limits
 from bench.config import Configuration
 from bench.lifecycle import Cause
 from bench.simulation.series import Bench, Series

@@ -21,7 +21,7 @@ from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.driver_machine import SimulatedMachine
 from bench.commissioning.inputs import INPUTS, InputFinding, fitted, judged, stages
 from bench.commissioning.inputs_check import PRESSURES, check_inputs
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.steps import WrongMachine
 from bench.config import Configuration
 from bench.errors import Refused
 from bench.lifecycle import Block

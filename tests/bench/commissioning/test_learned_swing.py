@@ -10,8 +10,14 @@ import pytest
 
 from bench.commissioning.learned_swing import LearnedSwing
 from bench.commissioning.rising_swings import bench_of
-from bench.commissioning.steps import LEARNED_FILE, SWING_FILE
-from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries, SwingSeries, read_mark
+from bench.commissioning.steps import (
+    LEARNED_FILE,
+    SWING_FILE,
+    SimulatedRobot,
+    SimulatedSeries,
+    SwingSeries,
+    read_mark,
+)
 from bench.config import Configuration
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile

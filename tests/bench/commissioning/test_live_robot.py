@@ -19,6 +19,7 @@ import pytest
 
 from bench.clock import FreeClock
 from bench.commissioning.driver_machine import _Log
+from bench.commissioning.inputs import of_simulation
 from bench.commissioning.live_robot import Hands, LiveRobot, MachineLost, live_robot
 from bench.commissioning.machine import MotionBounds, Segment
 from bench.commissioning.machine_process import with_quick_pressures
@@ -32,9 +33,8 @@ from bench.commissioning.machine_server import (
     Swing,
     Vent,
 )
-from bench.commissioning.regulator import of_simulation
 from bench.commissioning.rising_swings import bench_of
-from bench.commissioning.slowed_swing import slowed
+from bench.commissioning.robot_swings import slowed
 from bench.config import Configuration
 from bench.errors import Refused
 from bench.lifecycle import Cause

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from bench.commissioning import rising_swings
-from bench.commissioning.fastest_swing import FastestSwing
 from bench.commissioning.rising_swings import (
     PredictionSpread,
     RisingSwings,
@@ -23,9 +22,8 @@ from bench.commissioning.rising_swings import (
     slow_swing,
     widest,
 )
-from bench.commissioning.slowed_swing import slowed
-from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries
-from bench.commissioning.wrong_machine import WrongMachine
+from bench.commissioning.robot_swings import FastestSwing, slowed
+from bench.commissioning.steps import SimulatedRobot, SimulatedSeries, WrongMachine
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.settings import ModelSettings
 from bench.design.designer import DesignFailed

@@ -8,12 +8,10 @@ import numba
 import numpy as np
 import pytest
 
-from bench.commissioning.diagnosed_robot import DiagnosedRobot
 from bench.commissioning.rising_swings import bench_of
 from bench.commissioning.short_predictions import RecordedSwing
-from bench.commissioning.swing_diagnosis import Diagnosis, diagnose
-from bench.commissioning.swung_robot import SimulatedRobot, SimulatedSeries
-from bench.commissioning.wrong_machine import PredictionFails, WrongMachine
+from bench.commissioning.steps import PredictionFails, SimulatedRobot, SimulatedSeries, WrongMachine
+from bench.commissioning.swing_diagnosis import DiagnosedRobot, Diagnosis, diagnose
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.errors import Refused
 from bench.lifecycle import Phase
