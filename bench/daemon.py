@@ -39,7 +39,7 @@ from bench.network.bench_service import (
 from bench.network.command_plane import CommandPlane
 from bench.network.status_words import LATCHED, MOVING, block_text
 from bench.network.zenoh_session import close_session, open_daemon
-from bench.processes.child import Child
+from bench.processes.child import Child, ManagedProcess
 from bench.processes.correction import CORRECTED_FILE
 from bench.processes.loop_link import LoopLink
 from bench.processes.ownership import Ownership, take_bench
@@ -48,15 +48,16 @@ from bench.processes.publisher import PublisherPlan
 from bench.processes.recorder import RecorderPlan
 from bench.processes.run_marker import RunMarker
 from bench.processes.service_notify import ServiceNotifier, watchdog_interval
-from bench.processes.stall import BEFORE, stall_note, supervisor_note
 from bench.processes.status import (
+    BEFORE,
     NO_LAUNCH_MONITOR,
     NO_STATISTICS,
     cause_text,
     disarmed_for,
+    stall_note,
     status_of,
+    supervisor_note,
 )
-from bench.processes.support import ManagedProcess
 from bench.processes.timing_record import TimingReader, summary
 from bench.readiness import arming_block, assess, assess_bench
 from bench.shot.recorded_shot import FlightConditions

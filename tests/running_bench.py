@@ -21,7 +21,7 @@ from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer
-from bench.processes.bench_folder import bench_folder
+from bench.processes.ownership import bench_folder
 from bench.processes.plan import RING_FILE
 from bench.telemetry.ring import RingReader
 

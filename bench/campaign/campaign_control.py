@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bench.campaign.prompts import require_count
 from bench.errors import BenchError, Refused
-from bench.processes.file_lock import try_lock
+from bench.processes.ownership import try_lock
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
 

@@ -35,7 +35,7 @@ from bench.network.bench_operator import READY, BenchOperator, NoShot, SwingReco
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.status_words import absent_monitor_text
-from bench.processes.bench_folder import bench_folder
+from bench.processes.ownership import bench_folder
 from bench.readiness import felt_alike, with_face_of
 from bench.shot.ball_struck import ball_struck
 from bench.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of

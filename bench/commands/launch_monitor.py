@@ -77,7 +77,7 @@ def launch_monitor(
     It measures the plant's balls with noise and faults, and sends them to the bench
     over Open Connect, as a real one does. The bench needs [launch_monitor] enabled = true.
     """
-    from bench.processes.bench_folder import bench_folder
+    from bench.processes.ownership import bench_folder
     from bench.shot.recorded_shot import FlightConditions
     from sim.launch_monitor import MonitorParameters
 

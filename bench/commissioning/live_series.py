@@ -24,8 +24,7 @@ from bench.errors import Refused
 from bench.learning.live import swung_cycles
 from bench.lifecycle import REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
 from bench.loop import Cycle, Cycles, Loop
-from bench.processes.stall import stall_note
-from bench.processes.status import cause_text, refusal_words
+from bench.processes.status import cause_text, refusal_words, stall_note
 from bench.simulation.loads import Loads
 from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, not_returned
 from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, SwingOperator, joined

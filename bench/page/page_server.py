@@ -30,7 +30,7 @@ from bench.page.page_access import PageAddress, PageRole, checked_address, page_
 from bench.page.page_service import Call, PageService, Pool
 from bench.page.request_filter import Application, Guard, http_protocol
 from bench.page.start_service import PlanCatalogue, StartService
-from bench.processes.bench_folder import bench_folder
+from bench.processes.ownership import bench_folder
 from bench.processes.plan import RING_FILE
 from bench.shot.recorded_shot import FlightConditions
 

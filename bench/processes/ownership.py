@@ -1,4 +1,8 @@
-"""Ownership of a bench on this machine: a folder in shared memory, and the lock on the file `owner` in it.
+"""A lock on an open file that is released when its owner ends for any reason.
+
+The folder of shared files of a running bench.
+
+Ownership of a bench on this machine: a folder in shared memory, and the lock on the file `owner` in it.
 
 The daemon takes the bench before anything moves and passes the locked descriptor to its loop, so the bench
 stays taken while one of the two runs. The kernel releases the lock when both have ended for any reason; the
@@ -11,6 +15,7 @@ from __future__ import annotations
 import json
 import os
 import pwd
+import re
 import shutil
 import stat
 import time
@@ -19,8 +24,40 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from bench.errors import BenchError, ExitCode, Refused
-from bench.processes.bench_folder import MEMORY, bench_folder
-from bench.processes.file_lock import try_lock
+
+
+def try_lock(descriptor: int) -> bool:
+    """Lock the open file for this process and those that inherit it; False if locked by another."""
+    import fcntl  # not everywhere: what needs no bench imports this module on any system
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+MEMORY = Path("/dev/shm")  # noqa: S108 - the folder made in it is checked to be ours alone
+"""Folder of shared memory, unless systemd provides another one."""
+
+BENCH_ID = r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}"
+"""Pattern of a bench id, which is part of network keys and file names."""
+
+
+def bench_folder(bench_id: str, memory: Path = MEMORY) -> Path:
+    """Return the folder in `memory` of bench `bench_id`, which exists while the bench runs.
+
+    A service and a bench started by hand use the same folder, so that they exclude each other.
+
+    Raises:
+        BenchError: `bench_id` does not match BENCH_ID.
+    """
+    if not re.fullmatch(BENCH_ID, bench_id):
+        raise BenchError(
+            "bench.id", repr(bench_id), "letters, digits, - and _, at most 63", "Give the bench another id."
+        )
+    return memory / f"golfbench-{bench_id}"
+
 
 OWNER = "owner"
 """Name of the locked file."""

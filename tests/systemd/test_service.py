@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from bench.processes.bench_folder import bench_folder
+from bench.processes.ownership import bench_folder
 from tests.systemd.container import Container, wait_until
 from tests.systemd.root import PROJECT, build_root
 

@@ -27,7 +27,7 @@ from bench.calibration.wiring_digest import wiring_digest
 from bench.config import Configuration, database_url, load_configuration
 from bench.lifecycle import Phase, State
 from bench.network.client import BenchClient, CommandRefused
-from bench.processes.bench_folder import bench_folder
+from bench.processes.ownership import bench_folder
 from bench.processes.plan import RING_FILE, TIMING_FILE
 from bench.processes.timing_record import TimingReader
 from bench.simulation.loads import pressure_shares, stop_shares

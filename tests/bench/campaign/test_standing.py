@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.campaign.campaign_control import standing_now
-from bench.processes.file_lock import try_lock
+from bench.processes.ownership import try_lock
 from bench.store.records import CampaignState, Standing
 
 NAME = "2026-11-26-two-balls-1"

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from bench.processes.memory_lock import MemoryMapping, memory_mappings
+from bench.processes.real_time import MemoryMapping, memory_mappings
 from tests.bench.processes.own_process import printed_json
 
 MEBIBYTE = 1 << 20
@@ -41,7 +41,7 @@ def _in_a_process(code: str) -> Any:
     program = """
         import json, mmap, resource
         import numpy as np
-        from bench.processes.memory_lock import (
+        from bench.processes.real_time import (
             drop_preparations, lock_memory, locked_memory, memory_mappings, unlock_memory
         )
 

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from bench.errors import BenchError, Refused
-from bench.processes.bench_folder import MEMORY, bench_folder
-from bench.processes.ownership import NoBenchFolder, adopt, take_bench
+from bench.processes.ownership import MEMORY, NoBenchFolder, adopt, bench_folder, take_bench
 
 DAEMON = """
 import sys

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from bench.lifecycle import CAUSE_TEXT, REFUSAL_WORDS, Cause, Refusal
-from bench.processes.stall import stall_note, supervisor_note
-from bench.processes.status import cause_text, refusal_words
+from bench.processes.status import cause_text, refusal_words, stall_note, supervisor_note
 from bench.telemetry.cycle_record import CYCLE
 
 LOST_TIME, PERIOD = 0.0045, 0.001

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.processes.child import Child
+from bench.processes.child import Child, ManagedProcess
 from bench.processes.child_process import Condition, HeartbeatSender
-from bench.processes.support import ManagedProcess
 
 pytestmark = pytest.mark.live
 
