@@ -25,7 +25,7 @@ from bench.campaign.plan_requirements import Profiles
 from bench.campaign.shot_sequence import Role, Step
 from bench.config import Configuration
 from bench.design.planned_openings import require_planned_openings
-from bench.learning.delivery_metrics import Tolerance
+from bench.learning.delivery import Tolerance
 from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, Swinger, learn, prepare
 from bench.learning.store import Conditions, Learned, drifted, keep, learned_swings, newest_that_holds, stored

@@ -18,7 +18,7 @@ from bench.lifecycle import CAUSE_TEXT
 
 if TYPE_CHECKING:
     from bench.learning.compare import Compared
-    from bench.learning.delivery_metrics import Figures
+    from bench.learning.delivery import Figures
     from bench.simulation.series import Bench
     from sim.plant import PlantParameters
 
@@ -53,7 +53,7 @@ def compare(
     Same swing, same simulated robot, same seeds; pressure sensors only where it is said.
     """
     from bench.design.static_checks import require_possible
-    from bench.learning.delivery_metrics import planned_figures
+    from bench.learning.delivery import planned_figures
     from bench.simulation.series import Bench
     from bench.simulation.variation import drawn
     from bench.swing.library import find_profile

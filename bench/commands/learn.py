@@ -23,8 +23,8 @@ from bench.lifecycle import CAUSE_TEXT
 if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.learning.learn import LearningProblem, LearningResult, Swinger
-    from bench.learning.recorded_swings import Recorded
     from bench.learning.store import Learned
+    from bench.learning.warm_start import Recorded
     from bench.simulation.series import Bench
     from sim.plant import PlantParameters
 
@@ -79,8 +79,8 @@ def learn(
     """
     from bench.config import database_url
     from bench.design.planned_openings import require_planned_openings
-    from bench.learning.recorded_swings import read_recorded
     from bench.learning.store import Conditions, keep, stored
+    from bench.learning.warm_start import read_recorded
     from bench.readiness import assess_bench
     from bench.simulation.series import Bench
     from bench.store.database import open_database

@@ -24,8 +24,7 @@ from bench.commissioning.steps import (
     WrongMachine,
 )
 from bench.config import Configuration
-from bench.learning.delivery_measurement import delivery_from_encoders, strike_from_mark
-from bench.learning.delivery_metrics import Figures, Tolerance, figures_of
+from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, strike_from_mark
 from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, LearningResult, ObservedSwing, learn, prepare
 from bench.simulation.series import SeriesSwing

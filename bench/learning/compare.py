@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bench.control.records import ControlParameters
 from bench.control.settings import ControlSettings, EnvelopeSettings, PidSettings, build_controller
 from bench.errors import Refused
-from bench.learning.delivery_metrics import UNKNOWN, Figures, figures_of, planned_figures
+from bench.learning.delivery import UNKNOWN, Figures, figures_of, planned_figures
 from bench.learning.learn import LearningProblem, learn, on_series, prepare
 from bench.lifecycle import Cause, Phase
 from bench.simulation.series import Bench, Series, SeriesSwing

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from bench.learning.delivery_metrics import Figures, Tolerance
+from bench.learning.delivery import Figures, Tolerance
 from bench.learning.sensitivities import Response
 from bench.swing.correction_bounds import GREATEST_WEIGHT
 from drivers.base.ranges import Above, AtLeast

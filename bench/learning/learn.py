@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.learning.delivery_measurement import delivery_from_encoders
-from bench.learning.delivery_metrics import Figures, Tolerance, figures_of, planned_figures
+from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, planned_figures
 from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings
 from bench.learning.sensitivities import Model, Response
 from bench.lifecycle import Cause

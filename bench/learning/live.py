@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import Refused
-from bench.learning.delivery_measurement import figures_from
-from bench.learning.delivery_metrics import UNKNOWN
+from bench.learning.delivery import UNKNOWN, figures_from
 from bench.learning.learn import LearningProblem, ObservedSwing
 from bench.learning.source import Source
 from bench.lifecycle import Answer, Cause, Request

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
-from bench.learning.delivery_metrics import figures_of
+from bench.learning.delivery import figures_of
 from bench.lifecycle import CAUSE_TEXT
 from bench.simulation.series import Bench, Series, SeriesSwing, quiet
 from bench.swing.correction import Basis

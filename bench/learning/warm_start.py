@@ -1,33 +1,97 @@
-"""Start of learning on an identified robot: its simulated correction, and the error that is left.
+"""Recorded swings, and the start of learning on the robot that was identified from them.
 
-An identified robot swings nearly as the recorded one did. The remaining difference in delivery, by the same
-measuring chain, is known from the recorded swings. It changes little from one correction to the next, so the
-identified robot learns a target that is lower by it, and the first swing of the robot itself has neither the
-model's error nor the identification's.
+Start of learning on an identified robot: its simulated correction, and the error that is left. An identified
+robot swings nearly as the recorded one did. The remaining difference in delivery, by the same measuring
+chain, is known from the recorded swings. It changes little from one correction to the next, so the identified
+robot learns a target that is lower by it, and the first swing of the robot itself has neither the model's
+error nor the identification's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
-from bench.learning.delivery_measurement import delivery_from_encoders
-from bench.learning.delivery_metrics import Figures, Tolerance, figures_of
+from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of
 from bench.learning.ilc import Beginning, LearningSettings
 from bench.learning.learn import LearningProblem, learn, on_series
-from bench.learning.recorded_swings import Recorded
 from bench.learning.sensitivities import Model
+from bench.lifecycle import Phase
+from bench.shot.recorded_shot import plant_of
 from bench.simulation.series import Bench, Series, quiet
-from bench.swing.correction import basis_of
+from bench.swing.correction import basis_of, digest_of
+from bench.swing.profile import Profile
+from bench.telemetry.recorder import read_swing
+from bench.telemetry.swing_metadata import read_profile
 from sim.plant import Encoders, PlantParameters
 
-Array = NDArray[np.float64]
 Cycles = np.ndarray[Any, Any]
+
+
+class Recorded(NamedTuple):
+    """A swing that the robot made, not its first after arming."""
+
+    profile: Profile
+    """As it was swung, a correction included."""
+    cycles: Cycles
+    """CYCLE records from its first tick."""
+    encoders: Encoders
+    """With the calibration of that time."""
+
+
+def read_recorded(paths: Sequence[Path]) -> list[Recorded]:
+    """Return the swings in Parquet files.
+
+    Raises:
+        BenchError: one is no record, holds no whole swing, or was planned otherwise than the first.
+    """
+    swings: list[Recorded] = []
+    for path in paths:
+        cycles, metadata = read_swing(path)
+        profile = read_profile(metadata, str(path))
+        require_alike(swings[0].profile if swings else profile, profile, str(path))
+        encoders = plant_of(metadata, str(path))[0].encoders
+        swings.append(Recorded(profile, from_first_tick(cycles, profile, str(path)), encoders))
+    return swings
+
+
+def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
+    """Return the records of a swing from its first tick on.
+
+    Raises:
+        BenchError: they hold no swing up to the impact window.
+    """
+    begun = np.flatnonzero(cycles["phase"] == Phase.BACKSWING)
+    first = int(begun[0]) - profile.begins[1] if begun.size else -1
+    swing = cycles[max(first, 0) :]
+    if first < 0 or len(swing) < profile.begins[5] or swing["trip"][: profile.begins[5]].any():
+        raise BenchError(
+            place,
+            "no complete swing",
+            "a swing from the address to the ball",
+            "Give a record of a complete swing.",
+        )
+    return swing
+
+
+def require_alike(one: Profile, other: Profile, place: str) -> None:
+    """Refuse swings with different plans or corrections; `place` names the other's record.
+
+    Raises:
+        BenchError: they were not.
+    """
+    if digest_of(one) != digest_of(other):
+        found = f"a swing of {other.name}" + (", with another correction" if one.name == other.name else "")
+        raise BenchError(place, found, f"of {one.name}, as in the records before", "Identify one at a time.")
+
+
+Array = NDArray[np.float64]
 
 OFFSET, PATH_OFFSET, DOUBT, RADIUS = (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1
 """Difference of the first delivery from the expected one, tolerances and rad, share by which the response

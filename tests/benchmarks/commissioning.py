@@ -33,7 +33,7 @@ from bench.commissioning.swing_diagnosis import diagnose
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.measured_plant import value_at
 from bench.errors import Refused
-from bench.learning.delivery_metrics import figures_of
+from bench.learning.delivery import figures_of
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.simulation.series import NotReturned, Series
 from bench.swing.library import find_profile

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bench.config import load_configuration, shipped_configuration
 from bench.errors import Refused
-from bench.learning.delivery_metrics import Tolerance, figures_of
+from bench.learning.delivery import Tolerance, figures_of
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
 from bench.simulation.series import Bench, Series
 from bench.simulation.variation import WORN, Variation, drawn

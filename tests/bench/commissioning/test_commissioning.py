@@ -39,7 +39,7 @@ from bench.control.measured_plant import value_at, with_values
 from bench.control.model_limits import load_limits
 from bench.design.model_limits import DRAWS
 from bench.errors import BenchError, Refused
-from bench.learning.delivery_metrics import figures_of
+from bench.learning.delivery import figures_of
 from bench.simulation.series import Series
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.learning.delivery_measurement import delivery_from_encoders
+from bench.learning.delivery import delivery_from_encoders
 from bench.learning.learn import prepare
 from bench.lifecycle import Phase
 from bench.simulation.series import Bench, Series, SeriesSwing

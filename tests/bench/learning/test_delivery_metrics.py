@@ -9,7 +9,7 @@ import pytest
 
 from bench.config import load_configuration, shipped_configuration
 from bench.errors import BenchError
-from bench.learning.delivery_metrics import planned_figures
+from bench.learning.delivery import planned_figures
 from bench.learning.learn import prepare
 from bench.simulation.series import Bench
 from bench.swing.library import find_profile

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.learning.delivery_metrics import Figures, Tolerance
+from bench.learning.delivery import Figures, Tolerance
 from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings
 from bench.learning.sensitivities import Response
 

@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration, shipped_configuration
-from bench.learning.delivery_measurement import delivery_from_encoders, figures_from, strike_from_mark
-from bench.learning.delivery_metrics import Tolerance, figures_of, planned_figures
+from bench.learning.delivery import (
+    Tolerance,
+    delivery_from_encoders,
+    figures_from,
+    figures_of,
+    planned_figures,
+    strike_from_mark,
+)
 from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
 from bench.lifecycle import Cause

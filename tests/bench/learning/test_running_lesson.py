@@ -15,7 +15,7 @@ import pytest
 
 from bench.config import load_configuration
 from bench.errors import ExitCode
-from bench.learning.delivery_measurement import strike_from_mark
+from bench.learning.delivery import strike_from_mark
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.shot.shot_message import ShotPublication, launch_from_json
