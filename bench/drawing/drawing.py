@@ -1,18 +1,116 @@
-"""All drawn bodies of a configured robot."""
+"""All drawn bodies of a configured robot, with vane drive, stand, tee and guard."""
 
 from __future__ import annotations
 
+from math import cos, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from bench.drawing.bodies import DrawnBody
-from bench.drawing.club import club_body
-from bench.drawing.links import left_arm, right_arm_cylinder, right_arm_rod, shoulder_link, wrist_rod
-from bench.drawing.mesh import Mesh, placed_mesh
-from bench.drawing.placement import Array, address, body_poses, plane_to_golf
-from bench.drawing.surroundings import ball, drive, guard, stand, tee
+from bench.drawing.bodies import BALL, CYLINDER, FRAME, GAP, GUARD, STEEL, TEE, DrawnBody, Part
+from bench.drawing.links import (
+    club_body,
+    layers_of,
+    left_arm,
+    right_arm_cylinder,
+    right_arm_rod,
+    shoulder_link,
+    wrist_rod,
+)
+from bench.drawing.placement import Array, address, ball_at_rest, body_poses, plane_to_golf
+from bench.drawing.solids import Bar, Ellipsoid, Mesh, Tube, placed_mesh
 from sim.plant import PlantParameters
+from sim.vectors import Vector
+
+AXLE = 0.015
+"""Radius of the shoulder's axle (m)."""
+_VANE_WIDTH, _VANE_HUB, _HOUSING = 0.14, 0.030, 0.010
+_STRUT, _STRUT_WALL = 0.028, 0.003
+_POST = 0.040
+_ROOM = 0.30
+"""Between the club's reach and the guard (m)."""
+_FRONT = 0.60
+"""Guard's front side beyond the target line (m)."""
+
+
+def drive(plant: PlantParameters) -> DrawnBody:
+    """Return the vane drive in the swing plane's frame; its radius gives the configured volume per angle."""
+    front = layers_of(plant).drive
+    area = max(plant.shoulder.area_a, plant.shoulder.area_b)
+    radius = sqrt(2 * area / _VANE_WIDTH + _VANE_HUB**2) + _HOUSING
+    back = front - _VANE_WIDTH - 2 * _HOUSING
+    return DrawnBody(
+        "drive",
+        (
+            Part("vane drive", Tube((0.0, 0.0, back), (0.0, 0.0, front), radius), CYLINDER),
+            Part("axle R1", Tube((0.0, 0.0, front), (0.0, 0.0, 2 * GAP), AXLE), STEEL, joint=True),
+        ),
+    )
+
+
+def stand(plant: PlantParameters) -> DrawnBody:
+    """Return the stand in the golf frame: three legs under the drive, behind the swing plane."""
+    axes, origin = plane_to_golf(plant.robot, plant.site)
+    front = layers_of(plant).drive
+    top = axes @ np.array([0.0, 0.0, front - _VANE_WIDTH - 2 * _HOUSING]) + origin
+    saddle = axes @ np.array([0.0, 0.0, front - _VANE_WIDTH - 2 * _HOUSING - 0.08]) + origin
+    feet = [(origin[0] + x, 0.0, saddle[2] + z) for x, z in ((-0.45, 0.25), (0.45, 0.25), (0.0, -0.70))]
+    legs = [_strut(saddle, np.array(foot)) for foot in feet]
+    plates = [Bar((0.12, 0.01, 0.12), (float(x), 0.005, float(z))) for x, _, z in feet]
+    return DrawnBody(
+        "stand",
+        (
+            Part("saddle", Tube(_point(top), _point(saddle), 0.05), FRAME),
+            *(Part(f"leg {number}", leg, FRAME) for number, leg in enumerate(legs, 1)),
+            *(Part(f"foot {number}", plate, FRAME) for number, plate in enumerate(plates, 1)),
+        ),
+    )
+
+
+def _point(values: np.ndarray) -> Vector:
+    x, y, z = map(float, values)
+    return x, y, z
+
+
+def _strut(start: np.ndarray, end: np.ndarray) -> Tube:
+    return Tube(_point(start), _point(end), _STRUT, _STRUT - _STRUT_WALL)
+
+
+def tee(plant: PlantParameters) -> DrawnBody:
+    """Return the tee in the golf frame, from the ground to the ball."""
+    rest, radius = ball_at_rest(plant.robot, plant.site, plant.ball.radius), plant.ball.radius
+    x, top = float(rest[0]), max(float(rest[1]) - radius, 0.005)
+    return DrawnBody("tee", (Part("tee", Tube((x, 0.0, 0.0), (x, top, 0.0), 0.004), TEE),))
+
+
+def ball(plant: PlantParameters) -> DrawnBody:
+    """Return the ball at rest in the golf frame."""
+    radius, centre = plant.ball.radius, _point(ball_at_rest(plant.robot, plant.site, plant.ball.radius))
+    return DrawnBody("ball", (Part("ball", Ellipsoid((radius,) * 3, centre), BALL),))
+
+
+def guard(plant: PlantParameters) -> DrawnBody:
+    """Return posts and rails of the guard in the golf frame, round the club's reach; open to the target."""
+    robot, site = plant.robot, plant.site
+    _, origin = plane_to_golf(robot, site)
+    reach = robot.l12 + robot.l23 + robot.club.length_to_face + _ROOM
+    left, right = float(origin[0]) - reach, float(origin[0]) + reach
+    back, front = float(origin[2]) - reach * cos(robot.lie), _FRONT
+    top = float(origin[1]) + reach * sin(robot.lie)
+    posts = [Bar((_POST, top, _POST), (x, top / 2, z)) for x in (left, right) for z in (back, front)]
+    low, middle, high = _POST / 2, top / 2, top - _POST / 2
+    wide, deep = (right - left, _POST, _POST), (_POST, _POST, front - back)
+    # The front is the door: no rail across.
+    rails = [Bar(wide, ((left + right) / 2, height, back)) for height in (low, middle, high)]
+    rails += [Bar(wide, ((left + right) / 2, height, front)) for height in (low, high)]
+    rails += [Bar(deep, (left, height, (back + front) / 2)) for height in (low, middle, high)]
+    return DrawnBody(
+        "guard",
+        (
+            *(Part(f"post {number}", post, GUARD) for number, post in enumerate(posts, 1)),
+            *(Part(f"rail {number}", rail, GUARD) for number, rail in enumerate(rails, 1)),
+        ),
+    )
 
 
 class Drawing(NamedTuple):

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from bench.drawing.bodies import Colour, DrawnBody, Part
 from bench.drawing.drawing import PlacedBody
-from bench.drawing.mesh import Mesh, joined_meshes
+from bench.drawing.solids import Mesh, joined_meshes
 from bench.telemetry.whole_file import whole_file
 
 _FLOAT, _UNSIGNED = 5126, 5125

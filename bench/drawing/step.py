@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from bench.drawing.drawing import PlacedBody
-from bench.drawing.mesh import Mesh
-from bench.drawing.solids import Bar, Ellipsoid, Solid, Tube
+from bench.drawing.solids import Bar, Ellipsoid, Mesh, Solid, Tube
 from bench.drawing.urdf import Y_UP_TO_Z_UP
 from bench.errors import BenchError
 from bench.telemetry.whole_file import whole_path

@@ -26,8 +26,8 @@ import numpy as np
 from bench.drawing.bodies import DrawnBody
 from bench.drawing.drawing import draw
 from bench.drawing.gltf import by_colour
-from bench.drawing.mesh import joined_meshes, write_stl
 from bench.drawing.placement import Array, plane_to_golf
+from bench.drawing.solids import joined_meshes, write_stl
 from bench.telemetry.whole_file import whole_file
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator

@@ -39,7 +39,7 @@ from bench.shot.recorded_shot import recorded_shot
 from bench.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, Field
 from bench.telemetry.enumerations import ENUMERATIONS
 from bench.telemetry.whole_file import whole_file
-from bench.viewer.motion import poses_to_draw
+from bench.viewer.scene import poses_to_draw
 
 TOPIC = "/cycle"
 LAYOUT = "foxglove_layout.json"

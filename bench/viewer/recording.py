@@ -27,8 +27,7 @@ from bench.shot.head_path import path_to_ball
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.whole_file import NotStored, whole_path
 from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
-from bench.viewer.motion import log_ball, log_motion, poses_to_draw
-from bench.viewer.scene import log_static_scene
+from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import ShotSeries
 from bench.viewer.signals import (
     COLOURS,

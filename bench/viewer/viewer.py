@@ -28,8 +28,7 @@ from bench.shot.recorded_shot import (
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE
 from bench.viewer.feed import Arrived, Feed
-from bench.viewer.motion import log_ball, log_motion, poses_to_draw
-from bench.viewer.scene import log_static_scene
+from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import MovingBall, ShotSeries, document, log_gap, log_moving_ball, moving_ball
 from bench.viewer.signals import (
     SWINGING,

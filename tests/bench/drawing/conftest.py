@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.config import VARIANTS, load_configuration
-from bench.drawing.mesh import Mesh
+from bench.drawing.solids import Mesh
 from sim.plant import PlantParameters
 
 

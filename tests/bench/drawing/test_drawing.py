@@ -8,9 +8,8 @@ from math import pi, sin
 import numpy as np
 import pytest
 
-from bench.drawing.bodies import DrawnBody
+from bench.drawing.bodies import DrawnBody, wrist_ways
 from bench.drawing.drawing import Drawing, draw, placed
-from bench.drawing.layers import wrist_ways
 from bench.drawing.placement import address, body_poses, plane_to_golf
 from bench.drawing.solids import Bar, Ellipsoid, Solid, Tube
 from bench.errors import BenchError
