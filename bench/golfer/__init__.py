@@ -1,6 +1,5 @@
 """Measured golfers: recordings of markers in, swings as joint angles out."""
 
-from bench.golfer.capture import Capture
 from bench.golfer.comparison import (
     DEFINITION,
     HUNT_WIENS,
@@ -21,7 +20,7 @@ from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer, save_golf
 from bench.golfer.measured_swing import ImportOptions, MeasuredSwing
 from bench.golfer.measuring import measure
 from bench.golfer.recording import read_capture
-from bench.golfer.roles import Roles, find_roles
+from bench.golfer.roles import Capture, Roles, find_roles
 
 __all__ = [
     "DEFINITION",

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
-from bench.golfer.capture import Array
 from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer
+from bench.golfer.roles import Array
 from bench.swing.golfers import Golfer, find_golfer, human_downswing
 from bench.swing.profile import FollowedGolfer, Profile
 from sim.kinematics import forward_kinematics, inverse_kinematics, right_arm_length

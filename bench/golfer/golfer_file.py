@@ -14,9 +14,8 @@ import numpy as np
 
 from bench.errors import BenchError
 from bench.from_toml import read_toml
-from bench.golfer.capture import Array, Capture
 from bench.golfer.measured_swing import HANDS_CUTOFF, STEP, MeasuredSwing
-from bench.golfer.roles import Roles
+from bench.golfer.roles import Array, Capture, Roles
 from bench.telemetry.whole_file import whole_file
 
 SCHEMA = "golfbench.golfer/1"

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bench.golfer.capture import Array
 from bench.golfer.orientation import Orientation
+from bench.golfer.roles import Array
 
 STEP = 0.001
 """Time between rows (s)."""

@@ -8,14 +8,36 @@ from __future__ import annotations
 import numpy as np
 
 from bench.errors import BenchError
-from bench.golfer.capture import Array, Capture
-from bench.golfer.events import GIVEN, PLACE, Impact, find_impact, find_top
-from bench.golfer.gates import check_arm, check_exchanges, check_jumps, check_losses, check_swing
+from bench.golfer.events import (
+    GIVEN,
+    PLACE,
+    Impact,
+    at_times,
+    check_arm,
+    check_exchanges,
+    check_jumps,
+    check_losses,
+    check_swing,
+    continued,
+    filled,
+    find_impact,
+    find_top,
+    missing_runs,
+    smooth,
+)
 from bench.golfer.measured_swing import HANDS_CUTOFF, STEP, ImportOptions, MeasuredSwing
-from bench.golfer.orientation import Orientation, find_scale, find_sides, find_vertical
-from bench.golfer.plane import SwingPlane, fitted_plane, last_level_row, projected_angle, turn_about
-from bench.golfer.roles import Roles
-from bench.golfer.signals import at_times, continued, filled, missing_runs, smooth
+from bench.golfer.orientation import (
+    Orientation,
+    SwingPlane,
+    find_scale,
+    find_sides,
+    find_vertical,
+    fitted_plane,
+    last_level_row,
+    projected_angle,
+    turn_about,
+)
+from bench.golfer.roles import Array, Capture, Roles
 
 _CLEAR = 0.001
 """Time before the ball from which frames are left out, since the ball may have touched the head (s)."""

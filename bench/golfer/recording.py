@@ -1,19 +1,263 @@
-"""Recordings of any format: the reader is chosen by the suffix, and what it read is checked."""
+"""Recordings of any format, checked: TRC, CSV, BVH (joints of a skeleton, no club), C3D by ezc3d."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from bench.errors import BenchError
-from bench.golfer.bvh_file import read_bvh
-from bench.golfer.c3d_file import read_c3d
-from bench.golfer.capture import Capture
-from bench.golfer.text_files import read_csv, read_trc
+from bench.golfer.roles import Array, Capture, damaged, number
+
+_JITTER = 0.2
+"""Max deviation of a frame from the regular grid, as a fraction of the frame period."""
+
+
+def _lines(path: Path, content: bytes) -> list[str]:
+    try:
+        return content.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise damaged(path, f"byte {error.start} is no text", "", "a text file in UTF-8") from None
+
+
+def read_trc(path: Path, content: bytes) -> Capture:
+    """Return the markers of a TRC file.
+
+    Raises:
+        BenchError: the header or a row is damaged; the place has the line.
+    """
+    lines = _lines(path, content)
+    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+        raise damaged(path, "no header of TRC", "line 1", "PathFileType and four more lines")
+    heads, cells = lines[1].split("\t"), lines[2].split("\t")
+    header = dict(zip((head.strip() for head in heads), (cell.strip() for cell in cells), strict=False))
+    missing = [key for key in ("DataRate", "NumFrames", "NumMarkers", "Units") if not header.get(key)]
+    if missing:
+        raise damaged(path, f"no value of {missing[0]}", "line 3")
+    rate, frames, count = (
+        number(path, header[key], "line 3") for key in ("DataRate", "NumFrames", "NumMarkers")
+    )
+    names = [name.strip() for name in lines[3].split("\t")[2:] if name.strip()]
+    if len(names) != count:
+        raise damaged(path, f"{len(names)} markers", "line 4", f"{count:g} as in line 3")
+    rows = [(k, line) for k, line in enumerate(lines[4:], 5) if line.strip()][1:]  # the axes come first
+    if len(rows) != frames:
+        raise damaged(
+            path, f"{len(rows)} frames", f"line {rows[-1][0] if rows else 5}", f"{frames:g} as in line 3"
+        )
+    table = _table(path, [(k, line.rstrip("\r\n").split("\t")[1:]) for k, line in rows], 1 + 3 * len(names))
+    return _on_grid(path, names, table, [k for k, _ in rows], header["Units"], rate)
+
+
+def read_csv(path: Path, content: bytes) -> Capture:
+    """Return the markers of a CSV file; the rate is that of its times, the unit is not declared.
+
+    Raises:
+        BenchError: the header or a row is damaged; the place has the line.
+    """
+    rows = [
+        (k, row) for k, row in enumerate(csv.reader(io.StringIO("\n".join(_lines(path, content)))), 1) if row
+    ]
+    header = [cell.strip() for cell in rows[0][1]] if rows else []
+    names = [head[:-2] for head in header[1::3]]
+    wanted = ["time_s", *(f"{name}_{axis}" for name in names for axis in "xyz")]
+    if not names or header != wanted:
+        found = next((a for a, b in zip(header, wanted, strict=False) if a != b), f"{len(header)} columns")
+        raise damaged(path, found[:40] or "no name", "line 1", "time_s,NAME_x,NAME_y,NAME_z and so on")
+    table = _table(path, rows[1:], len(header))
+    return _on_grid(path, names, table, [k for k, _ in rows[1:]], "", None)
+
+
+def _table(path: Path, rows: list[tuple[int, list[str]]], columns: int) -> Array:
+    """Return the numbers of `rows`, NaN in empty cells and where a row ends early with empty ones."""
+    table = np.full((len(rows), columns), np.nan)
+    for row, (line, cells) in enumerate(rows):
+        while len(cells) > columns and not cells[-1].strip():
+            cells.pop()
+        if len(cells) > columns or len(cells) < columns - 3 * (columns > 4):
+            raise damaged(path, f"{len(cells)} cells", f"line {line}", f"{columns} cells")
+        for column, cell in enumerate(cells):
+            table[row, column] = number(path, cell, f"line {line}, column {column + 1}")
+    return table
+
+
+def _on_grid(
+    path: Path, names: list[str], table: Array, lines: list[int], unit: str, rate: float | None
+) -> Capture:
+    """Return `table` (time and positions) on a regular grid; left-out frames are gaps."""
+    if len(table) < 3:
+        raise damaged(path, f"{len(table)} frames", "", "at least 3 frames")
+    time = table[:, 0]
+    steps = np.diff(time)
+    wrong = np.flatnonzero(~(steps > 0.0))
+    if len(wrong):
+        raise damaged(
+            path, "a time that does not rise", f"line {lines[int(wrong[0]) + 1]}", "rising times (s)"
+        )
+    step = float(np.median(steps))
+    if rate is not None and abs(step * rate - 1.0) > 0.02:
+        raise damaged(path, f"{rate:g} Hz, but frames every {step:.6g} s", "line 3", "one frame rate")
+    # Times are rounded to decimals, and their mean step is more exact than their median.
+    places = np.rint((time - time[0]) / step).astype(int)
+    step = float(np.polyfit(places, time, 1)[0])
+    off = np.abs((time - time[0]) / step - places)
+    if off.max() > _JITTER:
+        where = f"line {lines[int(off.argmax())]}"
+        raise damaged(
+            path, f"time {time[off.argmax()]:g} s beside the frames", where, f"frames every {step:.5f} s"
+        )
+    points = np.full((places[-1] + 1, len(names), 3), np.nan)
+    points[places] = table[:, 1:].reshape(len(table), -1, 3)
+    near = round(1.0 / step, 1)
+    exact = near if abs(near * step - 1.0) < 1e-3 else 1.0 / step
+    return Capture(tuple(names), points, rate or exact, unit, float(time[0]))
+
+
+@dataclass
+class _Joint:
+    """A joint of the skeleton."""
+
+    name: str
+    parent: int
+    offset: Array = field(default_factory=lambda: np.zeros(3))
+    channels: list[str] = field(default_factory=list)
+
+
+def read_bvh(path: Path, content: bytes) -> Capture:
+    """Return the joint positions of a BVH file; its unit is not declared.
+
+    Raises:
+        BenchError: the skeleton or a frame is damaged; the place has the line.
+    """
+    lines = content.decode("utf-8", errors="replace").splitlines()
+    motion = next((k for k, line in enumerate(lines) if line.strip() == "MOTION"), -1)
+    if motion < 0 or not lines[0].strip().startswith("HIERARCHY") or len(lines) < motion + 4:
+        raise damaged(path, "no HIERARCHY with MOTION")
+    joints = _skeleton(path, lines[1:motion])
+    period = number(path, lines[motion + 2].partition(":")[2], f"line {motion + 3}")
+    frames = number(path, lines[motion + 1].partition(":")[2], f"line {motion + 2}")
+    rows = [(k, line.split()) for k, line in enumerate(lines[motion + 3 :], motion + 4) if line.strip()]
+    width = sum(len(joint.channels) for joint in joints)
+    for line, cells in rows:
+        if len(cells) != width:
+            raise damaged(path, f"{len(cells)} values", f"line {line}", f"{width} values")
+    if len(rows) != frames or not period > 0.0:
+        raise damaged(path, f"{len(rows)} frames", f"line {motion + 2}", f"{frames:g} frames")
+    table = np.array([[number(path, cell, f"line {line}") for cell in cells] for line, cells in rows])
+    rate = round(1.0 / period, 1)
+    names = tuple(joint.name for joint in joints if joint.name)
+    return Capture(names, _positions(joints, table), rate)
+
+
+def _skeleton(path: Path, lines: list[str]) -> list[_Joint]:
+    joints: list[_Joint] = []
+    open_: list[int] = []
+    for k, line in enumerate(lines, 2):
+        words = line.split()
+        if words[:1] in (["ROOT"], ["JOINT"]) and len(words) > 1:
+            joints.append(_Joint(words[1], open_[-1] if open_ else -1))
+        elif words[:1] == ["{"]:
+            open_.append(len(joints) - 1)
+        elif words[:1] == ["}"] and open_:
+            open_.pop()
+        elif words[:1] == ["End"]:
+            joints.append(_Joint("", open_[-1] if open_ else -1))
+        elif words[:1] == ["OFFSET"] and joints and len(words) == 4:
+            joints[-1].offset = np.array([number(path, word, f"line {k}") for word in words[1:]])
+        elif words[:1] == ["CHANNELS"] and joints:
+            joints[-1].channels = words[2:]
+        elif words:
+            raise damaged(path, line.strip()[:40], f"line {k}", "a joint of a skeleton")
+    return joints
+
+
+def _positions(joints: list[_Joint], table: Array) -> Array:
+    """Return the positions (frames, named joints, 3) by the angles (deg) and offsets in `table`."""
+    count, column = len(table), 0
+    turns: list[Array] = []
+    places: list[Array] = []
+    for joint in joints:
+        move, turn = np.tile(joint.offset, (count, 1)), np.tile(np.eye(3), (count, 1, 1))
+        for channel in joint.channels:
+            values, axis = table[:, column], "XYZ".index(channel[0].upper())
+            column += 1
+            if channel.lower().endswith("position"):
+                move[:, axis] = values + (0.0 if joint.parent < 0 else joint.offset[axis])
+            else:
+                turn = turn @ _turn(axis, np.radians(values))
+        if joint.parent >= 0:
+            above = turns[joint.parent]
+            move = places[joint.parent] + np.einsum("nij,nj->ni", above, move)
+            turn = above @ turn
+        turns.append(turn)
+        places.append(move)
+    return np.stack([place for joint, place in zip(joints, places, strict=True) if joint.name], axis=1)
+
+
+def _turn(axis: int, angle: Array) -> Array:
+    """Return the rotations (n, 3, 3) about one of the axes by `angle` (rad)."""
+    found = np.tile(np.eye(3), (len(angle), 1, 1))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    found[:, i, i] = found[:, j, j] = np.cos(angle)
+    found[:, i, j], found[:, j, i] = -np.sin(angle), np.sin(angle)
+    return found
+
+
+_BLOCK = 512
+
+
+def read_c3d(path: Path, content: bytes) -> Capture:
+    """Return the markers of a C3D file; ezc3d reads the file itself.
+
+    Raises:
+        BenchError: ezc3d is not installed, or the file is damaged.
+    """
+    try:
+        from ezc3d import c3d
+    except ImportError as error:
+        action = "Install it: pip install 'golfbench[mocap]'. Or export TRC or CSV."
+        raise BenchError(str(path), f"{error}", "the package ezc3d", action) from None
+    if len(content) < 2 * _BLOCK or content[1] != 0x50:
+        raise damaged(path, "no header of C3D", "first block")
+    _check_length(path, content)
+    try:
+        read = c3d(str(path))
+        group = read["parameters"]["POINT"]
+        points = np.asarray(read["data"]["points"], dtype=float)
+        count = points.shape[1]
+        names = [
+            str(name).strip() for key in ("LABELS", "LABELS2") if key in group for name in group[key]["value"]
+        ]
+        unit = group["UNITS"]["value"][0] if group.get("UNITS", {}).get("value") else ""
+        rate = float(read["header"]["points"]["frame_rate"])
+    except (OSError, RuntimeError, ValueError, KeyError, IndexError, MemoryError) as error:
+        raise damaged(path, f"no C3D that can be decoded: {str(error)[:120]}") from None
+    if len(names) < count:
+        raise damaged(path, f"{len(names)} names for {count} markers", "POINT:LABELS", "a name per marker")
+    return Capture(tuple(names[:count]), points[:3].transpose(2, 1, 0), rate, str(unit).strip())
+
+
+def _check_length(path: Path, content: bytes) -> None:
+    """Raise BenchError where the file is shorter than its header states (ezc3d would fill up with zeros)."""
+    intel = content[_BLOCK * (content[0] - 1) + 3] == 84 if len(content) > _BLOCK * content[0] else True
+    order = "<" if intel else ">"
+    words = np.frombuffer(content[:20], dtype=f"{order}u2")
+    markers, analogs, first, last = (int(word) for word in words[1:5])
+    floats = content[12:16]
+    scale = float(np.frombuffer(floats, dtype=f"{order}f4")[0]) if intel else -1.0
+    size = 4 if scale < 0.0 else 2
+    frames = last - first + 1
+    begins = _BLOCK * (int(words[8]) - 1)
+    needed = begins + frames * size * (4 * markers + analogs)
+    if intel and 0 < first <= last and last != 0xFFFF and len(content) < needed:
+        found = f"{len(content)} bytes for {frames} frames of {markers} markers"
+        raise damaged(path, found, "data block", f"{needed} bytes")
+
 
 READERS: Mapping[str, Callable[[Path, bytes], Capture]] = {
     ".c3d": read_c3d,
