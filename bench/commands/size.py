@@ -22,9 +22,8 @@ from bench.interrupt import deferred_interrupt
 if TYPE_CHECKING:
     from bench.sizing.catalogue import Catalogue
     from bench.sizing.hardware import Hardware
-    from bench.sizing.point import SizedPoint
     from bench.sizing.search import SizingRun, SizingSearch
-    from bench.sizing.study import SizingDemand
+    from bench.sizing.study import SizedPoint, SizingDemand
 
 _PIPED_WIDTH = 190
 """Columns of the table in a file or pipe."""
@@ -158,8 +157,7 @@ def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
     """Print the table, and write the picture, the figures and a configuration for each point of the front."""
     from bench.config import load_configuration
     from bench.sizing.picture import draw_front
-    from bench.sizing.point import non_dominated
-    from bench.sizing.study import candidate_text
+    from bench.sizing.study import candidate_text, non_dominated
 
     front = non_dominated(points)
     shipped = load_configuration(Path("shipped"))

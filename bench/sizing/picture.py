@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib as mpl
 
 from bench.shot.plot_style import COLOURS, GREY, STYLE, styled
-from bench.sizing.point import SizedPoint, non_dominated
+from bench.sizing.study import SizedPoint, non_dominated
 
 
 def draw_front(points: Sequence[SizedPoint], speed: float, path: Path) -> None:

@@ -15,8 +15,18 @@ from bench.simulation.sweep import Engine, sweep
 from bench.simulation.sweep_store import SweepStore
 from bench.sizing.catalogue import Catalogue
 from bench.sizing.hardware import KINDS, Hardware, parts_of
-from bench.sizing.point import SizedPlan, SizedPoint, SizedSwing, as_json, non_dominated, plan_of, swing_of
-from bench.sizing.study import PlanStudy, SizingDemand, SwingStudy
+from bench.sizing.study import (
+    PlanStudy,
+    SizedPlan,
+    SizedPoint,
+    SizedSwing,
+    SizingDemand,
+    SwingStudy,
+    as_json,
+    non_dominated,
+    plan_of,
+    swing_of,
+)
 
 _SMALL_FEED = 2.6e-7
 """Conductance of the three valves up to which the shipped feed and manifold serve, m3/(s Pa)."""

@@ -14,17 +14,17 @@ from bench.sizing import search as module
 from bench.sizing.catalogue import shipped_catalogue
 from bench.sizing.hardware import Hardware, parts_of
 from bench.sizing.picture import draw_front
-from bench.sizing.point import (
+from bench.sizing.search import SizingGrid, SizingRun, SizingSearch
+from bench.sizing.study import (
     SizedPlan,
     SizedPoint,
     SizedSwing,
+    SizingDemand,
     as_json,
     non_dominated,
     plan_of,
     swing_of,
 )
-from bench.sizing.search import SizingGrid, SizingRun, SizingSearch
-from bench.sizing.study import SizingDemand
 
 PARTS = shipped_catalogue()
 ASKED: list[str] = []
