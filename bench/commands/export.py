@@ -15,7 +15,7 @@ from bench.errors import BenchError, Refused
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bench.export.record import ExportRecord
+    from bench.export.record_files import ExportRecord
 
 
 class Format(StrEnum):
@@ -41,7 +41,7 @@ def export(
     csv has its units beside it, NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (its layout is
     written beside it), mat for MATLAB, mf4 (MDF 4) for CANape and NI.
     """
-    from bench.export.record import read_record
+    from bench.export.record_files import read_record
     from bench.viewer.recorded_series import record_files
 
     targets = planned(record_files(records), format_, output, force)
@@ -86,7 +86,7 @@ def _writer(format_: Format) -> Callable[[Path, ExportRecord], list[Path]]:
     """Return what writes `format_`; only its own library is imported."""
     match format_:
         case Format.CSV:
-            from bench.export.csv_table import write_csv
+            from bench.export.record_files import write_csv
 
             return write_csv
         case Format.RRD:
@@ -98,10 +98,10 @@ def _writer(format_: Format) -> Callable[[Path, ExportRecord], list[Path]]:
 
             return write_mcap
         case Format.MAT:
-            from bench.export.mat_file import write_mat
+            from bench.export.record_files import write_mat
 
             return write_mat
         case Format.MF4:
-            from bench.export.mf4_file import write_mf4
+            from bench.export.record_files import write_mf4
 
             return write_mf4

@@ -20,11 +20,16 @@ from rerun.chunk import RrdReader
 from scipy.io import loadmat
 
 from bench.errors import BenchError
-from bench.export.csv_table import write_csv
-from bench.export.mat_file import write_mat
 from bench.export.mcap_file import json_schema, write_mcap
-from bench.export.mf4_file import write_mf4
-from bench.export.record import ExportRecord, changes, columns, read_record
+from bench.export.record_files import (
+    ExportRecord,
+    changes,
+    columns,
+    read_record,
+    write_csv,
+    write_mat,
+    write_mf4,
+)
 from bench.export.rrd_file import write_rrd
 from bench.lifecycle import Phase, State
 from bench.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow

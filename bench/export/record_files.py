@@ -1,0 +1,231 @@
+"""A record to export, its columns and changes; its files as CSV (RFC 4180), MATLAB's format 5 and MDF 4.1.
+
+CSV (RFC 4180): a header row, a row a cycle; beside it units and metadata as JSON. Beside `NAME.csv` stands
+`NAME.csv-metadata.json`, where the W3C's "Metadata Vocabulary for Tabular Data" looks for it: names, types,
+descriptions and units of the columns; the record's metadata under `golfbench`. Numbers have the fewest digits
+that read back to the same number; what is not known is `nan`.
+
+MATLAB's format 5, compressed; `scipy.io.loadmat` and Octave read it too. Variables: `cycles`, a struct with a
+field for each field of the record, (n, 1) or (n, 3) and so on; `units`, `descriptions` and `components`,
+structs with the same fields; `metadata`, the record's as JSON text.
+
+MDF 4.1 (ASAM) by asammdf, for CANape, INCA and NI: a channel a column, with units, names and events. Codes
+have their names as a conversion from value to text. Each change of state, phase, reaction or cause is an
+event, the record's metadata are an attached JSON text. Time is from zero, the file's begin is the record's in
+UTC, if it has one. A channel without a measured value, NaN throughout, is left out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+from xml.sax.saxutils import escape
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+from scipy.io import savemat
+
+from bench.errors import BenchError
+from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
+from bench.telemetry.cycle_record import FIELDS, Field, arrow_schema, to_arrow, unit_of
+from bench.telemetry.enumerations import ENUMERATIONS
+from bench.telemetry.recorder import read_swing
+from bench.telemetry.whole_file import whole_file
+
+
+class ExportColumn(NamedTuple):
+    """A column: name, unit and description."""
+
+    name: str
+    unit: str
+    """SI; "1" for pure numbers, codes and switches."""
+    description: str
+
+
+class ExportRecord(NamedTuple):
+    """Contents of a record's file."""
+
+    path: Path
+    cycles: np.ndarray[Any, Any]
+    """Records of CYCLE."""
+    metadata: dict[str, Any]
+
+    @property
+    def begin_utc(self) -> float:
+        """UTC time of the columns' zero, s since 1970; 0 if the record has none."""
+        start = self.metadata.get("time_utc")
+        if not isinstance(start, str) or not len(self.cycles):
+            return 0.0
+        return datetime.fromisoformat(start).timestamp() - float(self.cycles["time"][0])
+
+
+def read_record(path: Path) -> ExportRecord:
+    """Return the record at `path`.
+
+    Raises:
+        BenchError: it is missing, damaged or no record.
+    """
+    return ExportRecord(path, *read_swing(path))
+
+
+def columns() -> list[ExportColumn]:
+    """Return the columns of a record in order."""
+    return [
+        ExportColumn(field.name, field.metadata[b"unit"].decode(), field.metadata[b"description"].decode())
+        for field in arrow_schema()
+    ]
+
+
+class Change(NamedTuple):
+    """A cycle that differs from the one before."""
+
+    row: int
+    cause: Cause
+    """Cause of a stop; NONE without one."""
+    text: str
+
+
+def changes(cycles: np.ndarray[Any, Any]) -> Iterator[Change]:
+    """Yield each change in `cycles`, the first cycle included."""
+    keys = np.stack([cycles[name].astype(int) for name in ("state", "phase", "reaction", "trip")], axis=1)
+    before = np.vstack([np.full((1, 4), -1), keys[:-1]])
+    for row in np.flatnonzero(np.any(keys != before, axis=1)):
+        state, phase, reaction, cause = keys[row].tolist()
+        text = f"{State(state).name}, phase {Phase(phase).name}, reaction {Reaction(reaction).name}"
+        yield Change(int(row), Cause(cause), f"{text}: {CAUSE_TEXT[Cause(cause)]}" if cause else text)
+
+
+_TYPES = {"double": "number", "int64": "integer", "int32": "integer", "uint8": "integer", "bool": "boolean"}
+
+
+def write_csv(path: Path, record: ExportRecord) -> list[Path]:
+    """Write `record` to `path` and its metadata beside it; return both paths.
+
+    Raises:
+        NotStored: they cannot be stored.
+    """
+    table = to_arrow(record.cycles)
+    beside = path.with_name(f"{path.name}-metadata.json")
+    with whole_file(beside) as stream:
+        stream.write(json.dumps(_metadata(path, record, table.schema), indent=1, allow_nan=False).encode())
+    with whole_file(path) as stream:
+        pc.write_csv(table, stream, pc.WriteOptions(quoting_style="needed"))
+    return [path, beside]
+
+
+def _metadata(path: Path, record: ExportRecord, schema: pa.Schema) -> dict[str, Any]:
+    described = [
+        {
+            "name": column.name,
+            "datatype": _TYPES[str(schema.field(column.name).type)],
+            "unit": column.unit,
+            "dc:description": column.description,
+        }
+        for column in columns()
+    ]
+    return {
+        "@context": "http://www.w3.org/ns/csvw",
+        "url": path.name,
+        "tableSchema": {"columns": described, "primaryKey": "tick"},
+        "golfbench": record.metadata,
+    }
+
+
+def write_mat(path: Path, record: ExportRecord) -> list[Path]:
+    """Write `record` to `path` and return it.
+
+    Raises:
+        NotStored: it cannot be stored.
+    """
+    count = len(record.cycles)
+    variables = {
+        "cycles": {
+            field.name: record.cycles[field.name].reshape(count, len(field.columns)) for field in FIELDS
+        },
+        "units": {field.name: field.unit for field in FIELDS},
+        "descriptions": {field.name: field.text for field in FIELDS},
+        "components": {
+            field.name: np.array(field.components or (field.name,), dtype=object) for field in FIELDS
+        },
+        "metadata": json.dumps(record.metadata, allow_nan=False),
+    }
+    with whole_file(path) as stream:
+        savemat(cast(Any, stream), variables, do_compression=True, long_field_names=True)
+    return [path]
+
+
+_COMMENT = "<EVcomment><TX>{}</TX><tool>golfbench</tool></EVcomment>"
+
+
+def write_mf4(path: Path, record: ExportRecord) -> list[Path]:
+    """Write `record` to `path` and return it.
+
+    Raises:
+        NotStored: it cannot be stored.
+        BenchError: asammdf is not installed.
+    """
+    try:
+        from asammdf import MDF
+        from asammdf.blocks.v4_blocks import EventBlock
+        from asammdf.blocks.v4_constants import EVENT_CAUSE_SCRIPT, EVENT_TYPE_MARKER
+    except ImportError as error:
+        action = "Install it: pip install 'golfbench[mdf]'."
+        raise BenchError("export to mf4", f"{error}", "the package asammdf", action) from error
+    cycles = record.cycles
+    begin = record.begin_utc + (float(cycles["time"][0]) if len(cycles) else 0.0)
+    with MDF(version="4.10") as file:
+        file.header.start_time = datetime.fromtimestamp(begin, UTC)
+        if len(cycles):
+            time = cycles["time"] - cycles["time"][0]
+            file.append(_signals(cycles, time), comment="a sample a cycle", common_timebase=True)
+            for change in changes(cycles):
+                event = EventBlock(
+                    event_type=EVENT_TYPE_MARKER,
+                    cause=EVENT_CAUSE_SCRIPT,
+                    sync_base=round(1e9 * float(time[change.row])),
+                    sync_factor=1e-9,
+                )
+                event.name, event.comment = change.text, _COMMENT.format(escape(change.text))
+                file.events.append(event)
+        text = json.dumps(record.metadata, allow_nan=False).encode()
+        file.attach(text, file_name="golfbench.json", mime="application/json", compression=True)
+        written = BytesIO()
+        file.save(written)
+    with whole_file(path) as stream:
+        stream.write(written.getvalue())
+    return [path]
+
+
+def _signals(cycles: np.ndarray[Any, Any], time: np.ndarray[Any, Any]) -> list[Any]:
+    from asammdf import Signal
+
+    return [
+        Signal(
+            np.ascontiguousarray(values),
+            time,
+            unit="" if unit_of(field, index) == "1" else unit_of(field, index),
+            name=column,
+            comment=field.text,
+            conversion=_names(field),
+        )
+        for field in FIELDS
+        for index, (column, values) in enumerate(
+            zip(field.columns, np.atleast_2d(cycles[field.name].T), strict=True)
+        )
+        if field.dtype != "f8" or not np.isnan(values).all()
+    ]
+
+
+def _names(field: Field) -> dict[str, Any] | None:
+    """Return the conversion from the codes of `field` to their names."""
+    if not field.names:
+        return None
+    found: dict[str, Any] = {"default": b"unknown"}
+    for number, (code, name) in enumerate(ENUMERATIONS[field.names].items()):
+        found |= {f"val_{number}": int(code), f"text_{number}": name.encode()}
+    return found
