@@ -1,14 +1,17 @@
-"""Kinds of calibration, with the valid range of each value; SI and radians."""
+"""Kinds of calibration, with the valid range of each value in SI and radians; the digest of the wiring."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
+from hashlib import sha256
 from math import degrees, pi, radians
 from pathlib import Path
 from typing import Annotated, Any
 
+from bench.config import Configuration
 from bench.errors import BenchError
 from bench.from_toml import Builder, as_tree
 from drivers.base import Triple
@@ -189,3 +192,16 @@ def in_words(values: Values) -> str:
 
 def _three(values: tuple[float, float, float], form: str) -> str:
     return " ".join(format(value, form) for value in values)
+
+
+def wiring_digest(configuration: Configuration) -> str:
+    """Return the digest of the driver's settings and of whether the local reset is wired."""
+    c = configuration
+    settings = c.driver_arguments().get("settings")
+    wired = [c.driver.name, c.lifecycle.local_reset, None if settings is None else asdict(settings)]
+    return sha256(json.dumps(wired, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def is_rewired(values: Values, configuration: Configuration) -> bool:
+    """Return whether `values` are a check of inputs that were wired otherwise than `configuration` has it."""
+    return isinstance(values, SeenInputs) and values.wiring != wiring_digest(configuration)

@@ -316,7 +316,7 @@ def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) ->
 
 def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
     """Return the counts of the running bench; Refused when none runs here or the robot moves."""
-    from bench.calibration.standing_counts import standing_counts
+    from bench.calibration.valve_centre import standing_counts
     from bench.processes.ownership import bench_folder
     from bench.telemetry.ring import NoRing
 

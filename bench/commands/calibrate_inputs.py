@@ -54,8 +54,7 @@ def inputs(
 def inputs_in_force(configuration: Configuration, now: datetime) -> str | None:
     """Return the name of the check in force, empty if it is due; None with a simulated robot."""
     from bench.calibration.archive import calibration_of
-    from bench.calibration.values import CalibrationKind, SeenInputs
-    from bench.calibration.wiring_digest import is_rewired
+    from bench.calibration.values import CalibrationKind, SeenInputs, is_rewired
 
     if configuration.driver.name == "sim":
         return None

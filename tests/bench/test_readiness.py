@@ -20,8 +20,8 @@ from bench.calibration.values import (
     SeenInputs,
     Values,
     ValveCentres,
+    wiring_digest,
 )
-from bench.calibration.wiring_digest import wiring_digest
 from bench.cli import main
 from bench.commands.status_table import status_table
 from bench.config import Configuration, database_url, load_configuration

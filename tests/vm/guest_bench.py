@@ -22,8 +22,8 @@ from bench.calibration.values import (
     SeenInputs,
     Values,
     ValveCentres,
+    wiring_digest,
 )
-from bench.calibration.wiring_digest import wiring_digest
 from bench.config import Configuration, database_url, load_configuration
 from bench.lifecycle import Phase, State
 from bench.network.client import BenchClient, CommandRefused

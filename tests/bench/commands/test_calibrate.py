@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.calibration.standing_counts import standing_counts
+from bench.calibration.valve_centre import standing_counts
 from bench.cli import main
 from bench.errors import ExitCode, Refused
 from bench.processes.ownership import bench_folder
@@ -237,7 +237,7 @@ def ticking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     def make(counts: Any, valid: bool = True, path: Path = tmp_path / "ring") -> Path:
         ticking = Ticking(path, counts, valid)
         made.append(ticking)
-        monkeypatch.setattr("bench.calibration.standing_counts.time.sleep", ticking)
+        monkeypatch.setattr("bench.calibration.valve_centre.time.sleep", ticking)
         return path
 
     yield make
