@@ -20,6 +20,7 @@ from bench.shot.ball_struck import ball_struck
 from bench.shot.recorded_shot import FlightConditions, delivery_of_cycles
 from bench.shot.shot import Shot, ShotStatus
 from bench.telemetry.shot_id import shot_id
+from drivers.launch_monitor.conversation import add_doubts
 from drivers.launch_monitor.matching import (
     Match,
     MatchOutcome,
@@ -29,7 +30,6 @@ from drivers.launch_monitor.matching import (
     match,
     owner_of,
 )
-from drivers.launch_monitor.plausibility import add_doubts
 from drivers.launch_monitor.record import ClubRecord, LaunchRecord, RefusedRecord
 from sim.ball import REFERENCE_BALL
 from sim.flight import Flight, fly

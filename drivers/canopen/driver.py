@@ -40,7 +40,6 @@ from drivers.base import (
 )
 from drivers.base.native_calls import NativeCalls
 from drivers.can_bus import ERROR, FRAME
-from drivers.canopen.counters import BusCounters
 from drivers.canopen.frames import (
     COMMAND,
     COMMAND_LENGTH,
@@ -63,13 +62,13 @@ from drivers.canopen.frames import (
     max_rate,
     pressure_groups,
 )
-from drivers.canopen.link import FrameLink, SocketcanLink, open_link, whole_frame
+from drivers.canopen.link import BusCounters, FrameLink, SocketcanLink, open_link, whole_frame
 from drivers.canopen.native_state import FIXED, SHARED, NativeState
 from drivers.canopen.native_tick import MAX_WAITING, failure, words_of
+from drivers.canopen.scaling import read_zero_shift
 from drivers.canopen.services import Node
 from drivers.canopen.settings import FULL_SCALE, CanopenSettings, ValveNodeSettings
 from drivers.canopen.setup import set_up_encoder, set_up_valve_node
-from drivers.canopen.zero_shift import read_zero_shift
 
 _START, _STOP, _ENTER_PRE_OPERATIONAL = 1, 2, 128
 """NMT commands."""

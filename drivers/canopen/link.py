@@ -1,7 +1,8 @@
-"""Send and receive frames on any python-can interface: by raw socket where possible, else as messages.
+"""Send, receive and count frames on any python-can interface: by raw socket if possible, else as messages.
 
-Frames are Linux's `struct can_frame` (`drivers.can_bus.FRAME`). Failures raise OSError with errno: ENOBUFS
-when the transmit queue is full, ENETDOWN and the like when the interface is down.
+Send and receive frames on any python-can interface: by raw socket where possible, else as messages. Frames
+are Linux's `struct can_frame` (`drivers.can_bus.FRAME`). Failures raise OSError with errno: ENOBUFS when the
+transmit queue is full, ENETDOWN and the like when the interface is down.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import struct
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Protocol
 
 import can
@@ -24,6 +26,54 @@ from drivers.base import DriverError
 from drivers.can_bus import ERROR, EXTENDED, FRAME, REMOTE, LocalSocketBus, message_of
 from drivers.canopen.frames import SYNC
 from drivers.canopen.settings import CanopenSettings
+
+
+@dataclass(slots=True)
+class BusCounters:
+    """Counts since the driver was created; closing and opening do not reset them."""
+
+    frames: int = 0
+    """Received frames."""
+    positions: int = 0
+    """Samples received in time."""
+    late: int = 0
+    """Samples received after their tick had stopped waiting."""
+    duplicates: int = 0
+    """Repeated samples of one SYNC."""
+    inputs: int = 0
+    pressures: int = 0
+    heartbeats: int = 0
+    boot_ups: int = 0
+    emergencies: int = 0
+    services: int = 0
+    """SDO responses."""
+    wrong_length: int = 0
+    """Frames with a known identifier and the wrong length."""
+    error_frames: int = 0
+    foreign: int = 0
+    """Frames with an identifier that the bench does not use."""
+
+    syncs: int = 0
+    missing: int = 0
+    """Samples not received before the next SYNC."""
+    floods: int = 0
+    """Ticks in which more frames were queued than could be processed."""
+    overruns: int = 0
+    """Error frames that report frames lost in the controller."""
+    error_passive: int = 0
+    bus_off: int = 0
+    no_room: int = 0
+    """Frames not sent because the queue was full (ENOBUFS)."""
+    send_failures: int = 0
+    """Frames not sent because the interface was down, or for another reason."""
+    receive_failures: int = 0
+    recoveries: int = 0
+    """Times that reopening cleared a fault."""
+
+    def counts(self) -> dict[str, int]:
+        """Return all counters by name."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
 
 _SO_RCVBUFFORCE = 33
 _RECEIVE_BUFFER = 8 * 2**20

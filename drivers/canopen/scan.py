@@ -16,8 +16,14 @@ from drivers.base import JOINTS, DriverError
 from drivers.can_bus import FRAME
 from drivers.canopen.frames import HEARTBEAT, NMT, SDO_REQUEST, SDO_RESPONSE, frame
 from drivers.canopen.link import FrameLink, open_link
-from drivers.canopen.polarity import wrong_settings
-from drivers.canopen.scaling import describe_scale, describe_settings, read_scale, wanted_settings
+from drivers.canopen.scaling import (
+    describe_scale,
+    describe_settings,
+    read_scale,
+    read_zero_shift,
+    wanted_settings,
+    wrong_settings,
+)
 from drivers.canopen.services import MISSING, Node, ServiceError
 from drivers.canopen.settings import CanopenSettings
 from drivers.canopen.setup import (
@@ -29,7 +35,6 @@ from drivers.canopen.setup import (
     require_position_pdo,
     without_fallback,
 )
-from drivers.canopen.zero_shift import read_zero_shift
 
 _ALL_NODES = range(1, 128)
 _READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))

@@ -10,8 +10,7 @@ from contextlib import contextmanager
 
 from drivers.base import ACTUATORS, DriverError
 from drivers.canopen.frames import RPDO1, TPDO1, TPDO2, TPDO3, pressure_groups, valve_counts
-from drivers.canopen.polarity import check_stored, set_polarity
-from drivers.canopen.scaling import set_scale
+from drivers.canopen.scaling import check_stored, set_polarity, set_scale
 from drivers.canopen.services import MISSING, Node, ServiceError
 from drivers.canopen.settings import CanopenSettings, EncoderSettings, ValveNodeSettings
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from drivers.base import DriverError, Launch
-from drivers.launch_monitor.objects import ObjectStream
+from drivers.launch_monitor.conversation import ObjectStream
 from drivers.launch_monitor.open_connect import SimulatorResponse, read_answer, write_heartbeat, write_shot
 from drivers.launch_monitor.record import NO_CLUB, ClubFigures
 from drivers.launch_monitor.settings import SimulatorSettings

@@ -1,11 +1,17 @@
-"""Protocol of one monitor connection: bytes in; records, answers and counts out. No sockets, no clock."""
+"""Protocol of one monitor connection, without sockets and clock: objects, plausibility, answers, counts.
+
+Split an unframed byte stream into JSON objects. Open Connect sends bare objects: one segment may hold
+several, and one object may span several segments. Bytes between objects (line ends, commas, noise) are
+skipped.
+"""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, fields, replace
+from math import degrees, radians
 from typing import NamedTuple
 
-from drivers.launch_monitor.objects import ObjectStream
 from drivers.launch_monitor.open_connect import (
     SHOT_TAKEN,
     TOO_LARGE,
@@ -14,8 +20,134 @@ from drivers.launch_monitor.open_connect import (
     read_message,
     write_answer,
 )
-from drivers.launch_monitor.plausibility import add_doubts
 from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord, RefusedRecord
+
+MAX_OBJECT_SIZE = 64 * 1024
+"""Maximum bytes of one object; a shot has about 700."""
+MAX_DEPTH = 8
+"""Maximum nesting depth; a shot has two levels."""
+
+_OUTSIDE_STRING = re.compile(rb'["{}]')
+_IN_STRING = re.compile(rb'["\\]')
+_QUOTE, _OPEN, _BACKSLASH = b'"', b"{", b"\\"
+
+
+class ObjectStream:
+    """Collects received bytes and returns complete objects, with their braces, as bytes."""
+
+    def __init__(self) -> None:
+        self.passed_over = 0
+        """Number of bytes outside objects."""
+        self.error = ""
+        """Why the stream is invalid: an object too long or too deep; empty while valid."""
+        self._forget()
+
+    def _forget(self) -> None:
+        self._part = bytearray()
+        self._seen, self._depth, self._in_string = 0, 0, False
+
+    @property
+    def pending(self) -> int:
+        """Number of bytes of the incomplete object."""
+        return len(self._part)
+
+    def drop(self) -> None:
+        """Drop the incomplete object."""
+        self.passed_over += len(self._part)
+        self._forget()
+
+    def feed(self, more: bytes) -> list[bytes]:
+        """Return the objects that `more` completes, up to the first that is too large or too deep."""
+        part = self._part
+        part += more
+        found: list[bytes] = []
+        while not self.error and (self._depth or self._begin()):
+            end = self._find_end()
+            if (len(part) if end is None else end) > MAX_OBJECT_SIZE:
+                self.error = f"an object of more than {MAX_OBJECT_SIZE} bytes"
+            elif self._depth > MAX_DEPTH:
+                self.error = f"objects in objects more than {MAX_DEPTH} deep"
+            if end is None or self.error:
+                break
+            found.append(bytes(part[:end]))
+            del part[:end]
+            self._seen = 0
+        if self.error:
+            self.drop()
+        return found
+
+    def _begin(self) -> bool:
+        """Skip the bytes before the next object; return whether an object begins."""
+        part = self._part
+        start = part.find(_OPEN)
+        skipped = len(part) if start < 0 else start
+        self.passed_over += skipped
+        del part[:skipped]
+        self._seen = 0
+        return start >= 0
+
+    def _find_end(self) -> int | None:
+        """Return the length of the object at the begin of `_part`, None while incomplete."""
+        part = self._part
+        while self._seen < len(part):
+            mark = (_IN_STRING if self._in_string else _OUTSIDE_STRING).search(part, self._seen)
+            if mark is None:
+                self._seen = len(part)
+                return None
+            symbol, self._seen = mark.group(), mark.end()
+            if symbol == _BACKSLASH:
+                if self._seen == len(part):  # the escaped character is missing
+                    self._seen -= 1
+                    return None
+                self._seen += 1
+            elif symbol == _QUOTE:
+                self._in_string = not self._in_string
+            elif symbol == _OPEN:
+                self._depth += 1
+                if self._depth > MAX_DEPTH:
+                    return None
+            else:
+                self._depth -= 1
+                if not self._depth:
+                    return self._seen
+        return None
+
+
+SPEED = (5.0, 100.0)
+"""Range of plausible ball speeds, m/s."""
+MAX_LAUNCH_ANGLE = radians(60.0)
+"""Maximum launch angle, rad; the minimum is just above 0, the value of misreads."""
+MAX_DIRECTION = radians(30.0)
+"""Maximum direction to either side, rad."""
+MAX_SPIN = 1570.0
+"""Maximum spin, rad/s (15,000 rpm)."""
+SMASH = (0.8, 1.6)
+"""Range of smash factors (ball speed over club speed): an elastic 46 g ball off a 200 g head reaches 1.63,
+one at the Rules' limit 1.5."""
+
+
+def add_doubts(record: LaunchRecord, club_speed: float | None = None) -> LaunchRecord:
+    """Return `record` with its doubts; `club_speed` (m/s) replaces the monitor's own."""
+    doubts = [*record.doubts]
+    speed, angle, direction, spin = record.speed, record.launch_angle, record.direction, record.spin
+    if speed is not None and not SPEED[0] <= speed <= SPEED[1]:
+        doubts.append(f"ball speed {speed:.3g} m/s, expected {SPEED[0]:g} to {SPEED[1]:g}")
+    if angle is not None and not 0.0 < angle <= MAX_LAUNCH_ANGLE:
+        most = f"{degrees(MAX_LAUNCH_ANGLE):.3g}"
+        doubts.append(f"launch angle {degrees(angle):.3g} deg, expected above 0 to {most}")
+    if direction is not None and abs(direction) > MAX_DIRECTION:
+        most = f"{degrees(MAX_DIRECTION):.3g} at most to either side"
+        doubts.append(f"direction {degrees(direction):.3g} deg, expected {most}")
+    if spin is not None and spin > MAX_SPIN:
+        doubts.append(f"spin {spin:.4g} rad/s, expected {MAX_SPIN:g} at most")
+    club = record.club.speed if club_speed is None else club_speed
+    if speed is not None and club is not None and club > 0.0:
+        smash = speed / club
+        if not SMASH[0] <= smash <= SMASH[1]:
+            doubts.append(f"ball speed {smash:.3g} times the club's, expected {SMASH[0]:g} to {SMASH[1]:g}")
+    once = tuple(dict.fromkeys(doubts))
+    return record if once == record.doubts else replace(record, doubts=once)
+
 
 MAX_DEVICES = 64
 """Maximum number of device names that are remembered."""

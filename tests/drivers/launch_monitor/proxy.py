@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from drivers.launch_monitor.objects import ObjectStream
+from drivers.launch_monitor.conversation import ObjectStream
 
 Tree = dict[str, Any]
 _YARD = 0.9144

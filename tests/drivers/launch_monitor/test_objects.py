@@ -5,7 +5,7 @@ import json
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.launch_monitor.objects import MAX_DEPTH, MAX_OBJECT_SIZE, ObjectStream
+from drivers.launch_monitor.conversation import MAX_DEPTH, MAX_OBJECT_SIZE, ObjectStream
 
 OBJECTS = st.dictionaries(
     st.text(max_size=6),
