@@ -15,7 +15,6 @@ from matplotlib.ticker import MaxNLocator
 from bench.campaign.analysis import SectionAnalysis, values_of
 from bench.campaign.block_model import Array
 from bench.campaign.control_chart import ControlChart, DispersionEllipse
-from bench.campaign.display_units import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.findings import (
     QUANTITY_NAMES,
     DifferenceTable,
@@ -26,6 +25,7 @@ from bench.campaign.findings import (
 )
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.repeatability import FIGURES
+from bench.campaign.report_format import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.shot_sequence import Role
 from bench.campaign.verdicts import NAMES
 from bench.shot.plot_style import STYLE, colour_of, marker_of, styled, to_svg

@@ -27,7 +27,6 @@ from bench.campaign.campaign_record import (
 from bench.campaign.carry import measured_of
 from bench.campaign.conformity import DECISION_RULE
 from bench.campaign.control_chart import LEAST_VALUES, NELSON
-from bench.campaign.display_units import DisplayUnit, UnitSystem, display_unit, number_text, two_digits
 from bench.campaign.findings import (
     QUANTITIES,
     QUANTITY_NAMES,
@@ -41,9 +40,20 @@ from bench.campaign.findings import (
     not_compared,
     section_labels,
 )
-from bench.campaign.page import BALL, CLUB, flat, page_template, shot_figures
 from bench.campaign.plan import levels
 from bench.campaign.prompts import PromptKind
+from bench.campaign.report_format import (
+    BALL,
+    CLUB,
+    DisplayUnit,
+    UnitSystem,
+    display_unit,
+    flat,
+    number_text,
+    page_template,
+    shot_figures,
+    two_digits,
+)
 from bench.campaign.report_tables import (
     STATEMENT,
     EquipmentTable,

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from bench.campaign.display_units import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.plan import FLOWN, CampaignPlan, SetUp, levels, stated_uncertainty
+from bench.campaign.report_format import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.rules import UNITS_OF_RULES, RuleSet, rule_on
 from bench.campaign.sample_size import share_done
 from bench.campaign.shot_sequence import Role, Section, sections

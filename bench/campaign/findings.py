@@ -23,9 +23,9 @@ from bench.campaign.analysis import COLUMN, Comparison, Level, Pair, SectionAnal
 from bench.campaign.block_model import independent_codes, within_club
 from bench.campaign.conformity import RuleFinding, judge_rules
 from bench.campaign.control_chart import ControlChart, DispersionEllipse, control_charts, dispersion_ellipses
-from bench.campaign.display_units import UnitSystem
 from bench.campaign.plan import CampaignPlan, levels, reference_level
 from bench.campaign.repeatability import Repeatability, repeatability
+from bench.campaign.report_format import UnitSystem
 from bench.campaign.sample_size import SeriesSize, series_needed
 from bench.campaign.shot_sequence import Role, sections
 from bench.campaign.verdicts import Verdict, section_notes, section_verdicts

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 from bench.campaign.campaign_record import ISSUE, CampaignRecord
 from bench.campaign.carry import Measured, measured_of
 from bench.campaign.conformity import DECISION_RULE
-from bench.campaign.display_units import UnitSystem, display_unit
 from bench.campaign.plan import CampaignPlan, ItemParticulars
+from bench.campaign.report_format import UnitSystem, display_unit
 from bench.errors import Refused
 from bench.golfer import followed_texts
 from bench.shot.shot import Shot, ShotStatus

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.campaign.analysis import Comparison, Covariates, Pair, SectionAnalysis
-from bench.campaign.display_units import MPH, DisplayUnit, UnitSystem, display_unit
 from bench.campaign.plan import FLOWN, CampaignPlan, levels
 from bench.campaign.preview import COVARIATES, series_words
 from bench.campaign.repeatability import Repeatability, successive_scatter
+from bench.campaign.report_format import MPH, DisplayUnit, UnitSystem, display_unit
 from bench.campaign.sample_size import SeriesSize, series_needed
 
 NAMES = {

@@ -23,8 +23,8 @@ from bench.campaign.campaign_record import (
     whole_digest,
 )
 from bench.campaign.campaign_report import record_parts, render_campaign_report
-from bench.campaign.display_units import UnitSystem
 from bench.campaign.findings import findings, findings_record
+from bench.campaign.report_format import UnitSystem
 from bench.errors import BenchError
 from bench.store.campaigns import StoredShot
 

@@ -23,10 +23,10 @@ from bench.interrupt import deferred_interrupt
 if TYPE_CHECKING:
     from bench.address import BenchSettings
     from bench.campaign.carry import Measured
-    from bench.campaign.display_units import UnitSystem
     from bench.campaign.findings import Findings
     from bench.campaign.plan import CampaignPlan
     from bench.campaign.plan_requirements import Profiles
+    from bench.campaign.report_format import UnitSystem
     from bench.campaign.runner import RunOutcome
     from bench.commands.campaign_baseline import Band, Checked
     from bench.config import Configuration
@@ -65,7 +65,7 @@ class Outputs(NamedTuple):
 def _outputs(
     json_: bool, junit: Path | None, report_to: Path | None, check: Path | None, units: Literal["us", "si"]
 ) -> Outputs:
-    from bench.campaign.display_units import UnitSystem
+    from bench.campaign.report_format import UnitSystem
     from bench.commands.campaign_baseline import read_baseline
 
     return Outputs(json_, junit, report_to, read_baseline(check) if check else [], UnitSystem(units))
@@ -387,8 +387,8 @@ def report(
     from bench.campaign.campaign_control import standing_now
     from bench.campaign.campaign_record import load_record, note_look
     from bench.campaign.campaign_report import write_campaign_report
-    from bench.campaign.display_units import UnitSystem
     from bench.campaign.findings import findings, findings_record
+    from bench.campaign.report_format import UnitSystem
     from bench.campaign.report_tables import issue_report
 
     with _found(context, campaign) as (store, entry):

@@ -23,11 +23,11 @@ from rich.text import Text
 
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import write_campaign_report
-from bench.campaign.display_units import MPH, YARD
 from bench.campaign.findings import Findings, findings
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.plan_requirements import require_swings
+from bench.campaign.report_format import MPH, YARD
 from bench.campaign.runner import RunOutcome
 from bench.campaign.runner_control import bench_facts, new_entry, run_campaign
 from bench.campaign.verdicts import robot_words

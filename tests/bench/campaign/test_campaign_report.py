@@ -18,9 +18,9 @@ import pytest
 
 from bench.campaign.campaign_record import CampaignRecord
 from bench.campaign.campaign_report import render_campaign_report, write_campaign_report
-from bench.campaign.display_units import UnitSystem
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.plan_file import load_plan
+from bench.campaign.report_format import UnitSystem
 from bench.campaign.runner import RunOutcome
 from bench.campaign.runner_control import new_entry
 from bench.commands.campaign_baseline import Band, check_baseline, junit_xml, read_baseline

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from bench.campaign.conformity import Decision, RuleFinding, decide_by_limit, judge_rules
-from bench.campaign.display_units import UnitSystem
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
+from bench.campaign.report_format import UnitSystem
 from bench.campaign.rules import control_ball_speed, rule_names, rule_on, rule_sets
 from bench.config import Configuration
 from bench.shot.shot import Shot, ShotStatus

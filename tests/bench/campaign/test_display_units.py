@@ -9,9 +9,8 @@ import pytest
 
 from bench.campaign.campaign_record import CampaignRecord
 from bench.campaign.campaign_report import render_campaign_report
-from bench.campaign.display_units import UnitSystem, display_unit, number_text, two_digits
 from bench.campaign.findings import QUANTITIES, QUANTITY_NAMES, findings
-from bench.campaign.page import BALL, CLUB
+from bench.campaign.report_format import BALL, CLUB, UnitSystem, display_unit, number_text, two_digits
 from tests.bench.campaign.test_campaign_report import _record, _words
 from tests.benchmarks.campaign_statistics import Truth
 

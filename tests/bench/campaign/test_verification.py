@@ -11,8 +11,8 @@ import pytest
 
 from bench.campaign.campaign_record import CampaignRecord, shot_digests, whole_digest
 from bench.campaign.campaign_report import record_parts, render_campaign_report
-from bench.campaign.display_units import UnitSystem
 from bench.campaign.findings import findings
+from bench.campaign.report_format import UnitSystem
 from bench.campaign.verification import missing_records, verify_page
 from bench.errors import BenchError
 from bench.store.campaigns import StoredShot
