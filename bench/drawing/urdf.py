@@ -24,9 +24,8 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 import numpy as np
 
 from bench.drawing.bodies import DrawnBody
-from bench.drawing.drawing import draw
+from bench.drawing.drawing import Array, draw, plane_to_golf
 from bench.drawing.gltf import by_colour
-from bench.drawing.placement import Array, plane_to_golf
 from bench.drawing.solids import joined_meshes, write_stl
 from bench.telemetry.whole_file import whole_file
 from sim.plant import PlantParameters

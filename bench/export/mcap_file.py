@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from bench.drawing.placement import ball_at_rest, body_poses, plane_to_golf
+from bench.drawing.drawing import ball_at_rest, body_poses, plane_to_golf
 from bench.export.record_files import ExportRecord, changes
 from bench.shot.recorded_shot import recorded_shot
 from bench.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, Field

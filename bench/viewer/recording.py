@@ -21,7 +21,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
-from bench.drawing.placement import ball_at_rest, plane_to_golf
+from bench.drawing.drawing import ball_at_rest, plane_to_golf
 from bench.golfer import GolferSwing
 from bench.shot.head_path import path_to_ball
 from bench.shot.shot_record import ShotRecord

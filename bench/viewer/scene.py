@@ -17,8 +17,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from bench.drawing.bodies import DrawnBody
-from bench.drawing.drawing import draw
-from bench.drawing.placement import body_poses, plane_to_golf
+from bench.drawing.drawing import body_poses, draw, plane_to_golf
 from bench.lifecycle import Phase
 from bench.viewer.signals import Array, Cycles, Times, head_motion
 from sim.plant import PlantParameters, Site

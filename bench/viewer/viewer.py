@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import rerun as rr
 
-from bench.drawing.placement import ball_at_rest
+from bench.drawing.drawing import ball_at_rest
 from bench.errors import BenchError
 from bench.lifecycle import Phase
 from bench.shot.recorded_shot import (

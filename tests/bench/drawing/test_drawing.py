@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from bench.drawing.bodies import DrawnBody, wrist_ways
-from bench.drawing.drawing import Drawing, draw, placed
-from bench.drawing.placement import address, body_poses, plane_to_golf
+from bench.drawing.drawing import Drawing, address, body_poses, draw, placed, plane_to_golf
 from bench.drawing.solids import Bar, Ellipsoid, Solid, Tube
 from bench.errors import BenchError
 from sim.kinematics import forward_kinematics, joint_positions, right_arm_length

@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from bench.drawing.drawing import address, plane_to_golf
 from bench.drawing.links import lever_parts
-from bench.drawing.placement import address, plane_to_golf
 from bench.drawing.solids import Tube
 from bench.drawing.urdf import CLOSURE, CollisionOutline, collision_outline, joints, write_urdf
 from sim.kane import forward_dynamics

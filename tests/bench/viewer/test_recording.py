@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.drawing.drawing import draw
-from bench.drawing.placement import ball_at_rest, body_poses, plane_to_golf
+from bench.drawing.drawing import ball_at_rest, body_poses, draw, plane_to_golf
 from bench.lifecycle import Phase
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE
