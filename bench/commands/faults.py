@@ -191,7 +191,7 @@ def table(
     brief: Annotated[bool, flag("--brief", "One row for all faults of a sort, as in sim/FAULTS.md.")] = False,
 ) -> None:
     """Write the hazard table of a fault matrix, one row for each fault."""
-    from bench.faults.hazards import hazard_table
+    from bench.faults.hazard_file import hazard_table
 
     write_text(_from_matrix(matrix, lambda summary: hazard_table(summary, brief=brief)), output)
 

@@ -8,7 +8,7 @@ from typing import Any
 import jinja2
 from rich.table import Table
 
-from bench.faults.hazards import next_swing_text
+from bench.faults.hazard_file import next_swing_text
 from bench.faults.summary import PHASES
 
 _MARKS = {

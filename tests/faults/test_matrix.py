@@ -24,7 +24,7 @@ from bench.config import Configuration, load_configuration, shipped_configuratio
 from bench.faults.case import Workbench
 from bench.faults.catalogue import Breakage, irrelevant
 from bench.faults.combined import CATALOGUE
-from bench.faults.hazards import hazard_table, matrix_digest
+from bench.faults.hazard_file import hazard_table, matrix_digest
 from bench.faults.instants import ACCESS, START, Instant, instants_of
 from bench.faults.matrix import FaultStudy, MatrixPlan, instants_for, matrix_store, plan_matrix, run_matrix
 from bench.faults.summary import PHASES, compare, summarise, summary_text

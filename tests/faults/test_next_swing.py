@@ -8,7 +8,7 @@ import pytest
 
 from bench.faults.case import Workbench
 from bench.faults.combined import CATALOGUE
-from bench.faults.hazards import next_swing_text
+from bench.faults.hazard_file import next_swing_text
 from bench.faults.instants import Instant
 from bench.faults.matrix import instants_for
 from bench.faults.next_swing import next_swing
