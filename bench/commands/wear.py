@@ -15,7 +15,7 @@ from bench.commands.progress import progress_of
 from bench.commands.session import exit_unless, show_json
 
 if TYPE_CHECKING:
-    from bench.simulation.residuals import Margin
+    from bench.simulation.replay import Margin
 
 Records = Annotated[list[Path], argument("RECORD...", "Parquet files of swings, or folders of them.")]
 
@@ -36,7 +36,7 @@ def wear(records: Records, json_: Json = False) -> None:
     """
     import numpy as np
 
-    from bench.simulation.residuals import margins, residual_shares
+    from bench.simulation.replay import margins, residual_shares
     from bench.telemetry.recorder import read_swing
     from bench.viewer.recorded_series import record_files
 

@@ -12,7 +12,7 @@ import pytest
 from bench.cli import main
 from bench.config import Configuration
 from bench.control.model import KINDS
-from bench.simulation.residuals import NEAR, margins, residual_shares
+from bench.simulation.replay import NEAR, margins, residual_shares
 from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
