@@ -61,7 +61,7 @@ def daq_cards() -> dict[str, Any]:
     from importlib.metadata import version
 
     from drivers.base import DriverError
-    from drivers.daq.package import error_text, load_nidaqmx
+    from drivers.daq.watchdog import error_text, load_nidaqmx
 
     found: dict[str, Any] = {"package": "", "runtime": "", "cards": [], "trouble": ""}
     try:

@@ -36,9 +36,8 @@ from drivers.base import (
     believed,
     device_limited,
 )
-from drivers.daq.package import error_text, load_nidaqmx
 from drivers.daq.settings import DaqSettings
-from drivers.daq.watchdog import CardWatchdog
+from drivers.daq.watchdog import CardWatchdog, error_text, load_nidaqmx
 
 PRESET = 1 << 30
 """Initial count of the counters; the index resets them to 0."""
