@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from bench.control.linear_loop import Estimator
     from bench.control.linear_plant import Frozen
     from bench.control.machine_gains import MachineGains
+    from bench.learning.along_swing import Judged, Proof
     from bench.simulation.series import Bench
-    from bench.tuning.along_swing import Judged, Proof
 
 
 def tune(
@@ -34,10 +34,10 @@ def tune(
     does not swing with them.
     """
     from bench.design.static_checks import require_possible
+    from bench.learning.along_swing import gains_along, judge
     from bench.simulation.series import Bench
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
-    from bench.tuning.along_swing import gains_along, judge
 
     configuration = context.ensure_object(Session).configuration()
     path, plant = find_profile(profile or configuration.swing.profile), configuration.plant
@@ -70,7 +70,7 @@ def _linearised(bench: Bench) -> tuple[list[Frozen], Estimator]:
     from bench.control.linear_loop import steady_estimator
     from bench.control.linear_plant import freeze
     from bench.control.settings import estimator_record
-    from bench.tuning.along_swing import operating_points
+    from bench.learning.along_swing import operating_points
     from sim.plant import build_plant
 
     plant = build_plant(bench.model)
@@ -93,8 +93,8 @@ def _machine(bench: Bench) -> MachineGains | None:
 
 def _proofs(bench: Bench, bar: Progress) -> dict[str, Proof]:
     """Return a whole swing of the nominal and one of the worn robot."""
+    from bench.learning.along_swing import proof
     from bench.simulation.variation import WORN
-    from bench.tuning.along_swing import proof
 
     robots = {"nominal": bench.model, "worn": WORN.applied_to(bench.model)}
     return {

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, planned_figures
-from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings
-from bench.learning.sensitivities import Model, Response
+from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings, Model, Response
 from bench.lifecycle import Cause
 from bench.simulation.series import Bench, Series
 from bench.swing.correction import Basis, Correction, basis_of

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from bench.errors import BenchError
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of
-from bench.learning.ilc import Beginning, LearningSettings
+from bench.learning.ilc import Beginning, LearningSettings, Model
 from bench.learning.learn import LearningProblem, learn, on_series
-from bench.learning.sensitivities import Model
 from bench.lifecycle import Phase
 from bench.shot.recorded_shot import plant_of
 from bench.simulation.series import Bench, Series, quiet

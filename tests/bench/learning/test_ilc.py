@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.learning.delivery import Figures, Tolerance
-from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings
-from bench.learning.sensitivities import Response
+from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings, Response
 
 Array = NDArray[np.float64]
 

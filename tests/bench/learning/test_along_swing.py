@@ -16,10 +16,10 @@ from bench.control.gains import Gains
 from bench.control.linear_loop import Estimator, least_damping, steady_estimator
 from bench.control.linear_plant import Frozen, freeze
 from bench.control.settings import estimator_record
+from bench.learning.along_swing import Judged, gains_along, judge, operating_points
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.tuning.along_swing import Judged, gains_along, judge, operating_points
 from sim.plant import advance, build_plant
 from tests.bench.hand_gains import HAND
 
