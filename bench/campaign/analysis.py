@@ -27,19 +27,21 @@ from bench.campaign.block_model import (
     BlockFit,
     Codes,
     Contrast,
+    ScatterRatio,
     are_pooled,
     ball_columns,
     enough_mountings,
     fit_blocks,
     holm,
     independent_codes,
+    scatter_ratios,
     set_codes,
     shots_within,
+    variance_components,
     within_club,
 )
 from bench.campaign.gate import OUTSIDE
 from bench.campaign.plan import CampaignPlan, controls_per_block, levels
-from bench.campaign.repeatability import ScatterRatio, scatter_ratios, variance_components
 from bench.campaign.sample_size import Look, look_now, power_of_shift, same_power_of_error
 from bench.campaign.shot_sequence import Role
 from bench.campaign.unequal_variances import (

@@ -13,7 +13,7 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 
 from bench.campaign.analysis import SectionAnalysis, values_of
-from bench.campaign.block_model import Array
+from bench.campaign.block_model import FIGURES, Array
 from bench.campaign.control_chart import ControlChart, DispersionEllipse
 from bench.campaign.findings import (
     QUANTITY_NAMES,
@@ -24,7 +24,6 @@ from bench.campaign.findings import (
     section_labels,
 )
 from bench.campaign.plan import CampaignPlan, levels
-from bench.campaign.repeatability import FIGURES
 from bench.campaign.report_format import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.shot_sequence import Role
 from bench.campaign.verdicts import NAMES

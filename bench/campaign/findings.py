@@ -20,11 +20,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.campaign.analysis import COLUMN, Comparison, Level, Pair, SectionAnalysis, Spread, analyse, spread
-from bench.campaign.block_model import independent_codes, within_club
+from bench.campaign.block_model import Repeatability, independent_codes, repeatability, within_club
 from bench.campaign.conformity import RuleFinding, judge_rules
 from bench.campaign.control_chart import ControlChart, DispersionEllipse, control_charts, dispersion_ellipses
 from bench.campaign.plan import CampaignPlan, levels, reference_level
-from bench.campaign.repeatability import Repeatability, repeatability
 from bench.campaign.report_format import UnitSystem
 from bench.campaign.sample_size import SeriesSize, series_needed
 from bench.campaign.shot_sequence import Role, sections

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.campaign.analysis import Comparison, Covariates, Pair, SectionAnalysis
+from bench.campaign.block_model import Repeatability, successive_scatter
 from bench.campaign.plan import FLOWN, CampaignPlan, levels
 from bench.campaign.preview import COVARIATES, series_words
-from bench.campaign.repeatability import Repeatability, successive_scatter
 from bench.campaign.report_format import MPH, DisplayUnit, UnitSystem, display_unit
 from bench.campaign.sample_size import SeriesSize, series_needed
 

@@ -13,11 +13,10 @@ from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.multitest import multipletests
 
 from bench.campaign.analysis import analyse, decide, spread
-from bench.campaign.block_model import fit_blocks, holm
+from bench.campaign.block_model import fit_blocks, holm, repeatability, variance_components
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.repeatability import repeatability, variance_components
 from bench.config import load_configuration
 from bench.shot.shot import Shot, ShotStatus
 from tests.bench.campaign.known_truth import Case, cases, rows_of

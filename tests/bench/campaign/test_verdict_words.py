@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from bench.campaign.analysis import analyse
+from bench.campaign.block_model import scatter_ratios, successive_scatter
 from bench.campaign.findings import findings
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
-from bench.campaign.repeatability import scatter_ratios, successive_scatter
 from bench.campaign.sample_size import foreseen, series_needed
 from bench.campaign.verdicts import Verdict
 from bench.config import load_configuration
