@@ -23,10 +23,9 @@ from bench.commissioning.inputs_check import (
     raise_findings,
 )
 from bench.commissioning.known_robot import FoundValue, KnownRobot
-from bench.commissioning.learned_swing import LearnedSwing
 from bench.commissioning.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
 from bench.commissioning.response_times import ResponseTimes
-from bench.commissioning.rising_swings import RisingSwings
+from bench.commissioning.rising_swings import LearnedSwing, RisingSwings
 from bench.commissioning.robot_swings import HealthyLimits, with_following_limits
 from bench.commissioning.slow_moves import Leakage, SlowMoves
 from bench.commissioning.steps import (

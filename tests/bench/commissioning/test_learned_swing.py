@@ -8,8 +8,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from bench.commissioning.learned_swing import LearnedSwing
-from bench.commissioning.rising_swings import bench_of
+from bench.commissioning.rising_swings import LearnedSwing, bench_of
 from bench.commissioning.steps import (
     LEARNED_FILE,
     SWING_FILE,
