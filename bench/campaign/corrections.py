@@ -24,7 +24,7 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_requirements import Profiles
 from bench.campaign.shot_sequence import Role, Step
 from bench.config import Configuration
-from bench.design.planned_openings import require_planned_openings
+from bench.design.requirements import require_planned_openings
 from bench.learning.delivery import Tolerance
 from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, Swinger, learn, prepare

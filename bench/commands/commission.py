@@ -73,7 +73,7 @@ def commission(
     from bench.commissioning.commissioning import begin
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.config import load_configuration
-    from bench.design.casadi_package import load_casadi
+    from bench.design.requirements import load_casadi
 
     configuration = context.ensure_object(Session).configuration()
     simulated = sim or configuration.driver.name == "sim"

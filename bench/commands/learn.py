@@ -78,7 +78,7 @@ def learn(
     The target is the delivery that the profile plans. Exits with 1 if it is not reached.
     """
     from bench.config import database_url
-    from bench.design.planned_openings import require_planned_openings
+    from bench.design.requirements import require_planned_openings
     from bench.learning.store import Conditions, keep, stored
     from bench.learning.warm_start import read_recorded
     from bench.readiness import assess_bench

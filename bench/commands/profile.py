@@ -291,7 +291,7 @@ def design(
     shows the deviations. A swing that `golfbench check` would refuse is not written.
     """
     from bench.design.designer import DesignFailed, SwingDemand
-    from bench.design.planned_openings import require_planned_openings
+    from bench.design.requirements import require_planned_openings
 
     configuration = context.ensure_object(Session).configuration().with_club(club)
     require_planned_openings(configuration.control)

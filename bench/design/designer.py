@@ -28,7 +28,6 @@ from bench.control.gain_table import MOVE, gains_along
 from bench.control.planned_air import with_planned_air
 from bench.control.settings import EnvelopeSettings, pid_record
 from bench.design.blind_brake import SPACING, design_blind_brake
-from bench.design.casadi_package import load_casadi
 from bench.design.closed_loop import LoopFailed, imprint, with_follow_through
 from bench.design.optimal_control import (
     BAR,
@@ -40,6 +39,7 @@ from bench.design.optimal_control import (
     solve_downswing,
 )
 from bench.design.refine import NEAR, UNITS, NotReached, arrival_errors, learned_backswing, refine
+from bench.design.requirements import load_casadi
 from bench.design.shooting import AFTER_CONTACT, SHAFT_DOWN, Shooter, ShootingTrial
 from bench.design.static_checks import profile_faults
 from bench.simulation.loads import stop_shares

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.design.casadi_package import load_casadi
+from bench.design.requirements import load_casadi
 from sim.plant import PlantParameters
 from sim.pneumatics import FLOW_TO_PRESSURE, Actuator
 

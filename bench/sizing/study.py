@@ -10,9 +10,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from bench.config import Configuration, load_configuration
-from bench.design.casadi_package import load_casadi
 from bench.design.designer import DesignFailed, SwingDemand, design_swing, fastest_plan
 from bench.design.optimal_control import BAR, DownswingPlan
+from bench.design.requirements import load_casadi
 from bench.design.stop_verification import SwingCheck
 from bench.errors import BenchError, Refused
 from bench.simulation.series import Bench, Series

@@ -1,9 +1,29 @@
-"""Guard of designing and learning, which change planned openings: the controller must use them."""
+"""What designing needs: the package `casadi`, an extra of 270 MB, and control by planned openings."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from bench.control.settings import ControlSettings
 from bench.errors import BenchError
+
+
+def load_casadi() -> Any:
+    """Return the package.
+
+    Raises:
+        BenchError: it is not installed.
+    """
+    try:
+        import casadi
+    except ImportError as error:
+        raise BenchError(
+            "profile design",
+            f"package casadi is not installed ({error})",
+            "the package casadi",
+            'Run pip install "golfbench[design]".',
+        ) from error
+    return casadi
 
 
 def require_planned_openings(control: ControlSettings) -> None:
