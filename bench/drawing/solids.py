@@ -2,7 +2,7 @@
 
 Solids that the drawn parts are made of, with exact volume, centroid and second moments. Three kinds suffice:
 bars with bores, round tubes, ellipsoids with a flat cut. Each knows its surface as triangles;
-`bench.drawing.step` makes the same solids for a workshop. Lengths in m.
+`bench.drawing.workshop_files` makes the same solids for a workshop. Lengths in m.
 """
 
 from __future__ import annotations

@@ -16,10 +16,9 @@ from bench.cli import app
 from bench.commands.session import Session
 from bench.drawing.bodies import DrawnBody, Part
 from bench.drawing.drawing import draw, placed
-from bench.drawing.gltf import gltf, write_gltf
-from bench.drawing.mass_table import MassRow, mass_rows
+from bench.drawing.model_files import gltf, write_gltf
 from bench.drawing.solids import Ellipsoid
-from bench.drawing.step import load_build123d, solid_shape, write_step
+from bench.drawing.workshop_files import MassRow, load_build123d, mass_rows, solid_shape, write_step
 from bench.errors import BenchError
 from sim.plant import PlantParameters
 from tests.bench.drawing.conftest import PLANTS, mesh_volume

@@ -13,8 +13,8 @@ import pytest
 
 from bench.drawing.drawing import address, plane_to_golf
 from bench.drawing.links import lever_parts
+from bench.drawing.model_files import CLOSURE, CollisionOutline, collision_outline, joints, write_urdf
 from bench.drawing.solids import Tube
-from bench.drawing.urdf import CLOSURE, CollisionOutline, collision_outline, joints, write_urdf
 from sim.kane import forward_dynamics
 from sim.kinematics import forward_kinematics, joint_positions
 from sim.plant import PlantParameters
