@@ -16,8 +16,15 @@ from bench.golfer.comparison import (
     robot_motion,
     with_club_held,
 )
-from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer, save_golfer, summary
-from bench.golfer.measured_swing import ImportOptions, MeasuredSwing
+from bench.golfer.golfer_file import (
+    SUFFIX,
+    GolferSwing,
+    ImportOptions,
+    MeasuredSwing,
+    load_golfer,
+    save_golfer,
+    summary,
+)
 from bench.golfer.measuring import measure
 from bench.golfer.recording import read_capture
 from bench.golfer.roles import Capture, Roles, find_roles

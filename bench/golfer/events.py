@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, filtfilt
 
-from bench.golfer.measured_swing import MeasuredSwing
+from bench.golfer.golfer_file import MeasuredSwing
 from bench.golfer.roles import Array, Capture
 
 MAX_GAP = 0.040

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bench.golfer.comparison import DEFINITION, MotionDeviation
-from bench.golfer.measured_swing import MeasuredSwing
+from bench.golfer.golfer_file import MeasuredSwing
 from bench.shot.plot_style import COLOURS, GREY, INK, STYLE, styled
 
 _NAMES = ("θ1 shoulders", "θ2 lead arm", "θ3 wrist")

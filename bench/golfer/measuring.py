@@ -25,7 +25,7 @@ from bench.golfer.events import (
     missing_runs,
     smooth,
 )
-from bench.golfer.measured_swing import HANDS_CUTOFF, STEP, ImportOptions, MeasuredSwing
+from bench.golfer.golfer_file import HANDS_CUTOFF, STEP, ImportOptions, MeasuredSwing
 from bench.golfer.orientation import (
     Orientation,
     SwingPlane,

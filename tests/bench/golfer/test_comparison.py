@@ -23,7 +23,7 @@ from bench.golfer import (
     robot_motion,
     save_golfer,
 )
-from bench.golfer.measured_swing import ImportOptions
+from bench.golfer.golfer_file import ImportOptions
 from bench.swing.golfers import GOLFERS
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
