@@ -13,8 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from bench.commands.calibrate_aerodynamics import aerodynamics, user_name
-from bench.commands.calibrate_inputs import inputs
+from bench.commands.calibrate_measured import aerodynamics, inputs, user_name
 from bench.commands.options import Json, argument, flag, option
 from bench.commands.output import plain_table
 from bench.commands.session import Session, exit_unless, show_json

@@ -186,8 +186,7 @@ def _see_inputs(
     progress: Callable[[str], None],
 ) -> None:
     """Do the step before all others; on hardware its result is a calibration."""
-    from bench.commands.calibrate_aerodynamics import user_name
-    from bench.commands.calibrate_inputs import inputs_in_force, keep_inputs
+    from bench.commands.calibrate_measured import inputs_in_force, keep_inputs, user_name
     from bench.commissioning.commissioning import see_inputs
 
     in_force = None if state.simulated else inputs_in_force(configuration, now())
@@ -239,7 +238,7 @@ class _Machine(NamedTuple):
 @contextmanager
 def _simulated(configuration: Configuration, truth: Configuration) -> Iterator[_Machine]:
     """Yield the robot of `truth`, simulated in lock-step."""
-    from bench.commands.calibrate_inputs import simulated_hands
+    from bench.commands.calibrate_measured import simulated_hands
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.commissioning.steps import SimulatedRobot
 
@@ -254,7 +253,7 @@ def _live(
     configuration: Configuration, truth: Configuration, regulator: str | None, bar: Progress
 ) -> Iterator[_Machine]:
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
-    from bench.commands.calibrate_inputs import SIMULATED_PATIENCE
+    from bench.commands.calibrate_measured import SIMULATED_PATIENCE
     from bench.commissioning.inputs import in_simulation
     from bench.commissioning.live_robot import Hands, live_robot
     from bench.processes.ownership import take_bench
@@ -288,7 +287,7 @@ def _hands_of_person(
     configuration: Configuration, regulator: str | None, bar: Progress, say: Callable[[str], None]
 ) -> Hands:
     """Return the hands of the person at the terminal, `regulator` being the program that turns it, if any."""
-    from bench.commands.calibrate_inputs import ask_person, gauge_from_person, saying
+    from bench.commands.calibrate_measured import ask_person, gauge_from_person, saying
     from bench.commands.learn import mark_from_person
     from bench.commissioning.inputs import by_person, by_program, turned_once
     from bench.commissioning.live_robot import Hands

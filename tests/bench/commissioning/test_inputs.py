@@ -15,7 +15,7 @@ from sqlalchemy import URL, make_url
 from bench.calibration.archive import add_calibration, effective_calibration
 from bench.calibration.values import CalibrationKind, SeenInputs, wiring_digest
 from bench.cli import main
-from bench.commands.calibrate_inputs import simulated_hands
+from bench.commands.calibrate_measured import simulated_hands
 from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.driver_machine import SimulatedMachine
 from bench.commissioning.inputs import INPUTS, InputFinding, fitted, judged, stages
