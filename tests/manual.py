@@ -17,7 +17,7 @@ from bench.config.defaults import keys_of, plain
 from bench.config.text import _in_people_units, _Table, _tables, _written
 from bench.field_docs import field_docs
 from bench.lifecycle import CAUSE_WORDS, REFUSAL_WORDS, Cause, Refusal
-from bench.network.wire_contract import wire_contract
+from bench.network.messages import wire_contract
 from drivers.base.ranges import Range
 from sim.ball import Ball
 from sim.robot import Club

@@ -27,7 +27,7 @@ ROOMS = (
     "bench.campaign.simulated_shots",
     "bench.commands.export",
     "bench.network.client",
-    "bench.network.wire_contract",
+    "bench.network.messages",
     "bench.shot",
     "bench.simulation.replay",
     "bench.simulation.simulated_bench",

@@ -12,7 +12,7 @@ def schema(context: typer.Context) -> None:
 
     A running bench answers the same on golfbench/BENCH/schema.
     """
-    from bench.network.wire_contract import wire_contract
+    from bench.network.messages import wire_contract
 
     bench = context.ensure_object(Session).configuration().bench.id
     show_json(wire_contract(bench))

@@ -44,8 +44,8 @@ from bench.network.command import (
     too_long,
 )
 from bench.network.lease import Lease, LeaseBook, LeaseRefused
+from bench.network.messages import wire_contract
 from bench.network.status_words import next_step
-from bench.network.wire_contract import wire_contract
 
 QUEUE = 64
 """Max messages waiting in a lane."""

@@ -17,7 +17,7 @@ import zenoh
 from jsonschema import Draft202012Validator
 
 from bench.config import Configuration
-from bench.network.wire_contract import wire_contract
+from bench.network.messages import wire_contract
 from bench.network.zenoh_session import open_client
 from bench.telemetry.cycle_record import arrow_schema
 from drivers.base import PASSIVE, Command, Driver

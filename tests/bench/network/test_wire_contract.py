@@ -25,8 +25,7 @@ from bench.errors import BenchError
 from bench.network.client import BenchClient
 from bench.network.command import FORMS, Verb, encode_command, encode_error, form_schema, parse_command
 from bench.network.lease import new_key
-from bench.network.messages import LOOP_VERSION, CampaignMessage
-from bench.network.wire_contract import wire_contract
+from bench.network.messages import LOOP_VERSION, CampaignMessage, wire_contract
 from bench.network.zenoh_session import open_client
 from bench.processes.launch_monitor import message_of
 from bench.processes.tick_timing import new_timing
