@@ -22,11 +22,10 @@ from bench.control.records import ControlParameters
 from bench.control.settings import MODEL_ROWS, ModelSettings, Triple, build_controller, with_tables_of
 from bench.errors import Refused
 from bench.lifecycle import CAUSE_TEXT
-from bench.simulation.deviations import HealthyRun, healthy_run
 from bench.simulation.local_engine import InProcess
 from bench.simulation.series import Bench
 from bench.simulation.sweep import Engine, Study, sweep
-from bench.simulation.variation import healthy_plant, unknown_plant
+from bench.simulation.variation import HealthyRun, healthy_plant, healthy_run, unknown_plant
 from bench.swing.correction import basis_of
 
 Array = NDArray[np.float64]

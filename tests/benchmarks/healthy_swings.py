@@ -27,10 +27,9 @@ from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import build_controller
 from bench.errors import Refused
 from bench.lifecycle import Cause, Phase, Request, State
-from bench.simulation.deviations import HealthyRun, healthy_run
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.variation import healthy_plant
+from bench.simulation.variation import HealthyRun, healthy_plant, healthy_run
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose

@@ -15,8 +15,7 @@ from bench.faults.combined import CATALOGUE
 from bench.faults.instants import Instant, instants_of, stopped_instants
 from bench.faults.verdict import CaseOutcome
 from bench.lifecycle import Request
-from bench.simulation.deviations import healthy_run
-from bench.simulation.variation import healthy_plant
+from bench.simulation.variation import healthy_plant, healthy_run
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 

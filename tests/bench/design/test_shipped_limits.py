@@ -12,9 +12,8 @@ from bench.config.settings import Configuration
 from bench.control.model_limits import ENDING
 from bench.control.settings import build_controller
 from bench.lifecycle import Cause
-from bench.simulation.deviations import healthy_run
 from bench.simulation.series import Bench, Series
-from bench.simulation.variation import healthy_plant
+from bench.simulation.variation import healthy_plant, healthy_run
 from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
