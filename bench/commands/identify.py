@@ -30,7 +30,7 @@ def identify(context: typer.Context, records: Records, output: Output = None, js
     """
     from bench.learning.identify import identify as identified
     from bench.learning.identify import plant_file, write_plant_file
-    from bench.learning.warm_start import read_recorded
+    from bench.learning.learn import read_recorded
     from bench.simulation.series import Bench
 
     configuration = context.ensure_object(Session).configuration()

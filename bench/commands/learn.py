@@ -17,14 +17,13 @@ from bench.commands.output import plain_table
 from bench.commands.progress import paused, progress_bar
 from bench.commands.session import Session, exit_unless, show_json
 from bench.errors import BenchError
-from bench.learning.source import Source
 from bench.lifecycle import CAUSE_TEXT
+from bench.swing.correction_terms import Source
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.learning.learn import LearningProblem, LearningResult, Swinger
+    from bench.learning.learn import LearningProblem, LearningResult, Recorded, Swinger
     from bench.learning.store import Learned
-    from bench.learning.warm_start import Recorded
     from bench.simulation.series import Bench
     from sim.plant import PlantParameters
 
@@ -79,8 +78,8 @@ def learn(
     """
     from bench.config import database_url
     from bench.design.requirements import require_planned_openings
+    from bench.learning.learn import read_recorded
     from bench.learning.store import Conditions, keep, stored
-    from bench.learning.warm_start import read_recorded
     from bench.readiness import assess_bench
     from bench.simulation.series import Bench
     from bench.store.database import open_database
@@ -200,8 +199,7 @@ def _learn_live(
 def _problem(bench: Bench, origin: _Origin, bar: Progress) -> LearningProblem:
     """Return the model's response, or that of the identified robot once it has learned."""
     from bench.config import load_configuration
-    from bench.learning.learn import prepare
-    from bench.learning.warm_start import begun_on
+    from bench.learning.learn import begun_on, prepare
 
     task = bar.add_task("the model's response", total=1.0)
     problem = prepare(bench, lambda part: bar.update(task, completed=part))

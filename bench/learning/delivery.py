@@ -12,9 +12,9 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from bench.errors import BenchError
-from bench.learning.source import Source
 from bench.lifecycle import Phase
 from bench.simulation.series import Bench
+from bench.swing.correction_terms import Source
 from sim.impact import Delivery, delivery_from_plane, face_axes, face_gap, impact_parameters
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters

@@ -33,7 +33,7 @@ from bench.learning.delivery import Figures, Tolerance, figures_of
 from bench.lifecycle import CAUSE_TEXT
 from bench.simulation.series import Bench, Series, SeriesSwing, quiet
 from bench.swing.correction import Basis
-from bench.swing.correction_bounds import GREATEST_WEIGHT
+from bench.swing.correction_terms import GREATEST_WEIGHT
 from drivers.base.ranges import Above, AtLeast
 from sim.plant import PlantParameters
 

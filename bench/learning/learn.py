@@ -1,18 +1,34 @@
-"""Learn a swing: swing, evaluate the delivery, correct, swing again; the best correction is kept."""
+"""Learn a swing: swing, evaluate, correct, swing again; also from swings of an identified robot.
+
+Recorded swings, and the start of learning on the robot that was identified from them. Start of learning on an
+identified robot: its simulated correction, and the error that is left. An identified robot swings nearly as
+the recorded one did. The remaining difference in delivery, by the same measuring chain, is known from the
+recorded swings. It changes little from one correction to the next, so the identified robot learns a target
+that is lower by it, and the first swing of the robot itself has neither the model's error nor the
+identification's.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.errors import BenchError
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, planned_figures
 from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings, Model, Response
-from bench.lifecycle import Cause
-from bench.simulation.series import Bench, Series
-from bench.swing.correction import Basis, Correction, basis_of
+from bench.lifecycle import Cause, Phase
+from bench.shot.recorded_shot import plant_of
+from bench.simulation.series import Bench, Series, quiet
+from bench.swing.correction import Basis, Correction, basis_of, digest_of
+from bench.swing.profile import Profile
+from bench.telemetry.recorder import read_swing
+from bench.telemetry.swing_metadata import read_profile
+from sim.plant import Encoders, PlantParameters
 
 Array = NDArray[np.float64]
 
@@ -175,3 +191,148 @@ def _attempt(problem: LearningProblem, swing: Swinger, learner: Learner) -> tupl
         float(np.linalg.norm(point)),
     )
     return trial, attempt
+
+
+Cycles = np.ndarray[Any, Any]
+
+
+class Recorded(NamedTuple):
+    """A swing that the robot made, not its first after arming."""
+
+    profile: Profile
+    """As it was swung, a correction included."""
+    cycles: Cycles
+    """CYCLE records from its first tick."""
+    encoders: Encoders
+    """With the calibration of that time."""
+
+
+def read_recorded(paths: Sequence[Path]) -> list[Recorded]:
+    """Return the swings in Parquet files.
+
+    Raises:
+        BenchError: one is no record, holds no whole swing, or was planned otherwise than the first.
+    """
+    swings: list[Recorded] = []
+    for path in paths:
+        cycles, metadata = read_swing(path)
+        profile = read_profile(metadata, str(path))
+        require_alike(swings[0].profile if swings else profile, profile, str(path))
+        encoders = plant_of(metadata, str(path))[0].encoders
+        swings.append(Recorded(profile, from_first_tick(cycles, profile, str(path)), encoders))
+    return swings
+
+
+def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
+    """Return the records of a swing from its first tick on.
+
+    Raises:
+        BenchError: they hold no swing up to the impact window.
+    """
+    begun = np.flatnonzero(cycles["phase"] == Phase.BACKSWING)
+    first = int(begun[0]) - profile.begins[1] if begun.size else -1
+    swing = cycles[max(first, 0) :]
+    if first < 0 or len(swing) < profile.begins[5] or swing["trip"][: profile.begins[5]].any():
+        raise BenchError(
+            place,
+            "no complete swing",
+            "a swing from the address to the ball",
+            "Give a record of a complete swing.",
+        )
+    return swing
+
+
+def require_alike(one: Profile, other: Profile, place: str) -> None:
+    """Refuse swings with different plans or corrections; `place` names the other's record.
+
+    Raises:
+        BenchError: they were not.
+    """
+    if digest_of(one) != digest_of(other):
+        found = f"a swing of {other.name}" + (", with another correction" if one.name == other.name else "")
+        raise BenchError(place, found, f"of {one.name}, as in the records before", "Identify one at a time.")
+
+
+OFFSET, PATH_OFFSET, DOUBT, RADIUS = (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1
+"""Difference of the first delivery from the expected one, tolerances and rad, share by which the response
+differed from the identified one, and radius: of drawn robots and a worn one (benchmark `identified`)."""
+_MOST_LEFT_OVER = 10.0
+"""Max error after identification, tolerances: at most one where the robot had been found."""
+_ANYTHING = (1e4,) * 4
+"""Replaces the first of them without recorded swings."""
+_SWINGS = 3
+"""Simulated swings that are averaged; one before them begins with the air of arming."""
+
+
+def begun_on(
+    problem: LearningProblem, plant: PlantParameters, recorded: Sequence[Recorded] = ()
+) -> LearningProblem:
+    """Return `problem` as it begins on a robot identified as `plant` from swings `recorded` of one profile.
+
+    Without them the error left by identification is unknown: the first swing only starts nearer.
+
+    Raises:
+        BenchError: the learned or a recorded swing was stopped or missed the ball, or `plant` is not the
+            recorded robot.
+        Refused: it does not reach its address.
+    """
+    bench = problem.bench
+    beyond = left_over(bench, plant, recorded) if recorded else np.zeros(4)
+    require_identified(beyond / Tolerance().scale(problem.target))
+    swing = on_series(problem, Series(bench, quiet(plant)))
+    aim = problem._replace(target=Figures(*map(float, problem.target.array - beyond)))
+    weights = learn(aim, swing).weights
+    response = Model(bench, problem.basis, plant).response(weights)
+    swings = [swing(weights) for _ in range(_SWINGS)]
+    figures = np.mean([swung.figures.array for swung in swings], axis=0) + beyond
+    path = np.mean([swung.cycles["angle"][response.rows] for swung in swings], axis=0)
+    about = response._replace(figures=figures, path=path)
+    if recorded:
+        known = Beginning(weights, about, OFFSET, PATH_OFFSET, DOUBT, RADIUS)
+    else:
+        s = LearningSettings()
+        known = Beginning(weights, about, _ANYTHING, max(_ANYTHING), s.doubt, s.radius)
+    return problem._replace(beginning=known)
+
+
+def require_identified(beyond: Array) -> None:
+    """Refuse a robot whose delivery is (4,) too many tolerances off the records.
+
+    Raises:
+        BenchError: it does.
+    """
+    if np.abs(beyond).max() > _MOST_LEFT_OVER:
+        raise BenchError(
+            "--identified",
+            f"a robot that delivers {np.abs(beyond).max():.0f} tolerances beside the records",
+            f"at most {_MOST_LEFT_OVER:g}",
+            "Identify it again, from swings of this robot.",
+        )
+
+
+def left_over(bench: Bench, plant: PlantParameters, recorded: Sequence[Recorded]) -> Array:
+    """Return the delivery (4,) of the swings `recorded` less that of `plant` with their profile.
+
+    Raises:
+        BenchError: one was stopped or missed the ball, on the robot or on `plant`.
+    """
+    bench = bench._replace(profile=recorded[0].profile)
+    free = Model(bench, basis_of(bench.profile)).free()
+
+    def figures(cycles: Cycles, encoders: Encoders) -> Array:
+        # Measured as in learning, by the same model on both sides of the difference.
+        seen = delivery_from_encoders(cycles, replace(bench.model, encoders=encoders), free)
+        if seen is None:
+            raise BenchError(
+                "a recorded swing",
+                "no contact with the ball",
+                "a swing that strikes the ball",
+                "Leave this record out of --records.",
+            )
+        return figures_of(seen).array
+
+    series = Series(bench, quiet(plant))
+    series.swing(bench.profile)
+    simulated = [series.swing(bench.profile).cycles for _ in range(_SWINGS)]
+    before = np.mean([figures(cycles, bench.model.encoders) for cycles in simulated], axis=0)
+    return np.asarray(np.mean([figures(one.cycles, one.encoders) for one in recorded], axis=0) - before)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from bench.errors import Refused
 from bench.learning.delivery import UNKNOWN, figures_from
 from bench.learning.learn import LearningProblem, ObservedSwing
-from bench.learning.source import Source
 from bench.lifecycle import Answer, Cause, Request
 from bench.network.bench_operator import BenchOperator, SwingRecord
 from bench.network.bench_service import BenchStatus
@@ -26,6 +25,7 @@ from bench.network.status_words import launch_monitor_text
 from bench.shot.recorded_shot import plant_of
 from bench.shot.shot_message import launch_from_json
 from bench.swing.correction import digest_of
+from bench.swing.correction_terms import Source
 from bench.swing.profile import Profile
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from bench.json_schema import json_object, misfits, shown
 from bench.lifecycle import Cause, Refusal, Request, State
 from bench.network.bench_service import ArmingBlock
 from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_holder
-from bench.swing.correction_bounds import GREATEST_WEIGHT, MOST_WEIGHTS
+from bench.swing.correction_terms import GREATEST_WEIGHT, MOST_WEIGHTS
 
 VERSION = 1
 """Version of every message."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bench.swing.correction import Basis
-from bench.swing.correction_bounds import MOST_WEIGHTS
+from bench.swing.correction_terms import MOST_WEIGHTS
 from bench.swing.profile import Profile
 from drivers.base.shared_record import SharedRecord
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.errors import BenchError
-from bench.learning.warm_start import from_first_tick, read_recorded, require_alike
+from bench.learning.learn import from_first_tick, read_recorded, require_alike
 from bench.lifecycle import Phase
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile

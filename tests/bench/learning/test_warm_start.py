@@ -11,8 +11,7 @@ import pytest
 from bench.config import load_configuration, shipped_configuration
 from bench.errors import BenchError
 from bench.learning.delivery import Tolerance
-from bench.learning.learn import LearningProblem, on_series, prepare
-from bench.learning.warm_start import Recorded, begun_on, left_over
+from bench.learning.learn import LearningProblem, Recorded, begun_on, left_over, on_series, prepare
 from bench.simulation.series import Bench, Series
 from bench.simulation.variation import Variation
 from bench.swing.library import find_profile

@@ -33,7 +33,7 @@ from bench.network.command import (
     parse_error,
 )
 from bench.network.lease import new_key
-from bench.swing.correction_bounds import MOST_WEIGHTS
+from bench.swing.correction_terms import MOST_WEIGHTS
 
 KEY = new_key()
 KEYED = json.dumps({"version": 1, "key": KEY, "sequence": 1})

@@ -1,0 +1,13 @@
+"""Terms of a learned correction without numpy, which clients of a bench do without: bounds, sources."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+GREATEST_WEIGHT = 1.5
+"""Of any function of a correction, in units of its opening or shift."""
+MOST_WEIGHTS = 128
+"""Of a correction: a downswing of half a second."""
+
+
+Source = Literal["encoders+model", "launch-monitor", "impact-marks"]
