@@ -209,16 +209,21 @@ def found_at_begin(
         yield "configuration", f"bench changed since run {before.number}: {named(changes)}"
 
 
-def changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") -> list[str]:
-    """Return the values that differ, as "key old → new"; keys of tables are joined by dots."""
-    found = []
+def differences(
+    before: Mapping[str, Any], now: Mapping[str, Any], path: str = ""
+) -> Iterator[tuple[str, Any, Any]]:
+    """Yield key, old and new value of all that differ; keys of tables are joined by dots."""
     for key in sorted(before.keys() | now.keys()):
         one, two = before.get(key), now.get(key)
         if isinstance(one, Mapping) and isinstance(two, Mapping):
-            found += changed(one, two, f"{path}{key}.")
+            yield from differences(one, two, f"{path}{key}.")
         elif one != two:
-            found.append(f"{path}{key} {_value(one)} → {_value(two)}")
-    return found
+            yield f"{path}{key}", one, two
+
+
+def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return the values that differ, as "key old → new"."""
+    return [f"{key} {_value(one)} → {_value(two)}" for key, one, two in differences(before, now)]
 
 
 def named(changes: list[str]) -> str:

@@ -25,7 +25,15 @@ from bench.campaign.plan_requirements import START_SERIES, Profiles, needs_serie
 from bench.campaign.prompts import PromptKind
 from bench.campaign.runner import Hindrance, ShotPostponed, Suspended
 from bench.campaign.shot_sequence import Step
-from bench.campaign.simulated_shots import Taken, ball_as_hit, monitored, random_of, reported_carry
+from bench.campaign.simulated_shots import (
+    Taken,
+    air_columns,
+    ball_as_hit,
+    monitored,
+    random_of,
+    reported_carry,
+    step_columns,
+)
 from bench.errors import BenchError, Refused
 from bench.from_toml import format_value
 from bench.learning.learn import LearningProblem
@@ -354,7 +362,7 @@ class LiveShots:
     def _untaken(self, step: Step, number: int, sample: int, none: NoShot) -> Taken:
         """Return a failed shot: no swing, or no record of it."""
         shot = Shot.from_measurements(
-            **_row(step, number, sample),
+            **step_columns(step, number, sample),
             delivery=None,
             launch=None,
             flight=None,
@@ -401,8 +409,8 @@ class LiveShots:
         if doubt and not reason:
             status, reason = ShotStatus.EXCLUDED, doubt
         shot = Shot.from_measurements(
-            **_row(step, number, sample),
-            **_air_columns(air),
+            **step_columns(step, number, sample),
+            **air_columns(air),
             delivery=delivery,
             launch=seen.launch,
             flight=None,
@@ -462,34 +470,6 @@ def _reported(message: ShotPublication | None) -> _SeenLaunch:
         return _SeenLaunch(None, message["reason"], {}, {})
     launch = launch_from_json(told)
     return _SeenLaunch(launch.launch, message["reason"], told_figures(launch), {"launch": told})
-
-
-def _air_columns(air: Air | None) -> dict[str, Any]:
-    """Return the columns of the measured `air`."""
-    if air is None:
-        return {}
-    return {
-        "air_temperature_k": air.temperature,
-        "air_pressure_pa": air.pressure,
-        "relative_humidity": air.relative_humidity,
-    }
-
-
-def _row(step: Step, number: int, sample: int) -> dict[str, Any]:
-    """Return the columns of a shot that are known before it is taken."""
-    trial, arm = step.trial, step.trial.arm
-    return {
-        "shot": number,
-        "block": trial.block,
-        "position": trial.position,
-        "club": arm.club,
-        "ball": arm.ball,
-        "swing": arm.swing,
-        "role": str(trial.role),
-        "section": trial.section,
-        "attempt": step.attempt,
-        "sample": sample,
-    }
 
 
 def _left_to_person(todo: str) -> None:

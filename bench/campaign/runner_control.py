@@ -12,7 +12,7 @@ from typing import Any
 from bench.calibration.archive import newest_aerodynamics
 from bench.campaign.analysis import decide
 from bench.campaign.campaign_control import bench_lock, require_free, runner_lock
-from bench.campaign.campaign_record import RunStart, software_versions
+from bench.campaign.campaign_record import RunStart, differences, software_versions
 from bench.campaign.carry import Measured, measured_of
 from bench.campaign.corrections import CampaignCorrections
 from bench.campaign.gate import planned_delivery
@@ -247,22 +247,11 @@ def require_resumable(
         found = "another plan than it was begun with"
         action = "Leave the file out to go on as planned, or begin a new campaign."
         raise Refused(place, found, f"the plan {entry.digest}, which is stored with it", action)
-    changed = _changed(entry.configuration, configuration.effective())
+    changed = [key for key, _, _ in differences(entry.configuration, configuration.effective())]
     if changed := [key for key in changed if _can_change_a_shot(key)]:
         found = f"a configuration that differs in {', '.join(changed[:5])}"
         action = "Go on with --config and that configuration, or begin a new campaign."
         raise Refused(place, found, "the one it was begun with", action)
-
-
-def _changed(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") -> list[str]:
-    found = []
-    for key in sorted(before.keys() | now.keys()):
-        one, two = before.get(key), now.get(key)
-        if isinstance(one, Mapping) and isinstance(two, Mapping):
-            found += _changed(one, two, f"{path}{key}.")
-        elif one != two:
-            found.append(f"{path}{key}")
-    return found
 
 
 def _can_change_a_shot(key: str) -> bool:

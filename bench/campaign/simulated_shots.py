@@ -35,6 +35,7 @@ from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation, add_doubts
 from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, match
 from drivers.launch_monitor.record import LaunchRecord
+from sim.air import Air
 from sim.ball import Ball
 from sim.flight import fly
 from sim.launch_monitor import MonitorParameters, monitor_messages
@@ -136,6 +137,34 @@ def reported_carry(
     except ValueError:
         return None
     return max(0.0, carry + plan.simulation.carry * noise)
+
+
+def air_columns(air: Air | None) -> dict[str, Any]:
+    """Return the columns of the measured `air`."""
+    if air is None:
+        return {}
+    return {
+        "air_temperature_k": air.temperature,
+        "air_pressure_pa": air.pressure,
+        "relative_humidity": air.relative_humidity,
+    }
+
+
+def step_columns(step: Step, number: int, sample: int) -> dict[str, Any]:
+    """Return the columns of a shot that are known before it is taken."""
+    trial, arm = step.trial, step.trial.arm
+    return {
+        "shot": number,
+        "block": trial.block,
+        "position": trial.position,
+        "club": arm.club,
+        "ball": arm.ball,
+        "swing": arm.swing,
+        "role": str(trial.role),
+        "section": trial.section,
+        "attempt": step.attempt,
+        "sample": sample,
+    }
 
 
 class SimulatedShots:
@@ -280,27 +309,15 @@ class SimulatedShots:
         status: ShotStatus,
         reason: str,
     ) -> Shot:
-        trial, air = step.trial, self._configuration.air
         return Shot.from_measurements(
-            shot=number,
-            block=trial.block,
-            position=trial.position,
-            club=trial.arm.club,
-            ball=trial.arm.ball,
+            **step_columns(step, number, sample),
+            **air_columns(self._configuration.air),
             time_utc=self.time_of(number),
             delivery=None if result is None else result.delivery,
             launch=None,
             flight=None,
             status=status,
             reason=reason,
-            swing=trial.arm.swing,
-            role=str(trial.role),
-            section=trial.section,
-            attempt=step.attempt,
-            sample=sample,
-            air_temperature_k=air.temperature,
-            air_pressure_pa=air.pressure,
-            relative_humidity=air.relative_humidity,
         )
 
     def _bench(self, swing: str, club: str) -> tuple[ArmedBench, dict[str, Any]]:
