@@ -20,7 +20,7 @@ from bench.campaign.conformity import DECISION_RULE
 from bench.campaign.plan import CampaignPlan, ItemParticulars
 from bench.campaign.report_format import UnitSystem, display_unit
 from bench.errors import Refused
-from bench.golfer import followed_texts
+from bench.golfer.comparison import followed_texts
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, Event

@@ -17,7 +17,8 @@ from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.config import Configuration
-    from bench.golfer import ImportOptions, MotionDeviation, SwingMotion
+    from bench.golfer.comparison import MotionDeviation, SwingMotion
+    from bench.golfer.golfer_file import ImportOptions
     from sim.plant import PlantParameters
 
 app = typer.Typer(no_args_is_help=True)
@@ -65,7 +66,11 @@ def import_(
     GEARS itself are not read: export C3D from GEARS. C3D needs `pip install 'golfbench[mocap]'`.
     """
     from bench.commands.golfer_tables import import_report
-    from bench.golfer import beyond_ranges, find_roles, measure, read_capture, save_golfer, summary
+    from bench.golfer.comparison import beyond_ranges
+    from bench.golfer.golfer_file import save_golfer, summary
+    from bench.golfer.measuring import measure
+    from bench.golfer.recording import read_capture
+    from bench.golfer.roles import find_roles
 
     options = _import_options(lead, up, events, cutoff)
     require_picture(plot)
@@ -107,7 +112,7 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
     each built-in golfer's model is compared with the profile that follows it.
     """
     from bench.commands.golfer_tables import PIPED_WIDTH, beyond_text, comparison_table
-    from bench.golfer import beyond_ranges, compare_motions
+    from bench.golfer.comparison import beyond_ranges, compare_motions
 
     require_picture(plot)
     configuration = context.ensure_object(Session).configuration()
@@ -138,7 +143,8 @@ def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, js
 
 def _motion(plant: PlantParameters, text: str) -> SwingMotion:
     """Return the motion that `text` names."""
-    from bench.golfer import SUFFIX, golfer_motion, golfer_named, robot_motion
+    from bench.golfer.comparison import golfer_motion, golfer_named, robot_motion
+    from bench.golfer.golfer_file import SUFFIX
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
@@ -149,7 +155,7 @@ def _motion(plant: PlantParameters, text: str) -> SwingMotion:
 
 def _record(row: MotionDeviation) -> dict[str, Any]:
     """Return `row` as a record: fractions of the reference's ranges, None where not measured."""
-    from bench.golfer import DEFINITION
+    from bench.golfer.comparison import DEFINITION
 
     joints = ("shoulder", "arm", "wrist", "head")
     units = ("shoulder_rad", "arm_rad", "wrist_rad", "head_m")
@@ -173,7 +179,7 @@ def _golfers_own(c: Configuration) -> list[tuple[SwingMotion, SwingMotion]]:
     NAME-full needs the ranges of the variant `golfers`, NAME those of the shipped robot.
     """
     from bench.design.static_checks import beyond_range
-    from bench.golfer import golfer_motion, robot_motion
+    from bench.golfer.comparison import golfer_motion, robot_motion
     from bench.swing.golfers import GOLFERS
     from bench.swing.library import find_profile, profile_names
     from bench.swing.profile import load_profile
@@ -199,7 +205,7 @@ def _require_destination(name: str, folder: Path) -> None:
 
 def _import_options(lead: str | None, up: str | None, events: str | None, cutoff: str) -> ImportOptions:
     """Return the checked options of an import."""
-    from bench.golfer import ImportOptions
+    from bench.golfer.golfer_file import ImportOptions
 
     return ImportOptions(
         _choice("--lead", lead, ("left", "right")),

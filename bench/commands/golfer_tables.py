@@ -9,7 +9,8 @@ from typing import Any
 from rich.table import Table
 
 from bench.commands.output import plain_table
-from bench.golfer import DEFINITION, HUNT_WIENS, MotionDeviation, Roles, deviation_texts
+from bench.golfer.comparison import DEFINITION, HUNT_WIENS, MotionDeviation, deviation_texts
+from bench.golfer.roles import Roles
 
 PIPED_WIDTH = 160
 """Columns of a comparison in a file or pipe."""

@@ -35,7 +35,8 @@ from bench.interrupt import deferred_interrupt
 if TYPE_CHECKING:
     from bench.config import Configuration
     from bench.design.designer import SwingDemand
-    from bench.golfer import GolferSwing, MotionDeviation
+    from bench.golfer.comparison import MotionDeviation
+    from bench.golfer.golfer_file import GolferSwing
     from bench.swing.golfers import Golfer
     from bench.swing.profile import Profile
     from sim.plant import PlantParameters
@@ -324,7 +325,8 @@ def design(
 
 def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> Golfer | GolferSwing | None:
     """Return the golfer called `name` with the angles that are followed; None without a name."""
-    from bench.golfer import GolferSwing, golfer_named, with_club_held
+    from bench.golfer.comparison import golfer_named, with_club_held
+    from bench.golfer.golfer_file import GolferSwing
 
     golfer = None if name is None else golfer_named(name)
     if follow == "body":
@@ -338,7 +340,7 @@ def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> G
 def _show_deviation(plant: PlantParameters, row: MotionDeviation) -> None:
     """Print the deviation of a design from its golfer, and the golfer's excess beyond the robot's ranges."""
     from bench.commands.golfer_tables import PIPED_WIDTH, beyond_text, comparison_table
-    from bench.golfer import beyond_ranges
+    from bench.golfer.comparison import beyond_ranges
 
     console = console_of(PIPED_WIDTH)
     console.print(comparison_table([row]), highlight=False)
@@ -419,7 +421,8 @@ def _save_design(
     """Design a swing, save it at `path`, print its delivery, cushions and deviation from `golfer`."""
     from bench.design.designer import design_swing
     from bench.design.golfer_tracking import gave_way
-    from bench.golfer import GolferSwing, compare_motions, followed_golfer, golfer_motion, robot_motion
+    from bench.golfer.comparison import compare_motions, followed_golfer, golfer_motion, robot_motion
+    from bench.golfer.golfer_file import GolferSwing
     from bench.swing.profile import save_profile
 
     start = _profile_named(begin)

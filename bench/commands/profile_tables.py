@@ -76,7 +76,7 @@ def _table(*columns: str, title: str) -> Table:
 
 def _deviation(followed: FollowedGolfer) -> Group:
     """Return the deviation of a profile from the measured swing that it follows."""
-    from bench.golfer import followed_texts
+    from bench.golfer.comparison import followed_texts
 
     table = _table("", "", title=f"Deviation from the golfer's {followed['follow']}")
     for row in zip(("shoulder", "arm", "wrist", "head"), followed_texts(followed), strict=True):

@@ -19,7 +19,7 @@ from bench.interrupt import stop_on_signals
 if TYPE_CHECKING:
     import rerun as rr
 
-    from bench.golfer import GolferSwing
+    from bench.golfer.golfer_file import GolferSwing
     from bench.shot.shot_record import ShotRecord
     from bench.viewer.recording import Layout
     from bench.viewer.window import RerunWindow
@@ -123,7 +123,8 @@ def _read(
 
 def _golfer(path: Path, records: Sequence[ShotRecord], plant: PlantParameters) -> GolferSwing:
     """Return the golfer in `path`, who is aligned at the ball with at least one of `records`."""
-    from bench.golfer import load_golfer, require_club
+    from bench.golfer.comparison import require_club
+    from bench.golfer.golfer_file import load_golfer
     from bench.viewer.recording import impact_time
 
     golfer = load_golfer(path)

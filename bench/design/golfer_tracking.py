@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.design.designer import SwingDemand, downswing_rows, furthest_cock, wrist_range
-from bench.golfer import GolferSwing, require_club
+from bench.golfer.comparison import require_club
+from bench.golfer.golfer_file import GolferSwing
 from bench.swing.golfers import Golfer, HumanDownswing
 from bench.swing.profile import Profile
 from sim.kinematics import right_arm_length, theta2_from_right_arm

@@ -22,7 +22,7 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from bench.drawing.drawing import ball_at_rest, plane_to_golf
-from bench.golfer import GolferSwing
+from bench.golfer.golfer_file import GolferSwing
 from bench.shot.head_path import path_to_ball
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.whole_file import NotStored, whole_path

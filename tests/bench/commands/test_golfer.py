@@ -12,7 +12,7 @@ import pytest
 
 from bench.cli import main
 from bench.errors import BenchError
-from bench.golfer import load_golfer
+from bench.golfer.golfer_file import load_golfer
 from bench.swing.golfers import GOLFERS
 from tests.bench.golfer.synthetic import BALL, MAP, Synthetic, angles, write
 

@@ -16,7 +16,7 @@ from bench.cli import main
 from bench.config import load_configuration
 from bench.design.designer import DesignFailed
 from bench.errors import BenchError, ExitCode
-from bench.golfer import compare_motions, golfer_motion, robot_motion
+from bench.golfer.comparison import compare_motions, golfer_motion, robot_motion
 from bench.swing import library
 from bench.swing.library import find_profile, profile_names
 from bench.swing.profile import Profile, as_written, load_profile, save_profile
@@ -259,7 +259,7 @@ def test_a_design_keeps_whose_swing_it_follows_and_how_near(
 ) -> None:
     designed = SimpleNamespace(profile=SHIPPED)
     monkeypatch.setattr("bench.design.designer.design_swing", lambda *_, **__: designed)
-    monkeypatch.setattr("bench.golfer.golfer_named", lambda _: golfer_swing())
+    monkeypatch.setattr("bench.golfer.comparison.golfer_named", lambda _: golfer_swing())
     answer = run("--config", "mine.toml", "profile", "design", "anna.toml", "--golfer", "anna.golfer.toml")
     assert answer.code == 0, answer.err
     followed = load_profile(tmp_path / "anna.toml").followed

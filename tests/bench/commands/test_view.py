@@ -70,7 +70,7 @@ def test_a_golfer_is_shown_next_to_swings_that_reach_the_ball(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     file, shot = tmp_path / "two.rrd", records / "002.parquet"
-    monkeypatch.setattr("bench.golfer.load_golfer", lambda _: golfer_swing())
+    monkeypatch.setattr("bench.golfer.golfer_file.load_golfer", lambda _: golfer_swing())
     asked = ["view", "--golfer", "anna.golfer.toml", "--save", file]
     assert run(*asked, "--shot", shot) == ExitCode.OK
     assert "/scene/golfer/club" in Recording(file).entities

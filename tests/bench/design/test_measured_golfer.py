@@ -12,7 +12,8 @@ from bench.config import load_configuration
 from bench.design.designer import SwingDemand, furthest_cock, top_pose, wrist_range
 from bench.design.golfer_tracking import demand_measured
 from bench.errors import BenchError
-from bench.golfer import GolferSwing, beyond_ranges
+from bench.golfer.comparison import beyond_ranges
+from bench.golfer.golfer_file import GolferSwing
 from sim.kinematics import right_arm_length
 from tests.bench.golfer.synthetic import BALL, TOP, golfer_swing
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from bench.golfer import GolferSwing
+from bench.golfer.golfer_file import GolferSwing
 
 Array = NDArray[np.float64]
 

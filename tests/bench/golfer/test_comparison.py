@@ -11,19 +11,11 @@ from scipy.spatial.distance import pdist
 
 from bench.config import load_configuration
 from bench.errors import BenchError
-from bench.golfer import (
-    SwingMotion,
-    beyond_ranges,
-    compare_motions,
-    find_roles,
-    golfer_motion,
-    load_golfer,
-    measure,
-    read_capture,
-    robot_motion,
-    save_golfer,
-)
-from bench.golfer.golfer_file import ImportOptions
+from bench.golfer.comparison import SwingMotion, beyond_ranges, compare_motions, golfer_motion, robot_motion
+from bench.golfer.golfer_file import ImportOptions, load_golfer, save_golfer
+from bench.golfer.measuring import measure
+from bench.golfer.recording import read_capture
+from bench.golfer.roles import find_roles
 from bench.swing.golfers import GOLFERS
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile

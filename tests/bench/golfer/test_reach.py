@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.errors import BenchError
-from bench.golfer import GolferSwing, beyond_ranges, with_club_held
+from bench.golfer.comparison import beyond_ranges, with_club_held
+from bench.golfer.golfer_file import GolferSwing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.kinematics import forward_kinematics

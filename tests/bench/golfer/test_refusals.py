@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from bench.errors import BenchError
-from bench.golfer import ImportOptions, read_capture
+from bench.golfer.golfer_file import ImportOptions
+from bench.golfer.recording import read_capture
 from tests.bench.golfer.synthetic import BALL, MAP, Array, Synthetic, write
 from tests.bench.golfer.test_synthetic_golfers import imported
 

@@ -7,7 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.golfer import ImportOptions, MeasuredSwing, find_roles, measure, read_capture
+from bench.golfer.golfer_file import ImportOptions, MeasuredSwing
+from bench.golfer.measuring import measure
+from bench.golfer.recording import read_capture
+from bench.golfer.roles import find_roles
 from tests.bench.golfer.synthetic import BALL, MAP, Array, Synthetic, angles, write
 
 
