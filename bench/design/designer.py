@@ -98,9 +98,7 @@ class SwingDemand:
     """Angle of the head's path to the ground at the ball, rad, positive rising."""
     lean: float | None = None
     """Shaft lean at the ball, rad, in the swing plane, negative with leading hands; None: the easiest within
-    `lean_freedom`."""
-    lean_freedom: tuple[float, float] | None = None
-    """None: `_UPRIGHT`; on turf, where the path falls, up to `_LEADING`."""
+    `_UPRIGHT`; on turf, where the path falls, up to `_LEADING`."""
     before_stop: float = 0.0012
     """Least time from the ball to where the wrist, at its speed, would meet its stop, s. With 0 the fastest
     swings meet it there: a robot that came a little otherwise met it before the ball, 0.7 % slower in every
@@ -120,8 +118,7 @@ class SwingDemand:
     address_cock: float = 0.14
     """Wrist at address, rad short of its stop."""
     address_shoulder: float = 0.45
-    address_extension: float | None = None
-    """At a ball on a tee; None: `_SHORT_OF_STOP`. On turf they follow from the ball's place."""
+    """At a ball on a tee, with `_SHORT_OF_STOP`. On turf they follow from the ball's place."""
     top_shoulder: float = -1.30
     top_extension: float = 0.02
     top_cock: float | None = None
@@ -199,9 +196,7 @@ def address_pose(parameters: PlantParameters, demand: SwingDemand) -> Array:
     robot, wrist = parameters.robot, parameters.wrist.upper - demand.address_cock
     if parameters.site.surface != "none":
         return _behind_the_ball(parameters, wrist)
-    extension = demand.address_extension
-    if extension is None:
-        extension = parameters.right_arm.upper - _SHORT_OF_STOP
+    extension = parameters.right_arm.upper - _SHORT_OF_STOP
     theta2 = float(theta2_from_right_arm(robot, robot.l56 + extension))
     return np.array([demand.address_shoulder, theta2, wrist])
 
@@ -386,8 +381,6 @@ def _lean(demand: SwingDemand, parameters: PlantParameters) -> tuple[float, floa
     """Return the least and the most lean of the shaft at the ball, rad."""
     if demand.lean is not None:
         return demand.lean, demand.lean
-    if demand.lean_freedom is not None:
-        return demand.lean_freedom
     return (-_UPRIGHT if parameters.site.surface == "none" else -_LEADING), _UPRIGHT
 
 
