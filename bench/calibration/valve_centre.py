@@ -1,9 +1,8 @@
 """Encoder counts at the mechanical reference; centre and dead band of a valve from its chambers.
 
-Find the true centre and the dead band of a proportional valve from the chambers' response. Within its overlap
-a spool passes hardly any air, whatever the command; beyond it the flow rises in proportion. A line with a
-flat middle, fitted to the rate at which the difference of the two chambers' pressures changes, shows both
-edges.
+Within its overlap a spool passes hardly any air, whatever the command; beyond it the flow rises in
+proportion. A line with a flat middle, fitted to the rate at which the difference of the two chambers'
+pressures changes, shows both edges.
 """
 
 from __future__ import annotations

@@ -1,23 +1,21 @@
 """Levels compared within blocks, the units of a split-plot, and components of variance.
 
-Levels compared within blocks, and the units of a split-plot. Levels compared within blocks: block effects
-fixed, a linear drift if there is one, intervals exact. Model of one shot: y = block + level + slope * time +
-noise, the noise normal and the same for all. Blocks are taken out by subtracting their means (Frisch, Waugh
-and Lovell), so that ten thousand shots are a small problem; the estimates are those of the full least-squares
-fit.
+Block effects are fixed, a linear drift if there is one, intervals exact. Model of one shot: y = block + level
++ slope * time + noise, the noise normal and the same for all. Blocks are taken out by subtracting their means
+(Frisch, Waugh and Lovell), so that ten thousand shots are a small problem; the estimates are those of the
+full least-squares fit.
 
-Split-plots: clubs stay mounted while balls take turns, so that each question has an error of its own. A
-*mounting* is one club in one block, with all its hits. What a mounting does to a club, its hits share: clubs
-are compared by their mountings (whole plots), not by their shots. Balls alternate while a club is mounted and
-share its mounting: within each club they are compared by shots and balls (sub-plots), each complete set of
-balls being a block.
+Clubs stay mounted while balls take turns, so that each question has an error of its own. A *mounting* is one
+club in one block, with all its hits. What a mounting does to a club, its hits share: clubs are compared by
+their mountings (whole plots), not by their shots. Balls alternate while a club is mounted and share its
+mounting: within each club they are compared by shots and balls (sub-plots), each complete set of balls being
+a block.
 
-Variance components: repeatability of the delivery, and ratios of variances. Repeatability of the delivery:
-from shot to shot, and over the whole campaign (ISO 5725). Repeatability is the scatter between shots of one
-block; intermediate precision adds what differs between the blocks of one bench (one-way random effects). It
-is not reproducibility, which takes other laboratories. Where no block has two shots, repeatability is that of
-successive shots (von Neumann's mean squared successive difference), which a slow drift does not enter.
-Intervals: chi-square for the first, Satterthwaite's approximation for the second.
+Repeatability (ISO 5725) is the scatter between shots of one block; intermediate precision adds what differs
+between the blocks of one bench (one-way random effects). It is not reproducibility, which takes other
+laboratories. Where no block has two shots, repeatability is that of successive shots (von Neumann's mean
+squared successive difference), which a slow drift does not enter. Intervals: chi-square for the first,
+Satterthwaite's approximation for the second.
 
 Do two levels scatter alike? Ratios of their standard deviations, whatever the blocks have in common. Two
 levels hit in the same blocks share each block's condition. Of their shots u and v in a block, u - v and u + r

@@ -1,16 +1,15 @@
 """Dispersion of the landing points, and control chart of the control ball.
 
-Dispersion of the landing points: the ellipse that holds 95 % of a level's shots, and its area. Carry and
-offline distance are taken as normal. The covariance is that of one shot of any of the level's balls: between
-and within balls (MANOVA estimators), where balls were hit more than once. Its square root determinant, and so
-the area, has an exact distribution for two quantities: 2 v sqrt(|S|/|C|) is chi-square with 2 (v - 1) degrees
-of freedom for v of S (Anderson 2003, 7.5); with several balls v is an approximation (Nel and van der Merwe
-1986).
+Dispersion: the ellipse that holds 95 % of a level's shots, and its area. Carry and offline distance are taken
+as normal. The covariance is that of one shot of any of the level's balls: between and within balls (MANOVA
+estimators), where balls were hit more than once. Its square root determinant, and so the area, has an exact
+distribution for two quantities: 2 v sqrt(|S|/|C|) is chi-square with 2 (v - 1) degrees of freedom for v of S
+(Anderson 2003, 7.5); with several balls v is an approximation (Nel and van der Merwe 1986).
 
-Control chart of the control ball: individual values in order, judged by Nelson's eight rules. The limits come
-from the moving range of the same series (Shewhart's chart for individuals, ISO 7870-2), so that a slow drift
-does not widen them. The control ball is the same throughout: a signal is of the robot, the monitor or the
-air, never of the compared balls.
+Control chart: individual values in order, judged by Nelson's eight rules. The limits come from the moving
+range of the same series (Shewhart's chart for individuals, ISO 7870-2), so that a slow drift does not widen
+them. The control ball is the same throughout: a signal is of the robot, the monitor or the air, never of the
+compared balls.
 """
 
 from __future__ import annotations

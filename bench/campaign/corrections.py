@@ -1,9 +1,8 @@
 """The learned corrections of a campaign's swings, and their relearning during the campaign.
 
-When a swing is relearned: between blocks, when its delivery has drifted. A block's deliveries of one swing
-and club are compared with those of the first block after it was learned last, small blocks taken together, by
-the same measuring chain: what the chain sees wrongly it sees wrongly in both. The ball's results are never
-looked at.
+A swing is relearned between blocks when its delivery has drifted. A block's deliveries of one swing and club
+are compared with those of the first block after it was learned last, small blocks taken together, by the same
+measuring chain: what the chain sees wrongly it sees wrongly in both. The ball's results are never looked at.
 """
 
 from __future__ import annotations

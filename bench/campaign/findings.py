@@ -1,8 +1,7 @@
 """All results of a campaign in one value: quantities, differences, ranking; for report, JSON and baseline.
 
-The differences of all levels to the reference, side by side over clubs, balls and swings. Nothing is
-estimated here: each difference is a pair of its section's analysis, with the interval that holds for all
-pairs of that section simultaneously.
+Nothing is estimated here: each difference is a pair of its section's analysis, with the interval that holds
+for all pairs of that section simultaneously.
 
 Ranking of a section's levels with letters: those without a letter in common differ, all pairs together.
 Compact letter display by insertion and absorption (Piepho 2004), from the decisions of the confirmatory

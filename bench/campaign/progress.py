@@ -1,12 +1,12 @@
 """Progress of a campaign as messages to programs, and as notifications to persons.
 
-Progress of a campaign as a message: the work done, the time left, the next work by hand. It is published as
+A message has the work done, the time left and the next work by hand. It is published as
 `golfbench/<bench>/campaign/<id>`, JSON, at each shot and each change of state, and answered to who asks in
 between.
 
-Notifications by mail, webhook or chat when a campaign waits for a person, is suspended or finishes. `apprise`
-sends them from a thread of its own, with retries: no shot waits for it. URLs of services hold passwords and
-tokens. They are in a file that only its owner may read, and in no message, log or record.
+Notifications go out by mail, webhook or chat when a campaign waits, is suspended or finishes. `apprise` sends
+them from a thread of its own, with retries: no shot waits for it. URLs of services hold passwords and tokens.
+They are in a file that only its owner may read, and in no message, log or record.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Balls, clubs and the statements of ISO/IEC 17025 as tables of a report.
 
-Balls and clubs of a campaign as tables of its report. On hardware a ball is what was measured of it: the
-plan's factors of restitution, drag and lift say what a simulated ball is and do not appear.
+On hardware a ball is what was measured of it: the plan's factors of restitution, drag and lift say what a
+simulated ball is and do not appear.
 
-What a test report states besides its results (ISO/IEC 17025:2017, 7.8), from plan and records. What was left
-out is printed as "not stated": a person who signs sees the gap.
+What plan and records leave out of ISO/IEC 17025:2017, 7.8, is printed as "not stated": a person who signs
+sees the gap.
 """
 
 from __future__ import annotations

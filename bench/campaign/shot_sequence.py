@@ -1,9 +1,8 @@
 """Order of shots, and the next shot of a campaign, given those before it.
 
-The course of a campaign: the next shot, given those before it, and when it is over. `course` is a generator:
-it yields the next step and is sent the shot that came of it. It reads no clock and draws nothing by itself,
-so that sending it the stored shots of an interrupted campaign leads to the very step that would have come
-next.
+`course` is a generator: it yields the next step and is sent the shot that came of it. It reads no clock and
+draws nothing by itself, so that sending it the stored shots of an interrupted campaign leads to the very step
+that would have come next.
 """
 
 from __future__ import annotations

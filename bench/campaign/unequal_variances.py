@@ -2,16 +2,14 @@
 
 Estimates are least squares within blocks (`bench.campaign.block_model`). A *unit* is independent of all
 others: a ball of its model with all its hits, or one shot where a level has one ball only. Each level's
-variance is estimated from the sums of its units' residuals, unbiased whatever the scatter of the other
-levels (quadratic unbiased estimation, MINQUE); the variance of a difference is a sum of them, with
-Satterthwaite's degrees of freedom. Complete designs give the classical nested analysis: two levels, the
-paired t test of balls.
+variance is estimated from the sums of its units' residuals, unbiased whatever the scatter of the other levels
+(quadratic unbiased estimation, MINQUE); the variance of a difference is a sum of them, with Satterthwaite's
+degrees of freedom. Complete designs give the classical nested analysis: two levels, the paired t test of
+balls.
 
 Not a likelihood: REML sets a negative variance between balls to zero and then takes their hits for
 independent. Nor statsmodels: its mixed model has one scatter for all levels and no degrees of freedom, its
 cluster-robust errors hold for many clusters only, and one fit takes seconds.
-
-Errors that all shots of a level have in common, which more shots do not average away.
 """
 
 from __future__ import annotations

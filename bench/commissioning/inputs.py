@@ -1,10 +1,10 @@
 """Inputs as they are proven, and who turns the pressure regulator meanwhile.
 
-Inputs as they are proven: each is seen to change alone, in an order in which none acts as another does. A
-person acts, the bench watches all inputs at once. The table of stages is the whole check: what the outputs
-do, what the person does, and which inputs then differ from the robot at rest. The column of an input over all
-stages is its own, so that two exchanged cables show each other's column. While the outputs are energised the
-regulator is turned down to nothing: the stop contacts are seen to open without air behind them.
+Each input is seen to change alone, in an order in which none acts as another does. A person acts, the bench
+watches all inputs at once. The table of stages is the whole check: what the outputs do, what the person does,
+and which inputs then differ from the robot at rest. The column of an input over all stages is its own, so
+that two exchanged cables show each other's column. While the outputs are energised the regulator is turned
+down to nothing: the stop contacts are seen to open without air behind them.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """Steps 6 and 7: first swings at rising speed, each compared with its prediction; the swing is learned.
 
-Step: first swings, of 40, 60, 80 and 100 % of the speed, each compared with its prediction. The prediction is
-the same swing of the robot as it was measured. What differs by more than the measured values explain is a
-machine that is not as assumed; the next swing would only be faster.
+First swings are of 40, 60, 80 and 100 % of the speed. The prediction is the same swing of the robot as it was
+measured. What differs by more than the measured values explain is a machine that is not as assumed; the next
+swing would only be faster.
 
-Step: the swing is learned on the robot itself, with the response of the robot as it was measured. Encoders
-show the strike on the face as far as lengths are known, which no step measures. Where the ball's mark is
-read, the strike is the encoders' plus what the marks so far lay beside it; a mark is asked for after the
-first swing, and after each that would do.
+The swing is learned with the response of the robot as it was measured. Encoders show the strike on the face
+as far as lengths are known, which no step measures. Where the ball's mark is read, the strike is the
+encoders' plus what the marks so far lay beside it; a mark is asked for after the first swing, and after each
+that would do.
 """
 
 from __future__ import annotations

@@ -1,17 +1,15 @@
 """Swings of the robot that was found, and the limits for them.
 
-The swing of a robot that was found: how fast it can swing, and swings of a share of that speed. A whole swing
-is designed at rising speeds until the design fails: collocation, refinement on the plant, closed loop, the
-cushions if the ball is missed or the bench falls silent. All are near the shipped swing's downswing, slower
-ones in as much more time; the backswing may be slower than the shipped one.
+A whole swing is designed at rising speeds until the design fails: collocation, refinement on the plant,
+closed loop, the cushions if the ball is missed or the bench falls silent. All are near the shipped swing's
+downswing, slower ones in as much more time; the backswing may be slower than the shipped one.
 
 A slower swing along the path of a designed one: its reference stretched in time. A design at less than half
 the speed is not reliable: its plan spends most of its time near the top, where dry friction decides. Here the
 loop follows the same path more slowly; what it delivers need not be a good shot.
 
-Limits of the following error for the robot that was found: from how its model follows the swing. The
-configured limits are those of another robot: one with more friction or smaller valves lags further behind its
-reference in a healthy swing.
+Limits of the following error come from how its model follows the swing. The configured ones are those of
+another robot: one with more friction or smaller valves lags further behind its reference in a healthy swing.
 """
 
 from __future__ import annotations

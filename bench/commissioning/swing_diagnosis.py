@@ -1,8 +1,7 @@
 """Which cause explains that a robot swung otherwise than the one that was measured?
 
-Which cause explains that a robot swung otherwise than the one that was measured? Every cause is fitted to the
-recorded swing, with all measured values free within their standard errors. The one that leaves least is named
-if it leaves much less than any other and than none.
+Every cause is fitted to the recorded swing, with all measured values free within their standard errors. The
+one that leaves least is named if it leaves much less than any other and than none.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """All drawn bodies of a configured robot, with vane drive, stand, tee and guard, and their positions.
 
-Where bodies stand: poses in the swing plane, the plane in the golf frame, the ball, the address. The golf
-frame is that of `sim/impact.py`: X along the target line, Y up, Z to the right; the origin is on the ground
-below the point of impact.
+The golf frame is that of `sim/impact.py`: X along the target line, Y up, Z to the right; the origin is on the
+ground below the point of impact.
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
 """The robot as URDF for simulators, and at address as one binary glTF file (.glb) for people.
 
-The robot at address as one binary glTF file (.glb), for people: any browser or 3D program opens it. One node
-a body, with its pose; below it one mesh with a primitive for each colour. Metres, Y up, X along the target
-line: the golf frame is glTF's own.
+glTF: one node a body, with its pose; below it one mesh with a primitive for each colour. Metres, Y up, X
+along the target line: the golf frame is glTF's own.
 
-The robot as URDF: inertias of the dynamics, drawn meshes, outlines of the clearance checks. URDF is a tree,
-the robot has a loop: the right arm's cylinder hangs from its rod, and the two links `right_shoulder` (on the
-shoulder link) and `right_shoulder_of_cylinder` are to coincide. A simulator closes the loop with a point
-constraint between them; `closure.json` beside the file names it.
+URDF has inertias of the dynamics, drawn meshes, outlines of the clearance checks. It is a tree, the robot has
+a loop: the right arm's cylinder hangs from its rod, and the two links `right_shoulder` (on the shoulder link)
+and `right_shoulder_of_cylinder` are to coincide. A simulator closes the loop with a point constraint between
+them; `closure.json` beside the file names it.
 
 Root: `ground`, Z up, X along the target line, the origin below the point of impact. Joint values are those of
 the bench: shoulder, arm, wrist; rod and cylinder follow from them.

@@ -1,7 +1,7 @@
 """The robot at address as STEP for a workshop, and the masses of its bodies beside those of the dynamics.
 
-The robot at address as STEP, for a workshop: exact solids, one labelled assembly a body, millimetres. The
-only module that needs build123d (extra `cad`). Z up, X along the target line, as in the URDF.
+STEP: exact solids, one labelled assembly a body, millimetres. The only module that needs build123d (extra
+`cad`). Z up, X along the target line, as in the URDF.
 """
 
 from __future__ import annotations

@@ -1,17 +1,16 @@
 """MCAP, the container of robotics, for Foxglove's line of viewers and PlotJuggler; all channels are JSON.
 
-Robot, ball and ground as messages of Foxglove's 3D panel: frames that move, and shapes fixed in them. Frames:
-`world`, Z up, X along the target line, on the ground below the point of impact; in it `golf`, the frame of
-`sim/impact.py`; in it `plane`, the swing plane's; in it the bodies'.
+Frames of Foxglove's 3D panel: `world`, Z up, X along the target line, on the ground below the point of
+impact; in it `golf`, the frame of `sim/impact.py`; in it `plane`, the swing plane's; in it the bodies'.
 
 The JSON Schemas are those of the well-known messages of Foxglove's line of viewers. Their parser takes one
 type a property, no references, and enumerations as alternatives of number constants with titles. Parts of
 the messages that an export does not use (meshes, texts, arrows) are left out.
 
-MCAP, the container of robotics, for Foxglove's line of viewers and PlotJuggler; all channels are JSON.
-`/cycle` a message a cycle. Vectors are objects by component, so that a plot names `/cycle.angle.wrist` `/tf`
-frames of the robot's bodies, each cycle while it is fast, else every tenth `/scene` shapes of robot, ball and
-ground in these frames, once `/log` changes of the state and the cause of a stop
+`/cycle`   a message a cycle. Vectors are objects by component, so that a plot names `/cycle.angle.wrist`
+`/tf`      frames of the robot's bodies, each cycle while it is fast, else every tenth
+`/scene`   shapes of robot, ball and ground in these frames, once
+`/log`     changes of the state and the cause of a stop
 
 The schema of `/cycle` carries each value's unit and description and the names of its codes; the metadata
 record `golfbench` is the record's own. JSON has no NaN: an unknown number is left out of its message. It is

@@ -1,8 +1,7 @@
 """The hazard table to sign, and the hazard file for a safety engineer: figures of the matrix, judgement.
 
-The hazard file for a safety engineer: figures of the fault matrix beside people's judgement. The judgement is
-data, `hazard_file.toml`; figures come from the matrix. The form follows that of a failure modes and effects
-analysis, the required performance levels the risk graph of ISO 13849-1's Annex A.
+The judgement is data, `hazard_file.toml`; figures come from the matrix. The form follows that of a failure
+modes and effects analysis, the required performance levels the risk graph of ISO 13849-1's Annex A.
 """
 
 from __future__ import annotations

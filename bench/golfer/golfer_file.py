@@ -1,9 +1,8 @@
 """A golfer's swing as measured, and its file `NAME.golfer.toml` with a Parquet table.
 
-A golfer's swing as measured, and what the user states of it. Definitions: x level towards the target, y up,
-both in the swing plane; the origin is the head at the ball, without a club the lead wrist. theta1 is the
-direction from trail to lead shoulder, theta1 + theta2 that from lead shoulder to lead wrist, theta1 + theta2
-+ theta3 that of the shaft, each projected.
+Definitions: x level towards the target, y up, both in the swing plane; the origin is the head at the ball,
+without a club the lead wrist. theta1 is the direction from trail to lead shoulder, theta1 + theta2 that from
+lead shoulder to lead wrist, theta1 + theta2 + theta3 that of the shaft, each projected.
 """
 
 from __future__ import annotations

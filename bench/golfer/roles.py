@@ -1,8 +1,7 @@
 """Recorded marker positions, and the roles of markers: which of a file's names are shoulders, hips, club.
 
-Roles of markers: which of a file's names are shoulders, wrists, hips, grip and head of the club. A built-in
-map or a TOML file gives each role a list of markers, whose mean is taken. Built-in maps name sides left and
-right; a TOML map may name them lead and trail instead.
+A built-in map or a TOML file gives each role a list of markers, whose mean is taken. Built-in maps name sides
+left and right; a TOML map may name them lead and trail instead.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The learner: chooses the next correction by the deliveries before and the response of the model.
 
-The learner: chooses the next correction from the deliveries of the swings before. Norm-optimal iterative
-learning control (Bristow, Tharayil & Alleyne 2006) on a few smooth weights. A step minimises
+Norm-optimal iterative learning control (Bristow, Tharayil & Alleyne 2006) on a few smooth weights. A step
+minimises
 
     sum ((figure - target) / tolerance)^2 + path_weight^2 mean ((path - planned path) / path_scale)^2
     + effort^2 |weights|^2

@@ -1,11 +1,9 @@
 """Learn a swing: swing, evaluate, correct, swing again; also from swings of an identified robot.
 
-Recorded swings, and the start of learning on the robot that was identified from them. Start of learning on an
-identified robot: its simulated correction, and the error that is left. An identified robot swings nearly as
-the recorded one did. The remaining difference in delivery, by the same measuring chain, is known from the
-recorded swings. It changes little from one correction to the next, so the identified robot learns a target
-that is lower by it, and the first swing of the robot itself has neither the model's error nor the
-identification's.
+An identified robot swings nearly as the recorded one did. The remaining difference in delivery, by the same
+measuring chain, is known from the recorded swings. It changes little from one correction to the next, so the
+identified robot learns a target that is lower by it, and the first swing of the robot itself has neither the
+model's error nor the identification's.
 """
 
 from __future__ import annotations

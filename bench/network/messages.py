@@ -1,11 +1,9 @@
 """Types of the messages that a bench and its campaigns publish, and the wire contract made from all types.
 
-Types of the messages that a bench and its campaigns publish. Those of state and shot:
-`bench.network.bench_service`, `bench.shot.shot_message`.
+Those of state and shot: `bench.network.bench_service`, `bench.shot.shot_message`.
 
-The wire contract of a bench, for machines: what it publishes and answers, made from the types it uses. The
-bench answers with it on `golfbench/BENCH/schema`, and `golfbench schema` prints it. The page beside this file
-is the same for people.
+The bench answers with its contract on `golfbench/BENCH/schema`, and `golfbench schema` prints it. The page
+beside this file is the same for people.
 """
 
 from __future__ import annotations

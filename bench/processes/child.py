@@ -1,7 +1,6 @@
 """Child processes of the supervisor: started with a plan, read, monitored, restarted and stopped.
 
-Support processes (recorder, publisher and others): started, monitored by heartbeat and restarted. Arming
-requires recorder and publisher.
+Support processes (recorder, publisher and others) have a heartbeat. Arming requires recorder and publisher.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""A lock on an open file that is released when its owner ends for any reason.
-
-The folder of shared files of a running bench.
-
-Ownership of a bench on this machine: a folder in shared memory, and the lock on the file `owner` in it.
+"""Ownership of a bench on this machine: a folder in shared memory, and the lock on the file `owner` in it.
 
 The daemon takes the bench before anything moves and passes the locked descriptor to its loop, so the bench
 stays taken while one of the two runs. The kernel releases the lock when both have ended for any reason; the

@@ -1,14 +1,13 @@
 """Real-time settings of the calling process, and the lock of its memory.
 
-Lock of the memory that a tick may use, so that no tick waits for a page. Everything that is resident is
-locked, every other mapping is paged in and locked, and so is all memory mapped later. More than half is left
-out, as no tick uses it: the compiler and the matrix library, whose clean pages return to the system, and
-reserves, of which hardly anything was ever used (each copy of OpenBLAS maps work buffers of 32 MB). Their
-pages are locked when they are used again.
+So that no tick waits for a page, everything that is resident is locked, every other mapping is paged in and
+locked, and so is all memory mapped later. More than half is left out, as no tick uses it: the compiler and
+the matrix library, whose clean pages return to the system, and reserves, of which hardly anything was ever
+used (each copy of OpenBLAS maps work buffers of 32 MB). Their pages are locked when they are used again.
 
-Real-time settings of the calling process: request, read back, restore at the end. A setting counts only as
-read back after all were requested: a call may succeed without effect, and one setting may change another (a
-SCHED_FIFO task has no timer slack). The granted settings are published and stored with every record.
+A setting counts only as read back after all were requested: a call may succeed without effect, and one
+setting may change another (a SCHED_FIFO task has no timer slack). The granted settings are published and
+stored with every record.
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
 """Replay of a record: its inputs through the cycle of today, the differences, and how near its limits came.
 
-Replay of a record: its readings, requests and permissions through today's cycle, and the differences. A
-replay begins with the controller's memory stored in the record (`bench.telemetry.snapshot`) and continues
+A replay begins with the controller's memory stored in the record (`bench.telemetry.snapshot`) and continues
 with the tick after it. Every field of the cycle is one of three: an input, taken from the record (`INPUTS`);
 decided by the controller, recomputed and compared (`DECIDED`); or measured around it, neither (`MEASURED`).
 The command is compared with the one truly applied; while the device was passive by itself the applied command
 is the device's own, and is not compared. A tick that failed in the driver's write cannot be repeated: from
 there on the record may differ.
 
-How near a recorded swing came to the limits of the model-based check: wear, before it stops a swing. The
-record is replayed with the observer on and without a limit that could stop it, so that a record made with the
-check off shows it as well.
+For wear, how near a swing came to the limits of the model-based check, the record is replayed with the
+observer on and without a limit that could stop it, so that a record made with the check off shows it as well.
 """
 
 from __future__ import annotations

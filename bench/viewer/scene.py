@@ -1,9 +1,8 @@
 """The drawn robot, ball and range as shapes for Rerun, and their motion.
 
-The drawn robot, the ball and the range as shapes for Rerun, with their real dimensions. All entities are
-below `scene`, in the golf frame of `sim/impact.py`: X along the target line, Y up, Z to the right; the origin
-is on the ground below the point of impact. `scene/robot` is the swing plane's frame with its origin at the
-shoulder axis R1; its bodies turn and move in that plane only.
+All entities are below `scene`, in the golf frame of `sim/impact.py`: X along the target line, Y up, Z to the
+right; the origin is on the ground below the point of impact. `scene/robot` is the swing plane's frame with
+its origin at the shoulder axis R1; its bodies turn and move in that plane only.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Send, receive and count frames on any python-can interface: by raw socket if possible, else as messages.
 
-Send and receive frames on any python-can interface: by raw socket where possible, else as messages. Frames
-are Linux's `struct can_frame` (`drivers.can_bus.FRAME`). Failures raise OSError with errno: ENOBUFS when the
-transmit queue is full, ENETDOWN and the like when the interface is down.
+Frames are Linux's `struct can_frame` (`drivers.can_bus.FRAME`). Failures raise OSError with errno: ENOBUFS
+when the transmit queue is full, ENETDOWN and the like when the interface is down.
 """
 
 from __future__ import annotations
