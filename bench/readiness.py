@@ -12,8 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from bench.calibration.archive import calibration_of
-from bench.calibration.calibration import Calibration, apply
-from bench.calibration.values import CalibrationKind, is_rewired
+from bench.calibration.calibration import Calibration, CalibrationKind, apply, is_rewired
 from bench.config import Configuration, contradictions, unheard_phases
 from bench.control.model_limits import LimitsInUse
 from bench.design.static_checks import Check, check_profile, other_rate, rate_faults

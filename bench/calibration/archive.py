@@ -10,8 +10,16 @@ from sqlalchemy import Engine, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
 from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics, aerodynamics_values
-from bench.calibration.calibration import Calibration, Entry
-from bench.calibration.values import KINDS, VALID_DAYS, CalibrationKind, Values, content_of, values_of
+from bench.calibration.calibration import (
+    KINDS,
+    VALID_DAYS,
+    Calibration,
+    CalibrationKind,
+    Entry,
+    Values,
+    content_of,
+    values_of,
+)
 from bench.config import Configuration, database_url
 from bench.errors import BenchError
 from bench.store.database import is_there, open_database

@@ -20,8 +20,7 @@ from bench.commands.session import Session, exit_unless, show_json
 from bench.errors import BenchError, Refused
 
 if TYPE_CHECKING:
-    from bench.calibration.calibration import Calibration, Entry
-    from bench.calibration.values import CalibrationKind
+    from bench.calibration.calibration import Calibration, CalibrationKind, Entry
     from bench.config import Configuration
 
 app = typer.Typer(
@@ -81,8 +80,8 @@ def encoders(
     json_: Json = False,
 ) -> None:
     """Set the encoder zeros: counts at angle zero, or the pose in which the robot is locked now."""
-    from bench.calibration.values import CalibrationKind
-    from bench.calibration.values import zero_counts as zeros_at
+    from bench.calibration.calibration import CalibrationKind
+    from bench.calibration.calibration import zero_counts as zeros_at
 
     place = "calibrate encoders"
     configuration = _calibrated(context)
@@ -129,7 +128,7 @@ def ball(
     json_: Json = False,
 ) -> None:
     """Set the position of the ball's centre on its tee, in the swing plane."""
-    from bench.calibration.values import CalibrationKind
+    from bench.calibration.calibration import CalibrationKind
 
     content = {"x": x, "y": y, "uncertainty": uncertainty_mm / 1e3}
     _add(context, CalibrationKind.BALL, content, method, by, expires_days, note, json_)
@@ -153,7 +152,7 @@ def club(
     json_: Json = False,
 ) -> None:
     """Set a club's length to the face, loft and lie as it sits in the mount."""
-    from bench.calibration.values import CalibrationKind
+    from bench.calibration.calibration import CalibrationKind
 
     content = {
         "club": name or context.ensure_object(Session).configuration().swing.club,
@@ -186,7 +185,7 @@ def valves(
     json_: Json = False,
 ) -> None:
     """Set the valves' centres and dead bands, entered or found by a slow ramp."""
-    from bench.calibration.values import CalibrationKind
+    from bench.calibration.calibration import CalibrationKind
 
     place = "calibrate valves"
     given = (centre, dead_band, uncertainty)
@@ -276,8 +275,7 @@ def _add(
 ) -> None:
     """Check `content` against its ranges and this bench, store it, and say so."""
     from bench.calibration.archive import keep_calibration
-    from bench.calibration.calibration import require_plausible
-    from bench.calibration.values import in_words, values_of
+    from bench.calibration.calibration import in_words, require_plausible, values_of
 
     values = values_of(kind, content, f"calibrate {kind}")
     configuration, now = context.ensure_object(Session).configuration(), datetime.now(UTC)
@@ -373,7 +371,7 @@ def _measured_valves(configuration: Configuration) -> dict[str, Any]:
 
 def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> Table:
     """Return all `entries`, the newest of each kind last, each with who, how and why."""
-    from bench.calibration.values import CalibrationKind, in_words
+    from bench.calibration.calibration import CalibrationKind, in_words
 
     table = Table.grid(padding=(0, 2, 1, 0))
     table.add_column(no_wrap=True)
@@ -394,7 +392,7 @@ def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> T
 
 def overview(in_force: Calibration, now: datetime) -> Table:
     """Return a table of what is in force, kind by kind."""
-    from bench.calibration.values import CalibrationKind, in_words
+    from bench.calibration.calibration import CalibrationKind, in_words
 
     table = plain_table("kind", "version", "date (UTC)", "expires", "values", "")
     for kind in CalibrationKind:

@@ -19,8 +19,7 @@ from bench.errors import BenchError
 if TYPE_CHECKING:
     from bench.calibration.aerodynamics_fit import FlightUncertainty
     from bench.calibration.ball_aerodynamics import BallAerodynamics
-    from bench.calibration.calibration import Entry
-    from bench.calibration.values import SeenInputs
+    from bench.calibration.calibration import Entry, SeenInputs
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.commissioning.inputs_check import WatchedMachine
     from bench.commissioning.live_robot import Hands
@@ -239,7 +238,7 @@ def inputs(
 def inputs_in_force(configuration: Configuration, now: datetime) -> str | None:
     """Return the name of the check in force, empty if it is due; None with a simulated robot."""
     from bench.calibration.archive import calibration_of
-    from bench.calibration.values import CalibrationKind, SeenInputs, is_rewired
+    from bench.calibration.calibration import CalibrationKind, SeenInputs, is_rewired
 
     if configuration.driver.name == "sim":
         return None

@@ -19,7 +19,7 @@ from bench.commands.session import Session, at_terminal, show_json
 from bench.errors import BenchError
 
 if TYPE_CHECKING:
-    from bench.calibration.values import SeenInputs
+    from bench.calibration.calibration import SeenInputs
     from bench.commissioning.commissioning import Commissioning
     from bench.commissioning.driver_machine import SimulatedMachine
     from bench.commissioning.inputs_check import WatchedMachine

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.calibration.values import SeenInputs
+from bench.calibration.calibration import SeenInputs
 from bench.commissioning.driver_machine import Stalled
 from bench.commissioning.inputs_check import (
     InputHands,

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from math import inf, isfinite, isnan
 from typing import Protocol
 
-from bench.calibration.values import SeenInputs, wiring_digest
+from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.inputs import ACTS, Act, InputFinding, Regulator, Stage, fitted, judged, stages
 from bench.commissioning.machine import DRIFT
 from bench.commissioning.steps import WrongMachine

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.calibration.values import zero_counts
+from bench.calibration.calibration import zero_counts
 from bench.commissioning.air_fit import NAMES, fit_air, way_per_angle
 from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment

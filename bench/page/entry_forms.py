@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 from bench.calibration.archive import calibration_of
-from bench.calibration.values import CalibrationKind, in_words
+from bench.calibration.calibration import CalibrationKind, in_words
 from bench.config import Configuration, database_url
 from bench.page.answers import InvalidBody, text_in
 from bench.store.air_readings import newest_reading

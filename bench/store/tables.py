@@ -93,7 +93,7 @@ class CalibrationRow(Row):
     method: Mapped[str]
     note: Mapped[str]
     content: Mapped[dict[str, Any]]
-    """The values, as `bench.calibration.values` names them."""
+    """The values, as `bench.calibration.calibration` names them."""
 
 
 def _only_add(table: Table, what: str) -> None:

@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from bench.calibration.archive import add_calibration
-from bench.calibration.values import BallPosition
+from bench.calibration.calibration import BallPosition
 from bench.config import database_url, load_configuration
 from bench.errors import ExitCode, Refused
 from bench.lifecycle import Cause, Phase, Request, State

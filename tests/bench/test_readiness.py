@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from bench.calibration.archive import add_calibration
-from bench.calibration.values import (
+from bench.calibration.calibration import (
     BallPosition,
     ClubInMount,
     EncoderZeros,

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.calibration.archive import add_calibration
-from bench.calibration.values import (
+from bench.calibration.calibration import (
     BallPosition,
     ClubInMount,
     EncoderZeros,

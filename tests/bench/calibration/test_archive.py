@@ -18,7 +18,7 @@ from bench.calibration.archive import (
     effective_calibration,
     list_calibrations,
 )
-from bench.calibration.values import (
+from bench.calibration.calibration import (
     BallPosition,
     CalibrationKind,
     ClubInMount,

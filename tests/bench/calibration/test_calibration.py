@@ -12,14 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.calibration.calibration import Calibration, Entry, apply, require_plausible
-from bench.calibration.values import (
+from bench.calibration.calibration import (
     KINDS,
     BallPosition,
+    Calibration,
     ClubInMount,
     EncoderZeros,
+    Entry,
     Values,
     ValveCentres,
+    apply,
+    require_plausible,
     zero_counts,
 )
 from bench.config import Configuration, load_configuration

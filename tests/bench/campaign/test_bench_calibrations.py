@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bench.calibration.archive import add_calibration
-from bench.calibration.values import ClubInMount, EncoderZeros
+from bench.calibration.calibration import ClubInMount, EncoderZeros
 from bench.campaign.campaign_record import changed
 from bench.campaign.plan_file import load_plan
 from bench.campaign.plan_requirements import (

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from bench.calibration.archive import add_calibration
-from bench.calibration.values import ClubInMount, EncoderZeros
+from bench.calibration.calibration import ClubInMount, EncoderZeros
 from bench.campaign.budget import uncertainty_budgets
 from bench.campaign.campaign_control import ask
 from bench.campaign.campaign_record import load_record

@@ -111,7 +111,7 @@ def test_check_finds_a_ball_that_the_swing_does_not_meet(golfbench: Run) -> None
 
 def test_expired_calibration_makes_show_say_no(golfbench: Run, tmp_path: Path) -> None:
     from bench.calibration.archive import add_calibration
-    from bench.calibration.values import BallPosition
+    from bench.calibration.calibration import BallPosition
     from bench.config import database_url
     from bench.store.database import open_database
 

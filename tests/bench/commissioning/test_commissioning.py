@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bench.calibration.archive import calibration_of
-from bench.calibration.values import CalibrationKind, EncoderZeros
+from bench.calibration.calibration import CalibrationKind, EncoderZeros
 from bench.cli import main
 from bench.commissioning.commissioning import (
     ALL_STEPS,

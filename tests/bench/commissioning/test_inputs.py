@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import URL, make_url
 
 from bench.calibration.archive import add_calibration, effective_calibration
-from bench.calibration.values import CalibrationKind, SeenInputs, wiring_digest
+from bench.calibration.calibration import CalibrationKind, SeenInputs, wiring_digest
 from bench.cli import main
 from bench.commands.calibrate_measured import simulated_hands
 from bench.commissioning.commissioning import begin, read_state, see_inputs
