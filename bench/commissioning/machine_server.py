@@ -1,18 +1,288 @@
-"""What the process that has the machine does: sequences, swings, and in between holding or being passive."""
+"""What the process that has the machine does: sequences, swings, and in between holding or being passive.
+
+Swings of the robot itself: armed, teed up and swung by the cycle of a running bench, its records kept. What a
+person does at a bench is done here by the program, under the lifecycle of a bench with people beside it:
+warning, proven venting, homing against the stops, a local reset where one is configured.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from bench.clock import Clock
-from bench.commissioning.driver_machine import DriverMachine
-from bench.commissioning.live_series import LiveSeries, Say
+from bench.commissioning.driver_machine import DriverMachine, stopped_by_operator
 from bench.commissioning.machine import MotionBounds, Segment
 from bench.config import Configuration
-from bench.simulation.series import Bench
+from bench.control.settings import (
+    HomingSettings,
+    LifecycleSettings,
+    build_controller,
+    with_tables_of,
+)
+from bench.errors import Refused
+from bench.learning.live import swung_cycles
+from bench.lifecycle import REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
+from bench.loop import Cycle, Cycles, Loop
+from bench.processes.status import cause_text, refusal_words, stall_note
+from bench.simulation.loads import Loads
+from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, not_returned
+from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, SwingOperator, joined
 from bench.swing.profile import Profile
-from drivers.base import Command, Driver, Readings
+from drivers.base import Command, Driver, DriverError, Readings
+
+_PATIENCE = 30.0
+"""s for which a request is made again that the bench refuses for reasons that pass by themselves."""
+_ACCESS = 60.0
+"""s in which the chambers are proven empty for people."""
+_PERSON = 600.0
+"""s in which a person comes to the local reset, or closes the guard."""
+_AGAIN = 0.2
+"""s between two requests."""
+_WARM_UP = 0.2
+"""s in which the estimators settle and the code is compiled, before anything is asked for."""
+_HOMED = 90.0
+"""s in which homing ends by itself."""
+_FEED = 3.0
+"""s of a ball to the tee."""
+_REPEATED = 3
+"""Max swings whose record has gaps."""
+_SWINGS, _CHUNK = 300, 10
+"""Max requests for a swing, and ticks between two."""
+
+Say = Callable[[str], None]
+
+
+class LiveSeries:
+    """A robot that swings repeatedly behind a driver that is open."""
+
+    def __init__(
+        self,
+        driver: Driver,
+        name: str,
+        bench: Bench,
+        clock: Clock,
+        lifecycle: LifecycleSettings,
+        homing: HomingSettings,
+        *,
+        stop: Callable[[], bool],
+        say: Say,
+    ) -> None:
+        """Reset, home and arm `bench` on `driver`; `say` calls a person, `stop` ends a motion.
+
+        Raises:
+            Refused: the robot does not reach its address, or the bench refuses.
+        """
+        self.bench, self._driver, self._say = bench, driver, say
+        made = build_controller(
+            bench.model,
+            bench.profile,
+            bench.control,
+            bench.envelope,
+            bench.estimator,
+            replace(lifecycle, series=True),
+            homing,
+        )
+        cycle = Cycle(
+            driver,
+            bench.with_its_limits(made),
+            lambda _: None,
+            name=name,
+            note_truth=getattr(driver, "note_truth", None),
+            state=State.STARTING,
+        )
+        control = cycle.state.control
+        for permission in ("supervisor_alive", "lease_held", "support_ready"):
+            control[permission] = True  # who asks has this bench alone, and keeps what it returns
+        self._operator = SwingOperator(Loop(cycle, clock), stop=stop, name=bench.profile.name)
+        self._operator.advance(round(_WARM_UP / clock.period))
+        control["warm"] = True
+        self._operator.advance(1)
+        self._arm()
+
+    def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
+        """Rest at the address, swing `profile`, and come back; after a stop the robot is armed again.
+
+        A swing whose record has gaps before the ball, or that a stall stopped, as the machine was busy, is
+        repeated.
+
+        Raises:
+            NotReturned: the robot does not come back to its address.
+            Refused: no ball comes, it was stopped, or the machine stays busy.
+        """
+        found = ""
+        for _ in range(_REPEATED):
+            cycles, whole = self._swing(profile, ball=ball)
+            settled = bool(self.bench.profile.air)
+            made = SeriesSwing(cycles, None, float("nan"), Cause.NONE, float("nan"), settled)
+            try:
+                cause, stall = self._come_back()
+            except Refused as refused:
+                raise not_returned(refused, made._replace(cause=self._operator.cause)) from None
+            if not stall and (whole or cause):
+                return made._replace(cause=cause)
+            found = f"stopped: {cause_text(cause, stall)}" if stall else "the record has gaps before the ball"
+            self._say(f"{found}: the swing is repeated")
+        action = "Look at the timing: golfbench doctor."
+        raise Refused(f"swinging {profile.name!r}, {_REPEATED} times", found, "a whole swing", action)
+
+    def _swing(self, profile: Profile, *, ball: bool) -> tuple[Cycles, bool]:
+        """Return the records of a swing, one a tick, and whether none is missing up to the ball."""
+        operator, loop = self._operator, self._operator.stepper
+        for tries_left in reversed(range(ADDRESS_TRIES)):
+            if not operator.holding():
+                self._arm()
+            operator.advance(round(HOLD / operator.period))
+            loop.parameters = with_tables_of(loop.parameters, profile, self.bench.control, self.bench.model)
+            operator.await_air()  # a joint that friction lets go may take the club to the ball
+            self._tee_up(ball=ball)
+            operator.begin_record()
+            if operator.start_swing(_SWINGS, _CHUNK):
+                break
+            self._require_no_stop()
+            if not (tries_left and operator.cause):
+                raise operator.refusal("the robot does not come to rest there")
+            self._say(
+                f"stopped at the address: {cause_text(operator.cause, self._stall())}; it is armed again"
+            )
+        made, end = [operator.latest], len(profile.angle)
+        while (done := int(made[-1]["tick"][-1]) - int(made[0]["tick"][0]) + 1) < end:
+            made.append(operator.advance(min(_CHUNK, end - done), Request.STOP if operator.stop() else 0))
+        cycles, missing = swung_cycles(joined(made), end)
+        return cycles, not missing[: profile.begins[6]].any()
+
+    def _come_back(self) -> tuple[Cause, str]:
+        """Let the robot return to its address, after a stop arm it again.
+
+        Return the stop's cause, and the stall of this machine that explains it better.
+        """
+        operator = self._operator
+        back = operator.run_until(lambda: operator.phase is Phase.HOLD, LONGEST_RETURN)
+        cause, stall = operator.cause, self._stall()
+        if not back or operator.control["reaction"][0]:
+            self._require_no_stop()
+            self._arm()
+        operator.begin_record()
+        return cause, stall
+
+    def _stall(self) -> str:
+        """Return the stall of this machine behind the stop in the records kept; empty without one."""
+        cycles = self._operator.record()
+        stopped = np.flatnonzero(cycles["trip"])
+        if not len(stopped):
+            return ""
+        first, lost = int(stopped[0]), self.bench.envelope.lost_time
+        return stall_note(cycles[: first + 1], Cause(int(cycles["trip"][first])), lost, self._operator.period)
+
+    def loads(self) -> Loads | None:
+        """Return None: nothing measures them."""
+        return None
+
+    def let_in(self) -> None:
+        """Bring the robot to rest and release the guard, for a person to come to the club.
+
+        Raises:
+            Refused: the bench does not release it, and why.
+        """
+        operator = self._operator
+        if operator.phase is not Phase.STANDING:
+            self._ask(Request.DISARM)
+        operator.wait_for(lambda: operator.phase is Phase.STANDING, LONGEST_STOP)
+        self._ask(Request.ACCESS, _ACCESS)
+
+    def lock(self) -> None:
+        """Lock the guard again, once it is closed; a swing then arms the robot.
+
+        Raises:
+            Refused: it stays open.
+        """
+        self._ask(Request.SECURE, _PERSON)
+        self._operator.wait_for(lambda: self._state is not State.ACCESS, _PATIENCE)
+
+    def hold(self) -> None:
+        """Go on for one tick."""
+        self._operator.begin_record()
+        self._operator.advance(1)
+
+    def end(self) -> None:
+        """Bring the robot to rest; passive whatever happens."""
+        try:
+            with suppress(DriverError):
+                if self._operator.phase is not Phase.STANDING:
+                    self._operator.rest()
+        finally:
+            self._driver.make_passive()
+
+    # What a person does --------------------------------------------------------------------------------
+
+    def _arm(self) -> None:
+        """Reset, home and arm, as far as it is needed."""
+        operator = self._operator
+        operator.wait_for(lambda: operator.phase is Phase.STANDING, LONGEST_STOP)
+        if self._state in (State.ESTOP, State.FAULT):
+            self._revive()
+            self._ask(Request.RESET)
+        if self._state is State.SAFE:
+            self._ask(Request.HOME)
+            operator.wait_for(lambda: self._state is not State.HOMING, _HOMED)
+        if self._state is not State.READY:
+            cause = operator.cause
+            found = cause_text(cause, self._stall()) if cause else f"state {self._state.name}"
+            raise Refused("homing", found, "a homed robot in state READY", "Follow the text, then --resume.")
+        operator.wait_for(lambda: bool(operator.control["venting"]["emptied"][0]), _PATIENCE)
+        if not operator.arm():
+            raise stopped_by_operator()
+
+    def _ask(self, request: Request, patience: float = _PATIENCE) -> None:
+        """Request until it is accepted; Refused with the bench's reason after `patience` (s)."""
+        operator, waited, called = self._operator, 0.0, False
+        while not operator.request(request):
+            refusal = Refusal(int(operator.control["refusal"][0]))
+            person = refusal in (Refusal.LOCAL_RESET, Refusal.GAUGE)
+            if person and not called:
+                self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
+                called = True
+            if waited > (_PERSON if person else patience):
+                fact, action = refusal_words(refusal, getattr(self._driver, "trouble", ""))
+                raise Refused(
+                    f"{request.name.lower()} of the robot", fact, "an accepted request", f"{action}."
+                )
+            self._require_no_stop()
+            operator.advance(round(_AGAIN / operator.period))
+            operator.begin_record()
+            waited += _AGAIN
+
+    def _tee_up(self, *, ball: bool) -> None:
+        """Raise the next ball, or swing at none."""
+        operator = self._operator
+        operator.control["tee"] = False
+        operator.advance(1)
+        if not ball:
+            return
+        self._ask(Request.TEE)
+        if not operator.run_until(self._sees_ball, _FEED):
+            raise Refused("tee", f"no ball in {_FEED:g} s", "a ball", "Fill the feeder, then --resume.")
+
+    def _sees_ball(self) -> bool:
+        return bool(self._operator.stepper.cycle.record["ball_present"][0])
+
+    def _revive(self) -> None:
+        """Set a device to work again that went passive by itself."""
+        if not self._driver.operational:
+            self._driver.close()
+            self._driver.open()
+
+    @property
+    def _state(self) -> State:
+        return State(int(self._operator.control["state"][0]))
+
+    def _require_no_stop(self) -> None:
+        if self._operator.stop():
+            raise stopped_by_operator()
 
 
 class Run(NamedTuple):

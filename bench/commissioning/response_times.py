@@ -25,10 +25,13 @@ from bench.commissioning.air_fit import (
 )
 from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
-from bench.commissioning.moves import (
+from bench.commissioning.steps import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
+    StepResult,
+    Traces,
+    WrongMachine,
     beyond,
     centres,
     fold,
@@ -37,7 +40,6 @@ from bench.commissioning.moves import (
     require_within,
     slow_bounds,
 )
-from bench.commissioning.steps import StepResult, Traces, WrongMachine
 from bench.control.measured_plant import with_values
 from drivers.base import JOINTS, Triple
 from sim.driver import joint_travel

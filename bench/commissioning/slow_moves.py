@@ -36,11 +36,14 @@ from bench.commissioning.air_fit import (
 )
 from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
-from bench.commissioning.moves import (
+from bench.commissioning.steps import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
     Side,
+    StepResult,
+    Traces,
+    WrongMachine,
     at_both_stops,
     beyond,
     centres,
@@ -49,7 +52,6 @@ from bench.commissioning.moves import (
     require_within,
     slow_bounds,
 )
-from bench.commissioning.steps import StepResult, Traces, WrongMachine
 from bench.control.measured_plant import value_at, with_values
 from drivers.base import JOINTS, Triple
 from sim.driver import joint_travel

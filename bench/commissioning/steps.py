@@ -1,21 +1,233 @@
-"""A step of commissioning: how it moves the machine, what its traces say, and the faults it may find."""
+"""A step of commissioning: its moves, what its traces say, and the faults it may find."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
-from bench.commissioning.known_robot import FoundValue, KnownRobot
-from bench.commissioning.machine import CommissionedMachine, MotionTrace
+import numpy as np
+
+from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
+from bench.commissioning.machine import (
+    CommissionedMachine,
+    MotionBounds,
+    MotionTrace,
+    Segment,
+    Until,
+)
 from bench.config import Configuration
 from bench.errors import Refused
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile
+from drivers.base import CHAMBERS, JOINTS, Triple
+from sim.driver import joint_travel
 from sim.faults import Fault
 from sim.impact import Delivery
+from sim.kane import mass_matrix
 from sim.plant import PlantParameters
+
+Side = Literal["lower", "upper"]
+
+FOLD_ORDER = (2, 1, 0)
+"""Joints in the order in which they go to their lower stops: first the club is folded off the ground."""
+MOVING = 3.0e5
+"""Supply while a joint moves to a stop, Pa absolute."""
+PRESSING = 4.5e5
+"""Supply while a joint is pressed against a stop, Pa absolute."""
+PRESSED = 3.0e5
+"""Pressure of the driving chamber at which even a joint of high friction is at its stop, Pa absolute."""
+PARKING = 0.03
+"""Opening beyond the edge that holds a parked joint at its lower stop."""
+_LADDER = (0.03, 0.05, 0.08, 0.12, 0.16)
+"""Openings beyond the edge, one after the other until the joint does not move any more."""
+_RESTED, _LEVEL = 0.8, 6.0
+"""s without motion that end a level, and its max duration, s."""
+_FILLING = 15.0
+"""Max time for the driving chamber to fill, s."""
+_OWN_SHARE = 0.2
+"""Share of another joint's way below which an encoder does not follow its own."""
+_JUMP = 100.0
+"""rad/s beyond which a count has jumped."""
+_CUSHION_SHARE = 0.5
+"""Share of a cushion's energy that a joint at the speed bound carries."""
+
+
+class StopMove(NamedTuple):
+    """A joint's move to one of its stops, and its being pressed there."""
+
+    moving: MotionTrace
+    pressing: MotionTrace
+
+    @property
+    def way(self) -> np.ndarray:
+        """Ways of all joints (3,) in counts."""
+        return np.asarray(self.moving.count[-1] + self.pressing.count[-1])
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Counts (3,) at its end, not wrapped."""
+        return np.asarray(self.pressing.first_count + self.pressing.count[-1])
+
+
+def slow_bounds(plant: PlantParameters, pressure: float) -> MotionBounds:
+    """Return bounds at which no cushion takes more than half its rated energy, below `pressure` (Pa)."""
+    lower, upper = joint_travel(plant)
+    inertia = np.diag(mass_matrix(plant.robot, (lower + upper) / 2))
+    energy = np.array([actuator.stop.energy for actuator in plant.actuators])
+    a, b, c = np.sqrt(2.0 * _CUSHION_SHARE * energy / (1.3 * inertia)).tolist()
+    x, y, z = (1.3 * (upper - lower)).tolist()
+    return MotionBounds((a, b, c), (x, y, z), pressure)
+
+
+def edges(known: KnownRobot, actuator: int) -> tuple[float, float]:
+    """Return the openings at which the valve's flow to B and to A begins."""
+    key = f"{ACTUATOR_KEYS[actuator]}.valve"
+    centre, band = known.value(f"{key}.centre"), known.value(f"{key}.dead_band")
+    return centre - band, centre + band
+
+
+def centres(known: KnownRobot) -> Triple:
+    """Return the commands at which all spools are centred."""
+    a, b, c = (known.value(f"{key}.valve.centre") for key in ACTUATOR_KEYS)
+    return a, b, c
+
+
+def beyond(known: KnownRobot, actuator: int, side: Side, opening: float) -> float:
+    """Return the command that opens valve `actuator` by `opening` beyond its edge towards `side`."""
+    lower, upper = edges(known, actuator)
+    return upper + opening if side == "upper" else lower - opening
+
+
+def openings(known: KnownRobot, parked: Iterable[int], **moved: float) -> Triple:
+    """Return commands that hold joints `parked` at their lower stops and centre the other spools.
+
+    `moved` gives the commands of joints by name.
+    """
+    values = list(centres(known))
+    for i in parked:
+        values[i] = beyond(known, i, "lower", PARKING)
+    for name, value in moved.items():
+        values[JOINTS.index(name)] = value
+    a, b, c = values
+    return a, b, c
+
+
+def move_to_stop(
+    machine: CommissionedMachine, known: KnownRobot, joint: int, side: Side, parked: Iterable[int] = ()
+) -> StopMove:
+    """Move `joint` to its stop at `side`, joints `parked` held at their lower ones, and press it there.
+
+    Raises:
+        WrongMachine: a bound was passed, or the driving chamber does not fill.
+    """
+    parked = [i for i in parked if i != joint]
+    name, chamber = JOINTS[joint], 2 * joint + (0 if side == "upper" else 1)
+
+    def at(opening: float) -> Triple:
+        return openings(known, parked, **{name: beyond(known, joint, side, opening)})
+
+    bounds = slow_bounds(known.plant, 1.2 * PRESSING)
+    rested = Until("rested", joint, _RESTED)
+    machine.set_supply(MOVING)
+    moving = machine.run(tuple(Segment(_LEVEL, at(x), until=rested) for x in _LADDER), bounds)
+    _require_own_encoder(moving, joint, known.plant)
+    require_within(moving, f"{name} to its {side} stop")
+    machine.set_supply(PRESSING)
+    fill = Segment(_FILLING, at(_LADDER[-1]), until=Until("above", chamber, PRESSED))
+    pressing = machine.run((fill, Segment(_LEVEL, at(_LADDER[-1]), until=rested)), bounds)
+    _require_own_encoder(pressing, joint, known.plant)
+    require_within(pressing, f"{name} pressed to its {side} stop")
+    if not pressing.ended[0]:
+        reached = pressing.pressure[-1, chamber]
+        raise WrongMachine(
+            f"{name}, {CHAMBERS[chamber]}",
+            f"fills to {1e-5 * reached:.2f} bar in {_FILLING:g} s at a supply of {1e-5 * PRESSING:.1f} bar",
+            f"at least {1e-5 * PRESSED:.1f} bar",
+            "Look for a leaking hose or fitting, a vent that stays open, or a valve that opens too little.",
+        )
+    return StopMove(moving, pressing)
+
+
+def fold(machine: CommissionedMachine, known: KnownRobot) -> dict[str, StopMove]:
+    """Move all joints to their lower stops, the club first, and return the moves by name."""
+    done: dict[str, StopMove] = {}
+    for n, joint in enumerate(FOLD_ORDER):
+        done[f"{JOINTS[joint]} down"] = move_to_stop(machine, known, joint, "lower", FOLD_ORDER[:n])
+    return done
+
+
+def at_both_stops(
+    machine: CommissionedMachine,
+    known: KnownRobot,
+    trace: Callable[[CommissionedMachine, KnownRobot, int, Side], MotionTrace],
+) -> dict[str, MotionTrace]:
+    """Return a `trace` of each joint at either stop by name; the machine is vented before and afterwards."""
+    machine.vent()
+    fold(machine, known)
+    traces: dict[str, MotionTrace] = {}
+    for joint in FOLD_ORDER[::-1]:
+        traces[f"{JOINTS[joint]} lower"] = trace(machine, known, joint, "lower")
+        move_to_stop(machine, known, joint, "upper", FOLD_ORDER)
+        traces[f"{JOINTS[joint]} upper"] = trace(machine, known, joint, "upper")
+        move_to_stop(machine, known, joint, "lower", FOLD_ORDER)
+    machine.vent()
+    return traces
+
+
+def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters) -> None:
+    """Raise WrongMachine if a bound ended `trace` by an encoder of another joint or of a wrong scale."""
+    if not trace.tripped:
+        return
+    way = np.abs(trace.angle(plant.encoders.counts_per_revolution)[-1])
+    lower, upper = joint_travel(plant)
+    jumps = np.abs(np.diff(trace.count, axis=0)).max(axis=0, initial=0)
+    for name, jump in zip(JOINTS, jumps.tolist(), strict=True):
+        if jump > _JUMP * plant.tick * plant.encoders.counts_per_revolution / (2 * np.pi):
+            raise WrongMachine(
+                f"{name} encoder",
+                f"its count jumps by {jump}: wrong scale, or broken",
+                f"counts up to {plant.encoders.counts_per_revolution} that change evenly",
+                "Correct plant.encoders.counts_per_revolution, or check cable, shield and encoder.",
+            )
+    name, seen = JOINTS[joint], int(np.argmax(way))
+    if seen != joint and way[joint] < _OWN_SHARE * way[seen]:
+        raise swapped_encoders(joint, seen, way)
+    if trace.tripped.way_of == joint:
+        raise WrongMachine(
+            f"{name} encoder",
+            f"turns by {way[joint]:.2f} rad and is not at a stop: wrong scale, or no stop",
+            f"at most {(upper - lower)[joint]:.2f} rad between the stops",
+            "Correct plant.encoders.counts_per_revolution, or fasten its coupling, or fit the stop.",
+        )
+
+
+def swapped_encoders(joint: int, seen: int, way: np.ndarray) -> WrongMachine:
+    """Return that the encoder of joint `seen` follows `joint`; `way` (3,) rad by the encoders."""
+    name, other = JOINTS[joint], JOINTS[seen]
+    return WrongMachine(
+        f"{name} encoder",
+        f"turns by {way[joint]:.2f} rad when the {name} moves, that of the {other} by {way[seen]:.2f} rad",
+        f"the encoder of the {name} follows it",
+        f"The encoders of {name} and {other} are swapped: exchange their cables.",
+    )
+
+
+def require_within(trace: MotionTrace, doing: str) -> None:
+    """Raise WrongMachine if a bound ended `trace`."""
+    if not trace.tripped:
+        return
+    if trace.tripped.way_of is not None:
+        action = (
+            "An encoder's scale is wrong (plant.encoders.counts_per_revolution), or its "
+            "coupling is loose, or a stop is missing."
+        )
+    else:
+        action = (
+            "Look for a valve that opens too far, an encoder that jumps, or a supply that is not turned down."
+        )
+    raise WrongMachine(doing, trace.tripped.text, "a slow motion between the stops", action)
 
 
 class WrongMachine(Refused):

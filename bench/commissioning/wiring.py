@@ -24,12 +24,15 @@ from bench.calibration.calibration import zero_counts
 from bench.commissioning.air_fit import NAMES, fit_air, way_per_angle
 from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment
-from bench.commissioning.moves import (
+from bench.commissioning.steps import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
     Side,
+    StepResult,
     StopMove,
+    Traces,
+    WrongMachine,
     at_both_stops,
     beyond,
     centres,
@@ -40,7 +43,6 @@ from bench.commissioning.moves import (
     slow_bounds,
     swapped_encoders,
 )
-from bench.commissioning.steps import StepResult, Traces, WrongMachine
 from drivers.base import CHAMBERS, JOINTS, Triple
 from sim.driver import joint_travel
 from sim.kane import bias_forces

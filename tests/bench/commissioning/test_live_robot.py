@@ -224,7 +224,7 @@ def test_a_person_is_let_in_to_read_the_mark(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("bench.commissioning.live_series._PERSON", 2.0)
+    monkeypatch.setattr("bench.commissioning.machine_server._PERSON", 2.0)
     server.obey(ArmFor(bench_of(configuration, slow)))
     server.obey(Swing(slow, ball=True))
     server.obey(LetIn())
@@ -296,7 +296,7 @@ def test_no_ball_is_said(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server.obey(ArmFor(bench_of(configuration, slow)))
-    monkeypatch.setattr("bench.commissioning.live_series.LiveSeries._sees_ball", lambda self: False)
+    monkeypatch.setattr("bench.commissioning.machine_server.LiveSeries._sees_ball", lambda self: False)
     with pytest.raises(Refused, match="Fill the feeder"):
         server.obey(Swing(slow, ball=True))
 

@@ -11,8 +11,8 @@ import pytest
 from bench.commissioning.driver_machine import SimulatedMachine
 from bench.commissioning.known_robot import KnownRobot
 from bench.commissioning.machine import MotionTrace
-from bench.commissioning.moves import MOVING, PRESSING, fold, slow_bounds
 from bench.commissioning.response_times import _pulses, fit_spool
+from bench.commissioning.steps import MOVING, PRESSING, fold, slow_bounds
 from sim.plant import PlantParameters
 
 WRIST = 2
