@@ -19,8 +19,7 @@ import numpy as np
 
 from bench.errors import BenchError
 from bench.from_toml import read_toml
-from bench.golfer.orientation import Orientation
-from bench.golfer.roles import Array, Capture, Roles
+from bench.golfer.roles import Array, Capture, Orientation, Roles
 from bench.telemetry.whole_file import whole_file
 
 STEP = 0.001

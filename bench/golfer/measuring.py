@@ -26,8 +26,11 @@ from bench.golfer.events import (
     smooth,
 )
 from bench.golfer.golfer_file import HANDS_CUTOFF, STEP, ImportOptions, MeasuredSwing
-from bench.golfer.orientation import (
+from bench.golfer.roles import (
+    Array,
+    Capture,
     Orientation,
+    Roles,
     SwingPlane,
     find_scale,
     find_sides,
@@ -37,7 +40,6 @@ from bench.golfer.orientation import (
     projected_angle,
     turn_about,
 )
-from bench.golfer.roles import Array, Capture, Roles
 
 _CLEAR = 0.001
 """Time before the ball from which frames are left out, since the ball may have touched the head (s)."""
