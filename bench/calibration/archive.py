@@ -22,8 +22,7 @@ from bench.calibration.calibration import (
 )
 from bench.config import Configuration, database_url
 from bench.errors import BenchError
-from bench.store.database import is_there, open_database
-from bench.store.tables import BallAerodynamicsRow, CalibrationRow, Row
+from bench.store.database import BallAerodynamicsRow, CalibrationRow, Row, is_there, open_database
 
 
 def keep_calibration(

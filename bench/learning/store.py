@@ -13,7 +13,7 @@ from sqlalchemy import Engine, func, insert, select
 
 from bench.errors import BenchError
 from bench.learning.learn import LearningResult
-from bench.store.tables import LearnedSwingRow
+from bench.store.database import LearnedSwingRow
 from bench.swing.correction import Correction, basis_of, digest_of
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters

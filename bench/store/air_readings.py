@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from sqlalchemy import Engine, insert, select
 
-from bench.store.tables import AirReadingRow, Row
+from bench.store.database import AirReadingRow, Row
 from sim.air import Air
 
 _READINGS = Row.metadata.tables[AirReadingRow.__tablename__]

@@ -20,7 +20,20 @@ from sqlalchemy.exc import IntegrityError, OperationalError
 
 from bench.errors import BenchError, Refused
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
-from bench.store.database import DatabaseLocked, is_away, transaction
+from bench.store.database import (
+    CAMPAIGNS,
+    EVENTS,
+    EXCLUSIONS,
+    HITS,
+    NOTES,
+    PROMPTS,
+    RUNS,
+    SHOTS,
+    WRITERS,
+    DatabaseLocked,
+    is_away,
+    transaction,
+)
 from bench.store.records import (
     CampaignEntry,
     CampaignRun,
@@ -32,7 +45,6 @@ from bench.store.records import (
     ShotNote,
     Standing,
 )
-from bench.store.tables import CAMPAIGNS, EVENTS, EXCLUSIONS, HITS, NOTES, PROMPTS, RUNS, SHOTS, WRITERS
 
 _Call = ParamSpec("_Call")
 _Answer = TypeVar("_Answer")

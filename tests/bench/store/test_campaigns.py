@@ -24,7 +24,7 @@ from bench.errors import BenchError, Refused
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store import database
 from bench.store.campaigns import CampaignStore, StoredShot
-from bench.store.database import DatabaseLocked, open_database
+from bench.store.database import SHOTS, DatabaseLocked, open_database
 from bench.store.records import (
     CampaignEntry,
     CampaignState,
@@ -35,7 +35,6 @@ from bench.store.records import (
     ShotNote,
     Standing,
 )
-from bench.store.tables import SHOTS
 from tests.bench.lossy_proxy import LossyProxy
 from tests.bench.running_postgres import PostgresServer, running_postgres
 

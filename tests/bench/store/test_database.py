@@ -18,8 +18,15 @@ from sqlalchemy.exc import IntegrityError, StatementError
 from bench.config import database_url
 from bench.errors import BenchError
 from bench.store import database as module
-from bench.store.database import SCHEMA_VERSION, is_there, open_database, transaction
-from bench.store.tables import CalibrationRow, Row, SchemaVersionRow
+from bench.store.database import (
+    SCHEMA_VERSION,
+    CalibrationRow,
+    Row,
+    SchemaVersionRow,
+    is_there,
+    open_database,
+    transaction,
+)
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 ROW: dict[str, Any] = {
