@@ -74,10 +74,11 @@ def home(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) ->
 
     With --wait: exits with 1 if the bench is not READY in time.
     """
-    with _holding(context) as bench, _waiting(bench) as watch:
-        bench.home(timeout if wait else LONGEST_SWAY, watch)
-        if wait:
-            bench.wait_for("READY", timeout=timeout, watch=watch)
+    with _holding(context) as bench:
+        with _waiting(bench) as watch:
+            bench.home(timeout if wait else LONGEST_SWAY, watch)
+            if wait:
+                bench.wait_for("READY", timeout=timeout, watch=watch)
         _tell(bench)
 
 
@@ -88,10 +89,11 @@ def arm(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> 
     With --wait: returns when the robot rests at its address, ready to swing; exits with 1 if not in time.
     Ctrl-C then ends only the waiting, not the arming: use golfbench disarm.
     """
-    with _holding(context) as bench, _waiting(bench) as watch:
-        bench.arm(timeout if wait else LONGEST_SWAY, watch)
-        if wait:
-            bench.wait_until_armed(timeout=timeout, watch=watch)
+    with _holding(context) as bench:
+        with _waiting(bench) as watch:
+            bench.arm(timeout if wait else LONGEST_SWAY, watch)
+            if wait:
+                bench.wait_until_armed(timeout=timeout, watch=watch)
         _tell(bench)
 
 
@@ -159,19 +161,21 @@ def swing(
     if context.args:  # a slip for `golfbench profile ...` must not move the robot
         found, action = f'argument "{context.args[0]}"', "Profiles: golfbench profile --help."
         raise BenchError("golfbench swing", found, "no argument, as it moves the robot", action)
-    with _holding(context) as bench, _waiting(bench) as watch:
+    message: ShotPublication | None = None
+    with _holding(context) as bench:
         status = bench.status()
         if status["state"] != "ARMED":
             found = f"{status['state']}{': ' + status['cause']['text'] if status['cause'] else ''}"
             raise Refused(f"swing of bench {bench.bench}", found, "state ARMED", action_of(status))
-        if no_wait:
-            bench.swing(watch=watch)
-            _tell(bench)
-            return
-        message = bench.swing_through(timeout=timeout, watch=watch)
-        typer.echo("\n".join(shot_lines(message)))
+        with _waiting(bench) as watch:
+            if no_wait:
+                bench.swing(watch=watch)
+            else:
+                message = bench.swing_through(timeout=timeout, watch=watch)
+        if message is not None:
+            typer.echo("\n".join(shot_lines(message)))
         _tell(bench)
-    exit_unless(message["cause"] in (None, "NONE"))
+    exit_unless(message is None or message["cause"] in (None, "NONE"))
 
 
 # The lease -------------------------------------------------------------------------------------------
@@ -337,7 +341,7 @@ def _stop(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -
     from bench.network.status_words import MOVING, REACTION_WORDS
     from bench.network.zenoh_session import NoAnswer
 
-    with _client(context) as bench, _waiting(bench) as watch:
+    with _client(context) as bench:
         answer = ask(bench)
         if answer.note:
             typer.echo(answer.note)
@@ -349,7 +353,8 @@ def _stop(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -
         if State[status["state"]] in MOVING:
             how = REACTION_WORDS[Reaction[status["reaction"]]]
             typer.echo(f"bench {bench.bench}: stopping{': ' if how else ''}{how}")
-            bench.wait_for_stop(watch=watch)
+            with _waiting(bench) as watch:
+                bench.wait_for_stop(watch=watch)
         _tell(bench)
 
 
