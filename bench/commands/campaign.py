@@ -36,8 +36,30 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Campaigns (test series): plan, run, evaluate and store them.", no_args_is_help=True)
 app.command()(new)
 
-File = Annotated[Path, argument("FILE", "Plan, a TOML file, or the name of a shipped plan.")]
-Id = Annotated[str, argument("ID", "Campaign id, or its unambiguous beginning.")]
+
+def _known_plans() -> list[str]:
+    """Return the names of the shipped plans."""
+    from bench.campaign.plan_file import campaign_names
+
+    return campaign_names()
+
+
+def _known_campaigns(ctx: typer.Context) -> list[str]:
+    """Return the ids of the stored campaigns, the newest first."""
+    from bench.address import database_url
+    from bench.store.database import is_there
+
+    settings = ctx.ensure_object(Session).address().bench
+    if not is_there(database_url(settings.database, settings.data_dir)):
+        return []
+    with _store(settings) as store:
+        return [entry.id for entry, _, _ in store.entries()]
+
+
+File = Annotated[
+    Path, argument("FILE", "Plan, a TOML file, or the name of a shipped plan.", complete=_known_plans)
+]
+Id = Annotated[str, argument("ID", "Campaign id, or its unambiguous beginning.", complete=_known_campaigns)]
 Ask = Annotated[
     bool, flag("--ask", "Also ask for club changes and feeder refills if the bench is simulated.")
 ]

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 from rich.table import Table
 
-from bench.commands.options import ClubName, Json, argument, flag, option
+from bench.commands.options import ClubName, Json, argument, flag, known_profiles, option
 from bench.commands.output import plain_table
 from bench.commands.progress import paused, progress_bar
 from bench.commands.session import Session, exit_unless, show_json
@@ -32,7 +32,7 @@ _FACE = 60.0
 _LEARNING = "learning swings"
 """Text of the bar."""
 
-SwingName = Annotated[str, argument("SWING", "Name or path of a profile.")]
+SwingName = Annotated[str, argument("SWING", "Name or path of a profile.", complete=known_profiles)]
 Simulated = Annotated[bool, flag("--sim", "Simulate the robot in lock-step, without a running bench.")]
 Robot = Annotated[
     Path | None,

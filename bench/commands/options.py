@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -38,16 +38,26 @@ def flag(name: str, text: str) -> Any:
     return typer.Option(name, help=text)
 
 
-def argument(metavar: str, text: str, *, shown: str | bool = True) -> Any:
-    """Return an argument; `shown` stands for its default in the help."""
-    return typer.Argument(metavar=metavar, help=text, show_default=shown)
+def argument(
+    metavar: str, text: str, *, shown: str | bool = True, complete: Callable[..., list[str]] | None = None
+) -> Any:
+    """Return an argument; `shown` stands for its default in the help, `complete` returns known values."""
+    return typer.Argument(metavar=metavar, help=text, show_default=shown, autocompletion=complete)
+
+
+def known_profiles() -> list[str]:
+    """Return the names of the profiles that come with golfbench."""
+    from bench.swing.library import profile_names
+
+    return profile_names()
 
 
 Json = Annotated[bool, flag("--json", "Print JSON.")]
 ClubName = Annotated[str | None, option("Club of the configuration.", "NAME", shown="the mounted one")]
 """Option of a command that simulates: this club on its site instead of the mounted one."""
 ProfileName = Annotated[
-    str | None, argument("PROFILE", "Name or path of a profile.", shown="the configuration's")
+    str | None,
+    argument("PROFILE", "Name or path of a profile.", shown="the configuration's", complete=known_profiles),
 ]
 """Argument of a command that tries a swing: this profile instead of the configuration's."""
 Plot = Annotated[Path | None, option("Also plot it: .png, .svg or .pdf.", "FILE")]

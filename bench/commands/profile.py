@@ -22,6 +22,7 @@ from bench.commands.options import (
     ProfileName,
     argument,
     flag,
+    known_profiles,
     option,
     require_picture,
     sweep_engine,
@@ -46,7 +47,7 @@ app = typer.Typer(
 )
 app.command()(compare)
 
-Name = Annotated[str, argument("PROFILE", "Name or path of a profile.")]
+Name = Annotated[str, argument("PROFILE", "Name or path of a profile.", complete=known_profiles)]
 
 
 @app.command("list")
@@ -98,7 +99,12 @@ def show(
 def simulate(
     context: typer.Context,
     profile: Annotated[
-        str, argument("PROFILE", 'Name or path of a profile, or "thesis" for the thesis experiment.')
+        str,
+        argument(
+            "PROFILE",
+            'Name or path of a profile, or "thesis" for the thesis experiment.',
+            complete=known_profiles,
+        ),
     ],
     output: Annotated[
         Path | None, option("Folder for pictures and records.", "DIR", shown="DATA_DIR/simulations/NAME")
