@@ -499,15 +499,15 @@ def watch(
     """
     from bench.commands.campaign_screen import ProgressScreen, campaign_bar
     from bench.commands.campaign_terminal import mark_keys
-    from bench.network.client import BenchClient
 
-    address = context.ensure_object(Session).address()
+    session = context.ensure_object(Session)
+    address = session.address()
 
     def running() -> dict[str, Any] | None:
         found = [one for one in client.campaigns() if str(one.get("campaign")).startswith(campaign)]
         return found[0] if found else None
 
-    with BenchClient.connect(address) as client, campaign_bar() as bar:
+    with session.connect() as client, campaign_bar() as bar:
         message = running()
         if message is None:
             place = f"campaign {campaign}" if campaign else f"bench {address.bench.id}"

@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -252,10 +252,8 @@ def show_lease(context: typer.Context, json_: Json = False) -> None:
 # Requests --------------------------------------------------------------------------------------------
 
 
-def _client(context: typer.Context) -> BenchClient:
-    from bench.network.client import BenchClient
-
-    return BenchClient.connect(context.ensure_object(Session).address())
+def _client(context: typer.Context, *, stopping: bool = False) -> AbstractContextManager[BenchClient]:
+    return context.ensure_object(Session).connect(stopping=stopping)
 
 
 def _folder() -> Path:
@@ -341,7 +339,7 @@ def _stop(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -
     from bench.network.status_words import MOVING, REACTION_WORDS
     from bench.network.zenoh_session import NoAnswer
 
-    with _client(context) as bench:
+    with _client(context, stopping=True) as bench:
         answer = ask(bench)
         if answer.note:
             typer.echo(answer.note)

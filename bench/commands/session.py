@@ -6,6 +6,8 @@ import getpass
 import json
 import socket
 import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +19,7 @@ from bench.errors import ExitCode
 if TYPE_CHECKING:
     from bench.address import BenchAddress
     from bench.config import Configuration
+    from bench.network.client import BenchClient
 
 
 def user_name() -> str:
@@ -47,6 +50,8 @@ class Session:
     config: Path | None = None
     """Configuration asked for, a path or a variant's name; None means the default one."""
     debug: bool = False
+    kept: Callable[[bool], BenchClient] | None = None
+    """In the console: returns a client on its connection, for a stop (True) also of a silent bench."""
 
     def configuration(self) -> Configuration:
         """Return the checked configuration.
@@ -67,3 +72,15 @@ class Session:
         from bench.address import load_address
 
         return load_address(self.config)
+
+    def connect(self, *, stopping: bool = False) -> AbstractContextManager[BenchClient]:
+        """Return a client for a `with`: on the console's connection, or on one that ends with the block.
+
+        Raises:
+            NoAnswer: there is no connection, or the console's bench is silent and this is not for `stopping`.
+        """
+        if self.kept is not None:
+            return nullcontext(self.kept(stopping))
+        from bench.network.client import BenchClient
+
+        return BenchClient.connect(self.address())

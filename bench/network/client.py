@@ -169,6 +169,10 @@ class BenchClient:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def sibling(self) -> Self:
+        """Return a client without a lease on the same connection, not to be closed."""
+        return type(self)(self._session, self.bench, self._network, self._timeout)
+
     def close(self) -> None:
         """End the connection; a lease stays until it expires."""
         close_session(self._session)
