@@ -12,6 +12,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TypeAlias, cast
@@ -73,6 +74,7 @@ COMMANDS: Mapping[str, str] = {
     "tune": "bench.commands.tune:tune",
     "view": "bench.commands.view:view",
     "page": "bench.commands.page:page",
+    "console": "bench.cli:console",
     "export": "bench.commands.export:export",
     "draw": "bench.commands.draw:draw",
     "size": "bench.commands.size:size",
@@ -276,6 +278,16 @@ def replay(
     exit_unless(replay_command(record, tolerance, json_))
 
 
+def console(context: typer.Context) -> None:
+    """Enter commands on one connection, with the state in view and a key that stops the robot.
+
+    Needs a terminal; scripts use single commands.
+    """
+    from bench.commands.console import run_console
+
+    run_console(context.ensure_object(Session), command_line(), report_errors)
+
+
 def command_line() -> TyperGroup:
     """Return all commands as one."""
     return cast("TyperGroup", _prepared(cast("TyperGroup", typer.main.get_command(app))))
@@ -285,9 +297,15 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line with `arguments` (those of the process by default) and exit with its code."""
     accept_any_text()
     session = Session()
+    work = partial(command_line().main, args=arguments, prog_name="golfbench", obj=session)
+    leave(report_errors(work, session))
+
+
+def report_errors(work: Callable[[], object], session: Session) -> int:
+    """Do the `work` of a command; print its error, and return its exit code."""
     code: int | str | None = ExitCode.OK
     try:
-        command_line().main(args=arguments, prog_name="golfbench", obj=session)
+        work()
     except SystemExit as ended:
         code = ended.code
     except KeyboardInterrupt:
@@ -299,7 +317,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             traceback.print_exception(error)
         texts, code = explain(error)
         print(*texts, sep="\n", file=sys.stderr)
-    leave(int(code or 0))
+    return int(code or 0)
 
 
 def explain(error: Exception) -> tuple[list[str], ExitCode]:
