@@ -180,7 +180,7 @@ class BenchLink:
         self._heard_at = -float("inf")
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS)
         self._state = ""
-        self._swing_watchers: list[Callable[[], None]] = []
+        self._swing_watchers: list[Callable[[bool], None]] = []
         self._shot_watchers: list[Callable[[dict[str, Any]], None]] = []
         self._campaign_watchers: list[Callable[[list[dict[str, Any]]], None]] = []
         self._threads = [
@@ -203,8 +203,11 @@ class BenchLink:
         """Call `watcher` with each message about a shot, in the link's thread; before `start`."""
         self._shot_watchers.append(watcher)
 
-    def watch_swings(self, watcher: Callable[[], None]) -> None:
-        """Call `watcher` whenever a swing has ended, in the link's thread; before `start`."""
+    def watch_swings(self, watcher: Callable[[bool], None]) -> None:
+        """Call `watcher` at each state in a swing (True) and once after it (False); before `start`.
+
+        It is called in the link's thread.
+        """
         self._swing_watchers.append(watcher)
 
     def watch_campaigns(self, watcher: Callable[[list[dict[str, Any]]], None]) -> None:
@@ -253,9 +256,9 @@ class BenchLink:
                 self._heard_at = self._clock()
                 self._publish("state", view | {"seen": self._heard_at})
                 before, self._state = self._state, view["state"]
-                if before == State.SWINGING.name != self._state:
+                if State.SWINGING.name in (before, self._state):
                     for swing_watcher in self._swing_watchers:
-                        swing_watcher()
+                        swing_watcher(self._state == State.SWINGING.name)
             elif topic == "event":
                 self._events.append(
                     content | {"at_utc": datetime.now(UTC).isoformat(timespec="milliseconds")}

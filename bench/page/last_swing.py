@@ -1,8 +1,8 @@
-"""The last swing for the page: club path, speeds, figures and tracking.
+"""The last swing for the page: figures, head speed, tracking, pressures and club path.
 
-It is shown twice: when it ends, from the loop's ring in shared memory, and when its record is stored, which
-is half a second after the robot is back at its address. A thread of low priority reads both: the loop of a
-bench on the same machine does not notice.
+Its curves are shown while it runs and its figures when it ends, from the loop's ring in shared memory, and
+all again when its record is stored, half a second after the robot is back at its address. A thread of low
+priority reads both: the loop of a bench on the same machine does not notice.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from queue import Empty, Full, Queue
 from typing import Any, NamedTuple
@@ -25,7 +26,7 @@ from bench.shot.recorded_shot import FlightConditions, recorded_shot, shot_of_cy
 from bench.shot.shot import Shot
 from bench.telemetry.recorder import read_swing
 from bench.telemetry.ring import NoRing, RingReader
-from drivers.base import JOINTS
+from drivers.base import ACTUATORS, JOINTS
 from sim.plant import PlantParameters
 
 PAST = 8.0
@@ -73,6 +74,34 @@ def ended_swing_view(ring: Path, plant: PlantParameters, around: FlightCondition
     Raises:
         BenchError: there is no ring on this machine.
     """
+    cycles, now = _newest_swing(ring, plant), datetime.now(UTC)
+    if cycles is None:
+        return None
+    shot = shot_of_cycles(cycles, plant, around, number=1, time_utc=now).shot
+    return _unstored(now) | _view(shot, cycles, plant)
+
+
+def running_swing_view(ring: Path, plant: PlantParameters) -> dict[str, Any] | None:
+    """Return the swing under way in the loop's `ring` as `swing_view`, without figures; None before it moves.
+
+    Raises:
+        BenchError: there is no ring on this machine.
+    """
+    cycles = _newest_swing(ring, plant)
+    if cycles is None:
+        return None
+    none: dict[str, Any] = {"club": "", "ball": "", "status": "", "reason": "", "sources": {"launch": ""}}
+    none["figures"] = dict.fromkeys(FIGURES)
+    return _unstored(datetime.now(UTC)) | {"running": True} | none | _drawn(cycles, plant)
+
+
+def _unstored(now: datetime) -> dict[str, Any]:
+    time = now.isoformat(timespec="milliseconds")
+    return {"name": "", "number": None, "time_utc": time, "stored": False, "running": False}
+
+
+def _newest_swing(ring: Path, plant: PlantParameters) -> np.ndarray[Any, Any] | None:
+    """Return the cycles of the newest swing in the `ring`."""
     past = round(PAST / plant.tick)
     reader = RingReader(ring, past=past)
     try:
@@ -84,16 +113,11 @@ def ended_swing_view(ring: Path, plant: PlantParameters, around: FlightCondition
         return None
     last = len(cycles) - int(np.argmax(swinging[::-1]))
     others = np.flatnonzero(~swinging[:last])
-    cycles = cycles[int(others[-1]) + 1 if len(others) else 0 : last]
-    now = datetime.now(UTC)
-    shot = shot_of_cycles(cycles, plant, around, number=1, time_utc=now).shot
-    named = {"name": "", "number": None, "time_utc": now.isoformat(timespec="milliseconds"), "stored": False}
-    return named | _view(shot, cycles, plant)
+    return cycles[int(others[-1]) + 1 if len(others) else 0 : last]
 
 
 def _view(shot: Shot, cycles: np.ndarray[Any, Any], plant: PlantParameters) -> dict[str, Any]:
     """Return figures and curves of a swing's `cycles`."""
-    moving = cycles[np.isin(cycles["phase"], _MOVING)]
     view: dict[str, Any] = {
         "club": shot.club,
         "ball": shot.ball,
@@ -101,13 +125,19 @@ def _view(shot: Shot, cycles: np.ndarray[Any, Any], plant: PlantParameters) -> d
         "reason": shot.reason,
         "figures": {name: _finite(getattr(shot, name)) for name in FIGURES},
         "sources": {"launch": shot.launch_source, "carry": shot.carry_source},
-        "ball_at": [plant.site.ball_x, plant.site.ball_y],
     }
-    return view | (_curves(moving) if len(moving) > 2 else {"path": [], "speed": None, "tracking": None})
+    return view | _drawn(cycles, plant)
+
+
+def _drawn(cycles: np.ndarray[Any, Any], plant: PlantParameters) -> dict[str, Any]:
+    """Return the ball's position and the curves of a swing's `cycles`; a swing without motion has none."""
+    moving = cycles[np.isin(cycles["phase"], _MOVING)]
+    curves = _curves(moving) if len(moving) > 2 else {"path": [], "speed": None, "tracking": None}
+    return {"ball_at": [plant.site.ball_x, plant.site.ball_y], **curves}
 
 
 def _curves(moving: np.ndarray[Any, Any]) -> dict[str, Any]:
-    """Return club path, head speed and tracking of the cycles of a swing."""
+    """Return club path, head speed, tracking and chamber pressures of the cycles of a swing."""
     time = moving["time"] - moving["time"][0]
     head = moving["head_position"]
     speed = np.hypot(*np.gradient(head, moving["time"], axis=0).T)
@@ -115,7 +145,11 @@ def _curves(moving: np.ndarray[Any, Any]) -> dict[str, Any]:
     down = np.isin(moving["phase"], _TO_BALL)
     worst = np.abs(error[down] if down.any() else error).max(axis=0)
     at = np.unique(np.linspace(0, len(moving) - 1, POINTS).astype(int))
+    end = int(np.flatnonzero(down)[-1]) if down.any() else len(moving) - 1
+    pressure = moving["chamber_pressure"]
+    sides = [(name, side) for name in ACTUATORS for side in "AB"]
     return {
+        "to_ball": int(np.searchsorted(at, end, side="right")),
         "path": _rounded(head[at], 4),
         "down": _rounded(head[down][:: max(1, int(down.sum()) // POINTS)], 4) if down.any() else [],
         "time": _rounded(time[at], 4),
@@ -123,6 +157,11 @@ def _curves(moving: np.ndarray[Any, Any]) -> dict[str, Any]:
         "tracking": [
             {"name": name, "error_deg": _rounded(error[at, joint], 3), "max_deg": _finite(worst[joint])}
             for joint, name in enumerate(JOINTS)
+        ],
+        "pressures": [
+            {"name": name, "side": side, "pa": _rounded(pressure[at, chamber], 0)}
+            for chamber, (name, side) in enumerate(sides)
+            if np.isfinite(pressure[:, chamber]).any()
         ],
     }
 
@@ -139,8 +178,8 @@ class Offer(NamedTuple):
     """A file that holds a swing."""
 
     path: Path
-    stored: bool
-    """Whether it is a record; otherwise the loop's ring."""
+    view: Callable[[Path], dict[str, Any] | None]
+    """Reads it: a record, or the loop's ring during or after a swing."""
 
 
 class SwingReader:
@@ -171,11 +210,18 @@ class SwingReader:
 
     def offer(self, path: Path) -> None:
         """Read the record at `path` instead of what still waits."""
-        self._put(Offer(path, stored=True))
+        self._put(Offer(path, swing_view))
 
-    def offer_ring(self, ring: Path) -> None:
-        """Read the swing that has ended from `ring` instead of what still waits."""
-        self._put(Offer(ring, stored=False))
+    def offer_ring(self, ring: Path, *, running: bool = False) -> None:
+        """Read the swing that has ended from `ring` instead of what still waits.
+
+        One that is `running` is left out while another offer waits.
+        """
+        if not running:
+            self._put(Offer(ring, partial(ended_swing_view, plant=self._plant, around=self._around)))
+            return
+        with suppress(Full):
+            self._offered.put_nowait(Offer(ring, partial(running_swing_view, plant=self._plant)))
 
     def _put(self, item: Offer | None) -> None:
         while True:
@@ -203,7 +249,7 @@ class SwingReader:
             if offer is None:
                 return
             try:
-                view = self._read(offer)
+                view = offer.view(offer.path)
             except NoRing as error:  # a bench on another machine: its record is not here either
                 _log.debug("page: %s", error)
             except (BenchError, ExceptionGroup, ValueError, KeyError, OSError) as error:
@@ -211,8 +257,3 @@ class SwingReader:
             else:
                 if view is not None:
                     self._publish("swing", view)
-
-    def _read(self, offer: Offer) -> dict[str, Any] | None:
-        if offer.stored:
-            return swing_view(offer.path)
-        return ended_swing_view(offer.path, self._plant, self._around)

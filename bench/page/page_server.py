@@ -95,7 +95,7 @@ def serve_page(
         reader.start()
         stack.callback(reader.close)
         ring = bench_folder(settings.id) / RING_FILE
-        link.watch_swings(lambda: reader.offer_ring(ring))
+        link.watch_swings(lambda running: reader.offer_ring(ring, running=running))
         _watch_swings(reader, downloads.newest(), link)
         _watch_campaigns(archive, link, broadcaster)
         link.start()

@@ -3,13 +3,12 @@
 import { draw } from "./dom.js";
 import { number } from "./units.js";
 
-const W = 420;
 const LEFT = 50;
 const BOTTOM = 36;
 const TOP = 10;
 const RIGHT = 10;
 
-export function frame({ x, y, height = 230, equal = false, label, xName, yName }) {
+export function frame({ x, y, width: W = 420, height = 230, equal = false, label, xName, yName }) {
   let [x0, x1] = padded(x);
   let [y0, y1] = padded(y);
   const inner = [W - LEFT - RIGHT, height - TOP - BOTTOM];

@@ -1,9 +1,10 @@
-// The last swing: figures, club path, head speed, tracking.
+// The last swing, also while it runs: figures, head speed, tracking, pressures, club path.
 
 import { by, make, pair } from "./dom.js";
 import { curve, dot, frame } from "./plot.js";
 import { degrees, number, onUnits, quantity, scale } from "./units.js";
 
+const SIZE = { width: 300, height: 210 };
 let view = null;
 
 export function showSwing(content) {
@@ -13,7 +14,6 @@ export function showSwing(content) {
 
 function redraw() {
   if (view === null) return;
-  by("swing-card").hidden = false;
   const f = view.figures;
   const facts = make("dl", { class: "big" }, ...[
     ["Club speed", quantity("speed", f.club_speed_mps)],
@@ -26,17 +26,17 @@ function redraw() {
   ].map(pair));
   const when = view.time_utc ? new Date(view.time_utc).toLocaleString() : "";
   const source = view.sources.launch ? `launch: ${view.sources.launch}, carry: ${view.sources.carry}` : "";
-  const name = view.stored ? `Swing ${view.number ?? "–"}` : "Preliminary, record pending";
+  const name = view.stored ? `Swing ${view.number ?? "–"}` : `${view.running ? "Swing under way" : "Preliminary"}, record pending`;
   const line = make("p", { class: "muted" }, [name, when, view.club, view.ball, view.reason, source].filter(Boolean).join("; "));
   const plots = make("div", { class: "plots" });
-  if (view.path.length) plots.append(path(), speed(), tracking());
+  if (view.path.length) plots.append(speed(), tracking(), ...(view.pressures.length ? [pressures()] : []), path());
   by("swing").replaceChildren(line, facts, plots);
 }
 
 function path() {
   const all = [...view.path, view.ball_at];
   const plot = frame({
-    x: all.map(([x]) => x), y: all.map(([, y]) => y), height: 300, equal: true,
+    x: all.map(([x]) => x), y: all.map(([, y]) => y), ...SIZE, equal: true,
     label: "Path of the club head in the swing plane", xName: "m", yName: "m",
   });
   curve(plot, view.path, "l1");
@@ -48,17 +48,29 @@ function path() {
 function speed() {
   const [factor, unit] = scale("speed");
   const points = view.speed.curve.map((value, index) => [view.time[index], factor * value]);
-  const plot = frame({ x: view.time, y: points.map(([, v]) => v), height: 300, label: "Speed of the club head over time", xName: "s", yName: unit });
+  const plot = frame({ x: view.time, y: points.map(([, v]) => v), ...SIZE, label: "Speed of the club head over time", xName: "s", yName: unit });
   curve(plot, points, "l1");
   return figure(plot, `Club head speed, at most ${quantity("speed", view.speed.max_mps)}`, []);
 }
 
 function tracking() {
-  const all = view.tracking.flatMap((joint) => joint.error_deg);
-  const plot = frame({ x: view.time, y: all, height: 300, label: "Tracking error of the joints over time", xName: "s", yName: "°" });
-  view.tracking.forEach((joint, index) => curve(plot, joint.error_deg.map((e, at) => [view.time[at], e]), `l${index + 1}`));
-  const key = view.tracking.map((joint, index) => [`k${index + 1}`, `${joint.name}: at most ${degrees(joint.max_deg, 2)} to the ball`]);
-  return figure(plot, "Tracking: actual − reference", key);
+  const errors = view.tracking.map((joint) => joint.error_deg.slice(0, view.to_ball));
+  const plot = frame({ x: view.time.slice(0, view.to_ball), y: errors.flat(), ...SIZE, label: "Tracking error of the joints over time", xName: "s", yName: "°" });
+  errors.forEach((error, index) => curve(plot, error.map((e, at) => [view.time[at], e]), `l${index + 1}`));
+  const key = view.tracking.map((joint, index) => [`k${index + 1}`, `${joint.name} ${degrees(joint.max_deg, 2)}`]);
+  return figure(plot, "Tracking error up to the ball; max in the downswing", key);
+}
+
+function pressures() {
+  const [factor, unit] = scale("pressure");
+  const all = view.pressures.map((one) => one.pa.map((value) => factor * value));
+  const plot = frame({ x: view.time, y: all.flat(), ...SIZE, label: "Pressures of the chambers over time", xName: "s", yName: unit });
+  const names = [...new Set(view.pressures.map((one) => one.name))];
+  all.forEach((values, index) => {
+    const { name, side } = view.pressures[index];
+    curve(plot, values.map((value, at) => [view.time[at], value]), `l${names.indexOf(name) + 1}${side === "B" ? " dash" : ""}`);
+  });
+  return figure(plot, "Pressures of chambers A, B dashed", names.map((name, index) => [`k${index + 1}`, name]));
 }
 
 export function figure({ plot }, title, key) {

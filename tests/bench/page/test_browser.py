@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from bench.lifecycle import Request
+from bench.config import Configuration
+from bench.lifecycle import Request, State
 from bench.network.free_port import free_port
 from bench.network.lease import SHORTEST
 from bench.page import page_commands
@@ -23,6 +24,7 @@ from tests.running_bench import command_beside, running_bench, write_configurati
 
 pytestmark = [pytest.mark.live, pytest.mark.requires("chromium"), pytest.mark.timeout(400)]
 
+RECORDS = Path(__file__).parents[2] / "replay"
 SCRIPT = "<img src=x onerror=alert(1)>"
 
 CONTRAST = """() => {
@@ -53,6 +55,9 @@ CONTRAST = """() => {
 UNNAMED = """() => [...document.querySelectorAll("button, input, select")]
   .filter((e) => e.checkVisibility() && !e.textContent.trim() && !e.labels?.length && !e.ariaLabel)
   .map((e) => e.id)"""
+BOTTOMS = """() => [...document.querySelectorAll("#state, #swing .big, #swing figure:nth-child(-n+3)")]
+  .map((e) => e.getBoundingClientRect().bottom)"""
+"""Of state, figures, and the curves of head speed, tracking and pressures."""
 SIZES = """() => [document.documentElement.scrollWidth,
   document.getElementById("stop").getBoundingClientRect().height]"""
 
@@ -152,6 +157,25 @@ def test_it_is_readable_in_both_themes_and_on_a_phone(browser: Any, page: Runnin
             assert tab.page.evaluate("() => document.activeElement.id") == "stop"
 
 
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (768, 1024)])
+def test_first_screen_has_state_stop_last_swing_and_curves(
+    browser: Any, configuration: Configuration, width: int, height: int
+) -> None:
+    records = configuration.bench.data_dir / "swings" / configuration.bench.id
+    records.mkdir(parents=True)
+    (records / "20260101T000000000000Z-7.parquet").write_bytes((RECORDS / "swing.parquet").read_bytes())
+    with running_plane(FakeDesk(State.ARMED), configuration) as running, publishing(running):
+        with running_page(configuration) as page:
+            with open_tab(browser, page.url, viewport={"width": width, "height": height}) as tab:
+                tab.text("#swing .plots figure").to_have_count(4)
+                tab.text("#state-word").to_have_text("ARMED")
+                tab.text("#warnings li").to_have_count(2)
+                bottoms = tab.page.evaluate(BOTTOMS)
+                stop = tab.page.evaluate("document.querySelector('.stopbar').getBoundingClientRect().top")
+                assert max(bottoms) <= stop < height
+                assert tab.page.evaluate(SIZES)[0] <= width
+
+
 @pytest.mark.release
 def test_a_swing_by_clicks_on_a_running_bench(browser: Any, tmp_path: Path) -> None:
     file, port = write_configuration(tmp_path, "page"), free_port()
@@ -182,7 +206,7 @@ def swing_and_stop(tab: Tab) -> None:
     tab.text("#phase").to_have_text("holding the address")
     until_accepted(tab, "swing")
     tab.text("#swing-card").to_be_visible()
-    tab.text("#swing .plots figure").to_have_count(3)
+    tab.text("#swing .plots figure").to_have_count(4)
     tab.text("#swing").to_contain_text("Club speed")
     tab.text("#swing").not_to_contain_text("record pending")
     tab.page.click("#estop")

@@ -80,7 +80,9 @@ SWING = {
     "down": [[0.0, 0.0], [1.0, 1.0]],
     "time": [0.0, 0.1, 0.2],
     "speed": {"curve": [0.0, 10.0, 20.0], "max_mps": 20.0},
+    "to_ball": 3,
     "tracking": [{"name": "j", "error_deg": [0.0, 0.1, 0.2], "max_deg": 0.2}],
+    "pressures": [{"name": "a", "side": "A", "pa": [1e5, 2e5, 1e5]}],
 }
 STEP = {"title": "t", "done": True, "seconds": 1.0, "values": 2, "notes": ["n"]}
 COMMISSIONING = {

@@ -17,7 +17,7 @@ from bench.campaign.campaign_control import runner_lock
 from bench.config import Configuration, database_url
 from bench.lifecycle import State
 from bench.page.campaign_service import CampaignArchive, RunningCampaigns
-from bench.page.last_swing import SwingReader, ended_swing_view, swing_view
+from bench.page.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
 from bench.shot.recorded_shot import plant_of
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
@@ -205,6 +205,13 @@ def test_a_record_becomes_figures_and_curves() -> None:
     assert abs(view["speed"]["max_mps"] - view["figures"]["club_speed_mps"]) < 1.0
     assert len(view["path"]) == len(view["time"]) <= 160
     assert [one["name"] for one in view["tracking"]] == ["shoulder", "arm", "wrist"]
+    assert [(one["name"], one["side"]) for one in view["pressures"]][:2] == [
+        ("shoulder vane", "A"),
+        ("shoulder vane", "B"),
+    ]
+    assert all(1e5 < max(one["pa"]) < 1.2e6 for one in view["pressures"])
+    fastest = int(np.argmax(view["speed"]["curve"]))
+    assert abs(view["to_ball"] - fastest) < 5
     stopped = swing_view(RECORDS / "stop.parquet")
     assert stopped["figures"]["club_speed_mps"] is None
     assert stopped["reason"]
@@ -221,12 +228,23 @@ def test_a_swing_is_shown_from_the_ring_before_its_record_is_stored(
         for record in cycles[:begun]:
             ring(np.array([record], cycles.dtype))
         assert ended_swing_view(tmp_path / "ring", plant, around) is None
-        for record in cycles[begun:]:
+        assert running_swing_view(tmp_path / "ring", plant) is None
+        for record in cycles[begun : begun + 800]:
+            ring(np.array([record], cycles.dtype))
+        running = running_swing_view(tmp_path / "ring", plant)
+        for record in cycles[begun + 800 :]:
             ring(np.array([record], cycles.dtype))
         view = ended_swing_view(tmp_path / "ring", plant, around)
     finally:
         ring.close()
+    assert running is not None
+    assert len(json.dumps(running, allow_nan=False)) < 20_000
+    assert (running["running"], running["stored"]) == (True, False)
+    assert set(running["figures"].values()) == {None}
+    assert 0.5 < running["time"][-1] < 0.8
+    assert running["to_ball"] == len(running["time"]) == len(running["speed"]["curve"])
     assert view is not None
+    assert not view["running"]
     json.dumps(view, allow_nan=False)
     stored = swing_view(RECORDS / "swing.parquet")
     assert (view["stored"], stored["stored"]) == (False, True)
@@ -245,6 +263,20 @@ def test_a_swing_is_shown_from_the_ring_before_its_record_is_stored(
     finally:
         reader.close()
     assert not shown[0][1]["stored"]
+
+
+def test_running_swing_takes_no_waiting_record_away(tmp_path: Path, configuration: Configuration) -> None:
+    shown: list[Any] = []
+    reader = SwingReader(lambda topic, view: shown.append(view), configuration.plant)
+    reader.offer(RECORDS / "swing.parquet")
+    reader.offer_ring(tmp_path / "ring", running=True)
+    reader.start()
+    deadline = time.monotonic() + HURRY
+    while not shown:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    reader.close()
+    assert shown[0]["stored"]
 
 
 def test_the_newest_record_is_shown_at_the_start(page: RunningPage) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from bench.lifecycle import Request, State
 from bench.network.command_plane import HEARTBEAT
+from bench.page.last_swing import SwingReader
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 from tests.bench.page.conftest import publishing
 from tests.bench.page.running_page import HURRY, RunningPage, running_page
@@ -61,6 +62,21 @@ def test_the_page_loads_nothing_from_elsewhere_and_is_light(page: RunningPage) -
         waiting += [f"/static/{name}" for name in re.findall(r'from "\./([^"]+)"', text)]
     assert weight < 300_000
     assert len(seen) > 8
+
+
+def test_swing_is_read_while_it_runs_and_once_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    desk, offered = FakeDesk(State.ARMED), list[bool]()
+    monkeypatch.setattr(SwingReader, "offer_ring", lambda _, ring, *, running: offered.append(running))
+    with running_plane(desk, loopback_configuration()) as running, publishing(running):
+        with running_page(running.configuration) as page, page.stream() as following:
+            for state in (State.ARMED, State.SWINGING, State.READY):
+                desk.state = state
+                while following("state")["state"] != state.name:
+                    pass
+            following("state")
+    assert offered[0]
+    assert offered[-1] is False
+    assert offered.count(False) == 1
 
 
 def test_state_role_and_silence_arrive_at_once(page: RunningPage, running: RunningPlane) -> None:
