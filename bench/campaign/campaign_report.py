@@ -21,7 +21,6 @@ from bench.campaign.campaign_record import (
     parts_digests,
     reasons_by_hand,
     shot_digests,
-    software_versions,
     whole_digest,
 )
 from bench.campaign.carry import measured_of
@@ -40,6 +39,7 @@ from bench.campaign.findings import (
     not_compared,
     section_labels,
 )
+from bench.campaign.interruptions import software_versions
 from bench.campaign.plan import levels
 from bench.campaign.prompts import PromptKind
 from bench.campaign.report_format import (

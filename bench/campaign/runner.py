@@ -16,9 +16,9 @@ from typing import NamedTuple, Protocol
 from sqlalchemy.exc import SQLAlchemyError
 
 from bench.campaign.bench_setup import Fitting, Preparation, fitting_after, missing, sample_for
-from bench.campaign.campaign_record import RunStart, duration_text, found_at_begin
 from bench.campaign.corrections import Drift, Drifts
 from bench.campaign.gate import outside
+from bench.campaign.interruptions import RunStart, duration_text, found_at_begin
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.prompts import PromptKind
 from bench.campaign.shot_sequence import RESTART, Course, Ending, Role, Step

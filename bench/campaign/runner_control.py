@@ -12,10 +12,10 @@ from typing import Any
 from bench.calibration.archive import newest_aerodynamics
 from bench.campaign.analysis import decide
 from bench.campaign.campaign_control import bench_lock, require_free, runner_lock
-from bench.campaign.campaign_record import RunStart, differences, software_versions
 from bench.campaign.carry import Measured, measured_of
 from bench.campaign.corrections import CampaignCorrections
 from bench.campaign.gate import planned_delivery
+from bench.campaign.interruptions import RunStart, differences, software_versions
 from bench.campaign.live_shots import HOLDER, LiveShots, require_live
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.text import Text
 
-from bench.campaign.campaign_record import duration_text
+from bench.campaign.interruptions import duration_text
 from bench.shot.shot import ShotStatus
 from bench.store.records import ENDED, CampaignState
 

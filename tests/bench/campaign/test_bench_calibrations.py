@@ -11,7 +11,7 @@ import pytest
 
 from bench.calibration.archive import add_calibration
 from bench.calibration.calibration import ClubInMount, EncoderZeros
-from bench.campaign.campaign_record import changed
+from bench.campaign.interruptions import changed
 from bench.campaign.plan_file import load_plan
 from bench.campaign.plan_requirements import (
     calibration_versions,

@@ -22,9 +22,9 @@ from sqlalchemy import make_url
 
 from bench.campaign.bench_setup import Preparation, sample_for
 from bench.campaign.campaign_control import ask, is_running, runner_lock
-from bench.campaign.campaign_record import RunStart, changed
 from bench.campaign.corrections import Drift
 from bench.campaign.gate import Centre
+from bench.campaign.interruptions import RunStart, changed
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.plan_requirements import require_swings
