@@ -246,7 +246,7 @@ def mark_from_person() -> tuple[float, float] | None:
 def _table(result: LearningResult, name: str) -> Table:
 
     table = plain_table(title=f"{name}: what each swing delivered")
-    units = ("strike mm", "head m/s", "lean °", "attack °", "path mrad", "at limit %")
+    units = ("strike\nmm", "head\nm/s", "lean\n°", "attack\n°", "path\nmrad", "limit\n%")
     for column in ("swing", *units, ""):
         table.add_column(column, justify="right" if column != "" else "left", no_wrap=True)
 
@@ -260,17 +260,19 @@ def _table(result: LearningResult, name: str) -> Table:
 
     row("target", result.target.shown, "", "", "")
     for number, attempt in enumerate(result.attempts):
-        note = CAUSE_TEXT[attempt.cause] if attempt.cause else "kept" if number == result.chosen else ""
+        note = attempt.cause.name if attempt.cause else "kept" if number == result.chosen else ""
         path = "" if attempt.path_error != attempt.path_error else f"{1e3 * attempt.path_error:.1f}"
         row(str(number), attempt.figures.shown, path, f"{100 * attempt.saturated:.0f}", note)
     return table
 
 
 def _verdict(result: LearningResult, entry: Learned, version: int) -> str:
+    causes = dict.fromkeys(attempt.cause for attempt in result.attempts if attempt.cause)
+    stops = "".join(f"{cause.name}: {CAUSE_TEXT[cause]}\n" for cause in causes)
     kept = f"Kept as version {version} of {entry.profile} for {entry.conditions.text}."
     if result.within:
-        return f"Within the tolerances after {result.chosen} learning swings. {kept}"
+        return f"{stops}Within the tolerances after {result.chosen} learning swings. {kept}"
     return (
-        f"Not within the tolerances after {result.used} learning swings: the nearest is kept. {kept}\n"
+        f"{stops}Not within the tolerances after {result.used} learning swings: the nearest is kept. {kept}\n"
         "A share of saturation that stays high says that the robot has not enough air for this swing."
     )
