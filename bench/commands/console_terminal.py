@@ -134,7 +134,11 @@ class CommandTerminal:
         has_line = rows >= _MIN_ROWS
         fcntl.ioctl(self._master, termios.TIOCSWINSZ, struct.pack("HHHH", rows - has_line, columns, 0, 0))
         if has_line:
-            line = self._line(columns).encode(sys.stdout.encoding or "ascii", "replace")
+            try:
+                text = self._line(columns)
+            except Exception as error:  # the stop key has to outlive a line that cannot be made
+                text = f"no state: {type(error).__name__}"[:columns]
+            line = text.encode(sys.stdout.encoding or "ascii", "replace")
             self._write(b"\x1b7\x1b[1;%dr\x1b[%d;1H\x1b[2K%b\x1b8" % (rows - 1, rows, line))
 
     def _write(self, output: bytes) -> None:

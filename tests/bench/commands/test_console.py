@@ -329,6 +329,19 @@ def test_command_reads_its_keys_and_the_console_the_stop(terminal: int) -> None:
     assert sys.stdin.readline() == "status\n"  # unread keys are gone
 
 
+def test_stop_key_outlives_a_state_line_that_fails(terminal: int) -> None:
+    stops: list[None] = []
+
+    def broken(_: int) -> str:
+        raise KeyError("lease")
+
+    with CommandTerminal(lambda: stops.append(None), broken, 0.02):
+        time.sleep(0.1)
+        os.write(terminal, F8)
+        until(lambda: stops)
+        assert b"no state: KeyError" in os.read(terminal, 65536)
+
+
 def test_ctrl_c_is_the_signal_of_a_terminal(terminal: int, monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[int] = []
     monkeypatch.setattr(os, "killpg", lambda group, number: sent.append(number))
