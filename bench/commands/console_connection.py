@@ -84,8 +84,9 @@ class KeptConnection:
         self.note = "STOP sent"
         try:
             self.client(stopping=True).stop()
-        except BenchError as error:
-            self.note = f"STOP FAILED, use the emergency stop: {error.found}"
+        except Exception as error:  # whatever failed, the person has to know it
+            reason = error.found if isinstance(error, BenchError) else type(error).__name__
+            self.note = f"STOP FAILED, use the emergency stop: {reason}"
         else:
             self.note = f"STOP accepted after {1e3 * (time.monotonic() - pressed_at):.0f} ms"
 

@@ -16,7 +16,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 from prompt_toolkit.completion import CompleteEvent, DummyCompleter
@@ -207,6 +207,16 @@ def test_lines_typed_ahead_are_dropped_but_not_a_stop(typed: PipeInput) -> None:
 
 
 # The connection --------------------------------------------------------------------------------------
+
+
+def test_stop_that_fails_in_any_way_is_shown(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(stopping: bool) -> NoReturn:
+        raise RuntimeError("session closed")
+
+    connection = KeptConnection(load_address(file))
+    monkeypatch.setattr(connection, "client", broken)
+    connection.stop()
+    until(lambda: connection.note == "STOP FAILED, use the emergency stop: RuntimeError")
 
 
 def test_lost_connection_is_shown_refuses_and_is_opened_again(port: int, file: Path) -> None:
