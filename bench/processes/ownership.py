@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import pwd
 import re
 import shutil
 import stat
@@ -313,6 +312,8 @@ def _start_of(pid: int) -> int | None:
 
 def _user(uid: int) -> str:
     """Return the name of user `uid`."""
+    import pwd  # not everywhere, see `try_lock`
+
     try:
         return f"{pwd.getpwuid(uid).pw_name} (uid {uid})"
     except KeyError:
