@@ -174,7 +174,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     file = find_profile(options.profile or c.swing.profile)
     profile = load_profile(file)
     c = replace(c.with_club(profile.club), envelope=c.envelope.with_model_check(options.check))
-    limits = c.limits_in_use(profile, file).source if options.check != "off" else "none"
+    limits = Path(c.limits_in_use(profile, file).source).name if options.check != "off" else "none"
     c = c.for_profile(profile, file)
     nominal = counting(c.plant) if options.homing else c.plant
     homing = replace(c.homing, method="index")
