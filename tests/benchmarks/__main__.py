@@ -13,7 +13,7 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from tests.benchmarks.results import keep
+from tests.benchmarks.results import keep, provenance
 from tests.benchmarks.row import Row
 
 BENCHMARKS = (
@@ -68,11 +68,11 @@ def main() -> int:
     if name not in BENCHMARKS:
         print(f"no benchmark {name}; there are: {', '.join(BENCHMARKS)}", file=sys.stderr)
         return 2
-    console = Console()
+    console, made = Console(), provenance() if kept else ""
     rows: list[Row] = importlib.import_module(f"tests.benchmarks.{name}").run(options)
     show(rows, console)
     if kept:
-        console.print(f"kept: {keep(name, options, rows)}")
+        console.print(f"kept: {keep(name, options, rows, made)}")
     return verdict(rows, console)
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import shlex
-import subprocess
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
+from bench.faults.summary import commit
 from tests.benchmarks.row import Row
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -16,15 +17,13 @@ _HEAD = "Written by the benchmark (`--keep`); do not edit.\n"
 _SECTION = "\n## `"
 
 
-def keep(name: str, options: Sequence[str], rows: Sequence[Row], folder: Path = RESULTS) -> Path:
-    """Write `rows` of a run of benchmark `name`, in place of what the same command gave before."""
+def keep(name: str, options: Sequence[str], rows: Sequence[Row], made: str, folder: Path = RESULTS) -> Path:
+    """Write `rows` of a run of benchmark `name`, `made` so, in place of what the same command gave before."""
     command = f"python -m tests.benchmarks {shlex.join([name, *options])}"
     path = folder / f"{name}.md"
     parts = path.read_text("utf-8").split(_SECTION)[1:] if path.exists() else []
     sections = {part.partition("`")[0]: part for part in parts}
-    sections[command] = (
-        f"{command}`\n\n{commit()}, {datetime.now(UTC):%Y-%m-%d}, {machine()}\n\n{table(rows)}"
-    )
+    sections[command] = f"{command}`\n\n{made}\n\n{table(rows)}"
     folder.mkdir(exist_ok=True)
     text = f"# {name}\n\n{_HEAD}" + "".join(_SECTION + sections[key] for key in sorted(sections))
     path.write_text(text, "utf-8")
@@ -41,21 +40,12 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def commit() -> str:
-    """Return the commit of the checkout, and whether files differ from it."""
-    git = ["git", "-C", str(RESULTS.parents[1])]
-    found = subprocess.run(
-        [*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True
-    )
-    changed = subprocess.run(
-        [*git, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True
-    )
-    return f"commit {found.stdout.strip()}" + (" with changes" if changed.stdout else "")
-
-
-def machine() -> str:
-    """Return processor, cores, kernel and Python."""
+def provenance() -> str:
+    """Return commit ("+" where files differ), date, processor, cores, kernel and Python, before a run."""
     lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    model = names[0] if names else platform.machine()
-    return f"{model}, {len(names) or 1} cores, Linux {platform.release()}, Python {platform.python_version()}"
+    model, cores = names[0] if names else platform.machine(), len(os.sched_getaffinity(0))
+    return (
+        f"commit {commit(RESULTS.parent)}, {datetime.now(UTC):%Y-%m-%d}, {model}, {cores} cores, "
+        f"Linux {platform.release()}, Python {platform.python_version()}"
+    )

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.benchmarks.results import keep
+from tests.benchmarks.results import keep, provenance
 from tests.benchmarks.row import Row
 
 
 def test_a_command_replaces_its_own_section_and_no_other(tmp_path: Path) -> None:
     rows = [Row("speed", "swings", 1234.5, "1/s", "a|b", at_least=1000.0)]
-    keep("speed", ["--cores", "2"], rows, tmp_path)
-    keep("speed", [], [Row("speed", "swings", 3.0, "1/s", at_most=2.0)], tmp_path)
-    path = keep("speed", ["--cores", "2"], [rows[0]._replace(value=2000.0)], tmp_path)
+    made = provenance()
+    keep("speed", ["--cores", "2"], rows, made, tmp_path)
+    keep("speed", [], [Row("speed", "swings", 3.0, "1/s", at_most=2.0)], made, tmp_path)
+    path = keep("speed", ["--cores", "2"], [rows[0]._replace(value=2000.0)], made, tmp_path)
     text = path.read_text("utf-8")
     assert text.startswith("# speed\n\nWritten by the benchmark")
     assert text.count("## `python -m tests.benchmarks speed") == 2
