@@ -2,8 +2,8 @@
 
 Those of state and shot: `bench.network.bench_service`, `bench.shot.shot_message`.
 
-The bench answers with its contract on `golfbench/BENCH/schema`, and `golfbench schema` prints it. The page
-beside this file is the same for people.
+The bench answers with its contract on `golfbench/BENCH/schema`, and `golfbench schema` prints it. For people
+it is `bench/manual/integrator/wire_contract.md`.
 """
 
 from __future__ import annotations
