@@ -149,12 +149,14 @@ VENTS = _nested(
     ("agreed", "f8", (2,)),  # s: when that last agreed with the command
     ("wrong", "u1", (2,)),  # it has disagreed for too long
 )
+"""Memory of `bench.control.air_watch`: the vents' positions."""
+
 SHUT_OFF = _nested(
     ("fitted", "?"),  # the shut-off valve has reported its position
     ("agreed", "f8"),  # s: when that last agreed with the command
     ("wrong", "?"),  # it has disagreed for too long
 )
-"""Memory of `bench.control.air_watch`, as VENTS."""
+"""Memory of `bench.control.air_watch`: the shut-off valve's position."""
 
 MANIFOLD = _nested(
     ("shut", "f8"),  # s since the supply was shut
