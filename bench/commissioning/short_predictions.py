@@ -33,6 +33,11 @@ _SMOOTH, _ORDER = 9, 3
 """Rows and order of the polynomial that gives a speed."""
 _CONTACT = 8
 """Rows around the contact with the ball in which no speed is known."""
+SCATTER = np.array([5e-4] * 3 + [0.05] * 3 + [300.0] * 6 + [100.0])
+"""Errors of predictions over a window that count as one: rad, rad/s, Pa."""
+_OUTLIER = 5.0
+"""Error from which it counts less: a joint that breaks loose a little later is no other robot."""
+_ROUNDS = 4
 
 
 class RecordedSwing:
@@ -150,6 +155,32 @@ def _predict(
             c.valve[i] = valve[k, i]
         c.supply_enable, c.exhaust_closed, c.guard_lock = flags[k, 0], flags[k, 1], flags[k, 2]
         advance(robot, plant, impact, state, command)
+
+
+def explained(errors: Array, effects: Array, moved: Array) -> tuple[Array, Array, Array]:
+    """Return the values that explain `errors` (k, QUANTITIES) best, what stays, and their covariance.
+
+    `effects` (k, QUANTITIES, p) are by standard error, as are the result (p,) and its covariance (p, p); the
+    values begin `moved` (p,) from their means. What stays (n,) is in units of SCATTER; large errors count
+    less.
+    """
+    wanted = (errors / SCATTER).ravel()
+    design = (effects / SCATTER[:, None]).reshape(len(wanted), -1)
+    shift, weight = np.zeros(design.shape[1]), np.ones(len(wanted))
+    normal, left = np.eye(design.shape[1]), wanted
+    for _ in range(_ROUNDS):
+        # No threads of a linear algebra library: they wait for each other where others have processors.
+        weighted = design * weight[:, None]
+        normal = np.einsum("ni,nj->ij", weighted, design) + np.eye(design.shape[1])
+        shift = np.linalg.solve(normal, np.einsum("ni,n->i", weighted, wanted) - moved)
+        left = wanted - np.einsum("ni,i->n", design, shift)
+        weight = 1.0 / np.sqrt(1.0 + (left / _OUTLIER) ** 2)
+    return np.asarray(shift), np.asarray(left), np.asarray(np.linalg.inv(normal), np.float64)
+
+
+def robust_squares(errors: Array) -> Array:
+    """Return the squares of `errors`, linear far beyond the scatter."""
+    return np.asarray(2.0 * _OUTLIER**2 * (np.sqrt(1.0 + (errors / _OUTLIER) ** 2) - 1.0))
 
 
 def _filled(columns: Array) -> Array:

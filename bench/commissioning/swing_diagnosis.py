@@ -16,7 +16,16 @@ from scipy.optimize import minimize_scalar
 from bench.commissioning.known_robot import FoundValue
 from bench.commissioning.machine import Array
 from bench.commissioning.rising_swings import exceeded
-from bench.commissioning.short_predictions import PRESSURE, QUANTITIES, SPEED, Cycles, RecordedSwing
+from bench.commissioning.short_predictions import (
+    PRESSURE,
+    QUANTITIES,
+    SCATTER,
+    SPEED,
+    Cycles,
+    RecordedSwing,
+    explained,
+    robust_squares,
+)
 from bench.commissioning.steps import Mark, PredictionFails, SwingSeries, SwungRobot, WrongMachine
 from bench.commissioning.swing_causes import SwingCause, swing_causes
 from bench.control.measured_plant import value_at, with_values
@@ -27,11 +36,6 @@ from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.plant import PlantParameters
 
-_SCATTER = np.array([5e-4] * 3 + [0.05] * 3 + [300.0] * 6 + [100.0])
-"""Errors of predictions over a window that count as one: rad, rad/s, Pa."""
-_OUTLIER = 5.0
-"""Error from which it counts less: a joint that breaks loose a little later is no other robot."""
-_ROUNDS = 4
 _NEAR = 2.0
 """Standard errors by which values may move for their effects to be taken there."""
 _BETTER = 0.5
@@ -116,30 +120,15 @@ class SwingMisfit:
 
     def of(self, errors: Array) -> Misfit:
         """Return what stays of `errors` (k, QUANTITIES) with the best values."""
-        wanted = (errors / _SCATTER).ravel()
-        design = (self.effects / _SCATTER[:, None]).reshape(len(wanted), -1)
-        shift, weight = np.zeros(design.shape[1]), np.ones(len(wanted))
-        left = wanted
-        for _ in range(_ROUNDS):
-            # No threads of a linear algebra library: they wait for each other where others have processors.
-            weighted = design * weight[:, None]
-            normal = np.einsum("ni,nj->ij", weighted, design) + np.eye(design.shape[1])
-            shift = np.linalg.solve(normal, np.einsum("ni,n->i", weighted, wanted) - self._moved)
-            left = wanted - np.einsum("ni,i->n", design, shift)
-            weight = 1.0 / np.sqrt(1.0 + (left / _OUTLIER) ** 2)
-        cost = (float(_robust(left).sum()) + float(np.sum((self._moved + shift) ** 2))) / max(len(wanted), 1)
-        return Misfit(cost, left.reshape(-1, QUANTITIES) * _SCATTER, shift)
+        shift, left, _ = explained(errors, self.effects, self._moved)
+        total = float(robust_squares(left).sum() + np.sum((self._moved + shift) ** 2))
+        return Misfit(total / max(len(left), 1), left.reshape(-1, QUANTITIES) * SCATTER, shift)
 
 
 def _better_from(without: Array, within: Array) -> int:
     """Return the window from which on errors `within` (k, QUANTITIES) are smaller than those `without`."""
-    gain = [_robust(errors / _SCATTER).sum(axis=1) for errors in (without, within)]
+    gain = [robust_squares(errors / SCATTER).sum(axis=1) for errors in (without, within)]
     return int(np.argmax(np.append(np.cumsum((gain[0] - gain[1])[::-1])[::-1], 0.0)))
-
-
-def _robust(errors: Array) -> Array:
-    """Return the squares of `errors`, linear far beyond the scatter."""
-    return np.asarray(2.0 * _OUTLIER**2 * (np.sqrt(1.0 + (errors / _OUTLIER) ** 2) - 1.0))
 
 
 def effect(recorded: RecordedSwing, plant: PlantParameters, base: Array, one: UncertainValue) -> Array:

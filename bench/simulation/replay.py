@@ -240,6 +240,25 @@ def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParam
         ExceptionGroup: of BenchErrors, one for each value that today's program rejects.
     """
     profile = read_profile(metadata, place)
+    built, defaults = settings_of(metadata, place)
+    try:
+        return build_controller(built.pop("plant"), profile, **built), defaults
+    except ValueError as error:
+        raise BenchError(
+            f"{place}: configuration",
+            str(error),
+            "settings of a controller",
+            "Replay a record of this version.",
+        ) from None
+
+
+def settings_of(metadata: Mapping[str, Any], place: str) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return a record's settings by the names of `build_controller`, and the keys that the record lacks.
+
+    Raises:
+        BenchError: the configuration is missing.
+        ExceptionGroup: of BenchErrors, one for each value that today's program rejects.
+    """
     configuration = metadata.get("configuration")
     if not isinstance(configuration, Mapping):
         raise BenchError(
@@ -261,12 +280,7 @@ def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParam
         built[name] = Builder(tree, file, action, action, faults=faults).build(kind)  # type: ignore[arg-type]
     if faults:
         raise ExceptionGroup(f"{place} cannot be replayed", faults)
-    try:
-        return build_controller(built.pop("plant"), profile, **built), tuple(defaults)
-    except ValueError as error:
-        raise BenchError(
-            str(file), str(error), "settings of a controller", "Replay a record of this version."
-        ) from None
+    return built, tuple(defaults)
 
 
 _SETTINGS: Mapping[str, type[Any]] = {
@@ -398,7 +412,7 @@ NEAR = 0.9
 """Share of a limit that is near it. Healthy robots reach 0.8: limits are a quarter above what those show."""
 AHEAD = 200
 """Max swings ahead within which a growing residual is not to reach its limit: no more than were recorded."""
-_FEW, _ENOUGH = 5, 10
+FEW, _ENOUGH = 5, 10
 """Swings of a median, and least number of swings of a trend."""
 
 
@@ -445,14 +459,14 @@ def margins(shares: NDArray[np.float64]) -> list[Margin]:
     for k, kind in enumerate(KINDS):
         for i, joint in enumerate(JOINTS):
             column = shares[:, k, i]
-            before, latest = float(np.median(column[:_FEW])), float(np.median(column[-_FEW:]))
-            growth = _growth(column)
+            before, latest = float(np.median(column[:FEW])), float(np.median(column[-FEW:]))
+            growth = growth_of(column)
             ahead = latest + min(AHEAD, len(column)) * growth if growth > 0.0 else latest
             found.append(Margin(kind, joint, before, latest, growth, latest >= NEAR or ahead >= 1.0))
     return sorted(found, key=lambda one: -one.latest)
 
 
-def _growth(column: NDArray[np.float64]) -> float:
+def growth_of(column: NDArray[np.float64]) -> float:
     """Return the slope per swing (Theil and Sen); 0 where its 95 % interval has both signs."""
     if len(column) < _ENOUGH:
         return nan

@@ -1,0 +1,229 @@
+"""What wears, part by part, from recorded swings.
+
+Each value that wear changes is fitted to short predictions of a swing (`short_predictions`), all at once, so
+that a moved centre is not taken for a leak, nor dry friction for a slow spool. It is what the recorded
+configuration has plus a change with a prior as wide as wear goes. Which change is too much is half to two
+thirds of the one at which the model-based check stops healthy swings of that part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from bench.commissioning.known_robot import ACTUATOR_KEYS
+from bench.commissioning.machine import Array
+from bench.commissioning.short_predictions import Cycles, RecordedSwing, explained
+from bench.control.measured_plant import value_at, with_values
+from bench.errors import BenchError
+from bench.shot.plot_style import COLOURS, GREY, STYLE, styled
+from bench.simulation.replay import FEW, growth_of, settings_of
+from drivers.base import CHAMBERS, JOINTS
+from sim.plant import PlantParameters
+
+_STEP = 0.3
+"""Step of a derivative, as a share of the prior."""
+_ROUNDS = 2
+"""Linearisations: large changes bend their effects."""
+_CERTAIN = 3.0
+"""Standard errors by which a change has to exceed zero."""
+_LOWEST = 0.05
+"""Least share of a configured value that a change leaves."""
+_LITRES = 6e4
+"""Litres a minute of a m3/s."""
+
+
+class WearingValue(NamedTuple):
+    """A value that wear changes."""
+
+    part: str
+    name: str
+    keys: tuple[str, ...]
+    """Dotted keys below [plant] that change alike; none of a chamber's sensor."""
+    is_share: bool
+    """Whether a change is a share of the configured value, or added to it."""
+    prior: float
+    """Standard deviation of the change before anything was recorded."""
+    most: float
+    """Change from which the part is worn; of a leak a growth."""
+    unit: str
+    scale: float
+    """Units of one change."""
+    action: str
+    chamber: int = -1
+    """Chamber whose sensor reads `change` (Pa) too much."""
+
+    def changed(
+        self, recorded: RecordedSwing, plant: PlantParameters, change: float
+    ) -> tuple[RecordedSwing, PlantParameters]:
+        """Return record and plant with the value changed; what cannot be negative stays above zero."""
+        if self.chamber >= 0:
+            return recorded.with_pressure(self.chamber, -change), plant
+        values = {}
+        for key in self.keys:
+            value = float(value_at(plant, key))
+            if self.is_share:
+                values[key] = value * max(1.0 + change, _LOWEST)
+            else:
+                values[key] = value + change if key.endswith("centre") else max(value + change, 0.0)
+        return recorded, with_values(plant, values)
+
+
+def wearing_values(plant: PlantParameters) -> tuple[WearingValue, ...]:
+    """Return the values of `plant` that are followed."""
+    litres = _LITRES * plant.supply.pressure
+    values = [
+        WearingValue(
+            *("supply", "pressure", ("supply.pressure",), True, 0.05, 0.03, "%", 100.0),
+            "Read the gauge in service; set the regulator, look at compressor and filter.",
+        ),
+        WearingValue(
+            *("club", "head mass", ("robot.club.head_mass",), False, 0.01, 0.005, "g", 1e3),
+            "Weigh the head; look at its fastening and at the tape on it.",
+        ),
+        WearingValue(
+            *("encoders", "latency", ("encoders.latency",), False, 5e-4, 4e-4, "ms", 1e3),
+            "Look at the encoders' filter settings and at the bus.",
+        ),
+    ]
+    for number, (joint, key) in enumerate(zip(JOINTS, ACTUATOR_KEYS, strict=True)):
+        valve, seals, way = f"{joint} valve", f"{joint} seals", f"{key}.valve."
+        clean = f"Clean or replace the valve of the {joint}, then commission again."
+        tight = f"Look for a leak of the {joint}: hoses and fittings first, then seals."
+        friction = tuple(f"{key}.friction.{kind}" for kind in ("coulomb", "static", "viscous"))
+        values += [
+            WearingValue(valve, "dead band", (way + "dead_band",), False, 0.02, 0.008, "%", 100.0, clean),
+            WearingValue(valve, "centre", (way + "centre",), False, 0.02, 0.005, "%", 100.0, clean),
+            WearingValue(
+                valve, "spool speed", (way + "natural_frequency",), True, 0.3, 0.15, "%", 100.0, clean
+            ),
+            WearingValue(valve, "flow", (way + "conductance",), True, 0.1, 0.08, "%", 100.0, clean),
+            WearingValue(valve, "leak", (way + "leakage",), False, 0.004, 0.004, "%", 100.0, clean),
+            WearingValue(
+                seals, "leak", (f"{key}.cross_leakage",), False, 3e-10, 2e-10, "l/min", litres, tight
+            ),
+            WearingValue(
+                *(joint, "friction", friction, True, 0.5, 0.3, "%", 100.0),
+                f"Look for a rubbing part, bearing, belt or seal of the {joint}; grease it.",
+            ),
+            *(
+                WearingValue(
+                    *(f"{joint} sensor", f"chamber {side}", (), False, 1e4, 1e4, "bar", 1e-5),
+                    f"Check the sensor of {CHAMBERS[chamber]} and its cable against a gauge.",
+                    chamber,
+                )
+                for side, chamber in (("A", 2 * number), ("B", 2 * number + 1))
+            ),
+        ]
+    return tuple(values)
+
+
+class SwingWear(NamedTuple):
+    """Changes of one swing."""
+
+    change: Array
+    """(p,) in the order of `wearing_values`."""
+    error: Array
+    """(p,) standard errors."""
+
+
+def swing_wear(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> SwingWear:
+    """Return what changed against the configuration of a record, from its `cycles` and `metadata`.
+
+    Raises:
+        BenchError: the record has no configuration, or a chamber shows no pressure.
+        ExceptionGroup: of BenchErrors, the values of its configuration that today's program rejects.
+    """
+    plant = settings_of(metadata, place)[0]["plant"]
+    if not np.isfinite(cycles["chamber_pressure"]).any(axis=0).all():
+        raise BenchError(
+            place,
+            "a chamber without pressures",
+            "the pressure of each chamber, which separates the parts",
+            "Fit a sensor to each chamber.",
+        )
+    return fitted_wear(cycles, plant)
+
+
+def fitted_wear(cycles: Cycles, plant: PlantParameters) -> SwingWear:
+    """Return what changed against `plant` in the CYCLE records of a swing."""
+    recorded, values = RecordedSwing(cycles, plant), wearing_values(plant)
+    prior, change = np.array([one.prior for one in values]), np.zeros(len(values))
+    left, covariance = np.zeros(1), np.eye(len(values))
+    for _ in range(_ROUNDS):
+        at = recorded, plant
+        for one, by in zip(values, change.tolist(), strict=True):
+            at = one.changed(*at, by) if by else at
+        base = at[0].errors(at[1])
+        moved = [one.changed(*at, _STEP * one.prior) for one in values]
+        effects = np.stack([(base - record.errors(other)) / _STEP for record, other in moved], axis=-1)
+        shift, left, covariance = explained(base, effects, change / prior)
+        change = change + shift * prior
+    scatter = max(float(np.mean(np.square(left))), 1.0)
+    return SwingWear(change, prior * np.sqrt(scatter * np.diag(covariance)))
+
+
+class PartWear(NamedTuple):
+    """One value over the swings, oldest first, as changes against the configuration."""
+
+    value: WearingValue
+    before: float
+    """Median of the first swings."""
+    latest: float
+    """Median of the latest swings."""
+    error: float
+    """Standard error of the latest."""
+    growth: float
+    """Growth per swing; NaN with too few swings, 0 if it may as well be none."""
+    is_worn: bool
+    """Whether it changed too much: since the first swings, or of few ones against the configuration."""
+    left: float
+    """Swings until the trend makes it worn; infinite without a trend."""
+
+
+def worn_parts(values: Sequence[WearingValue], swings: Sequence[SwingWear]) -> list[PartWear]:
+    """Return `values` over `swings`, the most worn ones first."""
+    found = []
+    changes, errors = np.array([one.change for one in swings]), np.array([one.error for one in swings])
+    for k, value in enumerate(values):
+        column, latest = changes[:, k], changes[-FEW:, k]
+        before, now = float(np.median(column[:FEW])), float(np.median(latest))
+        apart = float(np.std(latest)) / np.sqrt(len(latest))
+        error = float(np.hypot(np.median(errors[-FEW:, k]) / np.sqrt(len(latest)), apart))
+        since, growth = now - before if len(column) >= 2 * FEW else now, growth_of(column)
+        change = since if value.name == "leak" else abs(since)
+        grows = growth * (1.0 if since > 0.0 else -1.0)
+        left = max(value.most - change, 0.0) / grows if grows > 0.0 else np.inf
+        is_worn = change >= max(value.most, _CERTAIN * error)
+        found.append(PartWear(value, before, now, error, growth, is_worn, left))
+    return sorted(found, key=lambda one: -abs(one.latest) / one.value.most)
+
+
+_DRAWN = 6
+"""Values in the picture: the most worn ones."""
+
+
+def wear_plot(values: Sequence[WearingValue], swings: Sequence[SwingWear], numbers: Sequence[int]) -> Figure:
+    """Return the chart of the most worn of `values` over `swings` (n,), which have `numbers` (n,).
+
+    Each has its own axes, with the bound from which it is too much.
+    """
+    changes, errors = np.array([one.change for one in swings]), np.array([one.error for one in swings])
+    most = np.array([one.most for one in values])
+    order = np.argsort(-np.abs(np.median(changes[-FEW:], axis=0)) / most)[:_DRAWN]
+    with mpl.rc_context(STYLE):
+        figure = styled(1.3 * len(order) + 0.4)
+        for axes, k in zip(figure.subplots(len(order), 1, sharex=True), order.tolist(), strict=True):
+            value = values[k]
+            bars = value.scale * changes[:, k], value.scale * errors[:, k]
+            axes.errorbar(numbers, *bars, fmt=".", color=COLOURS[0], ecolor=GREY, elinewidth=0.7)
+            for bound in (-value.most, value.most):
+                axes.axhline(value.scale * bound, color=COLOURS[1], linewidth=0.8, linestyle="--")
+            axes.set(title=f"{value.part}: {value.name}", ylabel=value.unit)
+        figure.axes[-1].set_xlabel("swing")
+        figure.suptitle("Change against the configuration. Dashed: worn.", fontsize=8.5)
+    return figure
