@@ -7,9 +7,11 @@ it has ended, since each look before costs confidence.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from bench.campaign.campaign_control import answer, ask, is_running, standing_now
@@ -20,10 +22,11 @@ from bench.campaign.plan_file import plan_from_record
 from bench.campaign.prompts import balls_of, places
 from bench.campaign.shot_sequence import Role, sections
 from bench.config import Configuration, database_url
-from bench.errors import BenchError, Refused
+from bench.errors import BenchError, ExitCode, Refused
 from bench.page.answers import Asked, InvalidBody, UnknownName
 from bench.page.command_line import BackgroundCommand, CommandLine
-from bench.page.downloads import REPORT, Download, Downloads
+from bench.page.downloads import MAX_RECORDS, REPORT, Download, Downloads
+from bench.page.last_swing import swing_view
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
@@ -50,14 +53,16 @@ class CampaignArchive:
         with open_database(self._url) as engine:
             yield CampaignStore(engine)
 
-    def listed(self) -> list[dict[str, Any]]:
-        """Return the newest campaigns, the newest first; empty without a database."""
+    def listed(self, search: str = "") -> list[dict[str, Any]]:
+        """Return the newest campaigns whose id or title has `search`; empty without a database."""
         if not is_there(self._url):
             return []
         with self._store() as store:
             found = [
                 (entry, standing_now(self._settings.data_dir, entry.id, standing), counts)
-                for entry, standing, counts in store.entries()[:MAX_LISTED]
+                for entry, standing, counts in [
+                    row for row in store.entries() if search in f"{row[0].id} {row[0].title}".casefold()
+                ][:MAX_LISTED]
             ]
         folder = self._settings.data_dir / "campaigns"
         return [
@@ -266,9 +271,36 @@ class CampaignService:
         self._archive, self._downloads = archive, downloads
         self._golfbench, self._runner = golfbench, runner
 
-    def archive(self, _: Asked) -> dict[str, Any]:
-        """Return the campaigns and records that are here."""
-        return {"campaigns": self._archive.listed(), "records": self._downloads.records()}
+    def archive(self, asked: Asked) -> dict[str, Any]:
+        """Return the campaigns and records that are here, or those that the searched text names."""
+        search = asked.path.get("search", "").strip().casefold()
+        return {"campaigns": self._archive.listed(search), "records": self._downloads.records(search)}
+
+    def swing(self, asked: Asked) -> dict[str, Any]:
+        """Return figures and curves of a record."""
+        path = self._record(asked.path["name"])
+        try:
+            return swing_view(path)
+        except (ValueError, KeyError, OSError) as error:
+            expected, action = "a record of this version", "Download it, and look at it with golfbench view."
+            raise Refused(path.name, str(error), expected, action) from error
+
+    def wear(self, asked: Asked) -> Any:
+        """Return what wears, as `golfbench wear --json` does, by the records named."""
+        names = asked.body.get("records")
+        if not isinstance(names, list) or not 0 < len(names) <= MAX_RECORDS:
+            raise InvalidBody(f"records: 1 to {MAX_RECORDS} names")
+        files = [str(self._record(str(name))) for name in names]
+        asked.once()
+        # A worn part ends the command with the code of a refusal.
+        return json.loads(
+            self._golfbench.output("wear", "--json", "--", *files, passed=(0, ExitCode.REFUSED))
+        )
+
+    def _record(self, name: str) -> Path:
+        if (found := self._downloads.record(name)) is None:
+            raise UnknownName("record")
+        return found
 
     def detail(self, asked: Asked) -> dict[str, Any]:
         """Return charts and landing points of one campaign."""

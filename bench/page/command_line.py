@@ -48,8 +48,8 @@ class CommandLine:
         """Return program and `arguments`."""
         return [*self._golfbench, *arguments]
 
-    def output(self, *arguments: str) -> str:
-        """Run a command to its end; return what it prints.
+    def output(self, *arguments: str, passed: Collection[int] = (0,)) -> str:
+        """Run a command to its end; return what it prints if it ends with one of the codes `passed`.
 
         Raises:
             BenchError: the command refuses, in its own words; too many run at a time; it does not end.
@@ -66,7 +66,7 @@ class CommandLine:
             code, output, said = self._run(place, self.arguments(*arguments))
         finally:
             self._free.release()
-        if code:
+        if code not in passed or (code and faults_in(said)):
             raise fault_of(place, code, said)
         return output
 

@@ -68,15 +68,15 @@ class Downloads:
     def __init__(self, data_dir: Path, bench: str) -> None:
         self._records, self._campaigns = data_dir / "swings" / bench, data_dir / "campaigns"
 
-    def records(self) -> list[dict[str, Any]]:
-        """Return name and size (bytes) of the newest records."""
+    def records(self, search: str = "") -> list[dict[str, Any]]:
+        """Return name and size (bytes) of the newest records whose names have `search`."""
         try:
             names = sorted((path.name for path in self._records.iterdir()), reverse=True)
         except OSError:
             return []
         found = []
         for name in names:
-            if (path := self.record(name)) is not None:
+            if search in name.casefold() and (path := self.record(name)) is not None:
                 found.append({"name": name, "bytes": path.stat().st_size})
             if len(found) == MAX_RECORDS:
                 break

@@ -259,6 +259,8 @@ def page_application(
     viewer, operator = PageRole.VIEWER, PageRole.OPERATOR
     looks = {
         "/api/archive": campaigns.archive,
+        "/api/archive/{search}": campaigns.archive,
+        "/api/swing/{name}": campaigns.swing,
         "/api/campaign/{campaign}": campaigns.detail,
         "/api/plans": starts.plans,
         "/api/values": starts.values,
@@ -267,6 +269,7 @@ def page_application(
         "/api/stop/{name}": Call(PageRole.STOPPER, Pool.STOPS, service.stop, reads_body=False),
         "/api/command/{name}": Call(operator, Pool.COMMANDS, service.command),
         "/api/lease": Call(operator, Pool.COMMANDS, service.lease),
+        "/api/wear": Call(operator, Pool.PROGRAMS, campaigns.wear),
         "/api/campaign/{campaign}/report": Call(operator, Pool.PROGRAMS, campaigns.write_report),
         "/api/campaign/{campaign}/{name}": Call(operator, Pool.LOOKUPS, campaigns.change),
         "/api/plan/{plan}/check": Call(operator, Pool.PROGRAMS, starts.check),

@@ -4,6 +4,7 @@ import { ask } from "./ask.js";
 import { by, make } from "./dom.js";
 import { chart, request } from "./campaign.js";
 import { mayOperate, outcome, randomNumber, releaseLease } from "./operate.js";
+import { overlay, wearTable } from "./compare.js";
 import { curve, dot, frame } from "./plot.js";
 import { figure } from "./swing.js";
 import { say, send } from "./send.js";
@@ -11,25 +12,32 @@ import { onUnits, quantity, scale, unitSystem } from "./units.js";
 
 const POINTS = 60;
 const REPORT_TIME = 200000; // ms
+const WEAR_TIME = 200000; // ms
+const PAUSE = 250; // ms after the last key of a search
 let content = null;
 let opened = null;
+let chosen = [];
+let laid = null; // what was made of the chosen records
+
+const look = (path) => fetch(path, { cache: "no-store" }).catch(() => null);
 
 export async function loadArchive() {
-  const response = await fetch("/api/archive", { cache: "no-store" }).catch(() => null);
+  const search = by("archive-search").value.trim();
+  const response = await look(search ? `/api/archive/${encodeURIComponent(search)}` : "/api/archive");
   if (!response?.ok) return;
   content = await response.json();
   redraw();
 }
 
 async function open(campaign) {
-  const response = await fetch(`/api/campaign/${encodeURIComponent(campaign)}`, { cache: "no-store" }).catch(() => null);
+  const response = await look(`/api/campaign/${encodeURIComponent(campaign)}`);
   opened = response?.ok ? await response.json() : null;
   redraw();
 }
 
 function redraw() {
   if (content === null) return;
-  by("archive-card").hidden = content.campaigns.length + content.records.length === 0;
+  by("archive-card").hidden = content.campaigns.length + content.records.length === 0 && !by("archive-search").value;
   by("archive").replaceChildren(campaigns(), detail(), records());
 }
 
@@ -100,8 +108,41 @@ function outline({ centre, long, short, tilt }) {
 
 function records() {
   if (!content.records.length) return "";
-  const list = content.records.map((one) => make("li", {}, make("a", { href: `/record/${encodeURIComponent(one.name)}`, download: one.name }, one.name), ` ${(one.bytes / 1e6).toFixed(1)} MB`));
-  return make("div", {}, make("h3", {}, "Records of swings"), make("ul", { class: "events" }, ...list));
+  const list = content.records.map(({ name, bytes }) => make("li", {},
+    make("label", { class: "check" }, make("input", { type: "checkbox", checked: chosen.includes(name), on: { change: (event) => choose(name, event.target.checked) } }), ` ${name}`),
+    ` ${(bytes / 1e6).toFixed(1)} MB `, make("a", { href: `/record/${encodeURIComponent(name)}`, download: name, "aria-label": `Download ${name}` }, "Download")));
+  const buttons = make("p", {},
+    make("button", { type: "button", id: "lay-over", disabled: chosen.length !== 2, on: { click: layOver } }, "Lay two over each other"), " ",
+    make("button", { type: "button", id: "wear-of", disabled: !chosen.length, on: { click: wear } }, "Wear of the chosen"));
+  return make("div", {}, make("h3", {}, "Records of swings"), make("ul", { class: "events" }, ...list), buttons, laid === null ? "" : laid());
 }
 
+function choose(name, on) {
+  chosen = on ? [...chosen, name] : chosen.filter((one) => one !== name);
+  by("lay-over").disabled = chosen.length !== 2;
+  by("wear-of").disabled = !chosen.length;
+}
+
+async function layOver() {
+  const answers = await Promise.all(chosen.map((name) => look(`/api/swing/${encodeURIComponent(name)}`)));
+  const views = await Promise.all(answers.map((one) => (one?.ok ? one.json() : null)));
+  if (views.includes(null)) return outcome("One of the records cannot be read.", true);
+  laid = () => overlay(views);
+  redraw();
+}
+
+async function wear(event) {
+  event.target.disabled = true;
+  outcome("Wear: fitting the parts …", false);
+  const answer = await send("/api/wear", { number: randomNumber(), records: chosen }, "", WEAR_TIME);
+  outcome(say(answer, answer.worn ? "A part is worn." : "No part is worn."), !answer.ok || answer.worn);
+  if (answer.ok) laid = () => wearTable(answer);
+  redraw();
+}
+
+let waiting = 0;
+by("archive-search").addEventListener("input", () => {
+  clearTimeout(waiting);
+  waiting = setTimeout(loadArchive, PAUSE);
+});
 onUnits(redraw);

@@ -115,7 +115,20 @@ ANSWERS: dict[str, Any] = {
             CAMPAIGN | {"report": True, "ended": True, "runner": False},
             CAMPAIGN | {"report": False, "ended": False, "runner": False},
         ],
-        "records": [{"name": "r", "bytes": 1000}],
+        "records": [{"name": "r", "bytes": 1000}, {"name": "s", "bytes": 1000}],
+    },
+    "/api/swing/*": SWING,
+    "/api/wear": {
+        "swings": 2,
+        "parts": [
+            {
+                **{"part": "p", "value": "v", "unit": "u", "before": 0.0, "latest": 1.0, "error": 0.1},
+                **{"growth": None, "most": 1.0, "worn": True, "swings_left": None},
+            }
+        ],
+        "worn": True,
+        "margins": [],
+        "near": False,
     },
     "/api/campaign/*": {
         "campaign": "c-1",
@@ -242,6 +255,13 @@ def test_script_in_every_name_stays_text(browser: Any, page: RunningPage) -> Non
             tab.text(place).to_contain_text(SCRIPT)
         tab.page.locator("#archive button:has-text('Figures')").first.click()
         tab.text("#archive .plots").to_contain_text(SCRIPT)
+        for box in tab.page.locator("#archive input[type=checkbox]").all():
+            box.check()
+        tab.page.click("#lay-over")
+        tab.text("#overlay").to_contain_text(SCRIPT)
+        assert tab.page.locator("#overlay svg").count() == 3
+        tab.page.click("#wear-of")
+        tab.text("#wear").to_contain_text(SCRIPT)
         tab.page.click("#commission-check")
         tab.text("#commission-preview").to_contain_text(SCRIPT)
         tab.page.evaluate("() => { document.getElementById('plans-card').hidden = false; }")

@@ -87,6 +87,34 @@ def test_campaigns_and_records_are_listed(page: RunningPage) -> None:
     assert [one["name"] for one in found["records"]] == [RECORD]
 
 
+def test_archive_search_keeps_what_its_text_names(page: RunningPage) -> None:
+    def found(text: str) -> tuple[list[str], list[str]]:
+        answer = page.ask("GET", f"/api/archive/{text}").content
+        return [one["id"] for one in answer["campaigns"]], [one["name"] for one in answer["records"]]
+
+    assert found("ENDED") == ([ENDED], [])
+    assert found("campaign") == ([ENDED, OPEN], [])
+    assert found("20260101") == ([], [RECORD])
+    assert found("nothing-of-it") == ([], [])
+
+
+def test_record_is_shown_as_the_last_swing_is(page: RunningPage) -> None:
+    found = page.ask("GET", f"/api/swing/{RECORD}")
+    assert found.status == 200
+    assert found.content["name"] == RECORD
+    assert found.content["figures"]["club_speed_mps"] > 30.0
+    assert len(found.content["path"]) > 100
+    for name in ("none.parquet", "20260101T000000000000Z-8.parquet", "..%2Fsecret"):
+        assert page.ask("GET", f"/api/swing/{name}").status == 404
+
+
+def test_wear_takes_listed_records_only(page: RunningPage) -> None:
+    for records in (None, [], [RECORD] * 31, "all"):
+        assert page.post("/api/wear", {"number": "12345678", "records": records}).status == 400
+    for name in ("none.parquet", "20260101T000000000000Z-8.parquet", "../secret"):
+        assert page.post("/api/wear", {"number": "12345678", "records": [name]}).status == 404
+
+
 def test_landing_points_wait_for_the_end(page: RunningPage) -> None:
     unfinished = page.ask("GET", f"/api/campaign/{OPEN}").content
     assert unfinished["landing"] is None
