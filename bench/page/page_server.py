@@ -264,6 +264,7 @@ def page_application(
         "/api/campaign/{campaign}": campaigns.detail,
         "/api/plans": starts.plans,
         "/api/values": starts.values,
+        "/api/names": starts.names,
     }
     changes = {
         "/api/stop/{name}": Call(PageRole.STOPPER, Pool.STOPS, service.stop, reads_body=False),
@@ -272,6 +273,7 @@ def page_application(
         "/api/wear": Call(operator, Pool.PROGRAMS, campaigns.wear),
         "/api/campaign/{campaign}/report": Call(operator, Pool.PROGRAMS, campaigns.write_report),
         "/api/campaign/{campaign}/{name}": Call(operator, Pool.LOOKUPS, campaigns.change),
+        "/api/new-plan": Call(operator, Pool.PROGRAMS, starts.write_plan),
         "/api/plan/{plan}/check": Call(operator, Pool.PROGRAMS, starts.check),
         "/api/plan/{plan}/start": Call(operator, Pool.LOOKUPS, starts.start),
         "/api/values/{form}": Call(operator, Pool.PROGRAMS, starts.enter),

@@ -12,17 +12,19 @@ from collections.abc import Callable, Collection, Mapping
 from ipaddress import ip_address
 from itertools import takewhile
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from bench.campaign.plan_file import EXAMPLES, campaign_names
 from bench.errors import BenchError, Refused
 from bench.from_toml import parse_toml, read_text
-from bench.page.answers import Asked, InvalidBody, UnknownName, json_answer
+from bench.page.answers import Asked, InvalidBody, UnknownName, json_answer, text_in
 from bench.page.campaign_service import STARTED
 from bench.page.command_line import BackgroundCommand, CommandLine, ViewerProcess
 from bench.page.entry_forms import FORMS, form_arguments
 from bench.page.page_access import PageRole
 from bench.page.page_service import PageService, Pool
+from bench.swing.library import profile_names
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -44,14 +46,14 @@ class PlanCatalogue:
 
     def __init__(self, data_dir: Path, known: Mapping[str, Collection[str]]) -> None:
         """`known` are the names that the configuration has in its sections `balls` and `clubs`."""
-        self._folder, self._known = data_dir / "plans", known
+        self.folder, self.known = data_dir / "plans", known
 
     def listed(self) -> list[dict[str, Any]]:
         """Return name, title and leading comment of each plan, whether it is shipped, and what it lacks.
 
         Plans that need a club or a ball of another configuration come last: they would be refused.
         """
-        plans = [_described(name, file, self._known) for name, file in self._files().items()]
+        plans = [_described(name, file, self.known) for name, file in self._files().items()]
         return sorted(plans, key=lambda plan: bool(plan["lacks"]))
 
     def file(self, name: str) -> Path:
@@ -62,15 +64,13 @@ class PlanCatalogue:
         """
         found = self._files().get(name)
         if found is None:
-            raise Refused(
-                "plan", "an unknown name", "one of the listed plans", f"Put it into {self._folder}."
-            )
+            raise Refused("plan", "an unknown name", "one of the listed plans", f"Put it into {self.folder}.")
         return found
 
     def _files(self) -> dict[str, Path]:
         shipped = {name: EXAMPLES / f"{name}.toml" for name in campaign_names()}
         try:
-            own = sorted(self._folder.glob("*.toml"))[:MAX_PLANS]
+            own = sorted(self.folder.glob("*.toml"))[:MAX_PLANS]
         except OSError:
             own = []
         return shipped | {path.stem: path for path in own if is_toml_to_name(path)}
@@ -112,6 +112,20 @@ def _lacking(plan: Mapping[str, Any], section: str, known: Collection[str]) -> l
     return [one for one in names if one not in known][:_MAX_LACKS]
 
 
+def _chosen(body: Mapping[str, Any], key: str) -> list[str]:
+    """Return the options `key` of `golfbench campaign new` for the names in `body`.
+
+    Raises:
+        InvalidBody: they are not a list of names.
+    """
+    names = body.get(f"{key}s", [])
+    if not isinstance(names, list) or len(names) > MAX_NAMES:
+        raise InvalidBody(f"{key}s: at most {MAX_NAMES} names")
+    return [f"--{key}={text_in({key: name}, key, _LONGEST_NAME)}" for name in names]
+
+
+MAX_NAMES = 50
+"""Max number of balls, clubs or swings in a new plan."""
 MAX_BLOCKS = 200
 """Max number of blocks in a preview."""
 
@@ -143,6 +157,30 @@ class StartService:
         found = json.loads(self._golfbench.output("campaign", "check", "--json", "--", str(file)))
         kept = {key: value for key, value in found.items() if key not in _LEFT_OUT}
         return kept | {"plan": name, "order": _order(found["sequence"])}
+
+    def names(self, _: Asked) -> dict[str, list[str]]:
+        """Return the balls, clubs and swings that a new plan may name."""
+        return {section: list(names) for section, names in self._plans.known.items()} | {
+            "swings": profile_names()
+        }
+
+    def write_plan(self, asked: Asked) -> dict[str, Any]:
+        """Write a plan from a form with `save`; else only return its duration and resolution in words."""
+        name, compared = asked.text("name", _LONGEST_NAME), asked.text("compare", 8)
+        if not _NAME.fullmatch(name):
+            raise InvalidBody("name: letters, digits, dots, - and _")
+        given = [f"--compare={compared}"]
+        for key in ("ball", "club", "swing"):
+            given += _chosen(asked.body, key)
+        lengths = [f"--{key}={asked.number(key)!r}" for key in ("difference", "deviation")]
+        with TemporaryDirectory() as tried:
+            save = asked.body.get("save") is True
+            if save:
+                asked.once()
+                self._plans.folder.mkdir(parents=True, exist_ok=True)
+            file = (self._plans.folder if save else Path(tried)) / f"{name}.toml"
+            said = self._golfbench.output("campaign", "new", *given, *lengths, "--", str(file))
+        return {"words": said.splitlines()[:-1], "saved": save}
 
     def start(self, asked: Asked) -> dict[str, Any]:
         """Start a campaign from a plan, as it was checked."""

@@ -2,6 +2,7 @@
 
 import { ask } from "./ask.js";
 import { by, make, pair, set } from "./dom.js";
+import { startNewPlan } from "./newplan.js";
 import { mayOperate, operator, outcome, randomNumber, releaseLease } from "./operate.js";
 import { say, send } from "./send.js";
 import { duration } from "./state.js";
@@ -38,6 +39,7 @@ export function startPlans() {
   by("plan").addEventListener("change", choose);
   by("plan-check").addEventListener("click", check);
   by("plan-start").addEventListener("click", start);
+  startNewPlan(loadPlans);
   setInterval(refresh, 300);
 }
 

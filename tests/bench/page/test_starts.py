@@ -155,6 +155,49 @@ def test_plans_are_the_shipped_ones_and_those_of_the_bench(tmp_path: Path) -> No
         assert SCRIPT not in str(refused.value)
 
 
+_FORM: dict[str, Any] = {
+    **{"name": "three-balls", "compare": "ball", "balls": ["tour", "range"], "clubs": ["driver"]},
+    **{"swings": [], "difference": 2.0, "deviation": 2.5, "save": False},
+}
+
+
+def test_new_plan_is_written_as_at_the_command_line(
+    page: RunningPage, program: NotingProgram, configuration: Configuration
+) -> None:
+    names = page.ask("GET", "/api/names").content
+    assert "tour" in names["balls"]
+    assert "driver" in names["clubs"]
+    assert "default" in names["swings"]
+    for save in (False, True):
+        status, content = entered(page, "/api/new-plan", **_FORM | {"save": save})
+        assert (status, content["saved"]) == (200, save)
+        asked = program.asked[-1]
+        options = ["--compare=ball", "--ball=tour", "--ball=range", "--club=driver"]
+        assert asked[:-1] == ["campaign", "new", *options, "--difference=2.0", "--deviation=2.5", "--"]
+        file = Path(asked[-1])
+        assert file.name == "three-balls.toml"
+        assert (file.parent == configuration.bench.data_dir / "plans") is save
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"name": "../x"},
+        {"name": ""},
+        {"balls": "tour"},
+        {"balls": [1]},
+        {"balls": ["b"] * 51},
+        {"difference": "2"},
+        {"deviation": None},
+    ],
+)
+def test_new_plan_invalid_form_reaches_no_program(
+    page: RunningPage, program: NotingProgram, wrong: dict[str, Any]
+) -> None:
+    assert entered(page, "/api/new-plan", **_FORM | wrong)[0] == 400
+    assert program.asked == []
+
+
 def test_a_plan_is_checked_and_started_as_at_the_command_line(
     page: RunningPage, program: NotingProgram, configuration: Configuration
 ) -> None:
@@ -341,6 +384,8 @@ def test_a_viewer_that_says_nothing_is_ended(program: NotingProgram, monkeypatch
 CHANGING = (
     "/api/plan/two-balls/check",
     "/api/plan/two-balls/start",
+    "/api/new-plan",
+    "/api/wear",
     "/api/campaign/x-1/resume",
     "/api/campaign/x-1/report",
     "/api/values/ball",
