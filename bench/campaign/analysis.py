@@ -43,7 +43,7 @@ from bench.campaign.block_model import (
 from bench.campaign.gate import OUTSIDE
 from bench.campaign.plan import CampaignPlan, controls_per_block, levels
 from bench.campaign.sample_size import Look, look_now, power_of_shift, same_power_of_error
-from bench.campaign.shot_sequence import Role
+from bench.campaign.shot_sequence import Role, looks_after
 from bench.campaign.unequal_variances import (
     JointErrors,
     UnitErrors,
@@ -518,6 +518,22 @@ def _outliers(fit: _Fit | None) -> tuple[tuple[int, float], ...]:
         return ()
     z = off / scale
     return tuple((fit.shots[i].shot, float(z[i])) for i in np.flatnonzero(np.abs(z) > OUTLIER))
+
+
+def interim_analysis(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[int, Comparison] | None:
+    """Return a section's comparison at the latest look of the plan's stopping rule, and after which block.
+
+    It costs nothing: the rule has looked at the same `shots`. None before its first look, or without a rule.
+    """
+    blocks = [shot.block for shot in shots if shot.block]
+    # The rule looks before the next block begins.
+    looks = [number for number in looks_after(plan) if blocks and number <= max(blocks) - min(blocks)]
+    if not looks:
+        return None
+    number = max(looks)
+    taken = [shot for shot in shots if shot.block - min(blocks) < number]
+    found = analyse(plan, taken, 1, "", ()).confirmatory
+    return None if found is None else (number, found)
 
 
 def decide(plan: CampaignPlan, shots: Sequence[Shot]) -> str:

@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from bench.campaign.analysis import interim_analysis
 from bench.campaign.campaign_control import answer, ask, is_running, standing_now
 from bench.campaign.campaign_record import with_exclusions
 from bench.campaign.control_chart import control_charts, dispersion_ellipses
@@ -111,6 +112,7 @@ class CampaignArchive:
             "state": str(state),
             "prompt": _prompt(prompts),
             "charts": _charts(plan, shots),
+            "interim": None if state in ENDED else _interim(plan, shots),
             "landing": _landing(plan, shots) if state in ENDED else None,
             "runner": is_running(self._settings.data_dir, entry.id),
         }
@@ -189,6 +191,21 @@ def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
         }
         for chart in control_charts(plan, mine)
     ]
+
+
+def _interim(plan: CampaignPlan, shots: list[Shot]) -> dict[str, Any] | None:
+    """Return the section of the last shot as the plan's stopping rule saw it at its latest look."""
+    section = shots[-1].section if shots else 0
+    found = interim_analysis(plan, [shot for shot in shots if shot.section == section])
+    if found is None:
+        return None
+    fields = ("first", "second", "difference", "low", "high", "verdict")
+    return {
+        "block": found[0],
+        "blocks": plan.design.blocks,
+        "column": plan.analysis.quantity,
+        "pairs": [{name: getattr(pair, name) for name in fields} for pair in found[1].pairs],
+    }
 
 
 def _landing(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:

@@ -54,8 +54,17 @@ function one({ progress: p, detail }) {
   part.append(requests(p), balls(p));
   if (p.last_shot) part.append(lastShot(p.campaign, p.last_shot));
   if (p.event) part.append(make("p", { class: "muted" }, `Latest event: ${p.event.text}`));
+  if (detail?.interim) part.append(interim(detail.interim));
   if (detail) part.append(make("div", { class: "plots" }, ...detail.charts.map(chart)));
   return part;
+}
+
+// As the plan's stopping rule saw it: no look is spent.
+function interim({ block, blocks, column, pairs }) {
+  const [factor, unit, digits] = KINDS[column] ? scale(KINDS[column]) : [1, column.split("_").pop(), 2];
+  const words = (value) => number(factor * value, digits);
+  return make("div", { class: "interim" }, make("p", {}, `After ${block} of ${blocks} blocks, at the look of the plan's rule:`),
+    make("ul", { class: "words" }, ...pairs.map((one) => make("li", {}, `${one.first} − ${one.second}: ${words(one.difference)} ${unit} (${words(one.low)} to ${words(one.high)}), ${one.verdict}`))));
 }
 
 function prompt(campaign, waiting) {

@@ -12,7 +12,7 @@ import pytest
 from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.multitest import multipletests
 
-from bench.campaign.analysis import analyse, decide, spread
+from bench.campaign.analysis import analyse, decide, interim_analysis, spread
 from bench.campaign.block_model import fit_blocks, holm, repeatability, variance_components
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.plan import CampaignPlan
@@ -204,6 +204,20 @@ def test_the_stopping_rules(plan: CampaignPlan) -> None:
     assert not decide(narrow, shots)
     assert "same" in decide(replace(plan, stop=replace(plan.stop, rule="equivalence")), shots)
     assert not decide(wide, shots[:4])
+
+
+def test_interim_analysis_is_that_of_the_latest_look_of_the_rule() -> None:
+    symmetry = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
+    shots = campaign_shots(symmetry, Truth(deviation=1.5, difference=6.0), 1)
+    ends = {block: max(n for n, s in enumerate(shots) if s.block == block) + 1 for block in (11, 12, 20)}
+    assert interim_analysis(symmetry, shots[: ends[11]]) is None
+    assert interim_analysis(symmetry, shots[: ends[12]]) is None
+    at_look = analyse(symmetry, shots[: ends[12]], 1, "", ()).confirmatory
+    assert at_look is not None
+    for taken in (ends[12] + 1, ends[20]):  # what came after the look is not in it
+        assert interim_analysis(symmetry, shots[:taken]) == (12, at_look)
+    fixed = replace(symmetry, stop=replace(symmetry.stop, rule="fixed"))
+    assert interim_analysis(fixed, shots[: ends[20]]) is None
 
 
 def test_repeatability_is_of_valid_shots_after_the_warm_up() -> None:

@@ -57,10 +57,15 @@ PROGRESS = {
     "last_shot": SHOT,
     "event": {"text": "said"},
 }
+PAIR = {"first": "a", "second": "b", "difference": 1.0, "low": 0.5, "high": 1.5, "verdict": "open"}
 CAMPAIGNS = [
     {
         "progress": PROGRESS,
-        "detail": {"prompt": {"number": 1, "text": "load", "places": ["1 tour"]}, "charts": [CHART]},
+        "detail": {
+            "prompt": {"number": 1, "text": "load", "places": ["1 tour"]},
+            "charts": [CHART],
+            "interim": {"block": 1, "blocks": 2, "column": "carry_m", "pairs": [PAIR]},
+        },
     }
 ]
 FIGURES = {"club_speed_mps": 40.0, "attack_angle_deg": 0.3, "ball_speed_mps": 60.0, "carry_m": 180.0}
@@ -249,7 +254,15 @@ def test_script_in_every_name_stays_text(browser: Any, page: RunningPage) -> Non
         tab.page.on("dialog", lambda dialog: dialogs.append(dialog.message))
         answer_all(tab)
         tab.page.reload()
-        for place in ("#state-words", "#lease", "#warnings", "#events", "#swing", "#campaign .prompt"):
+        for place in (
+            "#state-words",
+            "#lease",
+            "#warnings",
+            "#events",
+            "#swing",
+            "#campaign .prompt",
+            "#campaign .interim",
+        ):
             tab.text(place).to_contain_text(SCRIPT)
         for place in ("#runner", "#commissionings .prompt", "#archive", "#values"):
             tab.text(place).to_contain_text(SCRIPT)

@@ -120,6 +120,7 @@ def test_landing_points_wait_for_the_end(page: RunningPage) -> None:
     assert unfinished["landing"] is None
     assert unfinished["prompt"]["places"] == ["1. tour 1", "2. range 2"]
     ended = page.ask("GET", f"/api/campaign/{ENDED}").content
+    assert ended["interim"] is None
     (section,) = ended["landing"]
     assert len(section["points"]) > 10
     assert ended["prompt"] is None
