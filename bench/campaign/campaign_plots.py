@@ -124,6 +124,11 @@ _COLUMNS = 5
 """Panels side by side."""
 _PANELS = 3
 """Panels of differences side by side."""
+_PAIRED = (
+    {"ball_speed_mps": "ball speed", "carry_m": "carry"},
+    {"launch_angle_deg": "launch angle", "spin_rpm": "spin"},
+)
+"""Columns of shots that are drawn against each other, across and up, and their names."""
 
 
 def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, Array, Array]]:
@@ -145,33 +150,26 @@ def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str
 def _dispersion(
     plan: CampaignPlan, landings: Sequence[Landing], shots: Sequence[Shot], units: UnitSystem, name: str
 ) -> Picture:
-    """Landing points of each section from above; carry against ball speed if there is one section."""
+    """Landing points of each section from above; of a single one also two pairs of figures."""
     alone, many = len(landings) == 1, len(shots) > _MANY
-    columns = 2 if alone else min(len(landings), _COLUMNS)
-    rows = -(-len(landings) // columns)
-    figure = styled(0.4 + (2.3 if columns < 4 else 1.9) * rows)
-    grid: np.ndarray[Any, Any] = figure.subplots(rows, columns, squeeze=False)
+    width = 1 + len(_PAIRED) if alone else min(len(landings), _COLUMNS)
+    rows = -(-len(landings) // width)
+    figure = styled(0.4 + (2.3 if width < 4 else 1.9) * rows)
+    grid: np.ndarray[Any, Any] = figure.subplots(rows, width, squeeze=False)
     distance = display_unit("carry_m", units)
     for axes in grid.ravel()[1 if alone else len(landings) :]:
         axes.set_visible(alone)
     for axes, landing in zip(grid.ravel(), landings, strict=False):
         _draw_landing(axes, landing, distance, many)
     if alone:
-        fast, speed = display_unit("ball_speed_mps", units), grid[0, 1]
-        for index, (level, mine) in enumerate(_by_level(plan, shots)):
-            both = [
-                (fast.of(s.ball_speed_mps), distance.of(s.carry_m))
-                for s in mine
-                if s.ball_speed_mps and s.carry_m is not None and s.status is ShotStatus.VALID
-            ]
-            speed.plot(*np.array(both, dtype=float).reshape(-1, 2).T, **_look(index, many), label=level)
-        speed.set(title="Carry against ball speed", xlabel=f"ball speed, {fast.unit}")
-        speed.set_ylabel(f"carry, {distance.unit}")
+        for axes, columns in zip(grid[0, 1:], _PAIRED, strict=True):
+            _draw_pairs(axes, _by_level(plan, shots), columns, units, many)
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
     return _picture(
         figure,
         name,
-        f"Landing points from above{', and carry against ball speed' if alone else ''}.",
+        "Landing points from above"
+        + (", carry against ball speed, and spin against launch angle." if alone else "."),
         "Dashed: target line.",
         "Filled: valid shots; open: not valid."
         if any(len(others) for one in landings for _, _, others in one.levels)
@@ -180,6 +178,28 @@ def _dispersion(
         if any(one.views.dispersion for one in landings)
         else "",
     )
+
+
+def _draw_pairs(
+    axes: Axes,
+    by_level: Sequence[tuple[str, Sequence[Shot]]],
+    columns: Mapping[str, str],
+    units: UnitSystem,
+    many: bool,
+) -> None:
+    """Draw two `columns` of the valid shots of each level against each other."""
+    shown = {column: display_unit(column, units) for column in columns}
+    for index, (_, mine) in enumerate(by_level):
+        valid = [shot for shot in mine if shot.status is ShotStatus.VALID]
+        rows = [row for shot in valid if None not in (row := [getattr(shot, column) for column in columns])]
+        points = np.array(rows, dtype=float).reshape(-1, len(columns)).T
+        axes.plot(
+            *(unit.of(values) for unit, values in zip(shown.values(), points, strict=True)),
+            **_look(index, many),
+        )
+    (across, x_unit), (up, y_unit) = ((columns[column], unit.unit) for column, unit in shown.items())
+    axes.set(title=f"{up} against {across}".capitalize())
+    axes.set(xlabel=f"{across}, {x_unit}", ylabel=f"{up}, {y_unit}")
 
 
 def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: bool) -> None:
