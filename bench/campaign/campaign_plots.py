@@ -94,6 +94,8 @@ def _section_pictures(
     ]
     if len(landing.levels) > _FEW:
         results.append(_each(landing.levels, views, units, f"{name}e"))
+    if flights := [(level, found) for level, some in _by_level(plan, mine) if (found := mean_flight(some))]:
+        results.append(_trajectories(flights, levels(plan), units, f"{name}f"))
     return {
         "results": results,
         "drift": _drift(plan, mine, analysis, units, f"{name}t"),
@@ -129,6 +131,7 @@ _PAIRED = (
     {"launch_angle_deg": "launch angle", "spin_rpm": "spin"},
 )
 """Columns of shots that are drawn against each other, across and up, and their names."""
+_FLIGHT = ("launch_angle_deg", "direction_deg", "carry_m", "carry_side_m", "apex_m", "landing_angle_deg")
 
 
 def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, Array, Array]]:
@@ -218,6 +221,71 @@ def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: boo
     title = landing.name or "Landing points from above"
     axes.set(title=title, xlabel=f"left  ←  offline, {distance.unit}  →  right")
     axes.set_ylabel(f"carry, {distance.unit}")
+
+
+class MeanFlight(NamedTuple):
+    """Means of the valid shots of a level, with what a flight is drawn from; m and rad."""
+
+    launch_angle: float
+    direction: float
+    carry: float
+    side: float
+    apex: float
+    landing_angle: float
+
+    def side_view(self, x: Array) -> Array:
+        """Return the heights (n,) m at the distances `x` (n,) m, by a curve of fifth degree.
+
+        It begins and ends with the launch and landing angle, and its top is as high as the apex.
+        """
+        share = x / self.carry
+        rise, fall = self.carry * np.tan(self.launch_angle), self.carry * np.tan(self.landing_angle)
+        plain = share * (1.0 - share) * (rise + (fall - rise) * share)
+        # Neither end's slope knows of this part, which is largest where the ball is high.
+        swell = (share * (1.0 - share)) ** 2 * share
+        low, high = -64.0 * self.apex, 64.0 * self.apex
+        for _ in range(60):
+            middle = (low + high) / 2
+            low, high = (middle, high) if (plain + middle * swell).max() < self.apex else (low, middle)
+        return np.asarray(plain + low * swell)
+
+    def top_view(self, x: Array) -> Array:
+        """Return how far right (n,) m the ball is at the distances `x` (n,) m: a parabola."""
+        start, share = self.carry * np.tan(self.direction), x / self.carry
+        return np.asarray(start * share + (self.side - start) * share**2)
+
+
+def mean_flight(shots: Sequence[Shot]) -> MeanFlight | None:
+    """Return the mean flight of the valid ones of `shots`; None if a figure is missing."""
+    valid = [shot for shot in shots if shot.status is ShotStatus.VALID]
+    rows = [[getattr(shot, column) for column in _FLIGHT] for shot in valid]
+    if not (whole := [row for row in rows if None not in row]):
+        return None
+    mean = np.mean(np.array(whole, dtype=float), axis=0)
+    launch, direction, landing = np.radians(mean[[0, 1, 5]]).tolist()
+    carry, side, apex = mean[2:5].tolist()
+    return MeanFlight(launch, direction, carry, side, apex, landing)
+
+
+def _trajectories(
+    flights: Sequence[tuple[str, MeanFlight]], names: Sequence[str], units: UnitSystem, picture: str
+) -> Picture:
+    """The mean flights from the side and from above."""
+    figure, distance = styled(3.0), display_unit("carry_m", units)
+    side, above = figure.subplots(2, 1, sharex=True)
+    for name, flight in flights:
+        x, style = np.linspace(0.0, flight.carry, 200), {"color": colour_of(names.index(name)), "label": name}
+        side.plot(distance.of(x), distance.of(flight.side_view(x)), **style)
+        above.plot(distance.of(x), distance.of(flight.top_view(x)), **style)
+    side.set(title="Mean flight from the side", ylabel=f"height, {distance.unit}")
+    above.set(title="and from above", xlabel=f"distance, {distance.unit}", ylabel=f"right, {distance.unit}")
+    figure.legend(*side.get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
+    return _picture(
+        figure,
+        picture,
+        "Mean flight of each level, from the side and from above.",
+        "Means of the valid shots, drawn through launch angle, apex, landing angle and carry.",
+    )
 
 
 def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Picture:

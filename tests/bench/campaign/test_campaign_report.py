@@ -10,12 +10,15 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from itertools import product
+from itertools import pairwise, product
+from math import degrees, pi, radians
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from bench.campaign.campaign_plots import mean_flight
 from bench.campaign.campaign_record import CampaignRecord
 from bench.campaign.campaign_report import render_campaign_report, write_campaign_report
 from bench.campaign.findings import findings, findings_record
@@ -30,6 +33,8 @@ from bench.shot.shot import ShotStatus
 from bench.store.records import CampaignState, Event, Hit, Prompt, Standing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from drivers.base import Launch
+from sim.flight import fly
 from tests.bench.page.chromium import launched
 from tests.bench.swing.test_profile import FOLLOWED
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
@@ -129,6 +134,45 @@ def test_first_page_of_three_balls_with_two_clubs_answers_for_each_club(three_by
     assert first.count("<figure") == 1
     assert first.index("<figure") < first.index("<table")
     assert 'aria-label="Differences of all balls to tour' in first
+
+
+@pytest.mark.usefixtures("undrawn_here")
+def test_compared_clubs_have_the_gap_to_the_next() -> None:
+    clubs = _record("clubs", Truth(difference=12.0), 4)
+    found = findings(clubs.plan, clubs.shots)
+    page = _words(render_campaign_report(clubs, found))
+    means = sorted((level.spread.mean for level in found.sections[0].levels), reverse=True)
+    assert "gapto the next" in page
+    for longer, shorter in pairwise(means):
+        assert f"{longer - shorter:.2f}" in page
+
+
+@pytest.mark.parametrize(
+    ("speed", "angle", "spin"), [(75.0, 11.0, 2600.0), (50.0, 16.0, 6000.0), (35.0, 28.0, 9000.0)]
+)
+def test_mean_flight_is_drawn_as_the_ball_flies(
+    record: CampaignRecord, speed: float, angle: float, spin: float
+) -> None:
+    flight = fly(Launch(speed, radians(angle), radians(1.0), spin * 2.0 * pi / 60.0, radians(5.0)))
+    shot = replace(
+        record.shots[0],
+        status=ShotStatus.VALID,
+        reason="",
+        launch_angle_deg=angle,
+        direction_deg=1.0,
+        carry_m=flight.carry,
+        carry_side_m=flight.carry_side,
+        apex_m=flight.apex,
+        landing_angle_deg=degrees(flight.landing_angle),
+    )
+    off = replace(shot, status=ShotStatus.EXCLUDED, reason="off the face", carry_m=1.0)
+    drawn = mean_flight([shot, off, shot])
+    assert drawn is not None
+    x, y, z = flight.path[flight.path[:, 0] <= flight.time, 1:].T
+    height, right = (y, z) if abs(y.max() - flight.apex) < 0.5 else (z, y)
+    assert np.abs(drawn.side_view(x) - height).max() < 0.07 * flight.apex
+    assert np.abs(drawn.top_view(x) - right).max() < 0.02 * flight.carry
+    assert mean_flight([replace(shot, apex_m=None)]) is None
 
 
 @pytest.mark.usefixtures("undrawn_here")
