@@ -296,3 +296,4 @@ def _record(state: ControlState, readings: Any, command: Any, cycle: Any) -> Non
     for i in range(6):
         out.chamber_pressure[i] = r.chamber_pressure[i]
     out.head_position[0], out.head_position[1], out.head_orientation = s.head[0], s.head[1], s.head[2]
+    out.head_speed = sqrt(s.head[3] * s.head[3] + s.head[4] * s.head[4])

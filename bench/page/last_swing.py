@@ -140,7 +140,7 @@ def _curves(moving: np.ndarray[Any, Any]) -> dict[str, Any]:
     """Return club path, head speed, tracking and chamber pressures of the cycles of a swing."""
     time = moving["time"] - moving["time"][0]
     head = moving["head_position"]
-    speed = np.hypot(*np.gradient(head, moving["time"], axis=0).T)
+    speed = moving["head_speed"]
     error = np.degrees(moving["angle"] - moving["reference_angle"])
     down = np.isin(moving["phase"], _TO_BALL)
     worst = np.abs(error[down] if down.any() else error).max(axis=0)

@@ -98,7 +98,7 @@ def course_of_record(name: str, shot: RecordedShot) -> SwingCourse:
         cycles["angle"] - cycles["reference_angle"],
         cycles["applied_valve"],
         pressure,
-        head_speed(shot.plant.robot, cycles["angle"], cycles["velocity"]),
+        cycles["head_speed"],
         {column: float(value) for column, value in figures.items() if value is not None},
     )
 

@@ -104,6 +104,7 @@ DECIDED = frozenset(
         "tee",
         "head_position",
         "head_orientation",
+        "head_speed",
     }
 )
 """Fields that the cycle decides."""

@@ -20,7 +20,7 @@ from drivers.base import CHAMBERS, JOINTS
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """Version of FIELDS; stored in every file and message."""
 
 LONGEST_BATCH = 64
@@ -134,6 +134,7 @@ FIELDS = (
     ),
     Field("head_position", "f8", "m", "club head in the swing plane, from the estimated angles", _PLANE),
     Field("head_orientation", "f8", "rad", "club's angle in the swing plane, from the estimated angles"),
+    Field("head_speed", "f8", "m/s", "speed of the club head, from the estimated angles and velocities"),
     Field("plant_angle", "f8", "rad", "true joint angle; simulation only, else NaN", JOINTS),
     Field("plant_velocity", "f8", "rad/s", "true joint velocity; simulation only, else NaN", JOINTS),
     Field("plant_pressure", "f8", "Pa", "true chamber pressure; simulation only, else NaN", _CHAMBERS),

@@ -48,6 +48,7 @@ _NUMBERS = (
     "applied_valve",
     "head_position",
     "head_orientation",
+    "head_speed",
     "plant_angle",
     "plant_velocity",
     "plant_pressure",

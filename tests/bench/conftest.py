@@ -187,7 +187,8 @@ def _cycles(
     head = joint_positions(robot, angle)[:, 4]
     cycles["head_position"] = cycles["plant_head_position"] = head
     cycles["head_orientation"] = angle.sum(axis=1)
-    cycles["plant_head_speed"] = np.linalg.norm(np.gradient(head, time, axis=0), axis=1)
+    cycles["head_speed"] = np.linalg.norm(np.gradient(head, time, axis=0), axis=1)
+    cycles["plant_head_speed"] = cycles["head_speed"]
     return cycles
 
 
