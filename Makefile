@@ -57,13 +57,13 @@ lint: $(VENV)/.dev  ## ruff, strict types and import contracts
 
 # Counted without compilation: compiled code leaves no trace of the lines it ran.
 SAFETY_TESTS := tests/bench/control/test_envelope.py tests/bench/control/test_answers.py \
-  tests/bench/control/test_states.py tests/bench/test_lifecycle.py
+  tests/bench/control/test_states.py tests/bench/base/test_lifecycle.py
 
 coverage: $(VENV)/.dev  ## every branch of envelope, answers to requests, state changes and their tables is tested
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --quiet --no-header --tb=short \
 	  -n 2 --dist worksteal --cov --cov-report= $(SAFETY_TESTS)
 	@$(BIN)/coverage report --fail-under=100 \
-	  --include='bench/control/envelope.py,bench/control/requests.py,bench/control/states.py,bench/lifecycle.py'
+	  --include='bench/control/envelope.py,bench/control/requests.py,bench/control/states.py,bench/base/lifecycle.py'
 
 coverage-all: $(VENV)/.dev  ## lines and branches reached by all tests together (an hour; not by processes they start)
 	@failed=0; NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --quiet --cov --cov-report= $(SAFETY_TESTS) || failed=$$?; \

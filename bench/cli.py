@@ -21,12 +21,12 @@ import typer
 from typer.core import TyperGroup
 from typer.models import CommandInfo, TyperInfo
 
+from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode
+from bench.base.interrupt import Terminated, leave
 from bench.commands.any_terminal import accept_any_text
 from bench.commands.options import Json, argument, flag, option
 from bench.commands.plain_command import make_plain
 from bench.commands.session import Session, exit_unless, show_json
-from bench.errors import FOR_PROGRAMS, BenchError, ExitCode
-from bench.interrupt import Terminated, leave
 
 if TYPE_CHECKING:
     from typer.core import TyperCommand

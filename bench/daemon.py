@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.errors import BenchError, ExitCode
+from bench.base.interrupt import StopFlag, stop_on_signals
+from bench.base.lifecycle import CAUSE_TEXT, Block, Cause, Phase, Reaction, Refusal, Request, State
 from bench.calibration.archive import calibration_of
 from bench.config import Configuration
 from bench.design.static_checks import beyond_range
-from bench.errors import BenchError, ExitCode
-from bench.interrupt import StopFlag, stop_on_signals
-from bench.lifecycle import CAUSE_TEXT, Block, Cause, Phase, Reaction, Refusal, Request, State
 from bench.network.bench_service import (
     ArmingBlock,
     BenchStatus,

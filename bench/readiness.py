@@ -11,13 +11,13 @@ from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from pathlib import Path
 
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Block
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import Calibration, CalibrationKind, apply, is_rewired
 from bench.config import Configuration, contradictions, unheard_phases
 from bench.control.model_limits import LimitsInUse
 from bench.design.static_checks import Check, check_profile, other_rate, rate_faults
-from bench.errors import BenchError
-from bench.lifecycle import Block
 from bench.network.bench_service import ArmingBlock
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile

@@ -14,9 +14,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import Phase, State
 from bench.config import Configuration, load_configuration
-from bench.errors import Refused
-from bench.lifecycle import Phase, State
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.free_port import free_port

@@ -12,8 +12,8 @@ from typing import Any, Literal, get_args, get_origin
 import pytest
 import typer
 
+from bench.base.errors import ExitCode
 from bench.cli import EXIT_CODES, app
-from bench.errors import ExitCode
 
 ROOT = Path(__file__).resolve().parents[1]
 SKIPPED = {".venv", "data", "node_modules"}

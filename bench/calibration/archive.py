@@ -9,6 +9,7 @@ from datetime import datetime, timedelta
 from sqlalchemy import Engine, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
+from bench.base.errors import BenchError
 from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics, aerodynamics_values
 from bench.calibration.calibration import (
     KINDS,
@@ -21,7 +22,6 @@ from bench.calibration.calibration import (
     values_of,
 )
 from bench.config import Configuration, database_url
-from bench.errors import BenchError
 from bench.store.database import BallAerodynamicsRow, CalibrationRow, Row, is_there, open_database
 
 

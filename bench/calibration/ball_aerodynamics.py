@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from bench.errors import BenchError
-from bench.from_toml import Builder, as_tree
+from bench.base.errors import BenchError
+from bench.base.from_toml import Builder, as_tree
 from drivers.base import Launch
 from drivers.base.ranges import Range
 from sim.air import Air

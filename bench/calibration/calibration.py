@@ -12,10 +12,10 @@ from math import degrees, hypot, pi, radians
 from pathlib import Path
 from typing import Annotated, Any
 
+from bench.base.errors import BenchError, Refused
+from bench.base.from_toml import Builder, as_tree
+from bench.base.lifecycle import Block
 from bench.config import Configuration, contradictions
-from bench.errors import BenchError, Refused
-from bench.from_toml import Builder, as_tree
-from bench.lifecycle import Block
 from bench.telemetry.zero_shift import CalibratedShifts
 from drivers.base import Triple
 from drivers.base.ranges import Range

@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.base.errors import BenchError
 from bench.calibration.aerodynamics_fit import MeasuredFlight
-from bench.errors import BenchError
 from drivers.base import Launch
 from sim.air import Air
 

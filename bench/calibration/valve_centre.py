@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
-from bench.errors import Refused
+from bench.base.errors import Refused
 from bench.telemetry.ring import RingReader
 from drivers.base import JOINTS
 from drivers.base.compiled import new_record

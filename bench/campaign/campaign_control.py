@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
+from bench.base.errors import BenchError, Refused
 from bench.campaign.prompts import require_count
-from bench.errors import BenchError, Refused
 from bench.processes.ownership import try_lock
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing

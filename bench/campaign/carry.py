@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from math import degrees
 from typing import Any
 
+from bench.base.errors import Refused
 from bench.calibration.ball_aerodynamics import AerodynamicsEntry, aerodynamics_from_record
 from bench.campaign.plan import FLOWN, CampaignPlan
-from bench.errors import Refused
 from bench.shot.recorded_shot import FlightConditions
 from drivers.base import Launch
 from sim.ball import REFERENCE_BALL, Ball

@@ -17,6 +17,9 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, NamedTuple, Self
 
+from bench.base.errors import BenchError, Refused
+from bench.base.from_toml import format_value
+from bench.base.lifecycle import Refusal
 from bench.campaign.bench_setup import Preparation
 from bench.campaign.carry import Measured, ShotCarry, require_carry
 from bench.campaign.corrections import CorrectedProfiles, Drift
@@ -34,11 +37,8 @@ from bench.campaign.simulated_shots import (
     reported_carry,
     step_columns,
 )
-from bench.errors import BenchError, Refused
-from bench.from_toml import format_value
 from bench.learning.learn import LearningProblem
 from bench.learning.live import LiveSwinger
-from bench.lifecycle import Refusal
 from bench.network.bench_operator import READY, BenchOperator, NoShot, SwingRecord
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused

@@ -15,12 +15,8 @@ from datetime import date
 from pathlib import Path
 from typing import Any, get_args
 
-from bench.campaign.plan import STATED, CampaignPlan, Quantity, levels
-from bench.campaign.rules import rule_names
-from bench.campaign.shot_sequence import hits_needed
-from bench.config import Configuration, variants_with
-from bench.errors import BenchError, did_you_mean
-from bench.from_toml import (
+from bench.base.errors import BenchError, did_you_mean
+from bench.base.from_toml import (
     Builder,
     Leaf,
     Mistake,
@@ -32,6 +28,10 @@ from bench.from_toml import (
     read_toml,
     without,
 )
+from bench.campaign.plan import STATED, CampaignPlan, Quantity, levels
+from bench.campaign.rules import rule_names
+from bench.campaign.shot_sequence import hits_needed
+from bench.config import Configuration, variants_with
 from sim.ball import Ball
 from sim.robot import Club
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import Engine
 
+from bench.base.errors import BenchError
 from bench.calibration.archive import calibration_of, effective_calibration
 from bench.calibration.calibration import Calibration, CalibrationProblem, Entry, apply
 from bench.campaign.bench_setup import load_lists
@@ -20,7 +21,6 @@ from bench.campaign.block_model import as_split_plot, fully_randomised
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.shot_sequence import all_trials, is_mounted
 from bench.config import Configuration
-from bench.errors import BenchError
 from bench.readiness import assess, felt_alike, mount
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile

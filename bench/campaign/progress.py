@@ -24,11 +24,11 @@ from statistics import median
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from bench.base.errors import BenchError
+from bench.base.from_toml import read_text
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.runner import Watcher
 from bench.campaign.shot_sequence import Arm, PlannedShot, Role, all_trials, is_mounted, is_settled, sections
-from bench.errors import BenchError
-from bench.from_toml import read_text
 from bench.network.messages import CAMPAIGN_VERSION, LastShot
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignEntry, CampaignState

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import StrEnum
 
-from bench.errors import Refused
+from bench.base.errors import Refused
 from bench.store.records import Prompt
 
 

@@ -14,12 +14,12 @@ from datetime import UTC, date, datetime
 from math import degrees
 from typing import Any, NamedTuple
 
+from bench.base.errors import Refused
 from bench.campaign.campaign_record import ISSUE, CampaignRecord
 from bench.campaign.carry import Measured, measured_of
 from bench.campaign.conformity import DECISION_RULE
 from bench.campaign.plan import CampaignPlan, ItemParticulars
 from bench.campaign.report_format import UnitSystem, display_unit
-from bench.errors import Refused
 from bench.golfer.comparison import followed_texts
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore

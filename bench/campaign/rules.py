@@ -9,7 +9,7 @@ from math import radians
 from pathlib import Path
 from typing import Any
 
-from bench.from_toml import read_toml
+from bench.base.from_toml import read_toml
 
 FILE = Path(__file__).with_name("rules.toml")
 

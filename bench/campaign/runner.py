@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from bench.base.errors import BenchError
 from bench.campaign.bench_setup import Fitting, Preparation, fitting_after, missing, sample_for
 from bench.campaign.corrections import Drift, Drifts
 from bench.campaign.gate import outside
@@ -23,7 +24,6 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.prompts import PromptKind
 from bench.campaign.shot_sequence import RESTART, Course, Ending, Role, Step
 from bench.campaign.simulated_shots import Taken
-from bench.errors import BenchError
 from bench.shot.recorded_shot import shot_to_json
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore, StoredShot

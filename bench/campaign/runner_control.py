@@ -9,6 +9,7 @@ from functools import partial, reduce
 from operator import getitem
 from typing import Any
 
+from bench.base.errors import Refused
 from bench.calibration.archive import newest_aerodynamics
 from bench.campaign.analysis import decide
 from bench.campaign.campaign_control import bench_lock, require_free, runner_lock
@@ -36,7 +37,6 @@ from bench.campaign.runner import BATCH, Operator, Runner, RunOutcome, ShotSourc
 from bench.campaign.shot_sequence import Course, course
 from bench.campaign.simulated_shots import SimulatedShots
 from bench.config import Configuration
-from bench.errors import Refused
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
 from bench.network.lease import LONGEST_HOLDER

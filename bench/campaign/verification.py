@@ -15,12 +15,12 @@ from math import isclose
 from pathlib import Path
 from typing import Any
 
+from bench.base.errors import BenchError
 from bench.campaign.campaign_record import SHOT_DIGITS, CampaignRecord, shot_digests, whole_digest
 from bench.campaign.campaign_report import record_parts, render_campaign_report
 from bench.campaign.findings import findings, findings_record
 from bench.campaign.interruptions import software_versions
 from bench.campaign.report_format import UnitSystem
-from bench.errors import BenchError
 from bench.store.campaigns import StoredShot
 
 _MOST = 20

@@ -13,11 +13,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from bench.base.errors import BenchError, Refused
 from bench.commands.calibrate_measured import aerodynamics, inputs, user_name
 from bench.commands.options import Json, argument, flag, option
 from bench.commands.output import plain_table
 from bench.commands.session import Session, exit_unless, show_json
-from bench.errors import BenchError, Refused
 
 if TYPE_CHECKING:
     from bench.calibration.calibration import Calibration, CalibrationKind, Entry

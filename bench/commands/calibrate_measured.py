@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.base.errors import BenchError
 from bench.commands.options import Json, argument, flag, option
 from bench.commands.session import Session, at_terminal, show_json
-from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.calibration.aerodynamics_fit import FlightUncertainty

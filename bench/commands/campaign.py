@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import typer
 from rich.console import Console
 
+from bench.base.errors import BenchError, Refused
+from bench.base.interrupt import deferred_interrupt
 from bench.commands.campaign_new import new
 from bench.commands.options import Json, argument, flag, option
 from bench.commands.session import Session, exit_unless, show_json, user_name
-from bench.errors import BenchError, Refused
-from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
-    from bench.address import BenchSettings
+    from bench.base.address import BenchSettings
     from bench.campaign.carry import Measured
     from bench.campaign.findings import Findings
     from bench.campaign.plan import CampaignPlan
@@ -46,7 +46,7 @@ def _known_plans() -> list[str]:
 
 def _known_campaigns(ctx: typer.Context) -> list[str]:
     """Return the ids of the stored campaigns, the newest first."""
-    from bench.address import database_url
+    from bench.base.address import database_url
     from bench.store.database import is_there
 
     settings = ctx.ensure_object(Session).address().bench
@@ -152,7 +152,7 @@ def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configur
 @contextmanager
 def _store(settings: BenchSettings) -> Iterator[CampaignStore]:
     """Open the campaigns of the bench."""
-    from bench.address import database_url
+    from bench.base.address import database_url
     from bench.store.campaigns import CampaignStore
     from bench.store.database import open_database
 
@@ -171,7 +171,7 @@ def _found(context: typer.Context, campaign: str) -> Iterator[tuple[CampaignStor
 
 def _hits_before(configuration: Configuration) -> Counter[Hit]:
     """Return the hits that the balls of the configured bench have taken; creates no database."""
-    from bench.address import database_url
+    from bench.base.address import database_url
     from bench.store.database import is_there
 
     settings = configuration.bench
@@ -540,7 +540,7 @@ def watch(
 
 def _local_store(stack: ExitStack, settings: BenchSettings, campaign: str) -> CampaignStore | None:
     """Open the database of `campaign` in `stack` if this machine reaches it; None otherwise."""
-    from bench.address import database_url
+    from bench.base.address import database_url
     from bench.store.database import is_there
 
     if not is_there(database_url(settings.database, settings.data_dir)):

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from bench.base.errors import BenchError
+from bench.base.from_toml import format_value, read_toml
 from bench.campaign.runner import RunOutcome
 from bench.campaign.shot_sequence import Role
-from bench.errors import BenchError
-from bench.from_toml import format_value, read_toml
 from bench.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignEntry, CampaignState
 

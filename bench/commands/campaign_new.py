@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 import typer
 
+from bench.base.errors import BenchError
 from bench.commands.options import argument, option
 from bench.commands.session import Session, at_terminal
-from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.campaign.plan import CampaignPlan

@@ -27,10 +27,10 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from bench.base.errors import BenchError, Refused
 from bench.campaign.prompts import Numbered, PromptKind, balls_of, places, require_count
 from bench.commands.campaign_screen import CampaignBar
 from bench.commands.session import user_name
-from bench.errors import BenchError, Refused
 from bench.store.records import Prompt, ShotNote
 
 LONGEST = 200

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from bench.base.errors import BenchError
 from bench.commands.options import argument, option
-from bench.errors import BenchError
 
 
 def certificates(

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.base.errors import BenchError
 from bench.commands.options import option
 from bench.commands.session import Session
-from bench.errors import BenchError
 
 if TYPE_CHECKING:
-    from bench.address import IdentityFiles
+    from bench.base.address import IdentityFiles
 
 _ALLOWED_DEATHS = 10
 """Workers that may die under one batch before dask gives it up: most die of something else."""
@@ -50,7 +50,7 @@ def cluster(
     """
     import asyncio
 
-    from bench.address import identity_files
+    from bench.base.address import identity_files
     from bench.simulation.cluster_engine import load_distributed
 
     load_distributed()

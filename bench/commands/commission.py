@@ -12,11 +12,11 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from bench.base.errors import BenchError
 from bench.commands.options import flag, option
 from bench.commands.output import plain_table
 from bench.commands.progress import paused, progress_bar
 from bench.commands.session import Session, at_terminal, show_json
-from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.calibration.calibration import SeenInputs

@@ -10,11 +10,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.lifecycle import CAUSE_TEXT
 from bench.commands.options import ClubName, Json, ProfileName, option
 from bench.commands.output import finite, plain_table
 from bench.commands.progress import progress_bar
 from bench.commands.session import Session, show_json
-from bench.lifecycle import CAUSE_TEXT
 
 if TYPE_CHECKING:
     from bench.learning.compare import Compared

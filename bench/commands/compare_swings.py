@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.base.errors import BenchError
 from bench.commands.options import Json, Plot, argument, require_picture
 from bench.commands.output import console_of, finite, plain_table
 from bench.commands.session import Session, show_json
-from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -71,9 +71,9 @@ def compare(
 
 def _settings(place: str) -> Configuration | None:
     """Return the configuration at `place`, None if it names something else."""
+    from bench.base.configuration_files import variant_names
+    from bench.base.from_toml import read_toml
     from bench.config import load_configuration
-    from bench.configuration_files import variant_names
-    from bench.from_toml import read_toml
 
     path = Path(place)
     if path.suffix == ".toml" and "schema" not in read_toml(path, "a configuration or a profile", _ACTION):

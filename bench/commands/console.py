@@ -25,9 +25,9 @@ from prompt_toolkit.keys import Keys
 from prompt_toolkit.output import Output
 from prompt_toolkit.styles import Style
 
+from bench.base.errors import BenchError, ExitCode, did_you_mean
 from bench.commands.console_connection import REDRAW, STOP_KEYS, KeptConnection
 from bench.commands.console_terminal import CommandTerminal
-from bench.errors import BenchError, ExitCode, did_you_mean
 
 if TYPE_CHECKING:
     from typer.core import TyperGroup

@@ -7,14 +7,14 @@ from contextlib import closing
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Self
 
-from bench.errors import BenchError
-from bench.lifecycle import State, in_one
+from bench.base.errors import BenchError
+from bench.base.lifecycle import State, in_one
 from bench.network.client import BenchClient
 from bench.network.status_words import LATCHED, MOVING, sentence, state_words
 from bench.network.zenoh_session import NoAnswer
 
 if TYPE_CHECKING:
-    from bench.address import BenchAddress
+    from bench.base.address import BenchAddress
     from bench.network.bench_service import BenchStatus
 
 SILENT = 1.0

@@ -14,9 +14,9 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from bench.base.errors import BenchError
 from bench.commands.doctor import ItemResult, Probe, limited, missing, ok, probes, small_text
 from bench.config import Configuration
-from bench.errors import BenchError
 from drivers.canopen.settings import CanopenSettings
 
 _LINK_TIME_LIMIT = 5.0

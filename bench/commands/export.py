@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.base.errors import BenchError, Refused
 from bench.commands.options import argument, flag, option
 from bench.commands.progress import progress_bar
-from bench.errors import BenchError, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.base.errors import BenchError
+from bench.base.interrupt import deferred_interrupt
 from bench.commands.options import (
     ClusterAddress,
     Json,
@@ -24,8 +26,6 @@ from bench.commands.options import (
 from bench.commands.output import console_of, write_text
 from bench.commands.progress import progress_of
 from bench.commands.session import Session, exit_unless
-from bench.errors import BenchError
-from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
     from bench.faults.catalogue import Breakage

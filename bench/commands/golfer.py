@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from bench.base.errors import BenchError
 from bench.commands.options import Json, Plot, argument, option, require_picture
 from bench.commands.output import console_of, finite
 from bench.commands.session import Session, show_json
-from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.config import Configuration

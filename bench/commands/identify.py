@@ -9,11 +9,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.errors import BenchError
 from bench.commands.options import Json, argument, option
 from bench.commands.output import plain_table
 from bench.commands.progress import progress_of
 from bench.commands.session import Session, show_json
-from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.learning.identify import Identified

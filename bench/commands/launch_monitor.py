@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bench.base.errors import BenchError, ExitCode
+from bench.base.interrupt import stop_on_signals
 from bench.commands.options import flag, option
 from bench.commands.session import Session
-from bench.errors import BenchError, ExitCode
-from bench.interrupt import stop_on_signals
 
 if TYPE_CHECKING:
     from bench.shot.recorded_shot import FlightConditions

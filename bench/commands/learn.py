@@ -12,12 +12,12 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 from rich.table import Table
 
+from bench.base.errors import BenchError
+from bench.base.lifecycle import CAUSE_TEXT
 from bench.commands.options import ClubName, Json, argument, flag, known_profiles, option
 from bench.commands.output import plain_table
 from bench.commands.progress import paused, progress_bar
 from bench.commands.session import Session, exit_unless, show_json
-from bench.errors import BenchError
-from bench.lifecycle import CAUSE_TEXT
 from bench.swing.correction_terms import Source
 
 if TYPE_CHECKING:

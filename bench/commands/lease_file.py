@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import IO
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.network.client import HeldLease
 
 

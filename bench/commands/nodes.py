@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.base.errors import BenchError, ExitCode, Refused
 from bench.commands.options import flag, option
 from bench.commands.session import Session
-from bench.errors import BenchError, ExitCode, Refused
 
 if TYPE_CHECKING:
     from collections.abc import Callable

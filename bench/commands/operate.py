@@ -155,7 +155,7 @@ def swing(
 
     Exits with 1 if the swing did not complete. Profiles: golfbench profile.
     """
-    from bench.errors import BenchError, Refused
+    from bench.base.errors import BenchError, Refused
     from bench.network.client import action_of
 
     if context.args:  # a slip for `golfbench profile ...` must not move the robot
@@ -335,7 +335,7 @@ def _status_line() -> Iterator[Callable[[str], object]]:
 
 
 def _stop(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
-    from bench.lifecycle import Reaction, State
+    from bench.base.lifecycle import Reaction, State
     from bench.network.status_words import MOVING, REACTION_WORDS
     from bench.network.zenoh_session import NoAnswer
 

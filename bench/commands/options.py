@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.config import Configuration
@@ -92,7 +92,7 @@ def sweep_engine(configuration: Configuration, processes: int, cluster: str, cas
     Raises:
         BenchError: the cluster is not there, or a certificate for it.
     """
-    from bench.address import identity_files
+    from bench.base.address import identity_files
     from bench.simulation.local_engine import local_engine
 
     if not cluster:

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from bench.clock import GridClock
+from bench.base.clock import GridClock
 from bench.processes.real_time import real_time
 
 PERIOD_NS = 1_000_000

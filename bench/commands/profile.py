@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.console import Console
 
+from bench.base.errors import BenchError, Refused
+from bench.base.interrupt import deferred_interrupt
 from bench.commands.compare import compare
 from bench.commands.options import (
     ClubName,
@@ -30,8 +32,6 @@ from bench.commands.options import (
 from bench.commands.output import console_of
 from bench.commands.progress import progress_bar, progress_of, progress_of_steps
 from bench.commands.session import Session, exit_unless, show_json
-from bench.errors import BenchError, Refused
-from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
     from bench.config import Configuration

@@ -12,10 +12,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from bench.base.errors import BenchError
 from bench.commands.output import finite, plain_table
 from bench.commands.progress import progress_of
 from bench.commands.session import show_json
-from bench.errors import BenchError
 from bench.simulation.replay import INPUTS, MEASURED, TOLERANCE, Difference, Replay, replay_cycles
 from bench.telemetry.enumerations import ENUMERATIONS
 from bench.telemetry.recorder import read_swing

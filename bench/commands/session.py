@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from bench.errors import ExitCode
+from bench.base.errors import ExitCode
 
 if TYPE_CHECKING:
-    from bench.address import BenchAddress
+    from bench.base.address import BenchAddress
     from bench.config import Configuration
     from bench.network.client import BenchClient
 
@@ -69,7 +69,7 @@ class Session:
 
         Raises: as `configuration`.
         """
-        from bench.address import load_address
+        from bench.base.address import load_address
 
         return load_address(self.config)
 

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
+from bench.base.errors import BenchError
+from bench.base.interrupt import deferred_interrupt
 from bench.commands.options import ClusterAddress, Processes, option, sweep_engine
 from bench.commands.output import console_of
 from bench.commands.progress import progress_of_steps
 from bench.commands.session import Session
-from bench.errors import BenchError
-from bench.interrupt import deferred_interrupt
 
 if TYPE_CHECKING:
     from bench.sizing.catalogue import Catalogue

@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from bench.lifecycle import in_one
+from bench.base.lifecycle import in_one
 from bench.network.bench_service import (
     BenchStatus,
     CauseStatus,

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from bench.base.errors import BenchError
+from bench.base.interrupt import stop_on_signals
 from bench.commands.options import flag, option
 from bench.commands.progress import progress_bar
 from bench.commands.session import Session
-from bench.errors import BenchError
-from bench.interrupt import stop_on_signals
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.errors import BenchError
 from bench.commands.options import Json, Plot, argument, require_picture
 from bench.commands.output import finite, plain_table
 from bench.commands.progress import progress_of
 from bench.commands.session import exit_unless, show_json
-from bench.errors import BenchError
 
 if TYPE_CHECKING:
     from bench.commissioning.wear import PartWear

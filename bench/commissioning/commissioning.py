@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.base.errors import BenchError, Refused
 from bench.calibration.calibration import SeenInputs
 from bench.commissioning.driver_machine import Stalled
 from bench.commissioning.inputs_check import (
@@ -41,7 +42,6 @@ from bench.commissioning.steps import (
 from bench.commissioning.swing_diagnosis import DiagnosedRobot
 from bench.commissioning.wiring import ValveEdges, Wiring
 from bench.config import Configuration
-from bench.errors import BenchError, Refused
 from bench.swing.profile import load_profile
 from bench.telemetry.whole_file import whole_file
 from sim.plant import PlantParameters

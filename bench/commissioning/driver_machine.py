@@ -15,7 +15,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.clock import Clock, FreeClock
+from bench.base.clock import Clock, FreeClock
+from bench.base.errors import Refused
 from bench.commissioning.inputs import Act, levels
 from bench.commissioning.machine import (
     ADRIFT,
@@ -28,7 +29,6 @@ from bench.commissioning.machine import (
     bound_passed,
 )
 from bench.commissioning.steps import WrongMachine
-from bench.errors import Refused
 from bench.loop import record_reading
 from bench.simulation.loads import Loads, loads_of
 from bench.simulation.swing_operator import never

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bench.errors import Refused
+from bench.base.errors import Refused
 from bench.processes.ownership import try_lock
 
 _FILE = "process"

@@ -18,7 +18,7 @@ from math import isnan
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.errors import BenchError, ExitCode
+from bench.base.errors import BenchError, ExitCode
 from drivers.base import PASSIVE, Command, Readings
 from sim.live.surroundings import SurroundingsWriter
 

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from math import inf, isfinite, isnan
 from typing import Protocol
 
+from bench.base.errors import Refused
 from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.inputs import ACTS, Act, InputFinding, Regulator, Stage, fitted, judged, stages
 from bench.commissioning.machine import DRIFT
 from bench.commissioning.steps import WrongMachine
 from bench.config import Configuration
-from bench.errors import Refused
 from drivers.base import CHAMBERS, Command, Readings
 
 PRESSURES = (2.5e5, 4.0e5)

@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, cast
 
+from bench.base.errors import BenchError, ExitCode
 from bench.commissioning.inputs import Act, Regulator
 from bench.commissioning.machine import MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine_process import MachinePlan
@@ -25,7 +26,6 @@ from bench.commissioning.machine_server import (
 )
 from bench.commissioning.steps import Mark
 from bench.config import Configuration
-from bench.errors import BenchError, ExitCode
 from bench.processes.child import Child
 from bench.processes.ownership import Ownership
 from bench.simulation.loads import Loads

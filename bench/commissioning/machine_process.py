@@ -21,10 +21,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from bench.clock import GridClock, PacedClock
+from bench.base.clock import GridClock, PacedClock
+from bench.base.errors import BenchError, Refused
 from bench.commissioning.machine_server import MachineServer, Order
 from bench.config import Configuration
-from bench.errors import BenchError, Refused
 from bench.processes.child_process import Parent, read_plan, send_event, send_failure
 from bench.processes.loop_process import configured_driver
 from bench.processes.ownership import adopt

@@ -14,7 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.clock import Clock
+from bench.base.clock import Clock
+from bench.base.errors import Refused
+from bench.base.lifecycle import REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
 from bench.commissioning.driver_machine import DriverMachine, stopped_by_operator
 from bench.commissioning.machine import MotionBounds, Segment
 from bench.config import Configuration
@@ -24,9 +26,7 @@ from bench.control.settings import (
     build_controller,
     with_tables_of,
 )
-from bench.errors import Refused
 from bench.learning.live import swung_cycles
-from bench.lifecycle import REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
 from bench.loop import Cycle, Cycles, Loop
 from bench.processes.status import cause_text, refusal_words, stall_note
 from bench.simulation.loads import Loads

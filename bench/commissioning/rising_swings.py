@@ -20,6 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import CAUSE_TEXT, Cause
 from bench.commissioning.robot_swings import (
     design_at,
     fastest_swing,
@@ -41,11 +43,9 @@ from bench.commissioning.steps import (
 from bench.config import Configuration
 from bench.control.feed_forward import FeedForward
 from bench.design.designer import DesignFailed
-from bench.errors import Refused
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, strike_from_mark
 from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, LearningResult, ObservedSwing, learn, prepare
-from bench.lifecycle import CAUSE_TEXT, Cause
 from bench.simulation.loads import Loads
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.simulation.series import Bench, Series, SeriesSwing

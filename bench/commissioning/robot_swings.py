@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.lifecycle import Phase
 from bench.commissioning.steps import LEARNED_FILE, StepResult, SwungRobot
 from bench.config import Configuration
 from bench.control.gain_table import MOVE, gains_along
@@ -31,7 +32,6 @@ from bench.control.settings import pid_record
 from bench.design.designer import DesignFailed, SwingDemand, design_swing
 from bench.design.golfer_tracking import demand_near
 from bench.design.model_limits import DRAWS, make_limits
-from bench.lifecycle import Phase
 from bench.simulation.local_engine import local_engine
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile

@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from bench.base.errors import Refused
 from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine import (
     CommissionedMachine,
@@ -17,7 +18,6 @@ from bench.commissioning.machine import (
     Until,
 )
 from bench.config import Configuration
-from bench.errors import Refused
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile

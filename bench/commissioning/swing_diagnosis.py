@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from bench.base.errors import Refused
 from bench.commissioning.known_robot import FoundValue
 from bench.commissioning.machine import Array
 from bench.commissioning.rising_swings import exceeded
@@ -29,7 +30,6 @@ from bench.commissioning.short_predictions import (
 from bench.commissioning.steps import Mark, PredictionFails, SwingSeries, SwungRobot, WrongMachine
 from bench.commissioning.swing_causes import SwingCause, swing_causes
 from bench.control.measured_plant import value_at, with_values
-from bench.errors import Refused
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, NotReturned, SeriesSwing
 from bench.swing.profile import Profile

@@ -1,16 +1,16 @@
 """The configuration of a bench: its values, the files they come from, the rules they keep."""
 
-from bench.address import DATABASE_FILE, NAME, BenchSettings, NetworkSettings, database_url
-from bench.config.files import load_configuration
-from bench.config.rules import contradictions, unheard_phases
-from bench.config.settings import Configuration, DriverSettings, LoopSettings, SwingSettings
-from bench.configuration_files import (
+from bench.base.address import DATABASE_FILE, NAME, BenchSettings, NetworkSettings, database_url
+from bench.base.configuration_files import (
     SHIPPED,
     VARIANTS,
     find_configuration,
     shipped_configuration,
     variants_with,
 )
+from bench.config.files import load_configuration
+from bench.config.rules import contradictions, unheard_phases
+from bench.config.settings import Configuration, DriverSettings, LoopSettings, SwingSettings
 
 __all__ = [
     "DATABASE_FILE",

@@ -1,8 +1,8 @@
 """The whole configuration: built from its files and checked.
 
-How files are found and laid over each other: `bench.configuration_files`. Keys and units: `bench.from_toml`.
-Club and ball of the plant are those that `[swing]` names; an entry of `[clubs]` or `[balls]` that says
-`like = "driver"` gives only what differs from that one.
+How files are found and laid over each other: `bench.base.configuration_files`. Keys and units:
+`bench.base.from_toml`. Club and ball of the plant are those that `[swing]` names; an entry of `[clubs]` or
+`[balls]` that says `like = "driver"` gives only what differs from that one.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from bench.base.configuration_files import PRINT, SHIPPED, find_configuration, read_layers, shown_path
+from bench.base.errors import BenchError
+from bench.base.from_toml import Builder, Leaf, Tree, errors_of, format_value, laid_over, place_of
 from bench.config.club_site import ClubSite
 from bench.config.defaults import DERIVED, default_tables
 from bench.config.rules import RULES
 from bench.config.settings import Configuration
-from bench.configuration_files import PRINT, SHIPPED, find_configuration, read_layers, shown_path
-from bench.errors import BenchError
-from bench.from_toml import Builder, Leaf, Tree, errors_of, format_value, laid_over, place_of
 
 
 def load_configuration(path: Path | None = None) -> Configuration:

@@ -10,7 +10,9 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from bench.address import address_mistakes, database_url
+from bench.base.address import address_mistakes, database_url
+from bench.base.errors import BenchError
+from bench.base.from_toml import Leaf, Mistake, Tree, format_value
 from bench.config.safety import check_safety
 from bench.config.settings import Configuration
 from bench.control.measured_plant import value_at
@@ -21,8 +23,6 @@ from bench.control.settings import (
     EnvelopeSettings,
     ModelSettings,
 )
-from bench.errors import BenchError
-from bench.from_toml import Leaf, Mistake, Tree, format_value
 from drivers.base.ranges import short
 from sim.faults import MAX_DELAY
 from sim.plant import HISTORY

@@ -7,8 +7,8 @@ from math import inf
 from operator import attrgetter
 from typing import Any, NamedTuple
 
+from bench.base.from_toml import Mistake, format_value
 from bench.config.settings import Configuration
-from bench.from_toml import Mistake, format_value
 from drivers.base.ranges import Range, short
 
 

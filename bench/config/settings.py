@@ -9,7 +9,9 @@ from math import isnan
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from bench.address import BenchSettings, NetworkSettings
+from bench.base.address import BenchSettings, NetworkSettings
+from bench.base.errors import BenchError
+from bench.base.from_toml import format_value
 from bench.config.club_site import ClubSite
 from bench.control.made_for import MadeFor
 from bench.control.model_limits import LimitsInUse, limits_in_use, limits_path
@@ -20,8 +22,6 @@ from bench.control.settings import (
     HomingSettings,
     LifecycleSettings,
 )
-from bench.errors import BenchError
-from bench.from_toml import format_value
 from bench.swing.profile import Profile
 from drivers.base.ranges import Range
 from drivers.canopen.settings import CanopenSettings

@@ -10,10 +10,10 @@ from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
+from bench.base.field_docs import field_docs
+from bench.base.from_toml import expected, suffixes
 from bench.config.defaults import keys_of, plain
 from bench.config.settings import Configuration
-from bench.field_docs import field_docs
-from bench.from_toml import expected, suffixes
 from drivers.base.ranges import short
 from sim.origins import ORIGINS
 

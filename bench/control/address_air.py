@@ -28,10 +28,10 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.lifecycle import Cause, Phase
 from bench.control.air import actuator_force, actuator_motion, load_force
 from bench.control.feed_forward import force_rates
 from bench.control.references import square_wave
-from bench.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
 _BAND = 2.0

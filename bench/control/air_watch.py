@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.lifecycle import Cause, Phase, State
 from bench.control.envelope import relay_closed
-from bench.lifecycle import Cause, Phase, State
 from drivers.base.compiled import compiled
 
 SENSORS = 7

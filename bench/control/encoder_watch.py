@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import Cause, Phase
+from bench.base.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
 AT_REST = 0.01

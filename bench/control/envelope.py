@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import Cause, Phase
+from bench.base.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
 PHASES = len(Phase)

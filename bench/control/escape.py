@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import Cause, Phase, Reaction
+from bench.base.lifecycle import Cause, Phase, Reaction
 from drivers.base.compiled import compiled
 
 OPENINGS = ((nan, 0.0, -0.4), (0.4, nan, 0.0), (0.0, -1.0, nan))

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.lifecycle import Cause, Phase
 from bench.control.air import actuator_motion, conductance_of_vents
 from bench.control.air_watch import SWITCHING, is_alive
-from bench.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 from sim.motion import chambers
 

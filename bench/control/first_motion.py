@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import Cause, Phase
+from bench.base.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
 _ANSWER = 0.05

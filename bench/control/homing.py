@@ -23,10 +23,10 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.lifecycle import Cause, Phase
 from bench.control.first_motion import is_free
 from bench.control.pid import reset_integral
 from bench.control.references import direction
-from bench.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
 RAMP = 0.3

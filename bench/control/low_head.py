@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.base.lifecycle import Phase, State
 from bench.control.envelope import spare_clearance
-from bench.lifecycle import Phase, State
 from drivers.base.compiled import compiled
 
 _SLACK = 0.001

@@ -27,9 +27,9 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.lifecycle import Cause, Phase, State
 from bench.control.air import actuator_motion
 from bench.control.envelope import joint_coordinates
-from bench.lifecycle import Cause, Phase, State
 from drivers.base.compiled import compiled
 from sim.kane import kane_terms
 from sim.motion import chambers, wrist_cylinder

@@ -16,11 +16,11 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bench.base.errors import BenchError, did_you_mean
+from bench.base.from_toml import format_value, read_toml
 from bench.control.made_for import MadeFor, Values
 from bench.control.model import KINDS
 from bench.control.settings import MODEL_PHASES, MODEL_ROWS, ModelSettings, Triple
-from bench.errors import BenchError, did_you_mean
-from bench.from_toml import format_value, read_toml
 
 SCHEMA = "golfbench-limits/2"
 ENDING = ".limits.toml"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.base.lifecycle import Phase, Reaction, State
 from bench.control.address_air import HELD, bring_air, catch_at_address, charge, leave_address_air, loosen
 from bench.control.braking import brake_openings, lift
 from bench.control.feed_forward import KANE, NONE
@@ -21,7 +22,6 @@ from bench.control.references import (
 )
 from bench.control.requests import near_address
 from bench.control.states import arrive, begin_reaction, change_state
-from bench.lifecycle import Phase, Reaction, State
 from drivers.base.compiled import compiled
 
 

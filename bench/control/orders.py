@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.lifecycle import Reaction, Request, State
 from bench.control.homing import begin_search
 from bench.control.pid import reset_integral
 from bench.control.references import begin_move, follow_profile
 from bench.control.states import change_state, disarm
-from bench.lifecycle import Reaction, Request, State
 from drivers.base.compiled import compiled
 
 

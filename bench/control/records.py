@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.base.lifecycle import Cause, Phase, Request, State
 from bench.control.air import AIR_STATE
 from bench.control.encoder import ENCODER_STATE
 from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.model import MODEL_STATE
 from bench.control.pid import PID_STATE
-from bench.lifecycle import Cause, Phase, Request, State
 from drivers.base.compiled import new_record
 
 CONTROL_PARAMETERS = np.dtype(

@@ -8,10 +8,10 @@ from __future__ import annotations
 from math import floor, sqrt
 from typing import Any
 
+from bench.base.lifecycle import Phase
 from bench.control.air import actuator_motion
 from bench.control.feed_forward import PNEUMATIC, pneumatic_opening
 from bench.control.low_way import arm_goes_first, part_of_joint
-from bench.lifecycle import Phase
 from drivers.base.compiled import compiled
 
 _SLOW = 0.05

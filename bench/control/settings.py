@@ -8,6 +8,16 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from bench.base.lifecycle import (
+    EMERGENCIES,
+    NEEDS_LEASE,
+    Cause,
+    Phase,
+    Request,
+    accepted_table,
+    reaction_table,
+    transition_table,
+)
 from bench.control import escape
 from bench.control.braking import lifted_angle
 from bench.control.demand import demand_for
@@ -23,16 +33,6 @@ from bench.control.pid import design_pid
 from bench.control.planned_air import swing_periods, swing_shares, swing_widths
 from bench.control.pressed_stops import pressed_stops, stop_tolerance
 from bench.control.records import CONTROL_PARAMETERS, PROFILE, ControlParameters
-from bench.lifecycle import (
-    EMERGENCIES,
-    NEEDS_LEASE,
-    Cause,
-    Phase,
-    Request,
-    accepted_table,
-    reaction_table,
-    transition_table,
-)
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from drivers.base.compiled import new_record

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.lifecycle import Cause, State
 from bench.control.air_watch import (
     air_cause,
     chambers_show_pressure,
@@ -21,7 +22,6 @@ from bench.control.lock_watch import lock_is_late
 from bench.control.model import model_cause
 from bench.control.requests import is_released, manifold_is_full
 from bench.control.states import change_state, disarm, is_calm, latch, resting_state
-from bench.lifecycle import Cause, State
 from drivers.base.compiled import compiled
 
 _SECURING_TIME = 2.0

@@ -1,4 +1,4 @@
-"""Changes of the bench's state: one function makes them, and only along EDGES of `bench.lifecycle`.
+"""Changes of the bench's state: one function makes them, and only along EDGES of `bench.base.lifecycle`.
 
 A change that EDGES does not have is a fault of this program: it stops the bench in the same tick.
 """
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import LOST, TRUSTED, Cause, Phase, Reaction, State
+from bench.base.lifecycle import LOST, TRUSTED, Cause, Phase, Reaction, State
 from drivers.base.compiled import compiled
 
 _CALMING = 0.03

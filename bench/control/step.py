@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.lifecycle import Cause, Phase, Reaction, Request
 from bench.control.air import conductance_of_vents, observe_air
 from bench.control.air_watch import VENTS, air_fault, watch_air
 from bench.control.braking import brake, brake_blind, wait_passive
@@ -34,7 +35,6 @@ from bench.control.requests import is_released, take_request, watch_local_reset
 from bench.control.standing import watch_standing
 from bench.control.states import is_calm, note_calm
 from bench.control.stops import watch_motion, watch_permission
-from bench.lifecycle import Cause, Phase, Reaction, Request
 from drivers.base.compiled import compiled
 from sim.kinematics import head_motion
 

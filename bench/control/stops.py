@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench.control.address_air import address_air_cause
-from bench.control.air_watch import air_cause
-from bench.control.envelope import motion_cause
-from bench.control.first_motion import first_motion_cause
-from bench.control.homing import search_cause
-from bench.control.low_head import watch_low_head
-from bench.control.model import BRAKING, model_cause, row_of
-from bench.control.references import charging
-from bench.control.states import disarm, react
-from bench.lifecycle import (
+from bench.base.lifecycle import (
     DISOBEYED,
     DOUBTED,
     EMERGENCY,
@@ -25,6 +16,15 @@ from bench.lifecycle import (
     Reaction,
     State,
 )
+from bench.control.address_air import address_air_cause
+from bench.control.air_watch import air_cause
+from bench.control.envelope import motion_cause
+from bench.control.first_motion import first_motion_cause
+from bench.control.homing import search_cause
+from bench.control.low_head import watch_low_head
+from bench.control.model import BRAKING, model_cause, row_of
+from bench.control.references import charging
+from bench.control.states import disarm, react
 from drivers.base.compiled import compiled
 
 _LOST_SUPPLY = 0.5

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import CAUSE_TEXT, Cause
 from bench.control.gain_table import DAMPING, DERIVATIVE, gains_along
-from bench.errors import Refused
-from bench.lifecycle import CAUSE_TEXT, Cause
 from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.profile import Profile
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.base.errors import BenchError
 from bench.control.settings import ControlSettings
-from bench.errors import BenchError
 
 
 def load_casadi() -> Any:

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from bench.base.errors import BenchError
 from bench.control.settings import EnvelopeSettings
 from bench.design.air_limits import Array, force_bounds, needed_force, steady_speed, stop_forces
-from bench.errors import BenchError
 from bench.swing.motion import Motion
 from bench.swing.profile import BALL_TOLERANCE, PHASES, Profile
 from drivers.base import JOINTS

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
-from bench.errors import Refused
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers

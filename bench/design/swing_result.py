@@ -16,7 +16,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 from bench.shot.plot_style import COLOURS, GREY, INK, styled
 from bench.simulation.simulated_bench import SwingResult
 from bench.telemetry.recorder import write_swing

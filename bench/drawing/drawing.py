@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.errors import BenchError
 from bench.drawing.bodies import BALL, CYLINDER, FRAME, GAP, GUARD, STEEL, TEE, DrawnBody, Part
 from bench.drawing.links import (
     club_body,
@@ -23,7 +24,6 @@ from bench.drawing.links import (
     wrist_rod,
 )
 from bench.drawing.solids import Bar, Ellipsoid, Mesh, Tube, placed_mesh
-from bench.errors import BenchError
 from sim.kinematics import UnreachablePose, inverse_kinematics, joint_positions
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters

@@ -30,8 +30,8 @@ import pyarrow as pa
 import pyarrow.csv as pc
 from scipy.io import savemat
 
-from bench.errors import BenchError
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
+from bench.base.errors import BenchError
+from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
 from bench.telemetry.cycle_record import FIELDS, Field, arrow_schema, to_arrow, unit_of
 from bench.telemetry.enumerations import ENUMERATIONS
 from bench.telemetry.recorder import read_swing

@@ -9,16 +9,16 @@ from typing import TypeVar
 
 import numpy as np
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import CAUSE_TEXT, Request, State
 from bench.config import Configuration
 from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import SIMULATED, build_controller, holding_pressure
-from bench.errors import Refused
 from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
 from bench.faults.next_swing import next_swing
 from bench.faults.verdict import CaseLimits, CaseOutcome, judge_case
 from bench.faults.watch import Watch, WatchedRun
-from bench.lifecycle import CAUSE_TEXT, Request, State
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import SafetyLimits

@@ -18,9 +18,9 @@ from typing import Any
 
 import jinja2
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
+from bench.base.from_toml import as_tree, format_value, read_toml
 from bench.faults.catalogue import HARDWARE
-from bench.from_toml import as_tree, format_value, read_toml
 from sim.faults import sort_of
 
 _WIDTH = 119

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 from bench.swing.profile import PHASES as SWING_PHASES
 from bench.swing.profile import Profile
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.lifecycle import REFUSAL_TEXT, Answer, Cause, Refusal, Request, State
+from bench.base.lifecycle import REFUSAL_TEXT, Answer, Cause, Refusal, Request, State
 from bench.simulation.engine import LockstepEngine
 
 _LOOK = 100

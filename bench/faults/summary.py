@@ -12,12 +12,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from bench.base.lifecycle import Phase
 from bench.config import Configuration
 from bench.faults.catalogue import FAMILIES
 from bench.faults.instants import phase_name
 from bench.faults.matrix import Skipped
 from bench.faults.verdict import CaseOutcome
-from bench.lifecycle import Phase
 from bench.swing.profile import Profile
 from drivers.base.machine_code import source_digest
 from sim.faults import MEANINGS, sort_of

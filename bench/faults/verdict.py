@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Reaction, State
 from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
 from bench.faults.watch import WatchedRun
-from bench.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Reaction, State
 from bench.loop import Cycles
 from bench.simulation.safety import SafetyLimits, dangers
 from sim.plant import Plant

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.lifecycle import Answer, Phase, Refusal, Request, State
+from bench.base.lifecycle import Answer, Phase, Refusal, Request, State
 from bench.loop import Cycles
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.golfer.golfer_file import SUFFIX, GolferSwing, load_golfer
 from bench.golfer.roles import Array
 from bench.swing.golfers import Golfer, find_golfer, human_downswing

@@ -17,8 +17,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bench.errors import BenchError
-from bench.from_toml import read_toml
+from bench.base.errors import BenchError
+from bench.base.from_toml import read_toml
 from bench.golfer.roles import Array, Capture, Orientation, Roles
 from bench.telemetry.whole_file import whole_file
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.golfer.events import (
     GIVEN,
     PLACE,

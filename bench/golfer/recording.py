@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.golfer.roles import Array, Capture, damaged, number
 
 _JITTER = 0.2

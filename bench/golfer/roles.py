@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import BenchError, did_you_mean
-from bench.from_toml import read_toml
+from bench.base.errors import BenchError, did_you_mean
+from bench.base.from_toml import read_toml
 
 Array = NDArray[np.float64]
 

@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.errors import BenchError, Refused
+from bench.base.lifecycle import CAUSE_TEXT
 from bench.control.gain_table import gains_at
 from bench.control.gains import Gains
 from bench.control.linear_loop import Estimator, estimator_response, least_damping, loop_responses
 from bench.control.linear_plant import Frozen, Point
 from bench.control.margins import Margins, margins_of
-from bench.errors import BenchError, Refused
-from bench.lifecycle import CAUSE_TEXT
 from bench.simulation.series import Bench, Series, quiet
 from sim.plant import PlantParameters
 

@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import Cause, Phase
 from bench.control.records import ControlParameters
 from bench.control.settings import ControlSettings, EnvelopeSettings, PidSettings, build_controller
-from bench.errors import Refused
 from bench.learning.delivery import UNKNOWN, Figures, figures_of, planned_figures
 from bench.learning.learn import LearningProblem, learn, on_series, prepare
-from bench.lifecycle import Cause, Phase
 from bench.simulation.series import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile
 from bench.swing.thesis_experiment import DERIVATIVE, INTEGRAL, PROPORTIONAL

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from bench.errors import BenchError
-from bench.lifecycle import Phase
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Phase
 from bench.simulation.series import Bench
 from bench.swing.correction_terms import Source
 from sim.impact import Delivery, delivery_from_plane, face_axes, face_gap, impact_parameters

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
+from bench.base.errors import BenchError, Refused
 from bench.config import Configuration
-from bench.errors import BenchError, Refused
 from bench.simulation.series import Bench, Series, quiet
 from bench.simulation.variation import Variation
 from bench.swing.profile import Profile

@@ -28,9 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
+from bench.base.lifecycle import CAUSE_TEXT
 from bench.learning.delivery import Figures, Tolerance, figures_of
-from bench.lifecycle import CAUSE_TEXT
 from bench.simulation.series import Bench, Series, SeriesSwing, quiet
 from bench.swing.correction import Basis
 from bench.swing.correction_terms import GREATEST_WEIGHT

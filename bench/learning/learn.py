@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Cause, Phase
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, planned_figures
 from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings, Model, Response
-from bench.lifecycle import Cause, Phase
 from bench.shot.recorded_shot import plant_of
 from bench.simulation.series import Bench, Series, quiet
 from bench.swing.correction import Basis, Correction, basis_of, digest_of

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import Refused
+from bench.base.errors import Refused
+from bench.base.lifecycle import Answer, Cause, Request
 from bench.learning.delivery import UNKNOWN, figures_from
 from bench.learning.learn import LearningProblem, ObservedSwing
-from bench.lifecycle import Answer, Cause, Request
 from bench.network.bench_operator import BenchOperator, SwingRecord
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient

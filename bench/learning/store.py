@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Engine, func, insert, select
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.learning.learn import LearningResult
 from bench.store.database import LearnedSwingRow
 from bench.swing.correction import Correction, basis_of, digest_of

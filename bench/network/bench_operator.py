@@ -14,8 +14,8 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from bench.errors import Refused
-from bench.lifecycle import Refusal
+from bench.base.errors import Refused
+from bench.base.lifecycle import Refusal
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
 from bench.shot.shot_message import ShotPublication

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Literal, NamedTuple, NotRequired, Protocol, TypedDict
 
-from bench.lifecycle import REFUSAL_WORDS, Block, Cause, Phase, Reaction, Refusal, Request, State, Words
+from bench.base.lifecycle import REFUSAL_WORDS, Block, Cause, Phase, Reaction, Refusal, Request, State, Words
 from drivers.base.ranges import Count
 
 STATUS_VERSION = 1

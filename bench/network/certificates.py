@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from bench.errors import BenchError, ExitCode, Refused
+from bench.base.errors import BenchError, ExitCode, Refused
 
 AUTHORITY = "authority"
 AUTHORITY_DAYS = 3650.0

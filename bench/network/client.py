@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
 import zenoh
 
-from bench.errors import BenchError, Refused
-from bench.json_schema import json_object
-from bench.lifecycle import ACCEPTED_IN, PASSING, Refusal, State
+from bench.base.errors import BenchError, Refused
+from bench.base.json_schema import json_object
+from bench.base.lifecycle import ACCEPTED_IN, PASSING, Refusal, State
 from bench.network import status_words
 from bench.network.bench_service import STATUS_VERSION, BenchStatus
 from bench.network.command import (
@@ -38,7 +38,7 @@ from bench.network.lease import DEFAULT
 from bench.network.zenoh_session import NoAnswer, close_session, open_client
 
 if TYPE_CHECKING:
-    from bench.address import Addressed, NetworkSettings
+    from bench.base.address import Addressed, NetworkSettings
     from bench.shot.shot_message import ShotPublication
 
 TIMEOUT = 2.0

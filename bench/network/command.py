@@ -13,9 +13,9 @@ from enum import StrEnum
 from math import isfinite
 from typing import Annotated, Any, NamedTuple, NoReturn, NotRequired, TypedDict
 
-from bench.errors import BenchError
-from bench.json_schema import json_object, misfits, shown
-from bench.lifecycle import Cause, Refusal, Request, State
+from bench.base.errors import BenchError
+from bench.base.json_schema import json_object, misfits, shown
+from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.network.bench_service import ArmingBlock
 from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_holder
 from bench.swing.correction_terms import GREATEST_WEIGHT, MOST_WEIGHTS

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple, Self
 
 import zenoh
 
+from bench.base.errors import BenchError
+from bench.base.lifecycle import REFUSAL_WORDS, Cause, Refusal, State, Words
 from bench.control.requests import STOP_HOLDS
-from bench.errors import BenchError
-from bench.lifecycle import REFUSAL_WORDS, Cause, Refusal, State, Words
 from bench.network.bench_service import BenchService, BenchStatus, CountStatus, LeaseStatus, Reply
 from bench.network.command import (
     CONVENIENCE,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from bench.lifecycle import REFUSAL_WORDS, Refusal, Words, in_one
+from bench.base.lifecycle import REFUSAL_WORDS, Refusal, Words, in_one
 
 LONGEST_HOLDER = 64
 """Characters of a holder's name."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
-from bench.json_schema import Schema, names_of, schema_of
-from bench.lifecycle import ACCEPTED_IN, Cause, Phase, Reaction, State
+from bench.base.json_schema import Schema, names_of, schema_of
+from bench.base.lifecycle import ACCEPTED_IN, Cause, Phase, Reaction, State
 from bench.network.bench_service import STATUS_VERSION, BenchStatus
 from bench.network.command import (
     FORMS,

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from math import ceil
 from typing import NamedTuple
 
-from bench.errors import BenchError
-from bench.lifecycle import Phase, Reaction, State
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Phase, Reaction, State
 from bench.network.bench_service import ArmingBlock, BenchStatus, LaunchMonitorStatus
 
 MOVING = frozenset({State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING})

@@ -22,12 +22,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import zenoh
 
-from bench.address import identity_files
-from bench.errors import BenchError, ExitCode
-from bench.interrupt import CLOSING_THREAD
+from bench.base.address import identity_files
+from bench.base.errors import BenchError, ExitCode
+from bench.base.interrupt import CLOSING_THREAD
 
 if TYPE_CHECKING:
-    from bench.address import NetworkSettings
+    from bench.base.address import NetworkSettings
 
 LONGEST_MESSAGE = 2**20
 """Max size of a message, bytes; the transport drops longer ones."""
@@ -98,8 +98,8 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
 def close_session(session: zenoh.Session) -> None:
     """Close `session`; a peer that reads nothing does not hold it up for longer than a second.
 
-    A thread does the rest: Python's exit waits for it, `golfbench` does not (`bench.interrupt.leave`). As a
-    daemon thread it would abort the process at its end, out of zenoh.
+    A thread does the rest: Python's exit waits for it, `golfbench` does not (`bench.base.interrupt.leave`).
+    As a daemon thread it would abort the process at its end, out of zenoh.
     """
     closing = Thread(target=_close, args=(session,), name=CLOSING_THREAD)
     closing.start()

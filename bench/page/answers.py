@@ -6,8 +6,8 @@ import json
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bench.errors import BenchError
-from bench.json_schema import json_object
+from bench.base.errors import BenchError
+from bench.base.json_schema import json_object
 from bench.network.client import CommandRefused
 from bench.network.status_words import sentence
 from bench.network.zenoh_session import NoAnswer

@@ -16,8 +16,8 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any
 
-from bench.errors import BenchError
-from bench.lifecycle import ACCEPTED_IN, NEEDS_LEASE, Phase, Reaction, Request, State
+from bench.base.errors import BenchError
+from bench.base.lifecycle import ACCEPTED_IN, NEEDS_LEASE, Phase, Reaction, Request, State
 from bench.network.bench_service import BenchStatus, CauseStatus
 from bench.network.client import BenchClient, checked_status
 from bench.network.command import REQUESTS
@@ -43,7 +43,7 @@ from drivers.base import ACTUATORS, JOINTS
 if TYPE_CHECKING:
     import zenoh
 
-    from bench.address import NetworkSettings
+    from bench.base.address import NetworkSettings
 
 
 def state_view(status: BenchStatus) -> dict[str, Any]:

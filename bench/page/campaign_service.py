@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from bench.base.errors import BenchError, ExitCode, Refused
 from bench.campaign.analysis import interim_analysis
 from bench.campaign.campaign_control import answer, ask, is_running, standing_now
 from bench.campaign.campaign_record import with_exclusions
@@ -23,7 +24,6 @@ from bench.campaign.plan_file import plan_from_record
 from bench.campaign.prompts import balls_of, places
 from bench.campaign.shot_sequence import Role, sections
 from bench.config import Configuration, database_url
-from bench.errors import BenchError, ExitCode, Refused
 from bench.page.answers import Asked, InvalidBody, UnknownName
 from bench.page.command_line import BackgroundCommand, CommandLine
 from bench.page.downloads import MAX_RECORDS, REPORT, Download, Downloads

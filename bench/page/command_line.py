@@ -23,7 +23,7 @@ from tempfile import TemporaryFile
 from threading import BoundedSemaphore, Lock, Thread
 from typing import Any
 
-from bench.errors import FOR_PROGRAMS, BenchError, Refused
+from bench.base.errors import FOR_PROGRAMS, BenchError, Refused
 
 NICE = 10
 """Priority of a command, as of the page's service."""

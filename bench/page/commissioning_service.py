@@ -20,9 +20,9 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
+from bench.base.errors import BenchError, Refused
 from bench.commissioning.commissioning import ALL_STEPS, STATE_FILE, Commissioning, read_state
 from bench.commissioning.folder_lock import commissioning_process
-from bench.errors import BenchError, Refused
 from bench.page.answers import Asked
 from bench.page.command_line import BackgroundCommand, CommandLine
 from bench.page.downloads import REPORT, Download, plain_file

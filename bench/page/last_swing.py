@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.errors import BenchError
-from bench.lifecycle import Phase, State
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Phase, State
 from bench.shot.recorded_shot import FlightConditions, recorded_shot, shot_of_cycles, warm_up_shots
 from bench.shot.shot import Shot
 from bench.telemetry.recorder import read_swing

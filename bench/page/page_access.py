@@ -16,9 +16,9 @@ from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench.address import identity_files
-from bench.errors import BenchError, Refused
-from bench.from_toml import read_text
+from bench.base.address import identity_files
+from bench.base.errors import BenchError, Refused
+from bench.base.from_toml import read_text
 
 if TYPE_CHECKING:
     from bench.config import Configuration

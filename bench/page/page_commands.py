@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from threading import Lock
 from typing import NamedTuple
 
-from bench.errors import Refused
+from bench.base.errors import Refused
 from bench.network.client import BenchClient
 from bench.network.command import CommandAnswer
 

@@ -13,10 +13,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench.address import identity_files
+from bench.base.address import identity_files
+from bench.base.errors import BenchError, ExitCode
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
-from bench.errors import BenchError, ExitCode
 from bench.page.answers import InvalidBody, UnknownName, json_answer
 from bench.page.bench_link import BenchLink, record_of
 from bench.page.broadcaster import PageBroadcaster

@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Barrier
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.network.command import CommandAnswer
 from bench.network.lease import LONGEST_HOLDER
 from bench.page.answers import Asked, InvalidBody, UnknownName, body_of, json_answer, refusal_answer, text_in

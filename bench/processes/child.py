@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.errors import BenchError, ExitCode
+from bench.base.errors import BenchError, ExitCode
 from bench.processes.child_process import FOR_PARENT, HEARTBEAT, Condition
 from drivers.base.compile_report import report_compilation
 from drivers.base.shared_record import SharedRecord

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.errors import BenchError, ExitCode
+from bench.base.errors import BenchError, ExitCode
 from drivers.base import DriverError
 from drivers.base.compile_report import announce_compilation
 from drivers.base.shared_record import SharedMemoryError, SharedRecord

@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.errors import BenchError, ExitCode
-from bench.lifecycle import State
+from bench.base.errors import BenchError, ExitCode
+from bench.base.lifecycle import State
 from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
 from bench.processes.child_process import (
     Condition,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import Answer, Refusal, Request, State
+from bench.base.lifecycle import Answer, Refusal, Request, State
 from bench.network.bench_service import Reply, refused
 from bench.processes.correction import (
     CORRECTED,

@@ -26,11 +26,11 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from bench.clock import GridClock, PacedClock
+from bench.base.clock import GridClock, PacedClock
+from bench.base.errors import BenchError, Refused
+from bench.base.lifecycle import Answer, Phase, Request, State
 from bench.config import Configuration
 from bench.control.settings import build_controller, with_correction
-from bench.errors import BenchError, Refused
-from bench.lifecycle import Answer, Phase, Request, State
 from bench.loop import Cycle
 from bench.processes.child_process import Parent, read_plan, send_event, send_failure
 from bench.processes.correction import CorrectionReader

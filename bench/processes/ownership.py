@@ -18,7 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, Self
 
-from bench.errors import BenchError, ExitCode, Refused
+from bench.base.errors import BenchError, ExitCode, Refused
 
 
 def try_lock(descriptor: int) -> bool:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.base.lifecycle import Cause
 from bench.config import Configuration
-from bench.lifecycle import Cause
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
 from bench.telemetry.zero_shift import CalibratedShifts

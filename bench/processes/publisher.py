@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from bench.address import NetworkSettings
-from bench.errors import BenchError, ExitCode
+from bench.base.address import NetworkSettings
+from bench.base.errors import BenchError, ExitCode
 from bench.network.messages import LOOP_VERSION
 from bench.network.zenoh_session import close_session, open_client
 from bench.processes.child_process import (

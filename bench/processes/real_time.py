@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from bench.errors import Refused
+from bench.base.errors import Refused
 
 NOT_IN_TICKS = ("libllvmlite", "openblas")
 """Parts of the names of libraries that only preparations call: all code is compiled before the first tick."""

@@ -29,8 +29,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.errors import BenchError, ExitCode
-from bench.lifecycle import Cause, State
+from bench.base.errors import BenchError, ExitCode
+from bench.base.lifecycle import Cause, State
 from bench.processes.child_process import (
     Condition,
     HeartbeatSender,

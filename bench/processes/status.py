@@ -8,8 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from bench.control.air_watch import FAULTS
-from bench.lifecycle import (
+from bench.base.lifecycle import (
     CAUSE_TEXT,
     CAUSE_WORDS,
     REFUSAL_WORDS,
@@ -22,6 +21,7 @@ from bench.lifecycle import (
     Words,
     in_one,
 )
+from bench.control.air_watch import FAULTS
 from bench.network.bench_service import (
     STATUS_VERSION,
     BenchStatus,

@@ -9,8 +9,8 @@ import numba
 import numpy as np
 from numba import carray
 
+from bench.base.lifecycle import Request
 from bench.control.records import CONTROL_STATE
-from bench.lifecycle import Request
 from drivers.base.compiled import compiled, new_record, numbers
 from drivers.base.compiled_slots import fetch_record, slots_at
 from drivers.base.mapped_slots import HEAD_WORD, READ

@@ -13,8 +13,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.clock import LATE
-from bench.errors import Refused
+from bench.base.clock import LATE
+from bench.base.errors import Refused
 from bench.processes.timing_record import (
     BUCKETS,
     FIRST_OCTAVE,

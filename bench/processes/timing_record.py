@@ -61,7 +61,7 @@ TIMING = np.dtype(
     ]
 )
 """Counters since the loop's start. `period`, `due` (grid point of the last tick) and `longest` in ns;
-`skipped` grid points without a tick; `late` ticks that woke more than `bench.clock.LATE` after theirs;
+`skipped` grid points without a tick; `late` ticks that woke more than `bench.base.clock.LATE` after theirs;
 `page_faults` and `preemptions` of the loop's thread; `stalls` by why: ticks that were late or followed
 skipped grid points."""
 

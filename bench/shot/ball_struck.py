@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 
 Cycles = np.ndarray[Any, Any]
 

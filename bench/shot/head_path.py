@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 from sim.kinematics import forward_kinematics
 from sim.robot import RobotParameters
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 from bench.shot.head_path import path_to_ball
 from bench.shot.recorded_shot import RecordedShot
 from bench.swing.motion import head_speed

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.errors import BenchError
-from bench.from_toml import Builder, as_tree, laid_over
-from bench.json_schema import require_fit
-from bench.lifecycle import CAUSE_TEXT, Cause
+from bench.base.errors import BenchError
+from bench.base.from_toml import Builder, as_tree, laid_over
+from bench.base.json_schema import require_fit
+from bench.base.lifecycle import CAUSE_TEXT, Cause
 from bench.shot.ball_struck import ball_struck
 from bench.shot.head_path import path_to_ball
 from bench.shot.shot import COLUMNS, Shot, ShotStatus

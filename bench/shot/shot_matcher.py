@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase, State
+from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.shot.ball_struck import ball_struck
 from bench.shot.recorded_shot import FlightConditions, delivery_of_cycles
 from bench.shot.shot import Shot, ShotStatus

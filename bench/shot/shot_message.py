@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Annotated, Any, TypedDict, cast
 
-from bench.errors import BenchError
-from bench.json_schema import json_object, require_fit
-from bench.lifecycle import Cause
+from bench.base.errors import BenchError
+from bench.base.json_schema import json_object, require_fit
+from bench.base.lifecycle import Cause
 from bench.shot.shot import Shot
 from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import ClubFigures, LaunchRecord

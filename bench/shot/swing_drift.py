@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 
 Cycles = np.ndarray[Any, Any]
 

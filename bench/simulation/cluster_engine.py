@@ -19,8 +19,8 @@ from time import monotonic
 from typing import Any
 from uuid import uuid4
 
-from bench.address import IdentityFiles
-from bench.errors import BenchError, ExitCode, Refused
+from bench.base.address import IdentityFiles
+from bench.base.errors import BenchError, ExitCode, Refused
 from bench.simulation.code_version import code_digest
 from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Study, prepare, run_batch
 

@@ -12,7 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import current_process, get_context
 from typing import Any
 
-from bench.errors import BenchError, ExitCode
+from bench.base.errors import BenchError, ExitCode
 from bench.simulation.one_blas_thread import one_blas_thread_in_children
 from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Engine, Study, prepare, run_batch
 from drivers.base.compile_report import announce_compilation

@@ -23,6 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from bench.base.errors import BenchError
+from bench.base.from_toml import Builder, Tree, as_tree, laid_over
 from bench.control.model import KINDS
 from bench.control.records import ControlParameters, ControlState
 from bench.control.settings import (
@@ -33,8 +35,6 @@ from bench.control.settings import (
     LifecycleSettings,
     build_controller,
 )
-from bench.errors import BenchError
-from bench.from_toml import Builder, Tree, as_tree, laid_over
 from bench.loop import Cycle, CycleArray, Cycles
 from bench.simulation.lockstep import note_shares_of_tick
 from bench.telemetry.cycle_record import FIELDS, Field

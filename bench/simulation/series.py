@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.config import Configuration
 from bench.control.records import ControlParameters
 from bench.control.settings import (
@@ -17,8 +19,6 @@ from bench.control.settings import (
     for_learning,
     with_tables_of,
 )
-from bench.errors import Refused
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep

@@ -11,6 +11,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from bench.base.lifecycle import CAUSE_TEXT, Cause, Request
 from bench.control.settings import (
     SIMULATED,
     ControlSettings,
@@ -19,7 +20,6 @@ from bench.control.settings import (
     HomingSettings,
     build_controller,
 )
-from bench.lifecycle import CAUSE_TEXT, Cause, Request
 from bench.loop import Cycles
 from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot import Shot, ShotStatus
@@ -154,9 +154,9 @@ def simulate_swings(
     """Arm a vented `bench`, swing once at each of `balls` (None: no ball on the tee), then disarm.
 
     Yields each result as soon as the robot is back at address. A swing that ends in a stop is the last:
-    nothing arms again by itself. When `stop` (see `bench.interrupt.deferred_interrupt`) becomes true, the
-    robot is brought to rest by the stopping table, the passive command is sent, and the result yielded last
-    is `interrupted`, unless the robot was at address.
+    nothing arms again by itself. When `stop` (see `bench.base.interrupt.deferred_interrupt`) becomes true,
+    the robot is brought to rest by the stopping table, the passive command is sent, and the result yielded
+    last is `interrupted`, unless the robot was at address.
 
     Raises:
         Refused: the robot does not reach its address.

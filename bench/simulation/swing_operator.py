@@ -11,11 +11,11 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Refusal, Request
 from bench.control.air_watch import chambers_show_pressure
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import near_address
-from bench.errors import Refused
-from bench.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Refusal, Request
 from bench.loop import Cycles, bring_to_rest
 from bench.telemetry.cycle_record import CYCLE
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import Cause, Phase, Reaction, Request
 from bench.control.model import KINDS, LEARNING
 from bench.control.records import ControlParameters
-from bench.errors import Refused
-from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.swing_operator import LONGEST_RETURN

@@ -10,8 +10,8 @@ from typing import Annotated
 
 from scipy.optimize import brentq
 
-from bench.errors import BenchError
-from bench.from_toml import Builder, as_tree, read_toml
+from bench.base.errors import BenchError
+from bench.base.from_toml import Builder, as_tree, read_toml
 from drivers.base.ranges import AtLeast, AtMost, Range
 from sim.pneumatics import GAS_CONSTANT, REFERENCE_DENSITY, REFERENCE_TEMPERATURE
 

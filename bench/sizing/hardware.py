@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from math import degrees, sqrt
 from typing import Any, NamedTuple
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.sizing.catalogue import (
     PRICES,
     AbsorberPart,

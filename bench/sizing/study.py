@@ -9,12 +9,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from bench.base.errors import BenchError, Refused
 from bench.config import Configuration, load_configuration
 from bench.design.designer import DesignFailed, SwingDemand, design_swing, fastest_plan
 from bench.design.optimal_control import BAR, DownswingPlan
 from bench.design.requirements import load_casadi
 from bench.design.stop_verification import SwingCheck
-from bench.errors import BenchError, Refused
 from bench.simulation.series import Bench, Series
 from bench.sizing.catalogue import Catalogue
 from bench.sizing.hardware import Hardware, configuration_text, highest_pressure, overrides

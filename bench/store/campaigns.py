@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar, cast, get_type_hints
 from sqlalchemy import Connection, Engine, Executable, Select, Table, func, insert, select, update
 from sqlalchemy.exc import IntegrityError, OperationalError
 
-from bench.errors import BenchError, Refused
+from bench.base.errors import BenchError, Refused
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store.database import (
     CAMPAIGNS,

@@ -43,7 +43,7 @@ from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
 
-from bench.errors import BenchError, Refused
+from bench.base.errors import BenchError, Refused
 from bench.shot.shot import Shot
 from bench.store.records import (
     CampaignEntry,

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from bench.errors import BenchError, did_you_mean
+from bench.base.errors import BenchError, did_you_mean
 from bench.swing.hunt import (
     BACKSWING_DURATION,
     DOWNSWING_DURATION,

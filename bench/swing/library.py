@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bench.errors import BenchError, did_you_mean
+from bench.base.errors import BenchError, did_you_mean
 
 PROFILES = Path(__file__).with_name("profiles")
 THESIS = "thesis"

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 from bench.swing.profile import PHASES, Profile
 from sim.kinematics import right_arm_length
 from sim.plant import PlantParameters

@@ -19,10 +19,10 @@ from typing import Annotated, Any, Literal, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.errors import BenchError, did_you_mean
-from bench.from_toml import GREATEST, format_value, read_toml
-from bench.json_schema import require_fit
-from bench.lifecycle import Phase
+from bench.base.errors import BenchError, did_you_mean
+from bench.base.from_toml import GREATEST, format_value, read_toml
+from bench.base.json_schema import require_fit
+from bench.base.lifecycle import Phase
 from bench.swing.profile_table import DIGITS, decode_table, encode_table
 from drivers.base.ranges import Count
 

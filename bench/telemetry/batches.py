@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.telemetry.cycle_record import FIELDS, LONGEST_BATCH, SCHEMA_VERSION, arrow_schema, from_arrow
 
 _LONGEST_MESSAGE = 1 << 20

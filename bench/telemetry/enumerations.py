@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
+from bench.base.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 
 ENUMERATIONS: dict[str, dict[str, str]] = {
     "state": {str(state.value): state.name for state in State},

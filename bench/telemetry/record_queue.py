@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import pyarrow.parquet  # noqa: F401 - now, not at the first record of a running bench
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.telemetry.recorder import write_swing
 from bench.telemetry.swing_cutter import Cycles
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.telemetry.cycle_record import (
     CYCLE,
     FIELDS,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.errors import BenchError, ExitCode
+from bench.base.errors import BenchError, ExitCode
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base.mapped_slots import MappedSlots, SharedMemoryError
 from drivers.base.native_calls import NativeCall

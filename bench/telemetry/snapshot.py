@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.errors import BenchError
 from bench.control.air import AIR_STATE
 from bench.control.encoder import ENCODER_STATE
 from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.model import MODEL_STATE
 from bench.control.pid import PID_STATE
 from bench.control.records import CONTROL_STATE, ControlState, new_control_state
-from bench.errors import BenchError
 from bench.telemetry.swing_metadata import layout_of
 
 SNAPSHOT = np.dtype(

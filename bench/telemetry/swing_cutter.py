@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.lifecycle import State
+from bench.base.lifecycle import State
 from bench.telemetry.cycle_record import CYCLE
 
 Cycles = np.ndarray[Any, Any]

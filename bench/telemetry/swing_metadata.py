@@ -45,8 +45,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.errors import BenchError
-from bench.lifecycle import CAUSE_TEXT, Cause, State
+from bench.base.errors import BenchError
+from bench.base.lifecycle import CAUSE_TEXT, Cause, State
 from bench.swing.profile import Profile
 from bench.telemetry.shot_id import shot_id
 from bench.telemetry.swing_cutter import MOVING, Cut, Cycles

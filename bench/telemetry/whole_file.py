@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from bench.errors import BenchError, ExitCode
+from bench.base.errors import BenchError, ExitCode
 
 
 class NotStored(BenchError):

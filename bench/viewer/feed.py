@@ -14,8 +14,8 @@ from typing import Any, NamedTuple, Self
 
 import zenoh
 
-from bench.errors import BenchError
-from bench.json_schema import json_object
+from bench.base.errors import BenchError
+from bench.base.json_schema import json_object
 from bench.network.zenoh_session import close_session, open_client
 from bench.telemetry.batches import Batch, decode_batch
 

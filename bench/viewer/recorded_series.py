@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 
 
 def record_files(places: Sequence[Path]) -> list[Path]:

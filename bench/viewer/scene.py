@@ -15,9 +15,9 @@ import rerun as rr
 from matplotlib import colormaps
 from numpy.typing import NDArray
 
+from bench.base.lifecycle import Phase
 from bench.drawing.bodies import DrawnBody
 from bench.drawing.drawing import body_poses, draw, plane_to_golf
-from bench.lifecycle import Phase
 from bench.viewer.signals import Array, Cycles, Times, head_motion
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters

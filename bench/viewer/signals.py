@@ -15,7 +15,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from bench.lifecycle import Phase, Reaction, State
+from bench.base.lifecycle import Phase, Reaction, State
 from drivers.base import CHAMBERS, JOINTS
 from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters

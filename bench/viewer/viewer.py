@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import rerun as rr
 
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Phase
 from bench.drawing.drawing import ball_at_rest
-from bench.errors import BenchError
-from bench.lifecycle import Phase
 from bench.shot.recorded_shot import (
     FlightConditions,
     flight_of,

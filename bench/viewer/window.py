@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Literal, Self
 from urllib.parse import quote
 
-from bench.errors import BenchError, ExitCode
+from bench.base.errors import BenchError, ExitCode
 from bench.network.free_port import free_port
 
 LOOPBACK = "127.0.0.1"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from bench.lifecycle import Phase, Request, State
+from bench.base.lifecycle import Phase, Request, State
 from drivers.base import JOINTS
 from sim.faults import MEANINGS, SIGNALS, Fault, sort_of
 from tests.adversary.player import INPUTS, PERMITS, Player

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.records import ControlParameters
-from bench.lifecycle import (
+from bench.base.lifecycle import (
     ACCEPTED_IN,
     EDGES,
     EMERGENCIES,
@@ -25,6 +24,7 @@ from bench.lifecycle import (
     Request,
     State,
 )
+from bench.control.records import ControlParameters
 from bench.simulation.loads import Loads
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from sim.faults import Fault, sort_of

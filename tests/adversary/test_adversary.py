@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.lifecycle import State
+from bench.base.lifecycle import State
 from sim.faults import MEANINGS, SIGNALS, sort_of
 from tests.adversary.drawing import drawn_fault, improvise
 from tests.adversary.player import play

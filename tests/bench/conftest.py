@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
+from bench.base.lifecycle import Cause, Phase, State
 from bench.control.settings import EnvelopeSettings
-from bench.lifecycle import Cause, Phase, State
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_record import ShotRecord
 from bench.swing.profile import Profile

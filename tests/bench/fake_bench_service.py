@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import zenoh
 
+from bench.base.lifecycle import ACCEPTED_IN, CAUSE_WORDS, Cause, Refusal, Request, State
 from bench.config import Configuration, NetworkSettings, load_configuration, shipped_configuration
-from bench.lifecycle import ACCEPTED_IN, CAUSE_WORDS, Cause, Refusal, Request, State
 from bench.network.bench_service import (
     BenchStatus,
     CauseStatus,

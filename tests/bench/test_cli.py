@@ -19,10 +19,10 @@ from typing import Any
 import psutil
 import pytest
 
+from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode, Refused
+from bench.base.interrupt import Terminated
+from bench.base.lifecycle import State
 from bench.cli import command_line, main
-from bench.errors import FOR_PROGRAMS, BenchError, ExitCode, Refused
-from bench.interrupt import Terminated
-from bench.lifecycle import State
 from bench.network.free_port import free_port
 from drivers.base import DriverError
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
@@ -124,7 +124,7 @@ COMMANDS = (
 def test_a_command_of_a_running_bench_loads_no_model(command: str, tmp_path: Path) -> None:
     """With a bench that answers everything and swings at once."""
     code = (
-        "import sys; from bench.interrupt import leave; import bench.cli\n"
+        "import sys; from bench.base.interrupt import leave; import bench.cli\n"
         "def show(code): print(*sys.modules); leave(code)\n"
         "bench.cli.leave = show; bench.cli.main(sys.argv[1:])"
     )

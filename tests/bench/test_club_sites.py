@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.errors import BenchError
 from bench.config import Configuration, load_configuration
-from bench.errors import BenchError
 from sim.impact import face_axes, impact_parameters
 from sim.plant import build_plant
 

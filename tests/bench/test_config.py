@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from bench.base.errors import BenchError
 from bench.config import (
     VARIANTS,
     Configuration,
@@ -24,7 +25,6 @@ from bench.config import (
 from bench.config.defaults import default_tables
 from bench.config.text import configuration_text
 from bench.control.settings import MODEL_ROWS, build_controller
-from bench.errors import BenchError
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.ball import Ball

@@ -15,11 +15,11 @@ import numpy as np
 import psutil
 import pytest
 
+from bench.base.errors import ExitCode, Refused
+from bench.base.lifecycle import Cause, Phase, Request, State
 from bench.calibration.archive import add_calibration
 from bench.calibration.calibration import BallPosition
 from bench.config import database_url, load_configuration
-from bench.errors import ExitCode, Refused
-from bench.lifecycle import Cause, Phase, Request, State
 from bench.network.client import CommandRefused
 from bench.simulation.replay import replay_cycles
 from bench.store.database import open_database

@@ -11,7 +11,8 @@ import numba
 import numpy as np
 import pytest
 
-from bench.clock import FreeClock, PacedClock
+from bench.base.clock import FreeClock, PacedClock
+from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import (
     ControlSettings,
@@ -20,7 +21,6 @@ from bench.control.settings import (
     PidSettings,
     build_controller,
 )
-from bench.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from bench.loop import Cycle, CycleArray, Loop, bring_to_rest
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE

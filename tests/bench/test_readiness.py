@@ -12,6 +12,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from bench.base.errors import ExitCode
+from bench.base.lifecycle import Block, Refusal, Request, State
 from bench.calibration.archive import add_calibration
 from bench.calibration.calibration import (
     BallPosition,
@@ -26,8 +28,6 @@ from bench.cli import main
 from bench.commands.status_table import status_table
 from bench.config import Configuration, database_url, load_configuration
 from bench.daemon import Daemon
-from bench.errors import ExitCode
-from bench.lifecycle import Block, Refusal, Request, State
 from bench.network.bench_service import Reply
 from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb

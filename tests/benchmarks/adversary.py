@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
-from bench.lifecycle import State
+from bench.base.lifecycle import State
 from bench.simulation.code_version import code_digest
 from bench.simulation.sweep_store import SweepStore
 from tests.adversary.drawing import improvise

@@ -16,8 +16,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.lifecycle import Cause, Phase, Reaction
 from bench.config import Configuration, load_configuration
-from bench.lifecycle import Cause, Phase, Reaction
 from bench.simulation.loads import Loads
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from tests.benchmarks.row import Row

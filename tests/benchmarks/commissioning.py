@@ -23,6 +23,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.errors import Refused
 from bench.commissioning.commissioning import begin, commission
 from bench.commissioning.driver_machine import SimulatedMachine
 from bench.commissioning.known_robot import KnownRobot
@@ -32,7 +33,6 @@ from bench.commissioning.steps import LEARNED_FILE, SWING_FILE, SimulatedRobot
 from bench.commissioning.swing_diagnosis import diagnose
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.measured_plant import value_at
-from bench.errors import Refused
 from bench.learning.delivery import figures_of
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.simulation.series import NotReturned, Series

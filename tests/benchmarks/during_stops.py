@@ -24,12 +24,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import Cause, Phase, Reaction, Request
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.settings import build_controller
-from bench.errors import Refused
 from bench.faults.case import Workbench
 from bench.faults.instants import Instant, instants_of
-from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers

@@ -22,11 +22,11 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import Cause, Phase, Request, State
 from bench.config import load_configuration, shipped_configuration
 from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import build_controller
-from bench.errors import Refused
-from bench.lifecycle import Cause, Phase, Request, State
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.variation import HealthyRun, healthy_plant, healthy_run

@@ -21,8 +21,8 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
-from bench.errors import Refused
-from bench.lifecycle import Cause, Phase, State
+from bench.base.errors import Refused
+from bench.base.lifecycle import Cause, Phase, State
 from bench.network.client import CommandRefused
 from bench.simulation.loads import stop_shares
 from drivers.base.shared_record import SharedRecord

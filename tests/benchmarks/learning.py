@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.errors import Refused
 from bench.config import load_configuration, shipped_configuration
-from bench.errors import Refused
 from bench.learning.delivery import Tolerance, figures_of
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
 from bench.simulation.series import Bench, Series

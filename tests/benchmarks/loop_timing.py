@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.lifecycle import Request, State
 from bench.commands.progress import progress_bar
 from bench.config import Configuration, load_configuration
-from bench.lifecycle import Request, State
 from bench.processes.child import Child
 from bench.processes.loop_link import LoopLink
 from bench.processes.ownership import take_bench

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from rich.console import Console
 
+from bench.base.lifecycle import Cause, Phase, Reaction, Request
 from bench.config import load_configuration
-from bench.lifecycle import Cause, Phase, Reaction, Request
 from drivers.base import Command, DriverError, Readings
 from sim.driver import SimDriver
 from tests.benchmarks.canopen_reactions import Case, show

@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.errors import BenchError
-from bench.lifecycle import Cause, State
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Cause, State
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.network.lease import LONGEST

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 from bench.telemetry.recorder import read_swing
 from drivers.base import JOINTS
 

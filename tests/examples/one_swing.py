@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from bench.address import load_address
+from bench.base.address import load_address
 from bench.network.client import BenchClient
 from bench.shot.shot_message import ShotPublication
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numba
 import pytest
 
+from bench.base.lifecycle import Cause
 from bench.faults.case import Workbench
 from bench.faults.catalogue import Breakage
 from bench.faults.instants import Instant
-from bench.lifecycle import Cause
 from drivers.base import CHAMBERS
 from sim.faults import Fault
 

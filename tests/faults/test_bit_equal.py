@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import bench.swing
-from bench.clock import FreeClock
+from bench.base.clock import FreeClock
+from bench.base.lifecycle import Cause, Phase, Request
 from bench.control.settings import build_controller
-from bench.lifecycle import Cause, Phase, Request
 from bench.loop import Cycle, CycleArray
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.lifecycle import Phase
 from bench.config import load_configuration, shipped_configuration
 from bench.faults.case import Workbench
 from bench.faults.catalogue import FAMILIES, Breakage
@@ -16,7 +17,6 @@ from bench.faults.combined import CATALOGUE
 from bench.faults.instants import ACCESS, INTO_A_STOP, START, Instant, dense_instants, instants_of
 from bench.faults.matrix import instants_for, plan_matrix
 from bench.faults.summary import commit, origin_of
-from bench.lifecycle import Phase
 from bench.swing.profile import PHASES, Profile
 from sim.faults import Fault
 from tests.compiled_only import needs_speed

@@ -6,11 +6,11 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Request
 from bench.control.settings import holding_pressure
 from bench.faults.case import Workbench
 from bench.faults.catalogue import THROTTLED, Breakage
 from bench.faults.instants import Instant, instants_of
-from bench.lifecycle import Request
 from sim.faults import Fault, own_records
 from tests.sampling import release_except
 

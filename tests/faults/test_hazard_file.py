@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.faults.hazard_file import FILE, RISK_GRAPH, hazard_file, load_judgement
 from tests.faults.made_matrix import whole_matrix
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from bench.lifecycle import Cause, Phase, Reaction, State
+from bench.base.lifecycle import Cause, Phase, Reaction, State
 from bench.network.client import CommandRefused
 from bench.telemetry.recorder import read_swing
 from tests.running_bench import BenchProcess, played_nodes, running_bench, write_configuration

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import bench.swing
-from bench.clock import FreeClock
+from bench.base.clock import FreeClock
 from bench.control.settings import ControlSettings, build_controller
 from bench.loop import Cycle, Loop
 from bench.simulation.lockstep import Lockstep

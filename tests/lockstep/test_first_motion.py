@@ -9,11 +9,11 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, Request, State
 from bench.config import Configuration
 from bench.control.first_motion import forget_answers
 from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import build_controller
-from bench.lifecycle import Cause, Request, State
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
 from drivers.base import JOINTS

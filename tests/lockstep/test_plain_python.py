@@ -17,7 +17,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from bench.control.settings import build_controller
-from bench.lifecycle import Request
+from bench.base.lifecycle import Request
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant

@@ -11,9 +11,9 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Request
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
 from bench.design.stop_verification import TRIALS, SwingCheck, TrialOutcome
-from bench.lifecycle import Answer, Cause, Phase, Reaction, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.swing_operator import LONGEST_SWAY

@@ -33,8 +33,8 @@ TARGETS = {
         f"{_CONTROL}/test_edges.py",
     ),
     "bench.control.states": (f"{_CONTROL}/test_states.py", f"{_CONTROL}/test_edges.py"),
-    "bench.lifecycle": (
-        "tests/bench/test_lifecycle.py",
+    "bench.base.lifecycle": (
+        "tests/bench/base/test_lifecycle.py",
         f"{_CONTROL}/test_answers.py",
         f"{_CONTROL}/test_requests.py",
         f"{_CONTROL}/test_edges.py",
@@ -97,7 +97,7 @@ def verdict(module: str, explained: dict[str, str], only: str, every: int) -> bo
 
 def enumerations() -> Members:
     """Return the members of the lifecycle's enumerations, read from its source: it is not imported here."""
-    tree = ast.parse((ROOT / "bench/lifecycle.py").read_text())
+    tree = ast.parse((ROOT / "bench/base/lifecycle.py").read_text())
     found = {
         node.name: tuple(
             assigned.targets[0].id

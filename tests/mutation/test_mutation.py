@@ -19,8 +19,8 @@ import json, os, sys
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 from pathlib import Path
 from tests.mutation.trial import NoVerdictError, Trials
-trials = Trials("bench.lifecycle", [sys.argv[1]])
-source = Path("bench/lifecycle.py").read_text()
+trials = Trials("bench.base.lifecycle", [sys.argv[1]])
+source = Path("bench/base/lifecycle.py").read_text()
 trials.begin(source)
 def mutated(old, new):
     assert source.count(old) == 1
@@ -38,7 +38,7 @@ print(json.dumps(told))
 WATCHING = """
     import bench.control.envelope, bench.control.states
     from bench.control.settings import build_controller
-    from bench.lifecycle import accepted_table
+    from bench.base.lifecycle import accepted_table
 
     def test_a_constant_in_an_importer():
         assert bench.control.envelope.Phase.IMPACT == 7 and bench.control.states.Phase.HOLD == 2
@@ -75,9 +75,9 @@ def test_whoever_imported_the_original_has_the_mutant(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_test_that_fails_without_a_mutant_is_told(tmp_path: Path) -> None:
     file = tmp_path / "test_failing.py"
-    file.write_text("import bench.lifecycle\n\ndef test_it():\n    assert False\n")
+    file.write_text("import bench.base.lifecycle\n\ndef test_it():\n    assert False\n")
     run = tried(file)
-    assert "NoVerdictError: bench.lifecycle: " in run.stderr
+    assert "NoVerdictError: bench.base.lifecycle: " in run.stderr
     assert "test_it fails without a mutant" in run.stderr
 
 

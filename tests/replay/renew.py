@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.lifecycle import Phase, Reaction
+from bench.base.lifecycle import Phase, Reaction
 from bench.simulation.replay import MEASURED
 from bench.simulation.simulated_bench import SimulatedBench, SwingResult, simulate_swing
 from bench.swing.library import find_profile

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Cause, Phase, Reaction, Request
 from bench.cli import main
 from bench.control.gain_table import DAMPING, DERIVATIVE, INTEGRAL, PROPORTIONAL
 from bench.control.records import ControlParameters
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
-from bench.errors import BenchError
-from bench.lifecycle import Cause, Phase, Reaction, Request
 from bench.loop import Cycle, CycleArray
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles

@@ -7,7 +7,7 @@ from math import nan, pi
 import numpy as np
 import pytest
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 from drivers.base import CHAMBERS, INVALID, JOINTS
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND, READINGS

@@ -5,9 +5,9 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from bench.base.lifecycle import State
 from bench.config import load_configuration
 from bench.control.settings import build_controller
-from bench.lifecycle import State
 from bench.loop import Cycle
 from bench.processes.tick_timing import TickTiming, new_timing
 from bench.shot.recorded_shot import FlightConditions, warm_up_shots

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.base.lifecycle import Phase, State
 from bench.calibration.archive import add_calibration
 from bench.calibration.calibration import (
     BallPosition,
@@ -25,7 +26,6 @@ from bench.calibration.calibration import (
     wiring_digest,
 )
 from bench.config import Configuration, database_url, load_configuration
-from bench.lifecycle import Phase, State
 from bench.network.client import BenchClient, CommandRefused
 from bench.processes.ownership import bench_folder
 from bench.processes.plan import RING_FILE, TIMING_FILE

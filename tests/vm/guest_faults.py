@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.errors import BenchError
-from bench.lifecycle import Cause, Phase, Reaction, State
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Cause, Phase, Reaction, State
 from tests.benchmarks.row import Row
 from tests.vm.guest import COMMAND, DRIVER_OF_CARDS, EMERGENCY, PLACE, SUPPLY, run, wait_until
 from tests.vm.guest_bench import RATE, GuestBench

@@ -6,7 +6,7 @@ import os
 import signal
 import time
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 from bench.network.client import BenchClient
 from tests.benchmarks.row import Row
 from tests.vm.guest import EMERGENCY, wait_until

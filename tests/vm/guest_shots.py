@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.lifecycle import State
+from bench.base.lifecycle import State
 from bench.processes.timing_record import SEGMENTS, summary
 from bench.shot.recorded_shot import read_shot
 from drivers.canopen.frames import bus_load

@@ -17,9 +17,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.base.errors import BenchError, ExitCode
 from bench.config import Configuration
 from bench.daemon import Daemon
-from bench.errors import BenchError, ExitCode
 from bench.processes.child_process import Parent, read_plan, send_event, send_failure
 from drivers.base import DriverError
 

@@ -21,6 +21,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from bench.base.errors import BenchError, Refused
+from bench.base.interrupt import deferred_interrupt
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import write_campaign_report
 from bench.campaign.findings import Findings, findings
@@ -35,8 +37,6 @@ from bench.commands.campaign_runner_screen import CampaignScreen
 from bench.commands.campaign_screen import campaign_bar
 from bench.commands.demo.bench_process import BenchPlan
 from bench.config import Configuration, database_url
-from bench.errors import BenchError, Refused
-from bench.interrupt import deferred_interrupt
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.processes.child import Child

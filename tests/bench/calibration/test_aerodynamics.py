@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from sqlalchemy import Engine
 
+from bench.base.errors import BenchError
 from bench.calibration.aerodynamics_fit import FlightUncertainty, MeasuredFlight, fit_aerodynamics
 from bench.calibration.archive import add_aerodynamics, list_aerodynamics, newest_aerodynamics
 from bench.calibration.ball_aerodynamics import BallAerodynamics, aerodynamics_from_record
 from bench.calibration.flight_table import read_flights
 from bench.config import database_url
-from bench.errors import BenchError
 from bench.store.database import open_database
 from sim.air import Air
 from sim.ball import Ball

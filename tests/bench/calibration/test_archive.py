@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from sqlalchemy import Engine
 
+from bench.base.errors import BenchError
 from bench.calibration.archive import (
     add_calibration,
     calibration_of,
@@ -29,7 +30,6 @@ from bench.calibration.calibration import (
     values_of,
 )
 from bench.config import Configuration, database_url, load_configuration
-from bench.errors import BenchError
 from bench.store.database import open_database
 
 DAY = timedelta(days=1)

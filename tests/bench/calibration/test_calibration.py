@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError
 from bench.calibration.calibration import (
     KINDS,
     BallPosition,
@@ -28,7 +29,6 @@ from bench.calibration.calibration import (
 from bench.config import Configuration, load_configuration
 from bench.control.records import ControlParameters
 from bench.control.settings import build_controller
-from bench.errors import BenchError
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.errors import BenchError
 from bench.calibration.flight_table import FlightTable, read_flights
-from bench.errors import BenchError
 
 ROOT = Path(__file__).parents[3]
 HEADER = "ball_speed_mph,launch_angle_deg,spin_rpm,carry_yd"

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError
 from bench.campaign.campaign_plots import mean_flight
 from bench.campaign.campaign_record import CampaignRecord
 from bench.campaign.campaign_report import render_campaign_report, write_campaign_report
@@ -28,7 +29,6 @@ from bench.campaign.runner import RunOutcome
 from bench.campaign.runner_control import new_entry
 from bench.commands.campaign_baseline import Band, check_baseline, junit_xml, read_baseline
 from bench.config import load_configuration
-from bench.errors import BenchError
 from bench.shot.shot import ShotStatus
 from bench.store.records import CampaignState, Event, Hit, Prompt, Standing
 from bench.swing.library import find_profile

@@ -13,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError, Refused
 from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics
 from bench.campaign.analysis import analyse
 from bench.campaign.block_model import Contrast
@@ -27,7 +28,6 @@ from bench.campaign.runner_control import new_entry
 from bench.campaign.unequal_variances import common_errors
 from bench.campaign.verdicts import quantity_name
 from bench.config import Configuration
-from bench.errors import BenchError, Refused
 from bench.shot.recorded_shot import FlightConditions
 from bench.store.records import CampaignState, Hit, Standing
 from drivers.base import Launch

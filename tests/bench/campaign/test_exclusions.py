@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.errors import Refused
 from bench.campaign.campaign_record import (
     LONGEST_REASON,
     CampaignRecord,
@@ -21,7 +22,6 @@ from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.verification import verify_page
 from bench.config import database_url
-from bench.errors import Refused
 from bench.shot.shot import ShotStatus
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.errors import BenchError, Refused
 from bench.campaign.campaign_record import CampaignRecord, load_record
 from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings
@@ -16,7 +17,6 @@ from bench.campaign.plan_file import load_plan, plan_from_record
 from bench.campaign.report_tables import calibration_table, issue_report, item_table, particulars
 from bench.campaign.runner_control import new_entry
 from bench.config import database_url, load_configuration
-from bench.errors import BenchError, Refused
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.records import CampaignRun, CampaignState, Event

@@ -17,6 +17,8 @@ from typing import Any
 
 import pytest
 
+from bench.base.errors import ExitCode, Refused
+from bench.base.lifecycle import REFUSAL_WORDS, Block, Phase, Refusal, State
 from bench.calibration.archive import add_calibration
 from bench.calibration.calibration import ClubInMount, EncoderZeros
 from bench.campaign.budget import uncertainty_budgets
@@ -35,9 +37,7 @@ from bench.campaign.runner import Hindrance, Suspended, Watcher
 from bench.campaign.runner_control import bench_facts, new_entry, run_campaign
 from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.config import database_url, load_configuration
-from bench.errors import ExitCode, Refused
 from bench.learning.store import learned_swings
-from bench.lifecycle import REFUSAL_WORDS, Block, Phase, Refusal, State
 from bench.network.bench_operator import SwingRecord
 from bench.network.bench_service import ArmingBlock
 from bench.network.client import CommandRefused

@@ -12,8 +12,8 @@ from threading import Event, Thread
 
 import pytest
 
+from bench.base.errors import BenchError
 from bench.campaign.progress import Notifier, Service, notifying, read_services
-from bench.errors import BenchError
 from bench.store.records import CampaignEntry, CampaignState
 from tests.bench.store.test_campaigns import ENTRY
 

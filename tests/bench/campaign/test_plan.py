@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from bench.base.errors import BenchError
 from bench.campaign.bench_setup import Fitting, missing
 from bench.campaign.gate import Centre
 from bench.campaign.plan import CampaignPlan, reference_level
@@ -30,7 +31,6 @@ from bench.campaign.shot_sequence import (
 )
 from bench.cli import app
 from bench.config import Configuration, load_configuration
-from bench.errors import BenchError
 
 TWO = """
 [campaign]

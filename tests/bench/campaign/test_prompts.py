@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from bench.base.errors import Refused
 from bench.campaign.bench_setup import Fitting, Preparation, coming_balls, fitting_after, load_lists, missing
 from bench.campaign.campaign_control import answer
 from bench.campaign.gate import Centre
@@ -32,7 +33,6 @@ from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step, all_trial
 from bench.commands.campaign_screen import CampaignBar
 from bench.commands.campaign_terminal import TerminalOperator
 from bench.config import database_url, load_configuration
-from bench.errors import Refused
 from bench.shot.shot import Shot, ShotStatus
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore

@@ -20,6 +20,7 @@ from typing import Any
 import pytest
 from sqlalchemy import make_url
 
+from bench.base.errors import BenchError, Refused
 from bench.campaign.bench_setup import Preparation, sample_for
 from bench.campaign.campaign_control import ask, is_running, runner_lock
 from bench.campaign.corrections import Drift
@@ -40,7 +41,6 @@ from bench.campaign.runner_control import (
 from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.campaign.simulated_shots import Taken
 from bench.config import Configuration, database_url, load_configuration
-from bench.errors import BenchError, Refused
 from bench.shot.shot import Shot, ShotStatus
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore

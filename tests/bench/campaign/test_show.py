@@ -19,11 +19,11 @@ from typing import Any
 
 import pytest
 
+from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.campaign.campaign_control import ask
 from bench.campaign.plan_file import load_plan
 from bench.campaign.shot_sequence import all_trials
 from bench.config import database_url, load_configuration
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.network.free_port import free_port
 from bench.shot.shot import Shot, ShotStatus
 from bench.shot.shot_matcher import NOT_TOLD

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.errors import BenchError
 from bench.campaign.campaign_record import CampaignRecord, shot_digests, whole_digest
 from bench.campaign.campaign_report import record_parts, render_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.report_format import UnitSystem
 from bench.campaign.verification import missing_records, verify_page
-from bench.errors import BenchError
 from bench.store.campaigns import StoredShot
 from bench.store.records import Event, Hit, ShotNote
 from tests.bench.campaign.test_campaign_report import NOW, _record

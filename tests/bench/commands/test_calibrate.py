@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.errors import ExitCode, Refused
 from bench.calibration.valve_centre import standing_counts
 from bench.cli import main
-from bench.errors import ExitCode, Refused
 from bench.processes.ownership import bench_folder
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import NoRing, RingWriter

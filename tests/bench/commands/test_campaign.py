@@ -16,6 +16,7 @@ import pytest
 from markupsafe import escape
 from typer.testing import CliRunner, Result
 
+from bench.base.errors import BenchError, ExitCode, Refused
 from bench.campaign.campaign_control import bench_lock, require_free, runner_lock
 from bench.campaign.campaign_record import load_record
 from bench.campaign.campaign_report import render_campaign_report
@@ -27,7 +28,6 @@ from bench.campaign.shot_sequence import all_trials
 from bench.campaign.simulated_shots import BEGIN
 from bench.cli import app, main
 from bench.config import database_url, load_configuration
-from bench.errors import BenchError, ExitCode, Refused
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database

@@ -20,13 +20,13 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from bench.base.errors import ExitCode, Refused
 from bench.campaign.plan_file import load_plan
 from bench.campaign.runner_control import new_entry
 from bench.commands.campaign import _local_store, _marker
 from bench.commands.campaign_screen import CampaignBar
 from bench.commands.campaign_terminal import HINT, LONGEST, MarkLine, mark_keys
 from bench.config import database_url, load_configuration
-from bench.errors import ExitCode, Refused
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.records import CampaignState, ShotNote

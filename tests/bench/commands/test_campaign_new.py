@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from bench.base.errors import BenchError
 from bench.cli import app
-from bench.errors import BenchError
 
 TWO = ("--compare", "ball", "--ball", "tour", "--ball", "range", "--club", "driver")
 SIZES = ("--difference", "2", "--deviation", "1")

@@ -26,15 +26,15 @@ from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.input.base import PipeInput
 from prompt_toolkit.output import DummyOutput
 
-from bench.address import BenchAddress, load_address
+from bench.base.address import BenchAddress, load_address
+from bench.base.errors import BenchError, ExitCode
+from bench.base.lifecycle import Phase, Request, State
 from bench.cli import command_line, main
 from bench.commands import console
 from bench.commands.console import CommandCompleter, ConsoleLines, arguments_of, history
 from bench.commands.console_connection import KeptConnection
 from bench.commands.console_terminal import CommandTerminal, count_stops
 from bench.commands.session import Session
-from bench.errors import BenchError, ExitCode
-from bench.lifecycle import Phase, Request, State
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError, ExitCode, Refused
 from bench.cli import main
 from bench.commands.export import Format, planned
-from bench.errors import BenchError, ExitCode, Refused
 from bench.telemetry.recorder import write_swing
 
 

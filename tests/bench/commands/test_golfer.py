@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError
 from bench.cli import main
-from bench.errors import BenchError
 from bench.golfer.golfer_file import load_golfer
 from bench.swing.golfers import GOLFERS
 from tests.bench.golfer.synthetic import BALL, MAP, Synthetic, angles, write

@@ -9,8 +9,8 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.base.lifecycle import Cause
 from bench.commands.learn import _table, _verdict
-from bench.lifecycle import Cause
 
 
 def figures(*values: float | None) -> Any:

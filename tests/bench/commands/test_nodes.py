@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.errors import BenchError, ExitCode, Refused
 from bench.commands.nodes import nodes_plan, turn_regulator
 from bench.config import load_configuration
-from bench.errors import BenchError, ExitCode, Refused
 from drivers.base.compiled import new_record
 from drivers.canopen.driver import CanopenDriver
 from drivers.registry import choose_driver, find_drivers

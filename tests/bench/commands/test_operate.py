@@ -18,10 +18,10 @@ from typing import NamedTuple, cast
 import pytest
 from rich.console import Console
 
+from bench.base.errors import ExitCode
+from bench.base.lifecycle import Cause, Request, State
 from bench.cli import main
 from bench.commands.status_table import status_table
-from bench.errors import ExitCode
-from bench.lifecycle import Cause, Request, State
 from bench.network.bench_service import LaunchMonitorStatus, Reply
 from bench.network.client import REST
 from bench.network.free_port import free_port

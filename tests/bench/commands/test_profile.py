@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError, ExitCode
 from bench.cli import main
 from bench.config import load_configuration
 from bench.design.designer import DesignFailed
-from bench.errors import BenchError, ExitCode
 from bench.golfer.comparison import compare_motions, golfer_motion, robot_motion
 from bench.swing import library
 from bench.swing.library import find_profile, profile_names

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.errors import ExitCode
 from bench.cli import main
-from bench.errors import ExitCode
 
 
 @pytest.mark.parametrize("driver", ["canopen", "daq"])

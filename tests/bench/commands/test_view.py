@@ -16,9 +16,9 @@ import numpy as np
 import psutil
 import pytest
 
+from bench.base.errors import ExitCode
+from bench.base.lifecycle import State
 from bench.cli import main
-from bench.errors import ExitCode
-from bench.lifecycle import State
 from bench.telemetry.recorder import write_swing
 from tests.bench.golfer.synthetic import golfer_swing
 from tests.bench.telemetry.fake_bench import BENCH, fake_bench, loopback

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError, Refused
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import CalibrationKind, EncoderZeros
 from bench.cli import main
@@ -38,7 +39,6 @@ from bench.config.text import configuration_text
 from bench.control.measured_plant import value_at, with_values
 from bench.control.model_limits import load_limits
 from bench.design.model_limits import DRAWS
-from bench.errors import BenchError, Refused
 from bench.learning.delivery import figures_of
 from bench.simulation.series import Series
 from bench.swing.profile import load_profile

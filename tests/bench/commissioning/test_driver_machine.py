@@ -6,9 +6,9 @@ import re
 
 import pytest
 
+from bench.base.errors import Refused
 from bench.commissioning.driver_machine import DriverMachine, Stalled
 from bench.commissioning.machine import MotionBounds, Segment
-from bench.errors import Refused
 from sim.driver import SimDriver
 from sim.plant import PlantParameters, build_plant
 

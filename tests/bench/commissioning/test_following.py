@@ -8,9 +8,9 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause
 from bench.commissioning.robot_swings import with_following_limits
 from bench.config import Configuration
-from bench.lifecycle import Cause
 from bench.simulation.series import Bench, Series
 from bench.simulation.variation import Variation
 from bench.swing.profile import Profile

@@ -12,6 +12,8 @@ from typing import Any, cast
 import pytest
 from sqlalchemy import URL, make_url
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import Block
 from bench.calibration.archive import add_calibration, effective_calibration
 from bench.calibration.calibration import CalibrationKind, SeenInputs, wiring_digest
 from bench.cli import main
@@ -22,8 +24,6 @@ from bench.commissioning.inputs import INPUTS, InputFinding, fitted, judged, sta
 from bench.commissioning.inputs_check import PRESSURES, check_inputs
 from bench.commissioning.steps import WrongMachine
 from bench.config import Configuration
-from bench.errors import Refused
-from bench.lifecycle import Block
 from bench.store.database import open_database
 from drivers.base import Readings
 from sim.faults import SWITCHES, Fault, Kind

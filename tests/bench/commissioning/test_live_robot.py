@@ -17,7 +17,9 @@ import numba
 import numpy as np
 import pytest
 
-from bench.clock import FreeClock
+from bench.base.clock import FreeClock
+from bench.base.errors import Refused
+from bench.base.lifecycle import Cause
 from bench.commissioning.driver_machine import _Log
 from bench.commissioning.inputs import of_simulation
 from bench.commissioning.live_robot import Hands, LiveRobot, MachineLost, live_robot
@@ -36,8 +38,6 @@ from bench.commissioning.machine_server import (
 from bench.commissioning.rising_swings import bench_of
 from bench.commissioning.robot_swings import slowed
 from bench.config import Configuration
-from bench.errors import Refused
-from bench.lifecycle import Cause
 from bench.processes.ownership import take_bench
 from bench.simulation.swing_operator import SwingOperator
 from bench.swing.library import find_profile

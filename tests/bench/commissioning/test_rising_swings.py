@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause
 from bench.commissioning import rising_swings
 from bench.commissioning.rising_swings import (
     PredictionSpread,
@@ -27,7 +28,6 @@ from bench.commissioning.steps import SimulatedRobot, SimulatedSeries, WrongMach
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.settings import ModelSettings
 from bench.design.designer import DesignFailed
-from bench.lifecycle import Cause
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, SeriesSwing
 from bench.simulation.variation import Variation

@@ -8,13 +8,13 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import Phase
 from bench.commissioning.rising_swings import bench_of
 from bench.commissioning.short_predictions import RecordedSwing
 from bench.commissioning.steps import PredictionFails, SimulatedRobot, SimulatedSeries, WrongMachine
 from bench.commissioning.swing_diagnosis import DiagnosedRobot, Diagnosis, diagnose
 from bench.config import Configuration, load_configuration, shipped_configuration
-from bench.errors import Refused
-from bench.lifecycle import Phase
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.simulation.series import Bench, NotReturned
 from bench.swing.profile import Profile

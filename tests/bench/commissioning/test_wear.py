@@ -8,6 +8,7 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.errors import Refused
 from bench.commissioning.wear import (
     PartWear,
     SwingWear,
@@ -18,7 +19,6 @@ from bench.commissioning.wear import (
 )
 from bench.config import Configuration
 from bench.control.measured_plant import value_at, with_values
-from bench.errors import Refused
 from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.settings import SIMULATED, HomingSettings
-from bench.lifecycle import (
+from bench.base.lifecycle import (
     Answer,
     Phase,
     Reaction,
@@ -19,6 +18,7 @@ from bench.lifecycle import (
     Request,
     State,
 )
+from bench.control.settings import SIMULATED, HomingSettings
 from tests.bench.control.puppet import ADDRESS, ATMOSPHERE, QUICK, STILL, Puppet
 
 VENT, HOMING, SECURING = 0.02, 0.02, 2.0

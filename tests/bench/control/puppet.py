@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Request, State
 from bench.control.records import new_control_state
 from bench.control.settings import (
     SIMULATED,
@@ -19,7 +20,6 @@ from bench.control.settings import (
     build_controller,
 )
 from bench.control.step import step
-from bench.lifecycle import Answer, Cause, Phase, Reaction, Request, State
 from bench.swing.profile import PHASES, Profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE

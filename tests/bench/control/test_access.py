@@ -8,8 +8,8 @@ from math import inf, nan
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, Phase, Refusal, Request, State
 from bench.control.settings import holding_pressure
-from bench.lifecycle import Cause, Phase, Refusal, Request, State
 from sim.plant import PlantParameters
 from tests.bench.control.operating import TIMES, asked, at_power_up, full, press, reach, until
 from tests.bench.control.puppet import ATMOSPHERE, SUPPLY, Puppet

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, Phase, Refusal, Request, State
 from bench.control.address_air import LATE, SLIPPED
 from bench.control.air import load_force
 from bench.control.demand import actuator_forces
@@ -17,7 +18,6 @@ from bench.control.gain_table import DAMPING
 from bench.control.planned_air import planned_air, swing_periods, swing_widths, with_planned_air
 from bench.control.records import ADDRESS_AIR
 from bench.control.settings import SIMULATED, build_controller
-from bench.lifecycle import Cause, Phase, Refusal, Request, State
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.series import Bench, Series, quiet

@@ -6,9 +6,9 @@ from math import inf, nan
 
 import pytest
 
+from bench.base.lifecycle import TRUSTED, Cause, Reaction, Refusal, Request, State
 from bench.control.air_watch import DEAD_AFTER, SWITCHING
 from bench.control.stops import table_column
-from bench.lifecycle import TRUSTED, Cause, Reaction, Refusal, Request, State
 from tests.bench.control.operating import asked, press, reach, until
 from tests.bench.control.puppet import ATMOSPHERE, SUPPLY, Puppet
 

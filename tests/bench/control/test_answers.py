@@ -11,6 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import (
+    ACCEPTED_IN,
+    NEEDS_LEASE,
+    Answer,
+    Cause,
+    Phase,
+    Reaction,
+    Refusal,
+    Request,
+    State,
+)
 from bench.control.air_watch import SENSORS
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import (
@@ -20,7 +31,6 @@ from bench.control.requests import (
     refusal_of,
     take_request,
 )
-from bench.lifecycle import ACCEPTED_IN, NEEDS_LEASE, Answer, Cause, Phase, Reaction, Refusal, Request, State
 from tests.bench.control.puppet import Puppet, put
 
 FROM = {

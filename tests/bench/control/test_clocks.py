@@ -7,7 +7,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from bench.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
+from bench.base.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from tests.bench.control.operating import asked, press, reach
 from tests.bench.control.puppet import ADDRESS, Puppet
 

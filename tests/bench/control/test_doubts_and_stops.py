@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.lifecycle import Refusal, Request, State
+from bench.base.lifecycle import Refusal, Request, State
 from tests.bench.control.operating import asked, press, reach, timed, until
 from tests.bench.control.puppet import ATMOSPHERE
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from bench.lifecycle import (
+from bench.base.lifecycle import (
     EDGES,
     Cause,
     Edge,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, State
 from bench.control.encoder_watch import index_cause
-from bench.lifecycle import Cause, State
 from tests.bench.control.operating import reach
 from tests.bench.control.puppet import Puppet
 

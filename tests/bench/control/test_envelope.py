@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.base.lifecycle import Cause, Phase
 from bench.control.envelope import (
     ENVELOPE_PARAMETERS,
     interlock_cause,
@@ -24,7 +25,6 @@ from bench.control.envelope import (
 )
 from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.settings import ControlSettings, EnvelopeSettings, build_controller
-from bench.lifecycle import Cause, Phase
 from bench.swing.profile import Profile
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS

@@ -9,12 +9,12 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, Phase, Reaction
 from bench.config import load_configuration
 from bench.control.escape import OPENINGS, TIMES, disobeying, escape
 from bench.control.records import CONTROL_PARAMETERS, CONTROL_STATE
 from bench.control.settings import build_controller
 from bench.design.stop_verification import TRIALS, SwingCheck, TrialOutcome
-from bench.lifecycle import Cause, Phase, Reaction
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import new_record

@@ -11,13 +11,13 @@ from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.base.lifecycle import Phase, Request
 from bench.control.estimator import (
     ESTIMATOR_STATE,
     design_estimator,
     estimate,
 )
 from bench.control.settings import build_controller
-from bench.lifecycle import Phase, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile

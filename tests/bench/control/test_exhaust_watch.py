@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, Phase, Refusal, Request, State
 from bench.control.air import actuator_motion
 from bench.control.air_watch import SWITCHING, air_fault
 from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.exhaust_watch import LATE, SLOWEST, exhaust_cause, watch_exhausts
 from bench.control.records import CONTROL_PARAMETERS, CONTROL_STATE
 from bench.control.settings import holding_pressure
-from bench.lifecycle import Cause, Phase, Refusal, Request, State
 from drivers.base import CHAMBERS
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.base.lifecycle import Cause, Phase
 from bench.config import load_configuration, shipped_configuration
 from bench.control.air import actuator_force
 from bench.control.demand import actuator_forces, demand_of
 from bench.control.feed_forward import FeedForward, force_rates, kane_gains, opening_for
 from bench.control.settings import ControlSettings
-from bench.lifecycle import Cause, Phase
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.series import Bench, Series

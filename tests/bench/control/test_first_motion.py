@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, Phase
 from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.first_motion import bound_first, first_motion_cause, forget_answers, note_answers
 from bench.control.pid import PID_STATE
 from bench.control.records import CONTROL_PARAMETERS, CONTROL_STATE
-from bench.lifecycle import Cause, Phase
 from drivers.base.compiled import new_record
 
 BAND, OPENING = 0.02, 0.15

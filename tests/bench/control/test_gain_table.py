@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.base.lifecycle import Phase
 from bench.control.gain_table import (
     SHAPE,
     GainTable,
@@ -24,7 +25,6 @@ from bench.control.pid import design_pid
 from bench.control.records import new_control_state
 from bench.control.settings import build_controller
 from bench.control.step import decide_tick, estimate_tick
-from bench.lifecycle import Phase
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import new_record

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from bench.lifecycle import Cause, Refusal, Request, State
+from bench.base.lifecycle import Cause, Refusal, Request, State
 from tests.bench.control.operating import TIMES, asked, press, reach
 from tests.bench.control.puppet import ATMOSPHERE, Puppet
 

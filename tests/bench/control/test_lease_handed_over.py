@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.lifecycle import Phase, Reaction, Request, State
+from bench.base.lifecycle import Phase, Reaction, Request, State
 from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
 from drivers.base.shared_record import SharedRecord

@@ -1,8 +1,8 @@
 """Any order of requests, faults and time, put to the compiled step: what must hold does so in every tick.
 
-What must hold is stated here anew, from the two tables of `bench.lifecycle` and from what the test itself
-does to the readings; the step's own verdicts are used only where they are what is promised. For more than
-the few seconds of every day: `pytest --hypothesis-profile=thorough`.
+What must hold is stated here anew, from the two tables of `bench.base.lifecycle` and from what the test
+itself does to the readings; the step's own verdicts are used only where they are what is promised. For more
+than the few seconds of every day: `pytest --hypothesis-profile=thorough`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
-from bench.lifecycle import (
+from bench.base.lifecycle import (
     ACCEPTED_IN,
     DISOBEYED,
     EDGES,

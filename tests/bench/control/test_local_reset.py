@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
+from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.control.settings import SIMULATED
-from bench.lifecycle import Cause, Refusal, Request, State
 from bench.loop import Cycle
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import Command, DriverError, Readings

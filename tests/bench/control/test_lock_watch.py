@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.control.lock_watch import UNLOCKING
-from bench.lifecycle import Cause, Refusal, Request, State
 from tests.bench.control.operating import asked, press, reach
 from tests.bench.control.puppet import Puppet
 

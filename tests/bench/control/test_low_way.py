@@ -9,12 +9,12 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, Phase, Request
 from bench.config import Configuration, load_configuration
 from bench.control.low_way import arm_goes_first, part_of_joint
 from bench.control.records import ControlParameters
 from bench.control.references import begin_move, follow_move
 from bench.control.settings import build_controller
-from bench.lifecycle import Cause, Phase, Request
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.variation import healthy_plant

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.control.manifold_watch import LATE, MARGIN, PROOF_TIME, SHUTTING, watch_manifold
 from bench.control.records import CONTROL_PARAMETERS, CONTROL_STATE
-from bench.lifecycle import Cause, Refusal, Request, State
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS
 from sim.plant import PlantParameters, build_plant

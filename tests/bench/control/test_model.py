@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import bench.swing
+from bench.base.lifecycle import Cause, Phase, Request, State
 from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.model import (
@@ -26,7 +27,6 @@ from bench.control.model import (
 )
 from bench.control.records import new_control_state
 from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
-from bench.lifecycle import Cause, Phase, Request, State
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile

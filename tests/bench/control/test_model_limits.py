@@ -11,6 +11,8 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Phase
 from bench.config import load_configuration
 from bench.control.made_for import LEAST_FELT_TEE_SHIFT, NAMES_IN_FILES, NOT_FELT, SHARE, TOLERANCES, MadeFor
 from bench.control.model import BLOW, BRAKING, KINDS, LEARNING
@@ -33,8 +35,6 @@ from bench.control.settings import (
     for_learning,
     with_correction,
 )
-from bench.errors import BenchError
-from bench.lifecycle import Phase
 from bench.simulation.series import Bench, Series
 from bench.swing.correction import Correction
 from bench.swing.library import find_profile

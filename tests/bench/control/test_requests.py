@@ -6,8 +6,7 @@ from math import nan
 
 import pytest
 
-from bench.control.settings import holding_pressure
-from bench.lifecycle import (
+from bench.base.lifecycle import (
     REFUSAL_TEXT,
     Answer,
     Cause,
@@ -15,6 +14,7 @@ from bench.lifecycle import (
     Request,
     State,
 )
+from bench.control.settings import holding_pressure
 from sim.plant import PlantParameters
 from tests.bench.control.operating import (
     TIMES,

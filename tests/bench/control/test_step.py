@@ -15,9 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numba.core.runtime import _nrt_python, rtsys
 
-from bench.control.records import ControlState
-from bench.control.step import step
-from bench.lifecycle import (
+from bench.base.lifecycle import (
     DISOBEYED,
     DOUBTED,
     EMERGENCY,
@@ -32,6 +30,8 @@ from bench.lifecycle import (
     Request,
     State,
 )
+from bench.control.records import ControlState
+from bench.control.step import step
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE

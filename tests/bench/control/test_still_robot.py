@@ -6,7 +6,7 @@ from math import pi
 
 import pytest
 
-from bench.lifecycle import Refusal, Request, State
+from bench.base.lifecycle import Refusal, Request, State
 from tests.bench.control.operating import asked, press, reach
 from tests.bench.control.puppet import COUNTS, Puppet
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.control.encoder import ENCODER_STATE, FRESH, decode_encoders
-from bench.lifecycle import Cause, Refusal, Request, State
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS
 from tests.bench.control.operating import asked, press, reach

@@ -11,6 +11,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Cause, Phase
 from bench.config import load_configuration
 from bench.design import designer
 from bench.design.closed_loop import Rehearsal
@@ -43,8 +45,6 @@ from bench.design.optimal_control import (
 )
 from bench.design.refine import KNOT, correction
 from bench.design.static_checks import profile_faults
-from bench.errors import BenchError
-from bench.lifecycle import Cause, Phase
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing, simulate_swings
 from bench.swing.golfers import GOLFERS
 from bench.swing.library import find_profile

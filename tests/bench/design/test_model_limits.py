@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench.base.errors import Refused
 from bench.control.model import KINDS, LEARNING
 from bench.control.model_limits import FROM_SETTINGS, REQUIRED
 from bench.control.settings import MODEL_ROWS, ModelSettings
 from bench.design.model_limits import FLOORS, _rounded, _tables, floor_of, gumbel_quantile, make_limits
-from bench.errors import Refused
 from bench.simulation.series import Bench
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile

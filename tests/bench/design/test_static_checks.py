@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Phase
 from bench.control.settings import EnvelopeSettings
 from bench.design.air_limits import force_bounds, needed_force, steady_speed, stop_forces
 from bench.design.static_checks import (
@@ -18,8 +20,6 @@ from bench.design.static_checks import (
     profile_faults,
     require_possible,
 )
-from bench.errors import BenchError
-from bench.lifecycle import Phase
 from bench.swing.motion import Motion, phase_times
 from bench.swing.profile import Profile
 from drivers.base.compiled import new_record

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import typer.testing
 
+from bench.base.errors import BenchError
 from bench.cli import app
 from bench.commands.session import Session
 from bench.drawing.bodies import DrawnBody, Part
@@ -19,7 +20,6 @@ from bench.drawing.drawing import draw, placed
 from bench.drawing.model_files import gltf, write_gltf
 from bench.drawing.solids import Ellipsoid
 from bench.drawing.workshop_files import MassRow, load_build123d, mass_rows, solid_shape, write_step
-from bench.errors import BenchError
 from sim.plant import PlantParameters
 from tests.bench.drawing.conftest import PLANTS, mesh_volume
 

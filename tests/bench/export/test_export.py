@@ -19,7 +19,8 @@ from mcap.reader import make_reader
 from rerun.chunk import RrdReader
 from scipy.io import loadmat
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Phase, State
 from bench.export.mcap_file import json_schema, write_mcap
 from bench.export.record_files import (
     ExportRecord,
@@ -31,7 +32,6 @@ from bench.export.record_files import (
     write_mf4,
 )
 from bench.export.rrd_file import write_rrd
-from bench.lifecycle import Phase, State
 from bench.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
 from bench.telemetry.recorder import write_swing
 from bench.telemetry.whole_file import NotStored

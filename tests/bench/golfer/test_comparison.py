@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
+from bench.base.errors import BenchError
 from bench.config import load_configuration
-from bench.errors import BenchError
 from bench.golfer.comparison import SwingMotion, beyond_ranges, compare_motions, golfer_motion, robot_motion
 from bench.golfer.golfer_file import ImportOptions, load_golfer, save_golfer
 from bench.golfer.measuring import measure

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.golfer.comparison import beyond_ranges, with_club_held
 from bench.golfer.golfer_file import GolferSwing
 from bench.swing.library import find_profile

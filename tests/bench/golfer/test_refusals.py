@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.golfer.golfer_file import ImportOptions
 from bench.golfer.recording import read_capture
 from tests.bench.golfer.synthetic import BALL, MAP, Array, Synthetic, write

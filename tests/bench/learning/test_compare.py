@@ -8,6 +8,7 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, Phase
 from bench.config import load_configuration, shipped_configuration
 from bench.learning.compare import (
     compare,
@@ -16,7 +17,6 @@ from bench.learning.compare import (
     strayed,
     thesis_gains,
 )
-from bench.lifecycle import Cause, Phase
 from bench.simulation.series import Bench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

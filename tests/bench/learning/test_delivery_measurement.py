@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from bench.base.lifecycle import Phase
 from bench.learning.delivery import delivery_from_encoders
 from bench.learning.learn import prepare
-from bench.lifecycle import Phase
 from bench.simulation.series import Bench, Series, SeriesSwing
 from bench.simulation.variation import drawn
 from bench.swing.library import find_profile

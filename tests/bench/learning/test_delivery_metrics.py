@@ -7,8 +7,8 @@ from math import asin, degrees, radians, sin
 
 import pytest
 
+from bench.base.errors import BenchError
 from bench.config import load_configuration, shipped_configuration
-from bench.errors import BenchError
 from bench.learning.delivery import planned_figures
 from bench.learning.learn import prepare
 from bench.simulation.series import Bench

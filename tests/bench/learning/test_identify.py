@@ -8,8 +8,8 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError
 from bench.config import load_configuration, shipped_configuration
-from bench.errors import BenchError
 from bench.learning.identify import (
     NAMES,
     Identified,

@@ -6,6 +6,7 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause
 from bench.config import load_configuration, shipped_configuration
 from bench.learning.delivery import (
     Tolerance,
@@ -17,7 +18,6 @@ from bench.learning.delivery import (
 )
 from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
-from bench.lifecycle import Cause
 from bench.simulation import variation
 from bench.simulation.series import Bench, Series
 from bench.simulation.variation import Variation, drawn

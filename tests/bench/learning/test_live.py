@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.errors import Refused
+from bench.base.errors import Refused
+from bench.base.lifecycle import Answer, Request
 from bench.learning.live import require_bench, swung_cycles
-from bench.lifecycle import Answer, Request
 from bench.network.bench_service import LaunchMonitorStatus
 from bench.processes.status import NO_LAUNCH_MONITOR
 from bench.swing.library import find_profile

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Phase
 from bench.learning.learn import from_first_tick, read_recorded, require_alike
-from bench.lifecycle import Phase
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from bench.telemetry.cycle_record import CYCLE

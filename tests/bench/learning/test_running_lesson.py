@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.errors import ExitCode
 from bench.config import load_configuration
-from bench.errors import ExitCode
 from bench.learning.delivery import strike_from_mark
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port

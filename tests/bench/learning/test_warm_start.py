@@ -8,8 +8,8 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError
 from bench.config import load_configuration, shipped_configuration
-from bench.errors import BenchError
 from bench.learning.delivery import Tolerance
 from bench.learning.learn import LearningProblem, Recorded, begun_on, left_over, on_series, prepare
 from bench.simulation.series import Bench, Series

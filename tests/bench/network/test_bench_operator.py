@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from bench.lifecycle import REFUSAL_WORDS, Refusal
+from bench.base.lifecycle import REFUSAL_WORDS, Refusal
 from bench.network.bench_operator import BenchOperator
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
+from bench.base.errors import BenchError, ExitCode, Refused
+from bench.base.lifecycle import Refusal, Request, State
 from bench.config import BenchSettings
-from bench.errors import BenchError, ExitCode, Refused
-from bench.lifecycle import Refusal, Request, State
 from bench.network.bench_service import BenchStatus
 from bench.network.client import REST, BenchClient, CommandRefused
 from bench.network.command import Verb, encode_command

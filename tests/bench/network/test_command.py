@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.errors import BenchError
-from bench.lifecycle import NEEDS_LEASE, Cause, Refusal, Request, State
+from bench.base.errors import BenchError
+from bench.base.lifecycle import NEEDS_LEASE, Cause, Refusal, Request, State
 from bench.network.command import (
     FORMS,
     LONGEST_MESSAGE,

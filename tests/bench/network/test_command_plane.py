@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from bench.errors import BenchError
-from bench.lifecycle import Request, State
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Request, State
 from bench.network.command import (
     CONVENIENCE,
     LONGEST_MESSAGE,

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from bench.base.errors import BenchError, ExitCode
 from bench.cli import main
 from bench.config import Configuration, NetworkSettings
-from bench.errors import BenchError, ExitCode
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer, open_client, open_daemon

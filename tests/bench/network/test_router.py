@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Request
 from bench.config import VARIANTS, Configuration
-from bench.errors import BenchError
-from bench.lifecycle import Request
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer, access_control, open_client

@@ -16,12 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
+from bench.base.errors import BenchError
 from bench.campaign.plan_file import load_plan
 from bench.campaign.progress import CampaignProgress
 from bench.campaign.runner_control import new_entry
 from bench.campaign.shot_sequence import all_trials
 from bench.config import load_configuration
-from bench.errors import BenchError
 from bench.network.client import BenchClient
 from bench.network.command import FORMS, Verb, encode_command, encode_error, form_schema, parse_command
 from bench.network.lease import new_key

@@ -14,8 +14,8 @@ from pathlib import Path
 import psutil
 import pytest
 
+from bench.base.errors import BenchError, ExitCode
 from bench.config import NetworkSettings, load_configuration
-from bench.errors import BenchError, ExitCode
 from bench.network.zenoh_session import LONGEST_MESSAGE, NoAnswer, open_client, open_daemon
 from tests.bench.fake_bench_service import loopback_configuration
 
@@ -168,7 +168,7 @@ time.sleep(600.0)
 _CLIENT = """
 import sys, time
 from bench.config import NetworkSettings
-from bench.interrupt import leave
+from bench.base.interrupt import leave
 from bench.network.client import BenchClient
 from bench.network.zenoh_session import open_client
 from bench.viewer.feed import Feed

@@ -10,7 +10,7 @@ from unittest.mock import MagicMock
 
 import pytest
 
-from bench.errors import BenchError, Refused
+from bench.base.errors import BenchError, Refused
 from bench.network.free_port import free_port
 from bench.page import page_service
 from bench.page.page_access import (

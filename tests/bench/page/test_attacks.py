@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import pytest
 
-from bench.lifecycle import State
+from bench.base.lifecycle import State
 from bench.page import request_filter
 from bench.page.broadcaster import MAX_READERS
 from tests.bench.fake_bench_service import RunningPlane

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from bench.base.lifecycle import Request, State
 from bench.config import Configuration
-from bench.lifecycle import Request, State
 from bench.network.free_port import free_port
 from bench.network.lease import SHORTEST
 from bench.page import page_commands

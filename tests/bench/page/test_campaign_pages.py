@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import State
 from bench.campaign.campaign_control import runner_lock
 from bench.config import Configuration, database_url
-from bench.lifecycle import State
 from bench.page.campaign_service import CampaignArchive, RunningCampaigns
 from bench.page.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
 from bench.shot.recorded_shot import plant_of

@@ -17,10 +17,10 @@ from typing import Any
 
 import pytest
 
+from bench.base.errors import Refused
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep, WrongFound
 from bench.commissioning.folder_lock import folder_lock
 from bench.config import Configuration
-from bench.errors import Refused
 from bench.network.free_port import free_port
 from bench.page.commissioning_service import CommissioningStore
 from bench.page.page_access import PageAddress

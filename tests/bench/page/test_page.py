@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from bench.lifecycle import Request, State
+from bench.base.lifecycle import Request, State
 from bench.network.command_plane import HEARTBEAT
 from bench.page.last_swing import SwingReader
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane

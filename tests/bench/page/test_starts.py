@@ -18,8 +18,8 @@ from typing import Any
 
 import pytest
 
+from bench.base.errors import BenchError, Refused
 from bench.config import Configuration
-from bench.errors import BenchError, Refused
 from bench.network.free_port import free_port
 from bench.page import command_line
 from bench.page.answers import InvalidBody

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from bench.lifecycle import CAUSE_WORDS, Phase, Reaction, State
+from bench.base.lifecycle import CAUSE_WORDS, Phase, Reaction, State
 from bench.network.bench_service import CauseStatus
 from bench.network.status_words import (
     COMMANDS,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.errors import ExitCode
+from bench.base.errors import ExitCode
 from bench.processes.child import Child, NotStarted
 from bench.processes.child_process import FOR_PARENT
 

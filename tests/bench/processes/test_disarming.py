@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.lifecycle import Cause, Request, State
+from bench.base.lifecycle import Cause, Request, State
 from bench.processes.status import disarmed_for
 from bench.telemetry.cycle_record import CYCLE
 

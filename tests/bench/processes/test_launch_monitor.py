@@ -7,7 +7,7 @@ from itertools import accumulate, pairwise
 import numpy as np
 import pytest
 
-from bench.lifecycle import State
+from bench.base.lifecycle import State
 from bench.processes.launch_monitor import ArmingWatch, ShotPresence
 
 R, A, S = State.READY, State.ARMED, State.SWINGING

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Answer, Refusal, Request, State
 from bench.control.records import CONTROL_STATE
-from bench.lifecycle import Answer, Refusal, Request, State
 from bench.processes.correction import CORRECTED, CORRECTED_FILE
 from bench.processes.loop_link import LoopLink
 from bench.processes.plan import RING_FILE

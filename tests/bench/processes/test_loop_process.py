@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.errors import Refused
+from bench.base.errors import Refused
 from bench.processes.loop_process import WARM_UP, LoopProcess, ThreadUsage, UsageReader, stall_between
 from bench.processes.timing_record import STAMPS, Stall
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.errors import BenchError, Refused
+from bench.base.errors import BenchError, Refused
 from bench.processes.ownership import MEMORY, NoBenchFolder, adopt, bench_folder, take_bench
 
 DAEMON = """
@@ -332,7 +332,7 @@ def test_many_who_start_at_once_are_one_daemon(start: Start, memory: Path) -> No
     program = """
 import sys, time
 from pathlib import Path
-from bench.errors import Refused
+from bench.base.errors import Refused
 from bench.processes.ownership import take_bench
 taken = 0
 for _ in range(150):

@@ -20,8 +20,8 @@ import psutil
 import pytest
 import zenoh
 
+from bench.base.lifecycle import State
 from bench.config import NetworkSettings
-from bench.lifecycle import State
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_client, open_daemon
 from bench.processes.child_process import HEARTBEAT, Condition

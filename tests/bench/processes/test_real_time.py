@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from bench.errors import ExitCode, Refused
+from bench.base.errors import ExitCode, Refused
 from bench.processes import real_time as module
 from bench.processes.real_time import RealTime, Setting, limit_action, real_time
 from tests.bench.processes.own_process import printed_json
@@ -29,7 +29,7 @@ WITHOUT_PRIVILEGES = """
 """
 LOOK = """
     import ctypes, gc, json, os
-    from bench.errors import Refused
+    from bench.base.errors import Refused
     from bench.processes.real_time import real_time
 
     def look():

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.lifecycle import Cause, State
+from bench.base.lifecycle import Cause, State
 from bench.processes.child_process import HEARTBEAT, Condition
 from bench.processes.recorder import Recorder
 from bench.swing.correction import basis_of

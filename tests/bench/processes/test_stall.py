@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.lifecycle import CAUSE_TEXT, REFUSAL_WORDS, Cause, Refusal
+from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_WORDS, Cause, Refusal
 from bench.processes.status import cause_text, refusal_words, stall_note, supervisor_note
 from bench.telemetry.cycle_record import CYCLE
 

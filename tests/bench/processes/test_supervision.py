@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Request
 from bench.control.records import CONTROL_STATE
-from bench.lifecycle import Request
 from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
 from drivers.base.shared_record import SharedRecord

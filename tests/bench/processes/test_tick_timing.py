@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bench.clock import LATE
-from bench.errors import ExitCode, Refused
+from bench.base.clock import LATE
+from bench.base.errors import ExitCode, Refused
 from bench.processes.tick_timing import (
     TickTiming,
     bucket,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.lifecycle import Phase
+from bench.base.lifecycle import Phase
 from bench.shot.head_path import path_to_ball
 from sim.robot import RobotParameters
 

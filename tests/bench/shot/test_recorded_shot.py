@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.errors import BenchError
-from bench.lifecycle import Cause, Phase
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Cause, Phase
 from bench.shot.recorded_shot import (
     FlightConditions,
     delivery_of_cycles,

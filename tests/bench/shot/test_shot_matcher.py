@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase, State
+from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, State
 from bench.shot.recorded_shot import FlightConditions
 from bench.shot.shot import ShotStatus
 from bench.shot.shot_matcher import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.clock import FreeClock
+from bench.base.clock import FreeClock
 from bench.control.records import ControlParameters
 from bench.loop import Cycle, Loop
 from sim.driver import SimDriver

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from bench.errors import Refused
+from bench.base.errors import Refused
 
 
 @dataclass(frozen=True)

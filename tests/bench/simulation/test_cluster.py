@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from bench.address import identity_files
+from bench.base.address import identity_files
+from bench.base.errors import BenchError, ExitCode, Refused
 from bench.commands.options import sweep_engine
 from bench.config import load_configuration
-from bench.errors import BenchError, ExitCode, Refused
 from bench.network.certificates import make_authority, make_certificate, write_identity
 from bench.simulation import cluster_engine
 from bench.simulation.cluster_engine import SharedStudy, connected, security_of

@@ -8,9 +8,9 @@ import numba
 import numpy as np
 import pytest
 
+from bench.base.errors import Refused
+from bench.base.lifecycle import Phase
 from bench.control.settings import build_controller
-from bench.errors import Refused
-from bench.lifecycle import Phase
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile

@@ -15,11 +15,11 @@ import pytest
 
 import bench.simulation.simulated_bench
 import bench.swing
+from bench.base.errors import ExitCode, Refused
+from bench.base.interrupt import deferred_interrupt
+from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction
 from bench.cli import main
 from bench.control.settings import EnvelopeSettings
-from bench.errors import ExitCode, Refused
-from bench.interrupt import deferred_interrupt
-from bench.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction
 from bench.shot.shot import ShotStatus
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.simulated_bench import (

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from threadpoolctl import threadpool_limits
 
-from bench.errors import BenchError, Refused
+from bench.base.errors import BenchError, Refused
 from bench.simulation.local_engine import InProcess, LocalProcesses, local_engine
 from bench.simulation.one_blas_thread import one_blas_thread_in_children
 from bench.simulation.sweep import BATCH_TIME, BatchDone, CaseBatch, Study, sweep

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.errors import BenchError
 from bench.config import load_configuration
-from bench.errors import BenchError
 from bench.sizing.catalogue import PRICES, in_series, shipped_catalogue
 from bench.sizing.hardware import Hardware, highest_pressure, parts_of, relief_pressure
 from bench.sizing.search import SizingGrid, cheaper, without_repeats

@@ -19,8 +19,8 @@ from sqlalchemy import Connection, create_engine, make_url
 from sqlalchemy import event as events
 from sqlalchemy.exc import OperationalError
 
+from bench.base.errors import BenchError, Refused
 from bench.config import database_url
-from bench.errors import BenchError, Refused
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store import database
 from bench.store.campaigns import CampaignStore, StoredShot

@@ -15,8 +15,8 @@ import pytest
 from sqlalchemy import insert, select, text
 from sqlalchemy.exc import IntegrityError, StatementError
 
+from bench.base.errors import BenchError
 from bench.config import database_url
-from bench.errors import BenchError
 from bench.store import database as module
 from bench.store.database import (
     SCHEMA_VERSION,

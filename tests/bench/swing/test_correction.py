@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.swing.correction import Correction, basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.base.errors import BenchError
 from bench.config import load_configuration
 from bench.design.designer import SwingDemand, top_pose
 from bench.design.golfer_tracking import RUN_UP, SLOWER, TEMPO, demand_like, gave_way
-from bench.errors import BenchError
 from bench.swing.golfers import (
     GOLFERS,
     Golfer,

@@ -16,9 +16,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet as pq
 
+from bench.base.errors import BenchError
+from bench.base.lifecycle import Phase
 from bench.control.planned_air import planned_air
-from bench.errors import BenchError
-from bench.lifecycle import Phase
 from bench.swing.correction import digest_of
 from bench.swing.library import find_profile, profile_names
 from bench.swing.profile import (

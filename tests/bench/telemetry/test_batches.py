@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.telemetry.batches import decode_batch, encode_batch, wire_schema
 from bench.telemetry.cycle_record import CYCLE, FIELDS, LONGEST_BATCH, arrow_schema
 

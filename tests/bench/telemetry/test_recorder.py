@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.telemetry.cycle_record import CYCLE, SCHEMA_VERSION
 from bench.telemetry.recorder import METADATA_KEY, read_swing, write_swing
 from bench.telemetry.whole_file import whole_file

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.lifecycle import Cause, State
+from bench.base.lifecycle import Cause, State
 from bench.telemetry.swing_cutter import Cut, SwingCutter
 
 Cycles = np.ndarray[Any, Any]

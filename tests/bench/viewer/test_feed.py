@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.lifecycle import State
+from bench.base.lifecycle import State
 from bench.network.zenoh_session import NoAnswer
 from bench.viewer.feed import Arrived, Feed
 from tests.bench.telemetry.fake_bench import BENCH, FakeBench, fake_bench, loopback

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Phase
 from bench.drawing.drawing import ball_at_rest, body_poses, draw, plane_to_golf
-from bench.lifecycle import Phase
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.whole_file import NotStored

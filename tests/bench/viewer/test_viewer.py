@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from bench.lifecycle import Cause, Phase, State
+from bench.base.lifecycle import Cause, Phase, State
 from bench.shot.recorded_shot import FlightConditions, flight_of, shot_to_json
 from bench.shot.shot_record import ShotRecord
 from bench.telemetry.cycle_record import CYCLE

@@ -17,7 +17,7 @@ import psutil
 import pytest
 import rerun as rr
 
-from bench.errors import BenchError
+from bench.base.errors import BenchError
 from bench.network.free_port import free_port
 from bench.viewer.blueprint import live_blueprint
 from bench.viewer.scene import log_static_scene

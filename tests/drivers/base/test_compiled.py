@@ -15,7 +15,7 @@ TOP = Path(__file__).parents[3]
 
 USER = '''"""A compiled function that takes its constant from an enum."""
 
-from bench.lifecycle import Refusal
+from bench.base.lifecycle import Refusal
 from drivers.base.compiled import compiled
 
 
@@ -30,7 +30,7 @@ def copy(tmp_path: Path) -> Path:
     """Return a copy of the packages in which only compiled files speak of compilation."""
     for package in ("bench", "drivers", "sim"):
         shutil.copytree(TOP / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    lifecycle = tmp_path / "bench/lifecycle.py"
+    lifecycle = tmp_path / "bench/base/lifecycle.py"
     lifecycle.write_text(lifecycle.read_text().replace("compiled", "fast"))
     (tmp_path / "bench/control/example.py").write_text(USER)
     return tmp_path
@@ -56,7 +56,7 @@ def test_a_changed_enum_in_a_file_without_compiled_functions_is_compiled_again(c
     assert run(copy) == (8, 1)
     assert run(copy) == (8, 1)
     (kept,) = (copy / "cache").rglob("*.nbc")
-    lifecycle = copy / "bench/lifecycle.py"
+    lifecycle = copy / "bench/base/lifecycle.py"
     lifecycle.write_text(lifecycle.read_text().replace("    SUPPORT = 8\n", "    SUPPORT = 88\n"))
     assert run(copy) == (88, 2)
     assert kept.exists()

@@ -71,7 +71,7 @@ def test_the_graph_has_every_file_that_compiled_functions_import() -> None:
     paths = compiled_sources(TOP)
     assert {trees[module][0] for module in reached} <= paths.keys()
     assert {
-        "bench/lifecycle.py",
+        "bench/base/lifecycle.py",
         "bench/telemetry/cycle_record.py",
         "drivers/base/contract.py",
         "drivers/base/__init__.py",

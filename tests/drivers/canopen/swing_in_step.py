@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from bench.base.lifecycle import Phase, Request
 from bench.config import Configuration
 from bench.control.settings import build_controller
-from bench.lifecycle import Phase, Request
 from bench.loop import Cycle, CycleArray, Cycles
 from bench.simulation.loads import Loads, begin_tally, loads_of
 from bench.swing.library import find_profile

@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 import pytest
 
+from bench.base.lifecycle import Cause, Phase, Reaction
 from bench.config import Configuration
-from bench.lifecycle import Cause, Phase, Reaction
 from sim.truth import Contact, contact_in
 from tests.benchmarks.canopen_reactions import FAULTS, run_case
 from tests.drivers.canopen.swing_in_step import SwingBench, on_canopen, on_plant

@@ -12,9 +12,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from bench.base.errors import ExitCode
 from bench.commands.demo.demo import demo_configuration, demo_plan
 from bench.config import load_configuration
-from bench.errors import ExitCode
 from bench.shot.shot import ShotStatus
 from bench.telemetry.recorder import read_swing
 from tests.bench.shot.read_shots import read_shot_table

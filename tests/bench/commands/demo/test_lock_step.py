@@ -14,11 +14,11 @@ import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 
+from bench.base.errors import BenchError, ExitCode
 from bench.cli import main
 from bench.commands.demo.demo import run_demo
 from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings
-from bench.errors import BenchError, ExitCode
 from bench.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.swing.library import find_profile
 from bench.telemetry.recorder import read_swing

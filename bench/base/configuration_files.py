@@ -11,14 +11,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from bench.errors import BenchError
-from bench.from_toml import Tree, as_tree, format_value, laid_over, read_toml
+from bench.base.errors import BenchError
+from bench.base.from_toml import Tree, as_tree, format_value, laid_over, read_toml
 
 SHIPPED = "shipped"
 """Base of a file that is laid over the configuration that comes with golfbench."""
 DEFAULTS = "defaults"
 """Base of a file that is laid over the defaults of the code."""
-VARIANTS = Path(__file__).with_name("configurations")
+VARIANTS = Path(__file__).parents[1] / "configurations"
 """Folder of the variants that come with golfbench; their names stand for their paths."""
 PRINT = "`golfbench check --defaults`"
 """The command that prints every key."""
@@ -26,7 +26,7 @@ PRINT = "`golfbench check --defaults`"
 
 def shipped_configuration() -> Path:
     """Return the path of the configuration that comes with golfbench."""
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     installed = package / "config.toml"
     return installed if installed.exists() else package.parent / "config.toml"
 

@@ -18,7 +18,7 @@ from math import pi
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
-from bench.errors import BenchError, did_you_mean
+from bench.base.errors import BenchError, did_you_mean
 from drivers.base.ranges import Above, AtLeast, AtMost, Range, short
 
 SUFFIXES: Mapping[str, Mapping[str, float]] = {"deg": {"rad": pi / 180}, "hz": {"Hz": 1.0, "rad/s": 2 * pi}}

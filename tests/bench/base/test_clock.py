@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.clock import LATE, LONGEST_SPIN, GridClock, absolute_sleep
+from bench.base.clock import LATE, LONGEST_SPIN, GridClock, absolute_sleep
 
 PERIOD = 1_000_000
 START = 5_000_000_123

@@ -19,8 +19,8 @@ from sys import float_info
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints
 
-from bench.errors import BenchError
-from bench.field_docs import field_docs
+from bench.base.errors import BenchError
+from bench.base.field_docs import field_docs
 from drivers.base.ranges import Count
 
 Schema = dict[str, Any]

@@ -7,9 +7,7 @@ from enum import IntEnum
 import numpy as np
 import pytest
 
-from bench.control.envelope import PHASES
-from bench.control.records import CONTROL_PARAMETERS
-from bench.lifecycle import (
+from bench.base.lifecycle import (
     ACCEPTED_IN,
     CAUSE_TEXT,
     DISOBEYED,
@@ -33,6 +31,8 @@ from bench.lifecycle import (
     reaction_table,
     transition_table,
 )
+from bench.control.envelope import PHASES
+from bench.control.records import CONTROL_PARAMETERS
 
 SLOW = {Phase.HOMING, Phase.HOLD, Phase.BACKSWING, Phase.TOP, Phase.RETURN}
 BLOW = {Phase.IMPACT, Phase.FOLLOW_THROUGH}

@@ -9,11 +9,11 @@ import threading
 
 import pytest
 
-from bench.interrupt import Terminated, deferred_interrupt
+from bench.base.interrupt import Terminated, deferred_interrupt
 
 _STRUCK_EVERYWHERE = """
 import signal, sys
-from bench.interrupt import stop_on_signals
+from bench.base.interrupt import stop_on_signals
 
 def struck_at(step):  # SIGTERM before the step-th line of StopFlag.wait and of all it calls
     with stop_on_signals() as wish:

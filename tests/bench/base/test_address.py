@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.address import load_address
+from bench.base.address import load_address
+from bench.base.errors import BenchError
 from bench.config import VARIANTS, load_configuration
-from bench.errors import BenchError
 
 
 @pytest.mark.parametrize("name", ["shipped", *sorted(path.stem for path in VARIANTS.glob("*.toml"))])

@@ -13,9 +13,9 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from bench.configuration_files import PRINT, find_configuration, read_layers
-from bench.errors import BenchError
-from bench.from_toml import Builder, Mistake, errors_of, format_value
+from bench.base.configuration_files import PRINT, find_configuration, read_layers
+from bench.base.errors import BenchError
+from bench.base.from_toml import Builder, Mistake, errors_of, format_value
 
 if TYPE_CHECKING:
     from sqlalchemy import URL
