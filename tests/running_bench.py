@@ -21,8 +21,8 @@ from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient, CommandRefused
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import NoAnswer
-from bench.processes.ownership import bench_folder
-from bench.processes.plan import RING_FILE
+from bench.supervisor.ownership import bench_folder
+from bench.supervisor.plan import RING_FILE
 from bench.telemetry.ring import RingReader
 
 LONGEST_START = 300.0

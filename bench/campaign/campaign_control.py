@@ -10,9 +10,9 @@ from pathlib import Path
 
 from bench.base.errors import BenchError, Refused
 from bench.campaign.prompts import require_count
-from bench.processes.ownership import try_lock
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
+from bench.supervisor.ownership import try_lock
 
 SHORTEST_PREFIX = 4
 """Min number of characters of an abbreviated campaign id."""

@@ -21,7 +21,7 @@ from bench.campaign.block_model import as_split_plot, fully_randomised
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.shot_sequence import all_trials, is_mounted
 from bench.config import Configuration
-from bench.readiness import assess, felt_alike, mount
+from bench.supervisor.readiness import assess, felt_alike, mount
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.kinematics import head_motion

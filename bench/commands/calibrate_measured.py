@@ -305,7 +305,7 @@ def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]
     """Take the bench's place."""
     from bench.commissioning.inputs import by_person, turned_once
     from bench.commissioning.live_robot import Hands, live_robot
-    from bench.processes.ownership import take_bench
+    from bench.supervisor.ownership import take_bench
 
     if not at_terminal():
         action = "Run it in a terminal beside the machine."

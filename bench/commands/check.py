@@ -14,7 +14,7 @@ from bench.commands.session import Session
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.config.text import configuration_text
 from bench.design.static_checks import Check
-from bench.readiness import assess_bench
+from bench.supervisor.readiness import assess_bench
 
 
 def check_all(session: Session, name: str | None, console: Console) -> None:

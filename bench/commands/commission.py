@@ -256,7 +256,7 @@ def _live(
     from bench.commands.calibrate_measured import SIMULATED_PATIENCE
     from bench.commissioning.inputs import in_simulation
     from bench.commissioning.live_robot import Hands, live_robot
-    from bench.processes.ownership import take_bench
+    from bench.supervisor.ownership import take_bench
     from sim.live.contact_watch import ContactWatch
 
     def say(text: str) -> None:

@@ -28,7 +28,7 @@ from rich.console import Group
 from rich.text import Text
 
 from bench.commands.output import plain_table
-from bench.processes.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK
+from bench.supervisor.real_time import IDLE, MEMORY, PRIORITY, SCHEDULING, SLACK
 
 SCHEMA_VERSION = 1
 """Version of the JSON report; it changes when a field is renamed or changes its meaning."""

@@ -77,8 +77,8 @@ def launch_monitor(
     It measures the plant's balls with noise and faults, and sends them to the bench
     over Open Connect, as a real one does. The bench needs [launch_monitor] enabled = true.
     """
-    from bench.processes.ownership import bench_folder
     from bench.shot.recorded_shot import FlightConditions
+    from bench.supervisor.ownership import bench_folder
     from sim.launch_monitor import MonitorParameters
 
     c = context.ensure_object(Session).configuration()

@@ -80,9 +80,9 @@ def learn(
     from bench.design.requirements import require_planned_openings
     from bench.learning.learn import read_recorded
     from bench.learning.store import Conditions, keep, stored
-    from bench.readiness import assess_bench
     from bench.simulation.series import Bench
     from bench.store.database import open_database
+    from bench.supervisor.readiness import assess_bench
     from bench.swing.profile import save_profile
 
     elsewhere = {"--robot": robot, "--draw": draw, "--club": club}

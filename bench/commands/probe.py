@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bench.base.clock import GridClock
-from bench.processes.real_time import real_time
+from bench.supervisor.real_time import real_time
 
 PERIOD_NS = 1_000_000
 TICKS = 500

@@ -135,9 +135,9 @@ def _simulate(
 ) -> None:
 
     from bench.design.swing_result import outcome_record, outcome_table, write_outcome
-    from bench.readiness import assess_bench
     from bench.shot.recorded_shot import FlightConditions
     from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
+    from bench.supervisor.readiness import assess_bench
 
     ready = assess_bench(configuration, datetime.now(UTC), name, club=club)
     ready.require_possible()
@@ -176,7 +176,7 @@ def check(
     """
     from bench.commands.profile_tables import check_record, check_table
     from bench.design.stop_verification import SwingCheck, summarise
-    from bench.readiness import assess_bench
+    from bench.supervisor.readiness import assess_bench
 
     configuration = context.ensure_object(Session).configuration()
     ready = assess_bench(configuration, datetime.now(UTC), profile, club=club)
@@ -492,8 +492,8 @@ def limits(
     """
     from bench.control.model_limits import save_limits
     from bench.design.model_limits import make_limits
-    from bench.readiness import assess_bench
     from bench.simulation.series import Bench
+    from bench.supervisor.readiness import assess_bench
     from bench.swing.library import PROFILES
 
     c = context.ensure_object(Session).configuration()

@@ -39,7 +39,7 @@ def run(
     It starts in ESTOP. Continue in another terminal: golfbench lease take, reset, home, arm, swing.
     """
     from bench.config import contradictions, unheard_phases
-    from bench.daemon import Daemon
+    from bench.supervisor.daemon import Daemon
 
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
     logging.getLogger("numexpr").setLevel(logging.WARNING)  # python-can loads it with the extra `export`

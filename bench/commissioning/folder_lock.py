@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench.base.errors import Refused
-from bench.processes.ownership import try_lock
+from bench.supervisor.ownership import try_lock
 
 _FILE = "process"
 

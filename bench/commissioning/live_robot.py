@@ -26,10 +26,10 @@ from bench.commissioning.machine_server import (
 )
 from bench.commissioning.steps import Mark
 from bench.config import Configuration
-from bench.processes.child import Child
-from bench.processes.ownership import Ownership
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, SeriesSwing
+from bench.supervisor.child import Child
+from bench.supervisor.ownership import Ownership
 from bench.swing.profile import Profile
 from drivers.base import Command, Readings
 

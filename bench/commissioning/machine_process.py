@@ -25,10 +25,10 @@ from bench.base.clock import GridClock, PacedClock
 from bench.base.errors import BenchError, Refused
 from bench.commissioning.machine_server import MachineServer, Order
 from bench.config import Configuration
-from bench.processes.child_process import Parent, read_plan, send_event, send_failure
-from bench.processes.loop_process import configured_driver
-from bench.processes.ownership import adopt
-from bench.processes.real_time import real_time
+from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure
+from bench.supervisor.loop_process import configured_driver
+from bench.supervisor.ownership import adopt
+from bench.supervisor.real_time import real_time
 from drivers.base import DriverError
 from drivers.base.shared_record import SharedMemoryError
 from drivers.canopen.frames import MAX_LOAD, bus_load

@@ -28,10 +28,10 @@ from bench.control.settings import (
 )
 from bench.learning.live import swung_cycles
 from bench.loop import Cycle, Cycles, Loop
-from bench.processes.status import cause_text, refusal_words, stall_note
 from bench.simulation.loads import Loads
 from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, not_returned
 from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, SwingOperator, joined
+from bench.supervisor.status import cause_text, refusal_words, stall_note
 from bench.swing.profile import Profile
 from drivers.base import Command, Driver, DriverError, Readings
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.processes.child_process import HEARTBEAT
-from bench.processes.correction import CORRECTED, pack_correction
-from bench.processes.recorder import RecorderPlan
+from bench.supervisor.child_process import HEARTBEAT
+from bench.supervisor.correction import CORRECTED, pack_correction
+from bench.supervisor.recorder import RecorderPlan
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -29,7 +29,7 @@ Cycles = np.ndarray[Any, Any]
 HURRY = 10.0
 """s that anything may take on a busy machine."""
 
-RECORDER = ("-m", "bench.processes.recorder")
+RECORDER = ("-m", "bench.supervisor.recorder")
 
 
 class RecordedBench:

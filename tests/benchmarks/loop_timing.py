@@ -31,12 +31,12 @@ from rich.table import Table
 from bench.base.lifecycle import Request, State
 from bench.commands.progress import progress_bar
 from bench.config import Configuration, load_configuration
-from bench.processes.child import Child
-from bench.processes.loop_link import LoopLink
-from bench.processes.ownership import take_bench
-from bench.processes.plan import TIMING_FILE, LoopPlan
-from bench.processes.real_time import PRIORITY
-from bench.processes.timing_record import SEGMENTS, TIMING, TimingReader, percentile, summary
+from bench.supervisor.child import Child
+from bench.supervisor.loop_link import LoopLink
+from bench.supervisor.ownership import take_bench
+from bench.supervisor.plan import TIMING_FILE, LoopPlan
+from bench.supervisor.real_time import PRIORITY
+from bench.supervisor.timing_record import SEGMENTS, TIMING, TimingReader, percentile, summary
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -198,7 +198,7 @@ def running_loop(configuration: Configuration) -> Iterator[RunningLoop]:
         profile = load_profile(find_profile(c.swing.profile))
         loop = Child.start(
             "loop",
-            "bench.processes.loop_process",
+            "bench.supervisor.loop_process",
             LoopPlan(c, profile, basis_of(profile), owner.folder, owner.descriptor),
             pass_fds=(owner.descriptor,),
         )

@@ -34,8 +34,8 @@ from bench.base.lifecycle import Cause, State
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.network.lease import LONGEST
-from bench.processes.child_process import HEARTBEAT
-from bench.processes.plan import RING_FILE
+from bench.supervisor.child_process import HEARTBEAT
+from bench.supervisor.plan import RING_FILE
 from bench.telemetry.recorder import read_swing
 from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedRecord

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from bench.processes.ownership import bench_folder
+from bench.supervisor.ownership import bench_folder
 from tests.systemd.container import Container, wait_until
 from tests.systemd.root import PROJECT, build_root
 
@@ -171,7 +171,7 @@ def test_the_watchdog_kills_a_frozen_supervisor_alone(service: Service) -> None:
     assert service.kill("STOP", "supervisor") == 1
     journal = service.journal()
     assert "Watchdog timeout" in journal
-    assert "bench/daemon.py" in journal  # the traceback of what it was doing
+    assert "bench/supervisor/daemon.py" in journal  # the traceback of what it was doing
     assert f"Killing process {pids['loop']} (python) with signal SIGKILL" not in journal
     status = service.status()
     assert (status["state"], status["cause"]["name"]) == ("ESTOP", "RESTART")

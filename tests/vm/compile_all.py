@@ -9,8 +9,8 @@ from bench.base.lifecycle import State
 from bench.config import load_configuration
 from bench.control.settings import build_controller
 from bench.loop import Cycle
-from bench.processes.tick_timing import TickTiming, new_timing
 from bench.shot.recorded_shot import FlightConditions, warm_up_shots
+from bench.supervisor.tick_timing import TickTiming, new_timing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.ring import RingWriter

@@ -27,11 +27,11 @@ from bench.calibration.calibration import (
 )
 from bench.config import Configuration, database_url, load_configuration
 from bench.network.client import BenchClient, CommandRefused
-from bench.processes.ownership import bench_folder
-from bench.processes.plan import RING_FILE, TIMING_FILE
-from bench.processes.timing_record import TimingReader
 from bench.simulation.loads import pressure_shares, stop_shares
 from bench.store.database import open_database
+from bench.supervisor.ownership import bench_folder
+from bench.supervisor.plan import RING_FILE, TIMING_FILE
+from bench.supervisor.timing_record import TimingReader
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
 from bench.telemetry.ring import RingReader

@@ -19,8 +19,8 @@ from pathlib import Path
 
 from bench.base.errors import BenchError, ExitCode
 from bench.config import Configuration
-from bench.daemon import Daemon
-from bench.processes.child_process import Parent, read_plan, send_event, send_failure
+from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure
+from bench.supervisor.daemon import Daemon
 from drivers.base import DriverError
 
 _LOOK = 0.5

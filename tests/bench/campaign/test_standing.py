@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from bench.campaign.campaign_control import standing_now
-from bench.processes.ownership import try_lock
 from bench.store.records import CampaignState, Standing
+from bench.supervisor.ownership import try_lock
 
 NAME = "2026-11-26-two-balls-1"
 

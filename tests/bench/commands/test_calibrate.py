@@ -16,7 +16,7 @@ import pytest
 from bench.base.errors import ExitCode, Refused
 from bench.calibration.valve_centre import standing_counts
 from bench.cli import main
-from bench.processes.ownership import bench_folder
+from bench.supervisor.ownership import bench_folder
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import NoRing, RingWriter
 from bench.telemetry.zero_shift import write_shifts

@@ -38,8 +38,8 @@ from bench.commissioning.machine_server import (
 from bench.commissioning.rising_swings import bench_of
 from bench.commissioning.robot_swings import slowed
 from bench.config import Configuration
-from bench.processes.ownership import take_bench
 from bench.simulation.swing_operator import SwingOperator
+from bench.supervisor.ownership import take_bench
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from drivers.base import INVALID, PASSIVE, Command

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Phase, Reaction, Request, State
-from bench.processes.supervision import SUPERVISION, SUPERVISION_FILE, Orders
+from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
 from drivers.base.shared_record import SharedRecord
 from tests.bench.control.operating import on_the_way, reach

@@ -6,7 +6,7 @@ import pytest
 
 from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus
 from bench.network.status_words import absent_monitor_text, launch_monitor_text
-from bench.processes.status import NO_LAUNCH_MONITOR
+from bench.supervisor.status import NO_LAUNCH_MONITOR
 
 
 def link(**changes: Any) -> LaunchMonitorStatus:

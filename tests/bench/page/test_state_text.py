@@ -19,7 +19,7 @@ from bench.network.status_words import (
     VENTING_WORDS,
 )
 from bench.page.bench_link import accepted_commands, state_view
-from bench.processes.status import NO_LAUNCH_MONITOR
+from bench.supervisor.status import NO_LAUNCH_MONITOR
 from tests.bench.fake_bench_service import FakeDesk
 
 

@@ -14,7 +14,7 @@ import can
 import numpy as np
 import pytest
 
-from bench.processes.child import Child
+from bench.supervisor.child import Child
 from drivers.base import PASSIVE, Command, DriverError
 from drivers.base.records import unpack_command
 from drivers.base.shared_record import SharedRecord

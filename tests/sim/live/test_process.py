@@ -21,7 +21,7 @@ import pytest
 import bench.swing
 from bench.control.settings import build_controller
 from bench.loop import Cycle, CycleArray
-from bench.processes.child import Child, NotStarted
+from bench.supervisor.child import Child, NotStarted
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE, Command, DriverError

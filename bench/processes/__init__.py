@@ -1,1 +1,0 @@
-"""The processes of a running bench, their shared files and their supervision."""

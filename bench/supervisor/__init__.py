@@ -1,0 +1,1 @@
+"""The supervisor of a running bench: its processes, their shared files, the assessment before motion."""

@@ -1,0 +1,412 @@
+"""The recorder: reads the ring and writes one Parquet file a swing. `python -m bench.supervisor.recorder`.
+
+Plan: a pickled RecorderPlan on stdin. Output on stdout, one JSON line each:
+
+`ready`      the ring is open and the folder is writable
+`stored`     `path`, `kind`, `number`, `lost_records`, `complete`, `replayable`, `shot_id`, `cause`,
+             `warnings`: what drifts from swing to swing, see `bench.shot.swing_drift`;
+             `tick`: at which the swing began; `shot`: its row of the shot table if the plan asks for it
+`trouble`    `text`, `waiting`: records cannot be stored; they wait in memory and are retried
+`relieved`   records can be stored again
+`dropped`    `count`: records lost so far because memory was full
+`failed`     `place`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
+`ended`      `waiting`: records that could not be stored
+
+It ends on SIGTERM or when its supervisor is gone, after the current swing. Exit codes: 0; DEVICE, the ring or
+another shared file is unusable; FILE, records were lost.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.base.errors import BenchError, ExitCode
+from bench.base.lifecycle import Cause, State
+from bench.shot.ball_struck import ball_struck
+from bench.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
+from bench.shot.swing_drift import DriftWatch, strike_seen
+from bench.supervisor.child_process import (
+    Condition,
+    HeartbeatSender,
+    Parent,
+    read_plan,
+    send_event,
+    send_failure,
+)
+from bench.supervisor.correction import CORRECTED, weights_of
+from bench.supervisor.timing_record import TimingReader, summary
+from bench.swing.correction import Basis
+from bench.swing.profile import Profile
+from bench.telemetry.record_queue import (
+    QueuedRecord,
+    RecordQueue,
+    folder_trouble,
+    record_path,
+    remove_partial,
+)
+from bench.telemetry.ring import RingReader
+from bench.telemetry.swing_cutter import Cut, Cycles, SwingCutter
+from bench.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry, since, swing_metadata
+from drivers.base.shared_record import SharedMemoryError, SharedRecord
+from sim.plant import PlantParameters
+
+POLL = 0.01
+"""Polling period of the ring, s."""
+_PAUSE = 1.0
+"""Time between two attempts to store a record, s."""
+_CHECK_PERIOD = 2.0
+"""Period of the folder checks, s."""
+_SNAPSHOTS = 16
+"""Number of newest snapshots kept: one per request to move, and records are minutes apart."""
+
+
+@dataclass(frozen=True)
+class RecorderPlan:
+    """Parameters of the recorder."""
+
+    bench: str
+    data_dir: Path
+    ring: Path
+    snapshot: Path
+    """File of the `snapshot_dtype` record."""
+    heartbeat: Path
+    """File of the HEARTBEAT record."""
+    snapshot_dtype: np.dtype[Any]
+    """`bench.telemetry.snapshot.SNAPSHOT`, passed so that the recorder need not import the controller."""
+    corrected: Path
+    """File of the CORRECTED record."""
+    profile: Profile
+    basis: Basis
+    """Basis of its corrections; passed, as computing it imports all of scipy's interpolation."""
+    run: str
+    """Id of the bench's run, the prefix of shot ids."""
+    configuration: Mapping[str, Any]
+    versions: Mapping[str, Any]
+    real_time: Mapping[str, Any] = field(default_factory=dict)
+    """Real-time settings requested by the loop and granted."""
+    calibrations: Mapping[str, Any] = field(default_factory=dict)
+    timing: Path | None = None
+    """File of the loop's TIMING record; None: records go without it."""
+    wall: bool = True
+    """Whether loop time is CLOCK_MONOTONIC; otherwise virtual."""
+    lead: float = 0.5
+    tail: float = 0.5
+    """Lead before and tail after each record, s."""
+    plant: PlantParameters | None = None
+    """Plant whose club and ball the shots of stored swings are computed with; None: they are not."""
+    around: FlightConditions = field(default_factory=FlightConditions)
+    """Air, wind and turf of their flights."""
+    room: int = 65536
+    """Max cycles of the current record in memory, 0.7 kB each."""
+    waiting: int = 8
+    """Max records waiting in memory for the disk."""
+    least_free: int = 64 << 20
+    """Min free disk space (bytes) for arming."""
+    silence: float = 1.0
+    """Time without a cycle after which the current record ends, s."""
+    patience: float = 10.0
+    """Time for which an end waits for the current swing, s."""
+
+
+class Recorder:
+    """One run of the recorder; call `turn` once per polling period."""
+
+    def __init__(self, plan: RecorderPlan, now: float) -> None:
+        """Open the shared files, at `now` (s, CLOCK_MONOTONIC).
+
+        Raises:
+            BenchError, SharedMemoryError: the ring or another shared file is unusable, or the plan's metadata
+                cannot be written as JSON.
+        """
+        self._plan = plan
+        self._entries = RunMetadata(
+            plan.bench,
+            plan.run,
+            plan.profile,
+            plan.configuration,
+            plan.versions,
+            plan.real_time,
+            plan.calibrations,
+        ).entries()
+        self._basis = plan.basis
+        self._heartbeat = HeartbeatSender(plan.heartbeat)
+        self._ring = RingReader(plan.ring, from_oldest=True)
+        self._snapshot = SharedRecord.open(plan.snapshot, plan.snapshot_dtype)
+        self._snapshots: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
+        self._corrected = SharedRecord.open(plan.corrected, CORRECTED)
+        self._corrections: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
+        self._cutter = SwingCutter(lead=plan.lead, tail=plan.tail, room=plan.room)
+        self._queue = RecordQueue(plan.waiting, _PAUSE)
+        self._timing = None if plan.timing is None else TimingReader(plan.timing)
+        self._timed = None if self._timing is None else self._timing.snapshot()
+        self._drift = DriftWatch()
+        self._swings = plan.data_dir / "swings" / plan.bench
+        remove_partial(self._swings)
+        self._number = int(self._heartbeat.last["done"][0])
+        self._from = 0
+        """Tick after which records begin; earlier ones were stored by a previous recorder."""
+        self._resume()
+        self._tick = self._from
+        self._lost, self._past_lost = 0, 0
+        self._started = False
+        self._utc_less_loop = 0.0
+        self._last_cycle_at = self._next_check = now
+        self._folder_trouble = ""
+        self._trouble_reported, self._reported_dropped = False, 0
+
+    def _resume(self) -> None:
+        """Continue where a previous recorder of this ring ended."""
+        last, newest = self._heartbeat.last[0], self._ring.newest()
+        if newest is None or last["tick"] > newest["tick"][0]:
+            return
+        self._from = int(last["resume"])
+        # It may have been killed after renaming the file and before its next heartbeat.
+        number = int(last["storing"])
+        began = datetime.fromtimestamp(float(last["storing_began"]), UTC)
+        if number > self._number and record_path(self._swings, began, number).exists():
+            self._number = number
+            self._from = max(self._from, int(last["storing_tick"]))
+
+    @property
+    def moving(self) -> bool:
+        """Whether the robot moves or the tail of its record is incomplete."""
+        return self._cutter.moving
+
+    @property
+    def worth_waiting(self) -> bool:
+        """Whether a swing or a stop is in progress."""
+        return self._cutter.worth_waiting
+
+    def turn(self, now: float, utc: float, *, ending: bool = False) -> bool:
+        """Read, cut, store and report, at `now` (s, CLOCK_MONOTONIC) and `utc` (s).
+
+        Returns whether there were new cycles. With `ending`, records are retried at once and the heartbeat
+        reports ENDING.
+        """
+        newest = self._ring.newest()  # is of now; what waits to be read may be seconds old
+        self._note_snapshot()
+        cycles = self._read()
+        if len(cycles):
+            self._tick, self._last_cycle_at = int(cycles["tick"][-1]), now
+            paced = None if self._plan.wall else newest
+            self._utc_less_loop = utc - (now if paced is None else float(paced["time"][0]))
+        lost, self._lost = self._ring.lost - self._past_lost - self._lost, self._ring.lost - self._past_lost
+        for cut in self._cutter.take(cycles, lost):
+            self._keep(cut)
+        if self._cutter.moving and now - self._last_cycle_at > self._plan.silence:
+            self._finish("the loop fell silent", keep=True)
+        self._store(now, at_once=ending)
+        self._report(now, Condition.ENDING if ending else Condition.WORKING)
+        return len(cycles) > 0
+
+    def finish(self, why: str, now: float) -> int:
+        """End the current records, store what can be stored, return the number of lost records."""
+        self._finish(why, keep=False)
+        for _ in range(len(self._queue)):
+            self._store(now, at_once=True)
+        self._report(now, Condition.ENDING)
+        return len(self._queue) + self._queue.dropped
+
+    def close(self) -> None:
+        """Unmap the shared files."""
+        for shared in (self._heartbeat, self._ring, self._snapshot, self._corrected):
+            shared.close()
+        if self._timing is not None:
+            self._timing.close()
+
+    def _read(self) -> Cycles:
+        """Return the new cycles without those stored by a previous recorder."""
+        cycles = self._ring.read()
+        if not self._started and len(cycles):
+            # Reading from the oldest, the writer may overtake the first read: that is not a loss of this run.
+            self._started, self._past_lost = True, self._ring.lost
+        return cycles[np.searchsorted(cycles["tick"], self._from, side="right") :]
+
+    def _note_snapshot(self) -> None:
+        """Store the newest snapshot if new."""
+        found = np.zeros(1, self._plan.snapshot_dtype)
+        self._note_correction()
+        if self._snapshot.read(found) and all(s["tick"][0] != found["tick"][0] for s in self._snapshots):
+            self._snapshots.append(found)
+
+    def _note_correction(self) -> None:
+        """Store the active correction if it changed."""
+        found = np.zeros(1, CORRECTED)
+        self._corrected.read(found)
+        if not self._corrections or found["tick"][0] != self._corrections[-1]["tick"][0]:
+            self._corrections.append(found)
+
+    def _entries_of(self, cut: Cut) -> Mapping[str, Any]:
+        """Return the common entries of all records, with the corrected profile of `cut`."""
+        swung = cut.cycles["tick"][cut.cycles["state"] == State.SWINGING]
+        tick = int(swung[0] if len(swung) else cut.cycles["tick"][-1])
+        held = [c["order"] for c in self._corrections if c["tick"][0] <= tick]
+        if not held or not (weights := weights_of(held[-1])):
+            return self._entries
+        corrected = self._basis.corrected(self._plan.profile, weights)
+        beside = {"correction": {"number": int(held[-1]["number"][0]), "weights": weights}}
+        return {**self._entries, "profile": profile_entry(corrected) | beside}
+
+    def _finish(self, why: str, *, keep: bool) -> None:
+        for cut in self._cutter.finish(why, keep=keep):
+            self._keep(cut)
+
+    def _keep(self, cut: Cut) -> None:
+        """Queue `cut`."""
+        self._number += 1
+        begin = begin_of(cut.cycles)
+        began = datetime.fromtimestamp(float(cut.cycles["time"][0]) + self._utc_less_loop, UTC)
+        metadata = swing_metadata(
+            cut,
+            self._entries_of(cut),
+            number=self._number,
+            begin=begin,
+            time_utc=began,
+            snapshots=self._snapshots,
+        )
+        if cut.kind == "swing":
+            metadata["drift"] = self._drift_of(cut, metadata)
+        metadata["loop"] = self._loop_since_before()
+        path = record_path(self._swings, began, self._number)
+        self._queue.put(QueuedRecord(path, began, since(cut.cycles, begin), metadata))
+
+    def _loop_since_before(self) -> dict[str, Any] | None:
+        """Return the loop's counters since the record before; None without them."""
+        if self._timing is None:
+            return None
+        before, self._timed = self._timed, self._timing.snapshot()
+        counted = summary(self._timed, before)
+        return {
+            name: counted[name]
+            for name in ("ticks", "skipped", "late", "page_faults", "preemptions", "stalls")
+        }
+
+    def _drift_of(self, cut: Cut, metadata: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Return speed and place of the head at the ball against the swings before; None without a strike."""
+        plant = self._plan.configuration.get("plant")
+        encoders = plant.get("encoders") if isinstance(plant, Mapping) else None
+        counts = encoders.get("counts_per_revolution", 0) if isinstance(encoders, Mapping) else 0
+        if not counts or cut.lost or metadata["outcome"]["cause"] != Cause.NONE.name:
+            return None
+        seen = strike_seen(cut.cycles, int(counts), struck=ball_struck(cut.cycles))
+        if seen is None:
+            return None
+        return self._drift.take(seen, metadata["profile"]["data"]).as_json()
+
+    def _store(self, now: float, *, at_once: bool) -> None:
+        """Try to store the oldest waiting record."""
+        due = self._queue.due(now, at_once=at_once)
+        if due is None:
+            return
+        if due.path.parent == self._swings:
+            self._heartbeat.beat(
+                now,
+                Condition(int(self._heartbeat.last["condition"][0])),
+                storing=due.metadata["number"],
+                storing_began=due.began.timestamp(),
+                storing_tick=int(due.cycles["tick"][-1]),
+            )
+        stored = self._queue.store(now, at_once=at_once)
+        if stored is None:
+            return
+        facts = ("kind", "number", "lost_records", "complete", "replayable", "shot_id")
+        outcome = stored.metadata["outcome"]
+        send_event(
+            "stored",
+            path=str(stored.path),
+            cause=outcome["cause"],
+            warnings=(stored.metadata.get("drift") or {}).get("warnings", []),
+            tick=_begin(stored.cycles),
+            shot=self._shot_of(stored),
+            **{key: stored.metadata[key] for key in facts},
+        )
+
+    def _shot_of(self, stored: QueuedRecord) -> dict[str, Any] | None:
+        """Return a swing's row of the shot table; None of another record, or if the plan asks for none."""
+        if self._plan.plant is None or stored.metadata["kind"] != "swing":
+            return None
+        shot = shot_of_cycles(
+            stored.cycles,
+            self._plan.plant,
+            self._plan.around,
+            number=stored.metadata["number"],
+            time_utc=stored.began,
+        )
+        return shot_to_json(shot.shot)
+
+    def _report(self, now: float, condition: Condition) -> None:
+        """Send a heartbeat and report changes to the parent."""
+        if now >= self._next_check:
+            self._next_check = now + _CHECK_PERIOD
+            self._folder_trouble = folder_trouble(self._swings, self._plan.least_free)
+        trouble = self._queue.trouble or self._folder_trouble
+        if trouble and not self._trouble_reported:
+            send_event("trouble", text=trouble, waiting=len(self._queue))
+        elif self._trouble_reported and not trouble:
+            send_event("relieved")
+        self._trouble_reported = bool(trouble)
+        if self._queue.dropped > self._reported_dropped:
+            self._reported_dropped = self._queue.dropped
+            send_event("dropped", count=self._reported_dropped)
+        if trouble and condition is Condition.WORKING:
+            condition = Condition.TROUBLE
+        idle = not self._cutter.moving and not len(self._queue)
+        owed = [after for after in (self._queue.owed_after, self._cutter.owed_after) if after is not None]
+        resume = max(self._from, min(owed))
+        self._heartbeat.beat(
+            now,
+            condition,
+            lost=self._lost,
+            done=self._number - len(self._queue),
+            waiting=len(self._queue),
+            tick=self._tick if idle else resume,
+            resume=resume,
+        )
+
+
+def _begin(cycles: Cycles) -> int | None:
+    """Return the tick at which the swing in `cycles` began; None without one."""
+    swung = cycles["tick"][cycles["state"] == State.SWINGING]
+    return int(swung[0]) if len(swung) else None
+
+
+def main() -> int:
+    """Record until stopped by the supervisor or orphaned."""
+    parent = Parent()
+    try:
+        plan: RecorderPlan = read_plan()
+        if plan.plant is not None:
+            warm_up_shots(plan.plant, plan.around)  # the first time it compiles
+        recorder = Recorder(plan, time.monotonic())
+    except (BenchError, SharedMemoryError) as error:
+        return send_failure(error)
+    parent.listen()
+    send_event("ready")
+    last = None
+    while True:
+        now, ending = time.monotonic(), parent.stop_requested or parent.gone
+        if recorder.turn(now, time.time(), ending=ending):
+            continue
+        if ending:
+            last = last or now + plan.patience
+            # A loop whose supervisor is gone stops the robot by itself; that is worth a record.
+            if now > last or not (recorder.moving if parent.gone else recorder.worth_waiting):
+                break
+        time.sleep(POLL)
+    lost = recorder.finish("the recorder was ended", time.monotonic())
+    recorder.close()
+    send_event("ended", waiting=lost)
+    return ExitCode.FILE if lost else ExitCode.OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

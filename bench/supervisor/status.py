@@ -1,0 +1,220 @@
+"""Status of a bench for `golfbench status`, and stalls of the machine behind a stop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from typing import Any, cast
+
+import numpy as np
+
+from bench.base.lifecycle import (
+    CAUSE_TEXT,
+    CAUSE_WORDS,
+    REFUSAL_WORDS,
+    Cause,
+    Phase,
+    Reaction,
+    Refusal,
+    Request,
+    State,
+    Words,
+    in_one,
+)
+from bench.control.air_watch import FAULTS
+from bench.network.bench_service import (
+    STATUS_VERSION,
+    BenchStatus,
+    CauseStatus,
+    LaunchMonitorStatus,
+    LoopStatus,
+    ProcessStatus,
+)
+from bench.supervisor.child import Child
+from bench.telemetry.cycle_record import CYCLE
+
+_ENCODERS = (Cause.SHOULDER_ENCODER, Cause.ARM_ENCODER, Cause.WRIST_ENCODER)
+BEFORE = 20
+"""Records before the stop in which a stall of the loop explains it: one that begins there ends there."""
+
+
+def stall_note(
+    cycles: np.ndarray[Any, Any], cause: Cause, lost_time: float, period: float, trouble: str = ""
+) -> str:
+    """Return what explains a stop with `cause` better than a broken encoder; empty if nothing does.
+
+    `trouble` is why the device does not follow commands, if that is known.
+
+    `cycles` (n,) of CYCLE end with the record in which the stop begins. Without a reading for `lost_time` (s)
+    an encoder is lost; the loop's `period` is in s. A loop that stands still misses the readings of all
+    three, and so does one whose simulated robot or bus does: a cable or its plug loses one.
+    """
+    if cause is Cause.DEVICE_PASSIVE:
+        return trouble
+    if cause not in _ENCODERS:
+        return ""
+    last = cycles[-BEFORE:]
+    missing = bool(np.all((last["encoder_valid"][-1] == 0) | (last["encoder_age"][-1] >= lost_time)))
+    gap = float(last["measured_step"].max())
+    if gap - period >= lost_time / 2:
+        return (
+            f"the loop stood still for {1e3 * gap:.1f} ms just before, a stall of this machine: run "
+            "golfbench doctor; a simulated robot waits for the loop with golfbench run --time paced"
+        )
+    if trouble:
+        return trouble
+    if missing:
+        return (
+            "all three encoders were lost at once: check their bus and supply; with a simulated robot its "
+            "process stood still, a stall of this machine: golfbench run --time paced waits for it"
+        )
+    return ""
+
+
+def supervisor_note(cause: Cause, gap: float, silence: float) -> str:
+    """Return what explains a stop with `cause` after a supervisor's pause of `gap` s; empty if none.
+
+    The loop stops after `silence` (s) without a heartbeat. A supervisor that goes on afterwards was not
+    broken: the machine did not run it.
+    """
+    if cause is not Cause.SUPERVISOR or gap < silence / 2:
+        return ""
+    return (
+        f"the supervisor stood still for {gap:.1f} s, a stall of this machine: run golfbench doctor, and end "
+        "what else keeps its processors busy"
+    )
+
+
+Cycles = np.ndarray[Any, Any]
+
+NO_STATISTICS = LoopStatus(
+    rate_hz=0.0,
+    skipped=0,
+    late=0,
+    page_faults=0,
+    preemptions=0,
+    stalls={},
+    wake_p50_s=0.0,
+    wake_p99_s=0.0,
+    tick_p99_s=0.0,
+)
+"""Loop status in the first second of the loop, and on a virtual clock."""
+
+NO_LAUNCH_MONITOR = LaunchMonitorStatus(
+    listening="",
+    presence="connected",
+    present=False,
+    seen_s=None,
+    monitors=[],
+    note="",
+    outcomes={},
+    settled_s=0.0,
+    refused=0,
+    refusal="",
+    simulator=None,
+)
+"""Status before the first report of the launch monitor process."""
+
+
+def status_of(
+    newest: Cycles | None,
+    children: Mapping[str, Child],
+    notes: Mapping[str, str],
+    stall: str = "",
+    disarmed: Cause = Cause.NONE,
+    **beside: Any,
+) -> BenchStatus:
+    """Return the status from the loop's `newest` record (None if it has not run yet).
+
+    `notes` are remarks on the `children`; `stall` is what `stall_note` found at the stop; `disarmed` is why
+    the robot was disarmed since it last moved; `beside` are the keys of the status not in the record.
+    The command plane adds lease and counts.
+    """
+    r = np.zeros(1, CYCLE)[0] if newest is None else newest[0]
+    cause, latest = Cause(int(r["trip"])), Cause(int(r["latest_cause"]))
+    status: dict[str, Any] = {
+        "version": STATUS_VERSION,
+        "state": State(int(r["state"])).name,
+        "phase": Phase(int(r["phase"])).name,
+        "reaction": Reaction(int(r["reaction"])).name,
+        "cause": _cause(cause or disarmed, stall),
+        "latest_cause": _cause(latest) if latest != cause else None,
+        "homed": bool(r["homed"]),
+        "vented": bool(r["vented"]),
+        "tick": int(r["tick"]),
+        "time": float(r["time"]),
+        "lease": None,
+        "joints_deg": [_number(x) for x in np.rad2deg(r["angle"])],
+        "supply_pressure_pa": _number(r["supply_pressure"]),
+        "chamber_pressure_pa": [_number(x) for x in r["chamber_pressure"]],
+        "air_faults": [CAUSE_TEXT[fault] for fault in _air_faults(int(r["air_fault"]))],
+        "vents_open": [_position(x) for x in r["vent_open"]],
+        "shut_off_open": _position(r["shut_off_open"]),
+        "emergency_stop_clear": bool(r["emergency_stop_clear"]),
+        "guard_closed": bool(r["guard_closed"]),
+        "guard_locked": bool(r["guard_locked"]),
+        "ball_present": bool(r["ball_present"]),
+        "processes": {
+            name: ProcessStatus(pid=child.pid, alive=child.alive, note=child.ending or notes.get(name, ""))
+            for name, child in children.items()
+        },
+        "counts": {"commands": 0, "refused": 0, "malformed": 0, "dropped": 0},
+        **beside,
+    }
+    return cast(BenchStatus, status)
+
+
+def cause_text(cause: Cause, stall: str) -> str:
+    """Return the operator's text for `cause`; with a stall in place of its action, if there was one."""
+    return in_one(_words(cause, stall))
+
+
+def disarmed_for(cycle: Any, before: State, *, series: bool) -> Cause:
+    """Return why the robot was disarmed in the record `cycle`, which follows one in state `before`.
+
+    NONE without a disarming, after one that was asked for or came of a stop, and after a swing that is to
+    vent: with `series` the robot holds its address for the next one.
+    """
+    state, stops = State(int(cycle["state"])), cycle["trip"] != Cause.NONE
+    ends = state in (State.READY, State.SAFE)
+    held = before in (State.ARMED, State.HOMING)
+    on_the_way = before is State.ARMED and state is State.RECOVERING
+    after_swing = before is State.RECOVERING and ends and series
+    if stops or cycle["request"] == Request.DISARM or not ((held and ends) or on_the_way or after_swing):
+        return Cause.NONE
+    if not cycle["lease_held"]:
+        return Cause.LEASE
+    if not cycle["support_ready"]:
+        return Cause.SUPPORT
+    return Cause.ARMED_TIME if before is State.ARMED else Cause.NONE
+
+
+def _words(cause: Cause, stall: str) -> Words:
+    fact, action = CAUSE_WORDS[cause]
+    return fact, stall or action
+
+
+def refusal_words(refusal: Refusal, trouble: str) -> Words:
+    """Return the operator's words for `refusal`; the device's `trouble`, if known, in place of its action."""
+    fact, action = REFUSAL_WORDS[refusal]
+    return fact, trouble if trouble and refusal in (Refusal.READINGS, Refusal.DEVICE) else action
+
+
+def _cause(cause: Cause, stall: str = "") -> CauseStatus | None:
+    fact, action = _words(cause, stall)
+    return CauseStatus(name=cause.name, text=fact, action=action) if cause else None
+
+
+def _position(seen: float) -> bool | None:
+    """Return whether a valve is seen open; None without feedback."""
+    return bool(seen) if isfinite(seen) else None
+
+
+def _air_faults(bits: int) -> list[Cause]:
+    """Return the causes in `bits`, as `bench.control.air_watch.air_fault` has them."""
+    return [fault for k, fault in enumerate(FAULTS) if bits >> k & 1]
+
+
+def _number(value: float) -> float | None:
+    """Return `value` for JSON, None if it is not finite."""
+    return float(value) if isfinite(value) else None

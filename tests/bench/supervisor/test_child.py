@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import os
+import select
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from bench.base.errors import ExitCode
+from bench.supervisor.child import Child, NotStarted
+from bench.supervisor.child_process import FOR_PARENT
+
+pytestmark = pytest.mark.live
+
+TOLD = """
+import sys, time
+from bench.supervisor.child_process import read_plan, send_event
+plan = read_plan()
+"""
+
+Start = Callable[..., Child]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the child is sent; of a size that no pipe takes at once."""
+
+    data: bytes = bytes(1 << 20)
+
+
+@pytest.fixture
+def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
+    """Return a function that starts a child which runs `body` after it has read its plan."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    children: list[Child] = []
+
+    def start(body: str, plan: object = "plan", *, before: str = "") -> Child:
+        name = f"child_{len(children)}"
+        (tmp_path / f"{name}.py").write_text(before + TOLD + body)
+        children.append(Child.start("child", name, plan))
+        return children[-1]
+
+    yield start
+    for child in children:
+        child.kill()
+
+
+def test_it_gets_its_plan_and_tells_that_it_is_ready(start: Start) -> None:
+    child = start("send_event('ready', plan=plan); sys.stdin.read(); time.sleep(60)", {"rate": 1000})
+    assert child.wait_until_ready(30.0)["plan"] == {"rate": 1000}
+    assert child.alive
+    assert child.ending == ""
+    child.end(10.0)
+    assert child.ending == "was killed by SIGTERM"
+
+
+def test_starting_never_waits_for_a_child_that_is_slow_to_read(start: Start) -> None:
+    begin = time.monotonic()
+    child = start(
+        "send_event('ready', size=len(plan))", bytes(1 << 22), before="import time; time.sleep(3)\n"
+    )
+    assert time.monotonic() - begin < 2.0
+    assert child.wait_until_ready(30.0)["size"] == 1 << 22
+
+
+def test_lines_that_are_no_events_are_passed_over(start: Start) -> None:
+    body = "print('warning'); print('[1]'); print('{}', flush=True); "
+    body += "send_event('ready'); send_event('more', a=1)"
+    child = start(body)
+    child.wait_until_ready(30.0)
+    child.process.wait(30.0)
+    assert child.take_events() == [{"event": "more", "a": 1}]
+    assert child.take_events() == []
+
+
+def test_why_it_failed_is_told_with_its_own_exit_code(start: Start) -> None:
+    child = start("send_event('failed', place='p', found='f', expected='e', action='c', exit_code=2)")
+    with pytest.raises(NotStarted, match=r"p: found f, expected e. c") as caught:
+        child.wait_until_ready(30.0)
+    assert caught.value.exit_code is ExitCode(2)
+
+
+@pytest.mark.parametrize(
+    ("body", "ending"),
+    [("sys.exit(3)", "ended with exit code 3"), ("send_event('', a=1); 1 / 0", "exit code 1")],
+)
+def test_a_child_that_ends_instead_is_no_bench(start: Start, body: str, ending: str) -> None:
+    with pytest.raises(NotStarted, match=ending):
+        start(body).wait_until_ready(30.0)
+
+
+def test_one_that_does_not_become_ready_is_not_waited_for_for_ever(start: Start) -> None:
+    with pytest.raises(NotStarted, match=r"not ready after 0\.3 s"):
+        start("time.sleep(60)").wait_until_ready(0.3)
+
+
+def test_wait_until_ready_of_a_child_that_compiles_begins_its_timeout_again(
+    start: Start, capsys: pytest.CaptureFixture[str]
+) -> None:
+    body = "for n in range(8): send_event('compiling', text=f'{n} functions'); time.sleep(0.5)\n"
+    start(body + "send_event('ready'); time.sleep(60)", before="# nothing\n").wait_until_ready(3.0)
+    assert "7 functions" in capsys.readouterr().err
+
+
+def test_a_stubborn_one_is_killed(start: Start) -> None:
+    child = start(
+        "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); send_event('ready'); time.sleep(60)"
+    )
+    child.wait_until_ready(30.0)
+    child.end(0.2)
+    assert child.ending == "was killed by SIGKILL"
+
+
+def test_a_stopped_child_counts_as_alive(start: Start) -> None:
+    child = start("send_event('ready'); time.sleep(60)")
+    child.wait_until_ready(30.0)
+    child.process.send_signal(signal.SIGSTOP)
+    assert child.alive
+    child.kill()
+    assert not child.alive
+
+
+def await_import(child: Child) -> None:
+    assert child.process.stdout is not None
+    assert select.select([child.process.stdout], [], [], 10.0)[0]
+
+
+def test_what_the_parent_gets_alike_does_not_end_a_child_that_still_imports(start: Start) -> None:
+    slow = "import os, time\nos.write(1, b'importing\\n')\ntime.sleep(0.5)\n"
+    listen = "from bench.supervisor.child_process import Parent\nParent().listen()\nsend_event('ready')\n"
+    child = start(listen + "time.sleep(60)", before=slow)
+    await_import(child)
+    for number in FOR_PARENT:
+        os.kill(child.pid, number)
+    child.wait_until_ready(30.0)
+    os.kill(child.pid, signal.SIGINT)
+    time.sleep(0.1)
+    assert child.alive
+
+
+def test_a_child_that_still_imports_ends_at_once_by_sigterm(start: Start) -> None:
+    child = start("", before="import os, time\nos.write(1, b'importing\\n')\ntime.sleep(60)\n")
+    await_import(child)
+    child.end(10.0)
+    assert child.ending == "was killed by SIGTERM"
+
+
+def test_the_starting_process_keeps_its_own_signals(start: Start) -> None:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    start("")
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before

@@ -1,0 +1,96 @@
+"""A correction on its way into the loop: taken at rest only, whole or not at all, and taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.supervisor.correction import (
+    CORRECTED,
+    CORRECTED_FILE,
+    CORRECTION,
+    CORRECTION_FILE,
+    CorrectionReader,
+    pack_correction,
+    weights_of,
+)
+from bench.swing.correction import basis_of
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from drivers.base.shared_record import SharedRecord
+
+PROFILE = load_profile(find_profile("default"))
+BASIS = basis_of(PROFILE)
+
+
+class Bench:
+    """The supervisor's side of the files."""
+
+    def __init__(self, folder: Path) -> None:
+        self.orders = SharedRecord.create(folder / CORRECTION_FILE, CORRECTION)
+        self.loop = CorrectionReader(folder, PROFILE, BASIS)
+        self._told = SharedRecord.open(folder / CORRECTED_FILE, CORRECTED)
+
+    def order(self, number: int, weights: list[float]) -> None:
+        self.orders.write(pack_correction(number, weights))
+
+    @property
+    def told(self) -> np.void:
+        told = np.zeros(1, CORRECTED)
+        self._told.read(told)
+        record: np.void = told[0]
+        return record
+
+    def close(self) -> None:
+        self._told.close()
+        self.loop.close()
+        self.orders.close()
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(tmp_path)
+    yield bench
+    bench.close()
+
+
+def test_what_is_ordered_is_swung_from_the_tick_it_was_taken_in(bench: Bench) -> None:
+    assert bench.loop.take(1, resting=True) is None
+    weights = np.random.default_rng(1).uniform(-1, 1, BASIS.size)
+    bench.order(1, weights.tolist())
+    taken = bench.loop.take(7, resting=True)
+    assert taken is not None
+    wanted = BASIS.correction(weights).applied_to(PROFILE)
+    for name in ("angle", "velocity", "valve"):
+        table = getattr(taken, name)
+        assert np.array_equal(table, getattr(wanted, name))
+        assert table.flags.c_contiguous  # the compiled controller takes no other
+    assert np.array_equal(taken.angle[0], PROFILE.angle[0])
+    assert (bench.told["asked"], bench.told["tick"]) == (1, 7)
+    assert weights_of(bench.told["order"]) == weights.tolist()
+    assert bench.loop.take(8, resting=True) is None
+
+
+def test_an_order_that_comes_in_a_swing_is_answered_and_forgotten(bench: Bench) -> None:
+    bench.order(1, [0.5] * BASIS.size)
+    assert bench.loop.take(3, resting=False) is None
+    assert bench.told["asked"] == 1
+    assert bench.told["order"]["number"] == 0
+    assert bench.loop.take(4, resting=True) is None
+
+
+def test_weights_for_another_profile_are_not_taken(bench: Bench) -> None:
+    bench.order(1, [0.5] * (BASIS.size - 1))
+    assert bench.loop.take(3, resting=True) is None
+    assert (bench.told["asked"], bench.told["order"]["number"]) == (1, 0)
+
+
+def test_no_weights_are_the_profile_as_designed(bench: Bench) -> None:
+    bench.order(1, [0.5] * BASIS.size)
+    bench.loop.take(3, resting=True)
+    bench.order(2, [])
+    assert bench.loop.take(4, resting=True) is PROFILE
+    assert (bench.told["tick"], bench.told["order"]["number"], bench.told["order"]["size"]) == (4, 2, 0)

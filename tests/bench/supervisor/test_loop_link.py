@@ -1,0 +1,107 @@
+"""The supervisor's requests to a loop, and what becomes of them when one of the two stands still."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.base.lifecycle import Answer, Refusal, Request, State
+from bench.control.records import CONTROL_STATE
+from bench.supervisor.correction import CORRECTED, CORRECTED_FILE
+from bench.supervisor.loop_link import LoopLink
+from bench.supervisor.plan import RING_FILE
+from bench.supervisor.supervision import SUPERVISION_FILE, Orders
+from bench.telemetry.cycle_record import CYCLE
+from bench.telemetry.ring import RingWriter
+from drivers.base.compiled import new_record
+from drivers.base.shared_record import SharedRecord
+
+
+class AnsweringLoop:
+    """A loop that accepts every request and notes it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.ring, self.orders = RingWriter(folder / RING_FILE, 64), Orders(folder / SUPERVISION_FILE, 1e9)
+        self.corrected = SharedRecord.create(folder / CORRECTED_FILE, CORRECTED)
+        self.control, self.cycle = new_record(CONTROL_STATE), new_record(CYCLE)
+        self.done: list[int] = []
+
+    def tick(self) -> None:
+        self.control["request"] = 0
+        self.orders.put(self.control, time.monotonic())
+        if self.control["request"][0]:
+            self.done.append(int(self.control["request"][0]))
+            self.cycle["answer"] = Answer.ACCEPTED
+            self.cycle["request_number"] = self.control["request_number"]
+        self.cycle["state"] = State.ARMED
+        self.ring(self.cycle)
+
+    def close(self) -> None:
+        self.ring.close()
+        self.orders.close()
+        self.corrected.close()
+
+
+@pytest.fixture
+def link(tmp_path: Path) -> Iterator[LoopLink]:
+    made = LoopLink(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def loop(link: LoopLink, tmp_path: Path) -> Iterator[AnsweringLoop]:
+    made = AnsweringLoop(tmp_path)
+    link.connect()
+    link.beat(lease=1, support_ready=True)
+    made.tick()
+    yield made
+    made.close()
+
+
+def test_a_request_that_was_refused_is_not_done_later(link: LoopLink, loop: AnsweringLoop) -> None:
+    reply = link.request(Request.SWING)  # the loop stands still
+    assert not reply.accepted
+    assert reply.refusal is Refusal.LOOP_SILENT
+    for _ in range(3):
+        loop.tick()
+    assert loop.done == []
+
+
+def test_the_next_request_is_answered(link: LoopLink, loop: AnsweringLoop) -> None:
+    link.request(Request.SWING)
+    over = threading.Event()
+
+    def run() -> None:
+        while not over.is_set():
+            loop.tick()
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        assert link.request(Request.ARM).accepted
+    finally:
+        over.set()
+        thread.join()
+    assert loop.done == [Request.ARM]
+
+
+def test_an_answer_counts_although_the_supervisor_stood_still(
+    link: LoopLink, loop: AnsweringLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+
+    def stand_still(_: float) -> None:
+        loop.tick()
+        now[0] += 10.0
+
+    monkeypatch.setattr("bench.supervisor.loop_link.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("bench.supervisor.loop_link.time.sleep", stand_still)
+    assert link.request(Request.SWING).accepted
+    assert np.array_equal(loop.done, [Request.SWING])

@@ -1,0 +1,85 @@
+"""Warm-up of the loop's process: ticks are measured until they keep to their share of the period."""
+
+from __future__ import annotations
+
+import mmap
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.base.errors import Refused
+from bench.supervisor.loop_process import WARM_UP, LoopProcess, ThreadUsage, UsageReader, stall_between
+from bench.supervisor.timing_record import STAMPS, Stall
+
+MS = 1_000_000
+BEFORE = ThreadUsage(page_faults=7, preemptions=3, waited=5 * MS)
+
+
+@pytest.mark.parametrize(
+    ("after", "work", "stall"),
+    [
+        (BEFORE._replace(waited=8 * MS), MS // 10, Stall.PREEMPTION),
+        (BEFORE._replace(waited=8 * MS, page_faults=9), MS // 10, Stall.PREEMPTION),
+        (BEFORE._replace(page_faults=8), MS // 10, Stall.PAGE_FAULT),
+        (BEFORE, 3 * MS, Stall.LONG_TICK),
+        (BEFORE, MS // 10, Stall.MACHINE),
+        (BEFORE._replace(preemptions=4), MS // 10, Stall.MACHINE),  # a short one does not explain 4 ms
+    ],
+)
+def test_a_late_tick_says_why(after: ThreadUsage, work: int, stall: Stall) -> None:
+    assert stall_between(BEFORE, after, 4 * MS, work, MS) is stall
+
+
+def test_without_times_of_the_kernel_a_preemption_explains() -> None:
+    before = ThreadUsage(page_faults=7, preemptions=3)
+    assert stall_between(before, before._replace(preemptions=4), 4 * MS, 0, MS) is Stall.PREEMPTION
+
+
+def test_page_faults_of_this_thread_are_counted() -> None:
+    with UsageReader() as reader, mmap.mmap(-1, 64 * mmap.PAGESIZE) as fresh:
+        before = reader.read()
+        for page in range(64):
+            fresh[page * mmap.PAGESIZE] = 1
+        time.sleep(0.001)
+        after = reader.read()
+    assert after.page_faults > before.page_faults
+    assert after.waited >= before.waited
+    reader.close()
+
+
+PERIOD_NS = 1_000_000
+
+
+def warming(busy: int) -> Any:
+    """Return a loop whose first `busy` ticks take 1.2 ms, the others 0.2 ms."""
+    loop: Any = object.__new__(LoopProcess)
+    marks = np.zeros(len(STAMPS), np.int64)
+    loop.cycle = SimpleNamespace(marks=marks, state=SimpleNamespace(control={"warm": False}))
+    loop.paced, loop._period_ns, loop.ticks = False, PERIOD_NS, 0
+
+    def tick(clock: object) -> float:
+        marks[:] = np.linspace(0, 1_200_000 if loop.ticks < busy else 200_000, len(marks))
+        loop.ticks += 1
+        return 0.0
+
+    loop._tick = tick
+    return loop
+
+
+def test_a_machine_that_is_busy_at_the_start_is_measured_again() -> None:
+    loop = warming(busy=3 * WARM_UP)
+    loop._warm_up(None)
+    assert loop.cycle.state.control["warm"]
+    assert loop.ticks == 4 * WARM_UP
+    assert loop.tick_ns == 200_000
+
+
+def test_ticks_that_are_always_too_long_are_refused() -> None:
+    loop = warming(busy=1_000_000)
+    with pytest.raises(Refused, match=r"loop\.rate"):
+        loop._warm_up(None)
+    assert not loop.cycle.state.control["warm"]
+    assert loop.ticks < 20 * WARM_UP

@@ -1,0 +1,106 @@
+"""What each process of a bench imports and holds: heavy packages by process, and memory when it is ready."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.running_bench import BenchProcess, running_bench, write_configuration
+
+TOP = Path(__file__).resolve().parents[3]
+MEBIBYTE = 1 << 20
+
+CALCULATES = frozenset({"llvmlite", "numba", "scipy"})
+ALLOWED = {
+    "bench.supervisor.daemon": CALCULATES | {"pyarrow", "sqlalchemy", "zenoh"},
+    "bench.supervisor.loop_process": CALCULATES,
+    "bench.supervisor.recorder": CALCULATES | {"pyarrow"},
+    "bench.supervisor.publisher": {"pyarrow", "zenoh"},
+    "bench.supervisor.launch_monitor": CALCULATES,
+    "sim.live.process": CALCULATES,
+}
+"""Modules of the processes with the heavy packages that each may import; numba imports the top of scipy.
+
+The recorder computes the shots: the supervisor's heartbeat must not wait for them."""
+HEAVY = frozenset(
+    {
+        *CALCULATES,
+        "PIL",
+        "asyncio",
+        "can",
+        "canopen",
+        "cryptography",
+        "dask",
+        "filterpy",
+        "jinja2",
+        "matplotlib",
+        "mcap",
+        "pandas",
+        "pyarrow",
+        "pydantic",
+        "rerun",
+        "rich",
+        "sqlalchemy",
+        "starlette",
+        "typer",
+        "zenoh",
+    }
+)
+SUPERVISOR_LOADS = {"asyncio"}
+"""By sqlalchemy."""
+
+MAX_LOCKED, MAX_BENCH = 200 * MEBIBYTE, 560 * MEBIBYTE
+"""Locked memory of the loop, and proportional memory of all processes, bytes."""
+
+
+@pytest.mark.parametrize("module", ALLOWED)
+def test_process_imports_only_its_heavy_packages(module: str) -> None:
+    code = f"import sys, {module}; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], cwd=TOP, capture_output=True, text=True, check=True
+    ).stdout.split()
+    found = {name.partition(".")[0] for name in loaded} & HEAVY
+    assert found <= ALLOWED[module] | (SUPERVISOR_LOADS if module == "bench.supervisor.daemon" else set())
+
+
+def _rollup(pid: int) -> dict[str, int]:
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    fields = (line.split() for line in lines if line.endswith(" kB"))
+    return {name.rstrip(":"): int(value) << 10 for name, value, _ in fields}
+
+
+def _libraries(pid: int) -> set[str]:
+    """Return the packages of site-packages whose libraries a process has mapped."""
+    mapped = {line.split()[-1] for line in Path(f"/proc/{pid}/maps").read_text().splitlines()}
+    return {path.split("site-packages/")[1].partition("/")[0] for path in mapped if "site-packages/" in path}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchProcess]:
+    """Yield a bench that was started when all code was compiled: who compiles holds more."""
+    file = write_configuration(tmp_path_factory.mktemp("memory"), "memory")
+    with running_bench(file):
+        pass
+    with running_bench(file) as bench:
+        yield bench
+
+
+@pytest.mark.live
+@pytest.mark.paced
+def test_running_processes_map_only_their_libraries(bench: BenchProcess) -> None:
+    assert not _libraries(bench.pid("recorder")) & {"zenoh"}
+    assert not _libraries(bench.pid("publisher")) & {"llvmlite", "numba", "pandas", "scipy"}
+    assert not _libraries(bench.pid("loop")) & {"pandas", "pyarrow", "zenoh"}
+
+
+@pytest.mark.live
+@pytest.mark.paced
+def test_bench_that_is_ready_fits_its_memory(bench: BenchProcess) -> None:
+    names = ("supervisor", *bench.client.status()["processes"])
+    held = {name: _rollup(bench.pid(name)) for name in names}
+    assert held["loop"]["Locked"] < MAX_LOCKED
+    assert sum(one["Pss"] for one in held.values()) < MAX_BENCH

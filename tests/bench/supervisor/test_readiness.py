@@ -1,0 +1,443 @@
+"""Readiness: what blocks arming, the same for every caller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from bench.base.errors import ExitCode
+from bench.base.lifecycle import Block, Refusal, Request, State
+from bench.calibration.archive import add_calibration
+from bench.calibration.calibration import (
+    BallPosition,
+    ClubInMount,
+    EncoderZeros,
+    SeenInputs,
+    Values,
+    ValveCentres,
+    wiring_digest,
+)
+from bench.cli import main
+from bench.commands.status_table import status_table
+from bench.config import Configuration, database_url, load_configuration
+from bench.network.bench_service import Reply
+from bench.network.client import CommandRefused
+from bench.network.command import CommandAnswer, Verb
+from bench.network.status_words import ARMING_BLOCKED
+from bench.page.bench_link import state_view
+from bench.store.database import open_database
+from bench.supervisor.daemon import Daemon
+from bench.supervisor.readiness import HALF_BLIND, assess_bench
+from tests.bench.fake_bench_service import FakeDesk
+
+NOW = datetime(2026, 11, 26, 12, 0, tzinfo=UTC)
+MISSED = BallPosition(0.15, -1.6, 5e-4)
+"""107.7 mm from the ball of the shipped swing."""
+MET = BallPosition(0.25, -1.56, 5e-4)
+
+MACHINE = (
+    '[driver]\nname = "daq"\n[homing]\nmethod = "index"\n[lifecycle]\nlocal_reset = true\n'
+    '[loop]\nrealtime = "require"\n'
+    '[daq]\nvent_proof = "pressure switches PS1 to PS6"\nshut_off_feedback = "port0/line7"\n'
+)
+UNWATCHED = '[envelope.model]\noff_reason = "trial of the valves, air at 1.3 bar"\n'
+
+Calibrate = Callable[..., None]
+
+
+@pytest.fixture
+def configuration(tmp_path: Path) -> Configuration:
+    c = load_configuration(Path("shipped"))
+    return replace(c, bench=replace(c.bench, data_dir=tmp_path / "data"))
+
+
+@pytest.fixture
+def calibrate(configuration: Configuration) -> Calibrate:
+    """Return a function that stores a calibration, taken `hours` after NOW and valid for `days`."""
+
+    def add(values: Values, hours: float = -1.0, days: float = 30.0) -> None:
+        date = NOW + timedelta(hours=hours)
+        settings = configuration.bench
+        with open_database(database_url(settings.database, settings.data_dir), date) as database:
+            add_calibration(
+                database,
+                settings.id,
+                values,
+                date=date,
+                expires=date + timedelta(days=days),
+                by="test",
+                method="rule",
+            )
+
+    return add
+
+
+def codes(configuration: Configuration, **options: Any) -> list[Block]:
+    """Return the codes of what blocks arming at NOW."""
+    return [block["code"] for block in assess_bench(configuration, NOW, running=True, **options).blocks(NOW)]
+
+
+def test_assess_shipped_bench_nothing_blocks(configuration: Configuration) -> None:
+    found = assess_bench(configuration, NOW, running=True)
+    assert (found.blocks(NOW), found.warnings) == ([], ())
+    assert found.limits.endswith("default.limits.toml")
+
+
+def test_assess_bench_without_chamber_sensors_warns_of_what_is_found_late(
+    configuration: Configuration,
+) -> None:
+    blind = replace(configuration, plant=replace(configuration.plant, pressure_sensors=False))
+    assert HALF_BLIND in assess_bench(blind, NOW, running=True).warnings
+    assert HALF_BLIND not in assess_bench(configuration, NOW, running=True).warnings
+
+
+def test_assess_ball_calibrated_off_the_profile_blocks(
+    configuration: Configuration, calibrate: Calibrate
+) -> None:
+    calibrate(MISSED)
+    found = assess_bench(configuration, NOW, running=True)
+    (block,) = found.blocks(NOW)
+    assert block["code"] == Block.SWING
+    assert block["place"].endswith("default.toml: ball_m")
+    assert "107.7 mm off" in block["found"]
+    assert "plant.site" in block["expected"]
+    assert block["action"]
+    with pytest.raises(ExceptionGroup, match="cannot be swung here"):
+        found.require_possible()
+
+
+def test_assess_machine_without_calibrations_blocks(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    text = f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n{MACHINE}{UNWATCHED}'
+    file.write_text(text, encoding="utf-8")
+    c = load_configuration(file)
+    found = assess_bench(c, NOW, running=True)
+    assert {block["code"] for block in found.blocks(NOW)} == {Block.CALIBRATION_MISSING}
+    assert len(found.blocks(NOW)) == 5
+    assert found.faults == []  # a simulation of it needs none
+    assert any("the reason given: trial of the valves" in warning for warning in found.warnings)
+    assert c.effective()["envelope"]["model"]["off_reason"].startswith("trial of")  # as each record has it
+
+
+@pytest.fixture
+def machine(
+    configuration: Configuration, calibrate: Calibrate, tmp_path: Path
+) -> Callable[[str], Configuration]:
+    """Return a function of more TOML: the configuration of a calibrated machine."""
+    calibrate(MET)
+    calibrate(EncoderZeros((0.0, 0.0, 0.0), (1, 1, 1), 131072, 1e-4))
+    calibrate(ClubInMount("driver", 1.09, 0.2617993877991494, 0.9250245035569946, 5e-4, 1e-3))
+    calibrate(ValveCentres((0.0, 0.0, 0.0), (0.02, 0.02, 0.02), 1e-4))
+    folder = configuration.bench.data_dir
+
+    def load(more: str) -> Configuration:
+        file = tmp_path / "machine.toml"
+        head = f'base = "shipped"\n[bench]\nid = "{configuration.bench.id}"\ndata_dir = "{folder}"\n'
+        file.write_text(head + MACHINE + more, encoding="utf-8")
+        found = load_configuration(file)
+        calibrate(SeenInputs(("guard closed",), wiring_digest(found)))
+        return found
+
+    return load
+
+
+Machine = Callable[[str], Configuration]
+
+
+@pytest.mark.parametrize("check", ["", 'check = "off"\n', 'off_reason = " "\n'])
+def test_assess_machine_whose_check_is_off_without_reason_blocks(machine: Machine, check: str) -> None:
+    c = machine(f"[envelope.model]\n{check}")
+    (block,) = assess_bench(c, NOW, running=True).blocks(NOW)
+    assert block["code"] == Block.CONFIGURATION
+    assert block["place"].endswith("machine.toml: envelope.model.check")
+    assert "envelope.model.off_reason" in block["expected"]
+    assert assess_bench(c, NOW).faults == []  # a simulation of it is watched, or need not be
+
+
+def test_assess_machine_with_the_check_on_or_a_reason_arms(machine: Machine) -> None:
+    found = assess_bench(machine('[envelope.model]\ncheck = "always"\n'), NOW, running=True)
+    assert (found.blocks(NOW), found.warnings) == ([], (HALF_BLIND,))  # it has no chamber sensors
+    assert found.limits.endswith("default.limits.toml")
+    assert codes(machine(UNWATCHED)) == []
+
+
+def test_assess_stale_limits_block_a_machine_and_warn_a_simulated_bench(
+    machine: Machine, configuration: Configuration
+) -> None:
+    stiffer = "[plant.wrist.friction]\ncoulomb = 49.0\n"
+    (block,) = assess_bench(
+        machine(f'[envelope.model]\ncheck = "always"\n{stiffer}'), NOW, running=True
+    ).blocks(NOW)
+    assert block["place"] == "limits of default"
+    assert "another plant (wrist.friction.coulomb 45, here 49)" in block["found"]
+    assert "golfbench profile limits default" in block["action"]
+    wrist = configuration.plant.wrist
+    wrist = replace(wrist, friction=replace(wrist.friction, coulomb=49.0))
+    c = replace(configuration, plant=replace(configuration.plant, wrist=wrist))
+    found = assess_bench(c, NOW, running=True)
+    assert found.blocks(NOW) == []
+    assert "wrist.friction.coulomb 45, here 49" in found.warnings[0]
+
+
+def test_assess_standard_error_of_no_value_blocks(configuration: Configuration) -> None:
+    model = replace(configuration.envelope.model, standard_errors={"shoulder.aera_a": 1e-6})
+    c = replace(configuration, envelope=replace(configuration.envelope, model=model))
+    (block,) = assess_bench(c, NOW, running=True).blocks(NOW)
+    assert block["place"].endswith("envelope.model.standard_errors.shoulder.aera_a")
+
+
+def test_assess_expired_and_future_calibrations_block(
+    configuration: Configuration, calibrate: Calibrate
+) -> None:
+    calibrate(MET, hours=-48.0, days=1.0)
+    assert codes(configuration) == [Block.CALIBRATION_EXPIRED]
+    calibrate(MET, hours=24.0)
+    assert codes(configuration) == [Block.CALIBRATION_EXPIRED, Block.CALIBRATION_AHEAD]
+
+
+def test_assess_contradiction_with_a_calibration_blocks(
+    configuration: Configuration, calibrate: Calibrate
+) -> None:
+    calibrate(BallPosition(0.25, -1.75, 5e-4))
+    assert Block.CONFIGURATION in codes(configuration)
+
+
+def test_assess_fault_of_a_phase_on_a_plant_of_its_own_clock_blocks(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n[driver]\ntime = "wall"\n'
+        '[faults.late]\nsignal = "shoulder valve"\nkind = "stuck"\nvalue = 0.0\nphase = "downswing"\n',
+        encoding="utf-8",
+    )
+    assert codes(load_configuration(file)) == [Block.CONFIGURATION]
+
+
+def test_assess_other_rate_warns_a_running_bench_and_refuses_lock_step(configuration: Configuration) -> None:
+    c = replace(configuration, loop=replace(configuration.loop, rate=2000.0))
+    c = replace(c, plant=replace(c.plant, tick=0.0005))
+    assert codes(c) == []
+    assert any("values between the samples" in text for text in assess_bench(c, NOW, running=True).warnings)
+    (fault,) = assess_bench(c, NOW).faults
+    assert fault.place.endswith("default.toml: period_s")
+
+
+def test_assess_club_that_differs_in_its_face_only_does_not_block(configuration: Configuration) -> None:
+    driver = configuration.clubs["driver"]
+    lofted = replace(driver, name="lofted", loft=driver.loft + 0.02)
+    heavy = replace(driver, name="heavy", head_mass=driver.head_mass + 0.05)
+    c = replace(configuration, clubs=configuration.clubs | {"lofted": lofted, "heavy": heavy})
+    assert codes(c, club="lofted") == []
+    assert codes(c, club="heavy") == [Block.SWING]
+
+
+def test_assess_calibrations_within_tolerance_keep_the_limits(
+    configuration: Configuration, calibrate: Calibrate
+) -> None:
+    calibrate(BallPosition(0.2503, -1.5602, 5e-4))
+    calibrate(EncoderZeros((11.0, 22.0, 33.0), (1, 1, 1), 131072, 1e-4))
+    found = assess_bench(configuration, NOW, running=True)
+    calibrate(ClubInMount("driver", 1.0905, 0.2617993877991494, 0.9250245035569946, 5e-4, 1e-3))
+    calibrate(ValveCentres((5e-4, -5e-4, 5e-4), (0.02, 0.0205, 0.02), 1e-4))
+    found = assess_bench(configuration, NOW, running=True)
+    assert (found.blocks(NOW), found.warnings) == ([], ())
+    calibrate(ClubInMount("driver", 1.092, 0.18, 0.92, 5e-4, 1e-3))
+    (warning,) = assess_bench(configuration, NOW, running=True).warnings
+    assert "made for another plant (robot.club.loft" in warning
+
+
+def test_assess_tee_is_calibrated_for_the_mounted_clubs_site_only(tmp_path: Path) -> None:
+    c = load_configuration(Path("bag"))
+    c = replace(c, bench=replace(c.bench, data_dir=tmp_path))
+    with open_database(database_url("", tmp_path), NOW) as database:
+        add_calibration(
+            database, c.bench.id, MET, date=NOW, expires=NOW + timedelta(days=1), by="test", method="rule"
+        )
+    assert codes(c, profile="iron7-78mph", club="iron7") == []
+    mounted = replace(c, plant=c.plant_with(club="iron7"), swing=replace(c.swing, club="iron7"))
+    assert Block.SWING in codes(mounted, profile="iron7-78mph")
+
+
+# The callers -------------------------------------------------------------------------------------------
+
+
+class AcceptingLink:
+    """A loop that accepts every request."""
+
+    state, correction = State.READY.name, 0
+
+    def __init__(self) -> None:
+        self.asked: list[Request] = []
+
+    def request(self, request: Request) -> Reply:
+        self.asked.append(request)
+        return Reply(True, self.state)
+
+    def beat(self, **_: Any) -> None:
+        """Take a heartbeat."""
+
+
+@pytest.fixture
+def start(configuration: Configuration) -> Callable[[], tuple[Daemon, AcceptingLink]]:
+    def make() -> tuple[Daemon, AcceptingLink]:
+        daemon, link = Daemon(configuration, now=lambda: NOW), AcceptingLink()
+        daemon._link = link  # type: ignore[assignment]
+        return daemon, link
+
+    return make
+
+
+Start = Callable[[], tuple[Daemon, AcceptingLink]]
+
+
+def test_daemon_ball_off_the_profile_is_not_armed(start: Start, calibrate: Calibrate) -> None:
+    calibrate(MISSED)
+    daemon, link = start()
+    reply = daemon.request(Request.ARM)
+    assert (reply.accepted, link.asked) == (False, [])
+    assert [block["code"] for block in reply.blocks] == [Block.SWING]
+    assert "107.7 mm off" in reply.blocks[0]["found"]
+    assert daemon.request(Request.HOME).accepted
+
+
+def test_daemon_calibration_taken_while_it_runs_counts_at_the_next_arming(
+    start: Start, calibrate: Calibrate
+) -> None:
+    calibrate(MET, hours=-2.0)
+    daemon, link = start()
+    assert daemon.request(Request.ARM).accepted
+    calibrate(MISSED)
+    refused = daemon.request(Request.ARM)
+    assert [block["code"] for block in refused.blocks] == [Block.SWING, Block.CALIBRATION_NOT_LOADED]
+    assert "golfbench run" in refused.blocks[1]["action"]
+    calibrate(MET, hours=-0.5)  # as the loop has it
+    assert daemon.request(Request.ARM).accepted
+    assert link.asked == [Request.ARM, Request.ARM]
+
+
+def test_daemon_renewed_calibration_arms_without_a_restart(start: Start, calibrate: Calibrate) -> None:
+    calibrate(MET, hours=-48.0, days=1.0)
+    daemon, _ = start()
+    assert [b["code"] for b in daemon.request(Request.ARM).blocks] == [Block.CALIBRATION_EXPIRED]
+    calibrate(MET)
+    assert daemon.request(Request.ARM).accepted
+
+
+def test_daemon_calibrations_that_cannot_be_read_block(
+    start: Start, calibrate: Calibrate, configuration: Configuration
+) -> None:
+    calibrate(MET)
+    daemon, _ = start()
+    (configuration.bench.data_dir / "golfbench.sqlite").write_bytes(b"not a database" * 100)
+    reply = daemon.request(Request.ARM)
+    assert (reply.accepted, [block["code"] for block in reply.blocks]) == (False, [Block.UNREADABLE])
+
+
+def blocked_status() -> Any:
+    status = FakeDesk(State.READY).status()
+    status["arming_blocks"] = [
+        {
+            "code": Block.SWING,
+            "place": "default.toml: ball_m",
+            "found": "107.7 mm off",
+            "expected": "0.5 mm",
+            "action": "Move the tee.",
+        }
+    ]
+    return status
+
+
+def test_status_and_page_report_what_blocks_arming() -> None:
+    console = Console(width=80, file=StringIO())
+    console.print(status_table(blocked_status(), 0.0))
+    shown = " ".join(console.file.getvalue().split())  # type: ignore[attr-defined]
+    assert "arming blocked: default.toml: ball_m" in shown
+    view = state_view(blocked_status())
+    assert view["warnings"][0].startswith("arming blocked: default.toml: ball_m: found 107.7 mm off")
+    assert view["next"] == ARMING_BLOCKED
+    assert "arming" not in " ".join(state_view(FakeDesk(State.READY).status())["warnings"])
+
+
+def test_refused_arming_raises_the_parts_of_its_block() -> None:
+    content = {"arming_blocks": blocked_status()["arming_blocks"]}
+    answer = CommandAnswer(False, "READY", Refusal.BLOCKED.name, content=content)
+    error = CommandRefused("b", Verb.ARM, answer)
+    assert (error.place, error.found) == ("arm of bench b", "default.toml: ball_m 107.7 mm off")
+    assert (error.expected, error.action) == ("0.5 mm", "Move the tee.")
+
+
+@pytest.fixture
+def golfbench(
+    configuration: Configuration,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Callable[..., tuple[int, str, str]]:
+    """Return a function that runs a command with the data of `configuration`."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments: str, more: str = "") -> tuple[int, str, str]:
+        settings = configuration.bench
+        text = f'base = "shipped"\n[bench]\nid = "{settings.id}"\ndata_dir = "{settings.data_dir}"\n'
+        (tmp_path / "mine.toml").write_text(text + more, encoding="utf-8")
+        with pytest.raises(SystemExit) as end:
+            main(["--config", "mine.toml", *arguments])
+        output = capsys.readouterr()
+        return int(end.value.code or 0), output.out, output.err
+
+    return run
+
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["check"],
+        ["campaign", "check", "two-balls"],
+        ["campaign", "run", "two-balls", "--sim"],
+        ["profile", "simulate", "default"],
+        ["profile", "check", "default"],
+        ["profile", "limits", "default"],
+        ["learn", "default", "--sim"],
+    ],
+    ids=" ".join,
+)
+def test_command_with_a_missed_ball_refuses(command: list[str], golfbench: Run, calibrate: Calibrate) -> None:
+    calibrate(MISSED)
+    code, out, errors = golfbench(*command)
+    assert (code, "107.7 mm off" in errors) == (ExitCode.BAD_INPUT, True), errors
+    assert "holds" not in out
+
+
+def test_check_uncalibrated_machine_ends_in_the_whole_verdict(golfbench: Run) -> None:
+    code, out, errors = golfbench("check", more=MACHINE + UNWATCHED)
+    assert code == ExitCode.REFUSED
+    assert out.splitlines()[-1].startswith("Arming blocked for 5 reasons")
+    assert errors.count("never calibrated") == 5
+
+
+def test_check_with_warnings_counts_them_in_its_verdict(golfbench: Run) -> None:
+    code, out, _ = golfbench("check", more='[envelope.model]\ncheck = "off"\n')
+    assert (code, out.splitlines()[-1]) == (0, "Nothing blocks arming; 1 warning, see above.")
+    code, out, _ = golfbench("check")
+    assert (code, out.splitlines()[-1].startswith("Everything holds")) == (0, True)
+
+
+def test_campaign_check_expired_calibration_previews_and_refuses(
+    golfbench: Run, configuration: Configuration
+) -> None:
+    settings, past = configuration.bench, datetime(2020, 1, 1, tzinfo=UTC)
+    with open_database(database_url("", settings.data_dir), past) as database:
+        expires = past + timedelta(days=1)
+        add_calibration(database, settings.id, MET, date=past, expires=expires, by="test", method="rule")
+    code, out, errors = golfbench("campaign", "check", "two-balls")
+    assert (code, "shots in" in out, "expired on 2020-01-02" in errors) == (ExitCode.REFUSED, True, True)

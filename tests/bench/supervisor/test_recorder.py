@@ -1,0 +1,485 @@
+"""The recorder as its supervisor meets it, beside a loop that only writes."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.base.lifecycle import Cause, State
+from bench.supervisor.child_process import HEARTBEAT, Condition
+from bench.supervisor.recorder import Recorder
+from bench.swing.correction import basis_of
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from bench.telemetry.cycle_record import CYCLE
+from bench.telemetry.recorder import read_swing
+from bench.telemetry.snapshot import read_snapshot
+from bench.telemetry.swing_metadata import read_profile, since
+from tests.bench.recorded_bench import HURRY, RECORDER, Cycles
+from tests.bench.recorded_bench import RecordedBench as Bench
+
+pytestmark = pytest.mark.live
+
+S = State
+ONCE = [(S.READY, 300), (S.ARMED, 400), (S.SWINGING, 300), (S.RECOVERING, 200)]
+SWING = [*ONCE, (S.READY, 400)]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(tmp_path)
+    yield made
+    made.close()
+
+
+MakeDay = Callable[..., Cycles]
+
+
+@pytest.fixture
+def day(make_day: MakeDay) -> Callable[..., Cycles]:
+    """Return `day(plan, first_tick)` on the clock of this machine: it ended just now."""
+
+    def make(plan: list[tuple[State, int]], first_tick: int = 1, **more: Any) -> Cycles:
+        return make_day(plan, first_tick=first_tick, start=float(round(time.monotonic())), **more)
+
+    return make
+
+
+def stored_cycles(path: Path) -> tuple[bytes, dict[str, Any]]:
+    """Return the cycles as the loop wrote them, and the metadata."""
+    cycles, metadata = read_swing(path)
+    return since(cycles, -metadata["begin"]).tobytes(), metadata
+
+
+def test_a_swing_becomes_one_whole_file(bench: Bench, day: MakeDay) -> None:
+    cycles = day(SWING)
+    bench.start()
+    bench.snapshot(301)
+    bench.write(cycles)
+    told = bench.event()
+    assert (told["event"], told["kind"], told["number"], told["replayable"]) == ("stored", "swing", 1, True)
+    (path,) = bench.files()
+    assert told["path"] == str(path)
+    data, metadata = stored_cycles(path)
+    assert data == cycles[300 - 128 : 1200 + 256].tobytes()
+    assert metadata["outcome"]["states"][1:3] == [[301, "ARMED"], [701, "SWINGING"]]
+    assert metadata["configuration"] == {"loop": {"rate": 1000}}
+    assert metadata["real_time"] == {"scheduling": "FIFO"}
+    assert metadata["calibrations"] == {"date": "2026-11-21"}
+    assert metadata["complete"]
+    assert read_snapshot(metadata, "x")["control"]["swings"][0] == 77
+    assert read_profile(metadata, "x").name == metadata["profile"]["name"] == "default"
+    first = cycles["time"][300 - 128] - time.monotonic() + time.time()
+    assert datetime.fromisoformat(metadata["time_utc"]).timestamp() == pytest.approx(first, abs=1.0)
+    bench.read_up()
+    heart = bench.heartbeat()
+    assert (heart["condition"], heart["done"], heart["waiting"], heart["lost"]) == (
+        Condition.WORKING,
+        1,
+        0,
+        0,
+    )
+    assert heart["tick"] == len(cycles)
+    assert bench.end() == 0
+    assert bench.event() == {"event": "ended", "waiting": 0}
+    assert bench.heartbeat()["condition"] == Condition.ENDING
+
+
+def test_the_time_of_a_record_is_right_although_its_cycles_waited_in_the_ring(
+    bench: Bench, make_day: MakeDay
+) -> None:
+    cycles = make_day([*SWING, (S.READY, 6000)])  # on a virtual clock: the newest is of now
+    bench.write(cycles)
+    recorder = Recorder(bench.plan(wall=False), 50.0)
+    utc = 1e9
+    for turn in range(4):
+        recorder.turn(50.0 + turn, utc)
+    recorder.finish("the test is over", 60.0)
+    recorder.close()
+    (path,) = bench.files()
+    record, metadata = read_swing(path)
+    first = metadata["begin"] + record["time"][0]
+    found = datetime.fromisoformat(metadata["time_utc"]).timestamp()
+    assert found == pytest.approx(utc - (cycles["time"][-1] - first), abs=1e-3)
+
+
+def test_a_record_holds_the_profile_as_it_was_swung(bench: Bench, day: MakeDay) -> None:
+    profile = load_profile(find_profile("default"))
+    basis = basis_of(profile)
+    weights = np.random.default_rng(3).uniform(-1, 1, basis.size)
+    bench.correct(400, 1, weights.tolist())
+    bench.start()
+    bench.read_up()
+    bench.write(day(SWING)[:600])
+    bench.read_up()
+    bench.correct(600, 2, (2 * weights).tolist())
+    bench.write(day(SWING)[600:])
+    bench.event()
+    _, metadata = stored_cycles(bench.files()[0])
+    assert metadata["profile"]["correction"] == {"number": 2, "weights": (2 * weights).tolist()}
+    swung, wanted = read_profile(metadata, "x"), basis.correction(2 * weights).applied_to(profile)
+    assert np.array_equal(swung.angle, wanted.angle)
+    assert np.array_equal(swung.valve, wanted.valve)
+    assert swung.name == "default"
+
+
+def test_a_correction_taken_after_the_swing_is_none_of_its(bench: Bench, day: MakeDay) -> None:
+    bench.start()
+    cycles = day(SWING)
+    bench.write(cycles[:1150])
+    bench.read_up()
+    bench.correct(1150, 1, [0.5] * basis_of(load_profile(find_profile("default"))).size)
+    bench.write(cycles[1150:])
+    bench.event()
+    assert "correction" not in stored_cycles(bench.files()[0])[1]["profile"]
+
+
+def test_sigterm_waits_for_the_swing_under_way(bench: Bench, day: MakeDay) -> None:
+    cycles = day(SWING)
+    bench.start()
+    bench.write(cycles[:900])
+    bench.read_up()
+    bench.signal(signal.SIGTERM)
+    for at in range(900, len(cycles), 50):
+        bench.write(cycles[at : at + 50])
+        time.sleep(0.01)
+    assert bench.event()["complete"]
+    assert bench.event()["event"] == "ended"
+    data, _ = stored_cycles(bench.files()[0])
+    assert data == cycles[300 - 128 : 1200 + 256].tobytes()
+
+
+def test_a_loop_that_dies_in_a_swing_leaves_its_record(bench: Bench, day: MakeDay) -> None:
+    bench.start(silence=0.2)
+    bench.write(day(SWING)[:900])
+    assert bench.event()["event"] == "stored"
+    data, metadata = stored_cycles(bench.files()[0])
+    assert len(data) == (900 - 300 + 128) * CYCLE.itemsize
+    assert metadata["outcome"]["ended"] == "the loop fell silent"
+    assert not metadata["complete"]
+
+
+def test_a_recorder_started_anew_takes_the_swing_from_the_ring_and_repeats_none(
+    bench: Bench, day: MakeDay
+) -> None:
+    both = day([*SWING, *SWING])
+    bench.start()
+    bench.write(both[: len(both) // 2 + 900])
+    assert bench.event()["number"] == 1
+    bench.read_up()
+    bench.kill()
+    bench.write(both[len(both) // 2 + 900 :])
+    bench.start()
+    told = bench.event()
+    assert (told["number"], told["complete"]) == (2, True)
+    bench.read_up()
+    first, second = bench.files()
+    assert stored_cycles(first)[0] == both[300 - 128 : 1200 + 256].tobytes()
+    assert stored_cycles(second)[0] == both[1600 + 300 - 128 : 1600 + 1200 + 256].tobytes()
+
+
+@pytest.mark.parametrize("reached", ["renamed", "not yet renamed"])
+def test_killed_between_file_and_heartbeat_it_stores_each_swing_once(
+    bench: Bench, day: MakeDay, reached: str
+) -> None:
+    cycles = day(SWING)
+    bench.start()
+    bench.write(cycles)
+    bench.event()
+    bench.read_up()
+    bench.kill()
+    heart = np.zeros(1, HEARTBEAT)
+    bench.heart.read(heart)
+    heart["done"], heart["tick"], heart["resume"] = 0, 0, 0
+    bench.heart.write(heart)
+    if reached == "not yet renamed":
+        bench.files()[0].unlink()
+    bench.start()
+    bench.read_up()
+    assert bench.end() == 0
+    assert [stored_cycles(path)[0] for path in bench.files()] == [cycles[300 - 128 : 1200 + 256].tobytes()]
+    assert bench.heartbeat()["done"] == 1
+
+
+def test_killed_while_a_second_swing_waits_it_stores_each_once(
+    bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
+) -> None:
+    """The first is stored, the second is still in memory."""
+    both = day([*SWING, *SWING])
+    bench.start(least_free=1)
+    bench.write(both)
+    assert bench.event()["event"] == "stored"
+    assert bench.event()["event"] == "trouble"
+    bench.kill()
+    small_disk(4)
+    bench.start()
+    bench.read_up()
+    assert bench.end() == 0
+    assert [stored_cycles(path)[0] for path in bench.files()] == [
+        both[begin + 300 - 128 : begin + 1200 + 256].tobytes() for begin in (0, 1600)
+    ]
+
+
+def test_a_recorder_started_anew_before_a_swing_has_its_whole_lead(bench: Bench, day: MakeDay) -> None:
+    cycles = day(SWING)
+    bench.start()
+    bench.write(cycles[:290])
+    bench.read_up()
+    bench.kill()
+    bench.start()
+    bench.write(cycles[290:])
+    assert bench.event()["event"] == "stored"
+    assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
+
+
+def test_killed_at_any_instant_it_leaves_whole_files_or_none(bench: Bench, day: MakeDay) -> None:
+    """Killed while it stores; the one after it removes what is half written and stores what is missing."""
+    choice = random.Random(3)
+    once = day(SWING)
+    kills = int(os.environ.get("GOLFBENCH_KILLS", "8"))
+    for k in range(kills):
+        cycles = once.copy()
+        cycles["tick"] += k * len(once)
+        cycles["time"] += 10.0 * k
+        bench.start()
+        bench.write(cycles)
+        time.sleep(choice.uniform(0.0, 0.08))
+        bench.kill()
+        for path in bench.files():
+            if not path.name.startswith("."):
+                assert len(read_swing(path)[0]) == 128 + 900 + 256
+    bench.start()
+    bench.read_up()
+    assert bench.end() == 0
+    swings = {int(read_swing(path)[0]["tick"][-1]) for path in bench.files()}
+    assert swings == {172 + 128 + 900 + 256 + k * len(once) for k in range(kills)}
+
+
+def test_stopped_for_a_while_it_loses_nothing_that_the_ring_holds(bench: Bench, day: MakeDay) -> None:
+    cycles = day(SWING)
+    bench.start()
+    bench.write(cycles[:100])
+    bench.read_up()
+    bench.signal(signal.SIGSTOP)
+    bench.write(cycles[100:])
+    time.sleep(0.3)
+    bench.signal(signal.SIGCONT)
+    assert bench.event()["complete"]
+    assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
+    assert bench.heartbeat()["lost"] == 0
+
+
+def test_stopped_for_longer_it_says_what_is_missing(tmp_path: Path, day: MakeDay) -> None:
+    bench = Bench(tmp_path, capacity=512)
+    try:
+        cycles = day(SWING)
+        bench.start()
+        bench.snapshot(301)
+        for at in range(0, 600, 100):
+            bench.write(cycles[at : at + 100])
+            bench.read_up()
+        bench.signal(signal.SIGSTOP)
+        bench.write(cycles[600:1300])
+        bench.signal(signal.SIGCONT)
+        bench.read_up()
+        bench.write(cycles[1300:])
+        told = bench.event()
+        assert (told["lost_records"], told["complete"], told["replayable"]) == (188, False, False)
+        recorded, metadata = read_swing(bench.files()[0])
+        assert metadata["lost_records"] == 188
+        assert list(recorded["tick"]) == [*range(173, 601), *range(789, 1457)]
+        assert bench.heartbeat()["lost"] == 188
+    finally:
+        bench.close()
+
+
+def test_a_full_disk_is_told_and_the_record_kept_until_there_is_room(bench: Bench, day: MakeDay) -> None:
+    cycles = day(SWING)
+    bench.start()
+    assert bench.recorder is not None
+    resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
+    bench.write(cycles)
+    told = bench.event()
+    assert told["event"] == "trouble"
+    assert "nothing was stored" in told["text"]
+    bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.TROUBLE)
+    assert bench.heartbeat()["waiting"] == 1
+    bench.wait_for(lambda: bench.files() == [])  # while it tries again there is a part of one
+    resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+    assert bench.event()["event"] == "stored"
+    assert bench.event() == {"event": "relieved"}
+    assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
+    bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.WORKING)
+
+
+def test_a_folder_that_cannot_be_made_is_told_before_anything_moves(bench: Bench) -> None:
+    bench.data.write_text("a file, no folder")
+    bench.start()
+    assert "Not a directory" in (text := bench.event()["text"]) or "exists" in text
+    bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.TROUBLE)
+    bench.data.unlink()
+    assert bench.event() == {"event": "relieved"}
+
+
+def test_what_could_not_be_stored_to_the_end_is_told(bench: Bench, day: MakeDay) -> None:
+    bench.start()
+    assert bench.recorder is not None
+    resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
+    bench.write(day(SWING))
+    assert bench.event()["event"] == "trouble"
+    assert bench.end() == 74
+    assert bench.event() == {"event": "ended", "waiting": 1}
+    assert bench.files() == []
+
+
+def test_with_its_supervisor_gone_it_records_the_loop_to_its_end(bench: Bench, day: MakeDay) -> None:
+    cycles = day([*ONCE[:2], (S.FAULT, 600)], trip=(650, Cause.SUPERVISOR))
+    program = f"import subprocess, sys\nc = subprocess.Popen([sys.executable, *{RECORDER}])"
+    supervisor = subprocess.Popen(
+        [sys.executable, "-c", f"{program}\nc.wait()"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    bench.recorder = supervisor
+    assert supervisor.stdin is not None
+    supervisor.stdin.write(pickle.dumps(bench.plan()))
+    supervisor.stdin.close()
+    assert bench.event()["event"] == "ready"
+    bench.write(cycles[:500])  # armed
+    bench.read_up()
+    supervisor.kill()
+    supervisor.wait()
+    for at in range(500, len(cycles), 50):
+        bench.write(cycles[at : at + 50])
+        time.sleep(0.01)
+    bench.wait_for(lambda: len(bench.files()) == 1 and not bench.files()[0].name.startswith("."))
+    data, metadata = stored_cycles(bench.files()[0])
+    assert data == cycles[300 - 128 : 700 + 256].tobytes()
+    assert metadata["outcome"]["cause"] == "SUPERVISOR"
+
+
+def test_without_a_ring_it_says_why_it_cannot_work(bench: Bench, tmp_path: Path) -> None:
+    bench.start_anyhow(ring=tmp_path / "absent")
+    told = bench.event()
+    assert (told["event"], told["exit_code"]) == ("failed", 69)
+    assert str(tmp_path / "absent") in told["place"]
+    assert bench.recorder is not None
+    assert bench.recorder.wait(HURRY) == 69
+
+
+# The disk itself -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_disk(bench: Bench) -> Iterator[Callable[[int], None]]:
+    """Put the records on a disk of 1 MiB; return a function that makes it of so many MiB."""
+    bench.data.mkdir()
+
+    def mount(*options: str) -> bool:
+        command = ["mount", "-t", "tmpfs", "-o", ",".join(options), "tmpfs", str(bench.data)]
+        return shutil.which("mount") is not None and subprocess.run(command, check=False).returncode == 0
+
+    if os.geteuid() != 0 or not mount("size=1m"):
+        pytest.skip("only root may mount a small disk")
+
+    def make_room(size: int) -> None:
+        assert mount("remount", f"size={size}m")
+
+    yield make_room
+    bench.kill()
+    subprocess.run(["umount", str(bench.data)], check=True)
+
+
+def test_a_disk_that_fills_up_has_whole_files_and_what_does_not_fit_waits(
+    bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
+) -> None:
+    """A swing takes over half of the disk."""
+    both = day([*SWING, *SWING])
+    bench.start(least_free=1)
+    bench.write(both[:1600])
+    assert bench.event()["event"] == "stored"
+    bench.write(both[1600:])
+    told = bench.event()
+    assert told["event"] == "trouble"
+    assert "No space left" in told["text"]
+    assert "nothing was stored" in told["text"]
+    assert [path.name[0] != "." for path in bench.files()] == [True]
+    assert stored_cycles(bench.files()[0])[0] == both[300 - 128 : 1200 + 256].tobytes()
+    small_disk(4)
+    assert bench.event()["event"] == "stored"
+    assert bench.event() == {"event": "relieved"}
+    _, second = bench.files()
+    assert stored_cycles(second)[0] == both[1600 + 300 - 128 : 1600 + 1200 + 256].tobytes()
+
+
+def test_killed_on_a_full_disk_it_leaves_no_rest(
+    bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
+) -> None:
+    both = day([*SWING, *SWING])
+    bench.start(least_free=1)
+    bench.write(both[:1600])
+    assert bench.event()["event"] == "stored"
+    bench.write(both[1600:])
+    assert bench.event()["event"] == "trouble"
+    bench.kill()
+    small_disk(4)
+    bench.start()
+    assert bench.event()["event"] == "stored"
+    assert len(bench.files()) == 2
+    assert {len(read_swing(path)[0]) for path in bench.files()} == {128 + 900 + 256}
+
+
+AS_ANYBODY = (
+    "-c",
+    "import ctypes, os, sys\n"
+    "ctypes.CDLL(None).prctl(24, 1, 0, 0, 0)  # PR_CAPBSET_DROP, CAP_DAC_OVERRIDE: root's right to any file\n"
+    f"os.execv(sys.executable, [sys.executable, *{RECORDER}])",
+)
+
+
+def test_a_folder_that_becomes_read_only_is_told_and_the_record_kept(tmp_path: Path, day: MakeDay) -> None:
+    bench = Bench(tmp_path, program=AS_ANYBODY)
+    try:
+        bench.start()
+        bench.wait_for((bench.data / "swings" / "b1").exists)
+        (bench.data / "swings" / "b1").chmod(0o500)
+        cycles = day(SWING)
+        bench.write(cycles)
+        told = bench.event()
+        assert told["event"] == "trouble"
+        assert "Permission denied" in told["text"] or "cannot be written to" in told["text"]
+        bench.wait_for(lambda: bench.heartbeat()["waiting"] == 1)
+        assert bench.heartbeat()["condition"] == Condition.TROUBLE
+        assert bench.files() == []
+        (bench.data / "swings" / "b1").chmod(0o700)
+        assert bench.event()["event"] == "stored"
+        assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
+        assert bench.event() == {"event": "relieved"}
+    finally:
+        bench.close()
+
+
+def test_a_folder_that_is_read_only_from_the_start_is_told_before_anything_moves(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, program=AS_ANYBODY)
+    try:
+        (bench.data / "swings" / "b1").mkdir(parents=True)
+        (bench.data / "swings" / "b1").chmod(0o500)
+        bench.start()
+        told = bench.event()
+        assert told["event"] == "trouble"
+        assert "cannot be written to" in told["text"]
+        bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.TROUBLE)
+    finally:
+        bench.close()

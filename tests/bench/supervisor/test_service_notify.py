@@ -1,0 +1,93 @@
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bench.supervisor.service_notify import ServiceNotifier, watchdog_interval
+
+
+@pytest.fixture(params=["path", "abstract"])
+def service_manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[socket.socket, str]]:
+    """A socket as systemd's, and its name as it stands in NOTIFY_SOCKET."""
+    name = str(tmp_path / "notify") if request.param == "path" else f"@golfbench-test-{os.getpid()}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(name.replace("@", "\0", 1))
+        listener.settimeout(5.0)
+        yield listener, name
+
+
+def test_messages_are_those_of_the_protocol(service_manager: tuple[socket.socket, str]) -> None:
+    listener, name = service_manager
+    notifier = ServiceNotifier.of_environment({"NOTIFY_SOCKET": name})
+    assert notifier.ready("state ESTOP")
+    assert notifier.status("armed")
+    assert notifier.alive()
+    assert notifier.stopping("braking")
+    messages = [listener.recv(4096) for _ in range(4)]
+    assert messages == [b"READY=1\nSTATUS=state ESTOP", b"STATUS=armed", b"WATCHDOG=1",
+                        b"STOPPING=1\nSTATUS=braking"]  # fmt: skip
+    notifier.close()
+    assert not notifier.alive()
+    notifier.close()
+
+
+def test_a_status_stays_one_line_of_utf8_within_systemds_limit(
+    service_manager: tuple[socket.socket, str],
+) -> None:
+    listener, name = service_manager
+    notifier = ServiceNotifier(name)
+    assert notifier.status("stopped\nWATCHDOG=1\r\n")
+    assert listener.recv(4096) == b"STATUS=stopped WATCHDOG=1"
+    assert notifier.status("θ" * 5000)
+    assert notifier.status("broken \udcff name")
+    long, broken = listener.recv(8192), listener.recv(4096)
+    assert 1000 < len(long) < 2048
+    assert set(long.removeprefix(b"STATUS=").decode()) == {"θ"}
+    assert broken == b"STATUS=broken ? name"
+    notifier.close()
+
+
+@pytest.mark.parametrize("address", [None, "", "relative/path", "vsock:2:1234"])
+def test_without_a_socket_nothing_is_sent(address: str | None) -> None:
+    notifier = ServiceNotifier(address)
+    assert not notifier.ready("state ESTOP")
+    notifier.close()
+
+
+@pytest.mark.parametrize("name", ["/nonexistent/notify", "/" + "x" * 200, "@nobody-listens-here"])
+def test_a_socket_that_is_gone_does_no_harm(name: str) -> None:
+    notifier = ServiceNotifier(name)
+    assert not notifier.alive()
+    notifier.close()
+
+
+def test_a_service_manager_that_does_not_read_never_delays_us(
+    service_manager: tuple[socket.socket, str],
+) -> None:
+    listener, name = service_manager
+    notifier = ServiceNotifier(name)
+    sent = sum(notifier.alive() for _ in range(100_000))
+    assert 0 < sent < 100_000  # the queue was full, and no call waited or raised
+    messages = [listener.recv(64) for _ in range(sent)]
+    assert set(messages) == {b"WATCHDOG=1"}
+    assert notifier.alive()
+    notifier.close()
+
+
+@pytest.mark.parametrize(
+    ("environment", "interval"),
+    [
+        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "42"}, 2.0),
+        ({"WATCHDOG_USEC": "500000"}, 0.5),
+        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "41"}, None),
+        ({"WATCHDOG_USEC": "0"}, None),
+        ({"WATCHDOG_USEC": "-5"}, None),
+        ({"WATCHDOG_USEC": "soon"}, None),
+        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": ""}, None),
+        ({}, None),
+    ],
+)
+def test_watchdog_interval(environment: dict[str, str], interval: float | None) -> None:
+    assert watchdog_interval(environment, 42) == interval

@@ -1,0 +1,82 @@
+"""What explains a stop for lost encoders: the loop, all readings at once, or one encoder."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_WORDS, Cause, Refusal
+from bench.supervisor.status import cause_text, refusal_words, stall_note, supervisor_note
+from bench.telemetry.cycle_record import CYCLE
+
+LOST_TIME, PERIOD = 0.0045, 0.001
+
+
+def records() -> np.ndarray:
+    """Return ten records of a loop in step, all encoders read."""
+    cycles = np.zeros(10, CYCLE)
+    cycles["measured_step"], cycles["encoder_valid"], cycles["encoder_age"] = PERIOD, 1, 2e-4
+    return cycles
+
+
+def note(cycles: np.ndarray, cause: Cause = Cause.SHOULDER_ENCODER) -> str:
+    return stall_note(cycles, cause, LOST_TIME, PERIOD)
+
+
+def test_a_loop_that_stood_still_is_named_with_its_time() -> None:
+    cycles = records()
+    cycles["measured_step"][-1], cycles["encoder_age"][-1] = 0.0083, 0.009
+    assert "the loop stood still for 8.3 ms" in note(cycles)
+
+
+def test_all_encoders_at_once_are_no_cable_of_one() -> None:
+    cycles = records()
+    cycles["encoder_age"][-5:] += np.linspace(0.001, 0.005, 5)[:, None]
+    assert "all three encoders were lost at once" in note(cycles)
+
+
+def test_stall_note_names_the_trouble_of_the_device_before_cables() -> None:
+    cycles = records()
+    cycles["encoder_valid"][-5:, 0] = 0
+    trouble = "node 1 has left the operational state: another master has commanded it"
+    for cause in (Cause.SHOULDER_ENCODER, Cause.DEVICE_PASSIVE):
+        assert stall_note(cycles, cause, LOST_TIME, PERIOD, trouble) == trouble
+    assert stall_note(cycles, Cause.GUARD, LOST_TIME, PERIOD, trouble) == ""
+
+
+def test_refusal_names_the_trouble_of_the_device_before_cables() -> None:
+    trouble = "another master has commanded node 1"
+    assert refusal_words(Refusal.READINGS, trouble) == ("an encoder yields no valid readings", trouble)
+    assert refusal_words(Refusal.READINGS, "") == REFUSAL_WORDS[Refusal.READINGS]
+    assert refusal_words(Refusal.GUARD, trouble) == REFUSAL_WORDS[Refusal.GUARD]
+
+
+@pytest.mark.parametrize("lost", [0, 2])
+def test_one_encoder_alone_is_looked_for_at_its_cable(lost: int) -> None:
+    cycles = records()
+    cycles["encoder_valid"][-5:, lost] = 0
+    assert note(cycles, Cause(Cause.SHOULDER_ENCODER + lost)) == ""
+
+
+def test_other_causes_keep_their_own_text() -> None:
+    cycles = records()
+    cycles["measured_step"][-1] = 0.0083
+    assert note(cycles, Cause.WRIST_FOLLOWING) == ""
+    assert cause_text(Cause.GUARD, "") == CAUSE_TEXT[Cause.GUARD]
+
+
+def test_the_stall_replaces_the_action_and_keeps_the_cause() -> None:
+    text = cause_text(Cause.SHOULDER_ENCODER, "the loop stood still")
+    assert text == "shoulder encoder R1 without a valid reading: the loop stood still"
+
+
+def test_a_supervisor_that_stood_still_is_named_with_its_time() -> None:
+    found = supervisor_note(Cause.SUPERVISOR, 0.62, 0.5)
+    assert "the supervisor stood still for 0.6 s" in found
+    text = cause_text(Cause.SUPERVISOR, found)
+    assert text.startswith("no heartbeat from the supervisor: the supervisor stood still")
+
+
+def test_a_supervisor_in_step_explains_nothing() -> None:
+    assert not supervisor_note(Cause.SUPERVISOR, 0.02, 0.5)
+    assert not supervisor_note(Cause.GUARD, 0.62, 0.5)
