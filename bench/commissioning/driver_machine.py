@@ -29,7 +29,7 @@ from bench.commissioning.machine import (
     bound_passed,
 )
 from bench.commissioning.steps import WrongMachine
-from bench.loop import record_reading
+from bench.loop.loop import record_reading
 from bench.simulation.loads import Loads, loads_of
 from bench.simulation.swing_operator import never
 from drivers.base import ABSENT, CHAMBERS, JOINTS, PASSIVE, Command, Driver, Readings

@@ -27,7 +27,7 @@ from bench.control.settings import (
     with_tables_of,
 )
 from bench.learning.live import swung_cycles
-from bench.loop import Cycle, Cycles, Loop
+from bench.loop.loop import Cycle, Cycles, Loop
 from bench.simulation.loads import Loads
 from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, not_returned
 from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, SwingOperator, joined

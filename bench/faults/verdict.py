@@ -16,7 +16,7 @@ from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase,
 from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
 from bench.faults.watch import WatchedRun
-from bench.loop import Cycles
+from bench.loop.loop import Cycles
 from bench.simulation.safety import SafetyLimits, dangers
 from sim.plant import Plant
 

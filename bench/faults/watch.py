@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.lifecycle import Answer, Phase, Refusal, Request, State
-from bench.loop import Cycles
+from bench.loop.loop import Cycles
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
 from bench.simulation.safety import RunEnd

@@ -1,7 +1,7 @@
 """Control step and plant in one compiled loop: whole swings in milliseconds, bit for bit repeatable.
 
-The order of a tick is that of the real cycle (`bench.loop`): sense, decide, apply. A test shows that both
-give bit-equal records, with faults (`sim.faults`) too.
+The order of a tick is that of the real cycle (`bench.loop.loop`): sense, decide, apply. A test shows that
+both give bit-equal records, with faults (`sim.faults`) too.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Replay of a record: its inputs through the cycle of today, the differences, and how near its limits came.
 
-A replay begins with the controller's memory stored in the record (`bench.telemetry.snapshot`) and continues
+A replay begins with the controller's memory stored in the record (`bench.loop.snapshot`) and continues
 with the tick after it. Every field of the cycle is one of three: an input, taken from the record (`INPUTS`);
 decided by the controller, recomputed and compared (`DECIDED`); or measured around it, neither (`MEASURED`).
 The command is compared with the one truly applied; while the device was passive by itself the applied command
@@ -35,10 +35,10 @@ from bench.control.settings import (
     LifecycleSettings,
     build_controller,
 )
-from bench.loop import Cycle, CycleArray, Cycles
+from bench.loop.loop import Cycle, CycleArray, Cycles
+from bench.loop.snapshot import read_snapshot, unpack_snapshot
 from bench.simulation.lockstep import note_shares_of_tick
 from bench.telemetry.cycle_record import FIELDS, Field
-from bench.telemetry.snapshot import read_snapshot, unpack_snapshot
 from bench.telemetry.swing_metadata import read_profile, since
 from drivers.base import JOINTS, Command, DriverError, Readings
 from sim.plant import PlantParameters
@@ -327,7 +327,7 @@ class _Recorded:
         # The time of a reading is not recorded, as no decision depends on it.
         self._readings = [Readings(*row) for row in zip(cycles["time"].tolist(), *columns, strict=True)]
         self._operational = cycles["device_operational"].tolist()
-        # `bench.loop.Cycle` marks missing readings like this.
+        # `bench.loop.loop.Cycle` marks missing readings like this.
         self._failed = (np.isnan(cycles["encoder_age"]) & (cycles["encoder_valid"] == 0)).all(axis=1).tolist()
         self._tick = -1
 

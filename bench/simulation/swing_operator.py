@@ -16,7 +16,7 @@ from bench.base.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Refusal, Requ
 from bench.control.air_watch import chambers_show_pressure
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import near_address
-from bench.loop import Cycles, bring_to_rest
+from bench.loop.loop import Cycles, bring_to_rest
 from bench.telemetry.cycle_record import CYCLE
 
 LONGEST_ARMING = 30.0

@@ -26,6 +26,7 @@ from bench.base.lifecycle import CAUSE_TEXT, Block, Cause, Phase, Reaction, Refu
 from bench.calibration.archive import calibration_of
 from bench.config import Configuration
 from bench.design.static_checks import beyond_range
+from bench.loop.snapshot import SNAPSHOT
 from bench.network.bench_service import (
     ArmingBlock,
     BenchStatus,
@@ -64,7 +65,6 @@ from bench.supervisor.status import (
 from bench.supervisor.timing_record import TimingReader, summary
 from bench.swing.correction import basis_of, digest_of
 from bench.telemetry.shot_id import run_id
-from bench.telemetry.snapshot import SNAPSHOT
 from drivers.launch_monitor.open_connect import club_code
 from sim.live.exchange import PlantPlan
 

@@ -81,7 +81,7 @@ class RecorderPlan:
     heartbeat: Path
     """File of the HEARTBEAT record."""
     snapshot_dtype: np.dtype[Any]
-    """`bench.telemetry.snapshot.SNAPSHOT`, passed so that the recorder need not import the controller."""
+    """`bench.loop.snapshot.SNAPSHOT`, passed so that the recorder need not import the controller."""
     corrected: Path
     """File of the CORRECTED record."""
     profile: Profile

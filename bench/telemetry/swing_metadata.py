@@ -170,7 +170,7 @@ def _later(latest: np.ndarray[Any, Any], first: Cause) -> list[int]:
 
 
 def snapshot_entry(snapshot: np.ndarray[Any, Any]) -> dict[str, Any]:
-    """Return `snapshot` (one element) for the metadata; `bench.telemetry.snapshot` reads it back."""
+    """Return `snapshot` (one element) for the metadata; `bench.loop.snapshot` reads it back."""
     return {
         "tick": int(snapshot["tick"][0]),
         "time": float(snapshot["time"][0]),

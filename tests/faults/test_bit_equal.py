@@ -12,7 +12,7 @@ import bench.swing
 from bench.base.clock import FreeClock
 from bench.base.lifecycle import Cause, Phase, Request
 from bench.control.settings import build_controller
-from bench.loop import Cycle, CycleArray
+from bench.loop.loop import Cycle, CycleArray
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import load_profile

@@ -12,7 +12,7 @@ import pytest
 import bench.swing
 from bench.base.clock import FreeClock
 from bench.control.settings import ControlSettings, build_controller
-from bench.loop import Cycle, Loop
+from bench.loop.loop import Cycle, Loop
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile, load_profile
 from sim.driver import SimDriver, hanging_pose

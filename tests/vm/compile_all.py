@@ -8,7 +8,7 @@ from pathlib import Path
 from bench.base.lifecycle import State
 from bench.config import load_configuration
 from bench.control.settings import build_controller
-from bench.loop import Cycle
+from bench.loop.loop import Cycle
 from bench.shot.recorded_shot import FlightConditions, warm_up_shots
 from bench.supervisor.tick_timing import TickTiming, new_timing
 from bench.swing.library import find_profile

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bench.base.clock import FreeClock
 from bench.control.records import ControlParameters
-from bench.loop import Cycle, Loop
+from bench.loop.loop import Cycle, Loop
 from sim.driver import SimDriver
 from sim.plant import Plant
 

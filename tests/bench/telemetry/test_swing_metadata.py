@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, State
 from bench.control.records import ControlState, new_control_state
+from bench.loop.snapshot import SNAPSHOT, pack_snapshot, read_snapshot, unpack_snapshot
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
-from bench.telemetry.snapshot import SNAPSHOT, pack_snapshot, read_snapshot, unpack_snapshot
 from bench.telemetry.swing_cutter import Cut
 from bench.telemetry.swing_metadata import (
     RunMetadata,

@@ -13,7 +13,7 @@ import numpy as np
 from bench.base.lifecycle import Phase, Request
 from bench.config import Configuration
 from bench.control.settings import build_controller
-from bench.loop import Cycle, CycleArray, Cycles
+from bench.loop.loop import Cycle, CycleArray, Cycles
 from bench.simulation.loads import Loads, begin_tally, loads_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

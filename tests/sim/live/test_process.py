@@ -20,7 +20,7 @@ import pytest
 
 import bench.swing
 from bench.control.settings import build_controller
-from bench.loop import Cycle, CycleArray
+from bench.loop.loop import Cycle, CycleArray
 from bench.supervisor.child import Child, NotStarted
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE

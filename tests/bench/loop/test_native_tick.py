@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.base.lifecycle import Cause, Request
-from bench.compiled_tick import AT_READ, OVER
 from bench.control.records import ControlParameters
 from bench.control.settings import build_controller
-from bench.loop import Cycle, CycleArray
+from bench.loop.compiled_tick import AT_READ, OVER
+from bench.loop.loop import Cycle, CycleArray
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.ring import RingReader, RingWriter

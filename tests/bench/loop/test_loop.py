@@ -21,7 +21,7 @@ from bench.control.settings import (
     PidSettings,
     build_controller,
 )
-from bench.loop import Cycle, CycleArray, Loop, bring_to_rest
+from bench.loop.loop import Cycle, CycleArray, Loop, bring_to_rest
 from bench.swing.profile import Profile
 from bench.telemetry.cycle_record import CYCLE
 from bench.telemetry.ring import RingWriter

@@ -204,7 +204,7 @@ class CompiledTick:
         *,
         notes_truth: bool = False,
     ) -> None:
-        """`marks` (7,) ns gets the instants of `bench.loop.Cycle` that the call passes.
+        """`marks` (7,) ns gets the instants of `bench.loop.loop.Cycle` that the call passes.
 
         `calls` are the driver's native functions; `notes_truth`: there is a truth to note, by its native
         function or in Python.

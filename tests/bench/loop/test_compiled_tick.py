@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Request, State
-from bench.compiled_tick import AT_DECIDE, AT_WRITE, CompiledTick
 from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.settings import build_controller
 from bench.control.step import step
+from bench.loop.compiled_tick import AT_DECIDE, AT_WRITE, CompiledTick
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from bench.telemetry.cycle_record import CYCLE
