@@ -12,7 +12,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from bench.telemetry.cycle_record import arrow_schema
+from bench.records.telemetry.cycle_record import arrow_schema
 
 TOP = Path(__file__).resolve().parent.parent
 FILES = sorted(path for package in ("bench", "drivers", "sim") for path in (TOP / package).rglob("*.py"))

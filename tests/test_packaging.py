@@ -37,7 +37,7 @@ def _contracts(folder: Path, extra: dict[str, str]) -> subprocess.CompletedProce
     """Run the import contracts on a skeleton of the packages with `extra` lines in some modules."""
     contracts = tomllib.loads((TOP / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     modules = {
-        f"{container}/{room.strip()}": ""
+        f"{container.replace('.', '/')}/{room.strip()}": ""
         for contract in contracts
         for container in contract.get("containers", ())
         for floor in contract["layers"]
@@ -45,11 +45,12 @@ def _contracts(folder: Path, extra: dict[str, str]) -> subprocess.CompletedProce
     }
     modules["sim/driver"] = "from drivers.base import Driver"
     modules["bench/loop"] = "import sim.plant, drivers.mock"
-    for package in PACKAGES:
+    for package in sorted({module.rpartition("/")[0] for module in modules}):
         (folder / package).mkdir()
         (folder / package / "__init__.py").touch()
     for module, text in (modules | extra).items():
-        (folder / f"{module}.py").write_text(text + "\n")
+        home = folder / module
+        (home / "__init__.py" if home.is_dir() else home.with_suffix(".py")).write_text(text + "\n")
     shutil.copy(TOP / "pyproject.toml", folder)
     linter = Path(sys.executable).with_name("lint-imports")
     return subprocess.run([linter, "--no-cache"], cwd=folder, capture_output=True, text=True, check=False)

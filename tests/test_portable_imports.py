@@ -17,9 +17,9 @@ import pytest
 
 TOP = Path(__file__).resolve().parent.parent
 ROOMS = (
-    "bench.telemetry.recorder",
-    "bench.telemetry.batches",
-    "bench.telemetry.swing_metadata",
+    "bench.records.telemetry.recorder",
+    "bench.records.telemetry.batches",
+    "bench.records.telemetry.swing_metadata",
     "bench.export",
     "bench.campaign.analysis",
     "bench.campaign.campaign_report",
@@ -28,7 +28,7 @@ ROOMS = (
     "bench.commands.export",
     "bench.network.client",
     "bench.network.messages",
-    "bench.shot",
+    "bench.records.shot",
     "bench.simulation.replay",
     "bench.simulation.simulated_bench",
     "bench.store",

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
 from bench.base.errors import Refused
-from bench.telemetry.ring import RingReader
+from bench.records.telemetry.ring import RingReader
 from drivers.base import JOINTS
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND

@@ -52,7 +52,7 @@ from bench.campaign.unequal_variances import (
     together,
     units_of,
 )
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 
 COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}
 """Columns whose quantity is named without its unit."""

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.prompts import Numbered, PromptKind, places
 from bench.campaign.shot_sequence import PlannedShot, Role, Step, block_trials, sections, warm_up_arms
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import Hit, Prompt
 
 

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 from bench.campaign.plan import CampaignPlan
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.intp]

@@ -21,7 +21,7 @@ from bench.campaign.block_model import independent_codes
 from bench.campaign.conformity import COVERAGE
 from bench.campaign.plan import CampaignPlan, StatedCalibration, levels
 from bench.campaign.shot_sequence import Role, sections
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from sim.air import Air
 from sim.flight import fly_many
 

@@ -27,8 +27,8 @@ from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.report_format import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.shot_sequence import Role
 from bench.campaign.verdicts import NAMES
-from bench.shot.plot_style import STYLE, colour_of, marker_of, styled, to_svg
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.plot_style import STYLE, colour_of, marker_of, styled, to_svg
+from bench.records.shot.shot import Shot, ShotStatus
 
 _INK, _GREY, _RED = "#1a1a1a", "#6b7280", "#b91c1c"
 _MANY = 1500

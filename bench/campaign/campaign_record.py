@@ -18,7 +18,7 @@ from typing import Any
 from bench.base.errors import Refused
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import plan_from_record
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.records import (
     CampaignEntry,

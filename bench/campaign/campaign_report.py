@@ -67,10 +67,10 @@ from bench.campaign.report_tables import (
     without_simulated_balls,
 )
 from bench.campaign.verdicts import confidence_words, quantity_name
-from bench.shot.plot_style import marker_svg
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.plot_style import marker_svg
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.telemetry.whole_file import whole_file
 from bench.store.records import CampaignEntry, CampaignState, Hit, Prompt, ShotExclusion, ShotNote, Standing
-from bench.telemetry.whole_file import whole_file
 
 _ALL_ROWS = 1000
 """Max number of shots with a row each; of more, only those not valid or flagged."""

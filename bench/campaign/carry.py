@@ -14,7 +14,7 @@ from typing import Any
 from bench.base.errors import Refused
 from bench.calibration.ball_aerodynamics import AerodynamicsEntry, aerodynamics_from_record
 from bench.campaign.plan import FLOWN, CampaignPlan
-from bench.shot.recorded_shot import FlightConditions
+from bench.records.shot.recorded_shot import FlightConditions
 from drivers.base import Launch
 from sim.ball import REFERENCE_BALL, Ball
 from sim.flight import Flight, fly

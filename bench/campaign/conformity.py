@@ -23,7 +23,7 @@ from bench.campaign.report_format import DisplayUnit, UnitSystem, display_unit
 from bench.campaign.rules import UNITS_OF_RULES, RuleSet, rule_on
 from bench.campaign.sample_size import share_done
 from bench.campaign.shot_sequence import Role, Section, sections
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 
 COVERAGE = 0.95449973610364
 """Probability within U: that of two standard deviations."""

@@ -26,7 +26,7 @@ from bench.campaign.analysis import COLUMN
 from bench.campaign.block_model import Array, Codes
 from bench.campaign.plan import CampaignPlan, levels
 from bench.campaign.shot_sequence import Role
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 
 SHARE = 0.95
 """Share of a level's shots that its ellipse holds."""

@@ -27,7 +27,7 @@ from bench.campaign.report_format import UnitSystem
 from bench.campaign.sample_size import SeriesSize, series_needed
 from bench.campaign.shot_sequence import Role, sections
 from bench.campaign.verdicts import Verdict, section_notes, section_verdicts
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 
 QUANTITIES: Mapping[str, str] = {
     "ball_speed_mps": "ball speed",

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.campaign.plan import Gate
-from bench.shot.shot import Shot
+from bench.records.shot.shot import Shot
 from bench.swing.profile import Profile
 from sim.robot import Club
 

@@ -30,7 +30,7 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.runner import Watcher
 from bench.campaign.shot_sequence import Arm, PlannedShot, Role, all_trials, is_mounted, is_settled, sections
 from bench.network.messages import CAMPAIGN_VERSION, LastShot
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignEntry, CampaignState
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.shot.shot import Shot
+from bench.records.shot.shot import Shot
 
 MPH = 0.44704
 YARD = 0.9144

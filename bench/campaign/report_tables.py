@@ -21,7 +21,7 @@ from bench.campaign.conformity import DECISION_RULE
 from bench.campaign.plan import CampaignPlan, ItemParticulars
 from bench.campaign.report_format import UnitSystem, display_unit
 from bench.golfer.comparison import followed_texts
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, Event
 from sim.ball import Ball

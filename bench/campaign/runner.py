@@ -24,13 +24,13 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.prompts import PromptKind
 from bench.campaign.shot_sequence import RESTART, Course, Ending, Role, Step
 from bench.campaign.simulated_shots import Taken
-from bench.shot.recorded_shot import shot_to_json
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.recorded_shot import shot_to_json
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.whole_file import NotStored
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import DatabaseLocked
 from bench.store.records import CampaignEntry, CampaignState, Event, Hit, Prompt
-from bench.telemetry.recorder import write_swing
-from bench.telemetry.whole_file import NotStored
 from drivers.base import ACTUATORS
 
 BATCH = 50

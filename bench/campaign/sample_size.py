@@ -27,7 +27,7 @@ from bench.campaign.block_model import Array, Codes, are_pooled, enough_mounting
 from bench.campaign.plan import CampaignPlan, controls_per_block, levels
 from bench.campaign.shot_sequence import Role, block_trials, is_settled, looks_after, sections
 from bench.campaign.unequal_variances import Draws, UnitLayout, drawn_pairs, together, units_of
-from bench.shot.shot import Shot
+from bench.records.shot.shot import Shot
 
 _MOST = 1_000_000
 """Max number of blocks that is searched."""

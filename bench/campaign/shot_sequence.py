@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.campaign.gate import Centre, median_delivery
 from bench.campaign.plan import CampaignPlan, levels
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 
 
 class Arm(NamedTuple):

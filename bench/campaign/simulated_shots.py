@@ -24,9 +24,9 @@ from bench.campaign.prompts import PromptKind
 from bench.campaign.shot_sequence import Step
 from bench.config import Configuration
 from bench.learning.learn import LearningProblem, Swinger, on_series
-from bench.shot.recorded_shot import FlightConditions
-from bench.shot.shot import Shot, ShotStatus
-from bench.shot.shot_matcher import NOT_TOLD, told_figures
+from bench.records.shot.recorded_shot import FlightConditions
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot_matcher import NOT_TOLD, told_figures
 from bench.simulation.series import Series
 from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, SwingResult
 from bench.simulation.variation import Variation

@@ -26,7 +26,7 @@ from scipy.stats import qmc
 
 from bench.campaign.block_model import Array, BlockFit, Codes, Contrast
 from bench.campaign.plan import CampaignPlan, levels
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 
 Single = NDArray[np.float32]
 

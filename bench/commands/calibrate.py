@@ -314,8 +314,8 @@ def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) ->
 def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
     """Return the counts of the running bench; Refused when none runs here or the robot moves."""
     from bench.calibration.valve_centre import standing_counts
+    from bench.records.telemetry.ring import NoRing
     from bench.supervisor.ownership import bench_folder
-    from bench.telemetry.ring import NoRing
 
     ring: Path = bench_folder(configuration.bench.id) / "ring"
     try:
@@ -329,8 +329,8 @@ def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
 
 def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
     """Return what the devices of the running bench say of their zeros; warn if nothing is known of them."""
+    from bench.records.telemetry.zero_shift import read_shifts
     from bench.supervisor.ownership import bench_folder
-    from bench.telemetry.zero_shift import read_shifts
 
     found = read_shifts(bench_folder(configuration.bench.id))
     if found is None and configuration.driver.name == "canopen":

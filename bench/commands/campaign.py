@@ -311,8 +311,8 @@ def _run(
     from bench.campaign.findings import findings, findings_record
     from bench.campaign.plan_file import plan_from_record
     from bench.commands.campaign_baseline import check_baseline, junit_xml
+    from bench.records.telemetry.whole_file import whole_file
     from bench.store.records import CampaignState
-    from bench.telemetry.whole_file import whole_file
 
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
     outcome = _take(store, entry, configuration, plan, facts, ask=ask, by=by or user_name())
@@ -733,7 +733,7 @@ def export(
 ) -> None:
     """Export a campaign's shots, one row each."""
     from bench.campaign.campaign_record import with_exclusions
-    from bench.shot.shot_table import shot_table_text, write_shot_table
+    from bench.records.shot.shot_table import shot_table_text, write_shot_table
 
     with _found(context, campaign) as (store, entry):
         taken = [stored.shot for stored in store.shots(entry.id)]

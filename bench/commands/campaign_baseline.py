@@ -19,7 +19,7 @@ from bench.base.errors import BenchError
 from bench.base.from_toml import format_value, read_toml
 from bench.campaign.runner import RunOutcome
 from bench.campaign.shot_sequence import Role
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignEntry, CampaignState
 
 

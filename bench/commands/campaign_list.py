@@ -11,7 +11,7 @@ from rich.console import Console, Group
 from rich.table import Column, Table
 from rich.text import Text
 
-from bench.shot.shot import ShotStatus
+from bench.records.shot.shot import ShotStatus
 from bench.store.records import CampaignEntry, Standing
 
 Listed = Sequence[tuple[CampaignEntry, Standing, Counter[str]]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.progress import CampaignProgress
 from bench.commands.campaign_screen import CampaignBar, ProgressScreen
-from bench.shot.shot import Shot
+from bench.records.shot.shot import Shot
 from bench.store.records import CampaignEntry, CampaignState
 
 

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.text import Text
 
 from bench.campaign.interruptions import duration_text
-from bench.shot.shot import ShotStatus
+from bench.records.shot.shot import ShotStatus
 from bench.store.records import ENDED, CampaignState
 
 _SELDOM = 2.0

@@ -217,7 +217,7 @@ def _write_robot(
 ) -> None:
     """Write robot.toml, with the limits of `following` errors of its swing once that is designed."""
     from bench.commissioning.robot_file import robot_file
-    from bench.telemetry.whole_file import whole_file
+    from bench.records.telemetry.whole_file import whole_file
 
     made = datetime.now(UTC).date()
     with whole_file(file) as stream:
@@ -363,7 +363,7 @@ def _loads(machine: SimulatedMachine) -> str:
 def _write_report(state: Commissioning, nominal: PlantParameters, made: datetime) -> None:
     """Write the report of what was done so far."""
     from bench.commissioning.robot_file import commissioning_report
-    from bench.telemetry.whole_file import whole_file
+    from bench.records.telemetry.whole_file import whole_file
 
     with whole_file(state.folder / "report.html") as stream:
         stream.write(commissioning_report(state, nominal, made).encode())

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from bench.config import Configuration
-    from bench.shot.overlay import FigureDifference, SwingCourse
+    from bench.records.shot.overlay import FigureDifference, SwingCourse
 
 _ACTION = "Give two records, profiles or configurations."
 _WIDTH = 130
@@ -48,14 +48,14 @@ def compare(
         if found is not None:
             action = "Compare two configurations, or two records or profiles."
             raise BenchError(place, f"a configuration beside {other}", "a record or a profile", action)
-    from bench.shot.overlay import clocks, differences
+    from bench.records.shot.overlay import clocks, differences
 
     configuration = context.ensure_object(Session).configuration()
     courses = _course(first, configuration), _course(second, configuration)
     rows = differences(*courses)
     at_ball = clocks(*courses)[2]
     if plot is not None:
-        from bench.shot.overlay_plot import overlay_plot
+        from bench.records.shot.overlay_plot import overlay_plot
 
         overlay_plot(*courses).savefig(plot, dpi=150)
     if json_:
@@ -83,8 +83,8 @@ def _settings(place: str) -> Configuration | None:
 
 def _course(place: str, configuration: Configuration) -> SwingCourse:
     """Return the swing at `place`, a record or a profile."""
-    from bench.shot.overlay import course_of_profile, course_of_record
-    from bench.shot.recorded_shot import read_shot
+    from bench.records.shot.overlay import course_of_profile, course_of_record
+    from bench.records.shot.recorded_shot import read_shot
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 

@@ -119,7 +119,7 @@ def run(
 def _write(folder: Path, summary: dict[str, Any]) -> None:
     from bench.commands.faults_page import matrix_page
     from bench.faults.summary import summary_text
-    from bench.telemetry.whole_file import whole_file
+    from bench.records.telemetry.whole_file import whole_file
 
     page = matrix_page(summary, summary.get("comparison"))
     for name, text in {"matrix.json": summary_text(summary), "matrix.html": page}.items():

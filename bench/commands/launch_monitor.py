@@ -15,7 +15,7 @@ from bench.commands.options import flag, option
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
-    from bench.shot.recorded_shot import FlightConditions
+    from bench.records.shot.recorded_shot import FlightConditions
     from drivers.base import Launch
     from sim.launch_monitor import MonitorParameters
     from sim.plant import PlantParameters
@@ -77,7 +77,7 @@ def launch_monitor(
     It measures the plant's balls with noise and faults, and sends them to the bench
     over Open Connect, as a real one does. The bench needs [launch_monitor] enabled = true.
     """
-    from bench.shot.recorded_shot import FlightConditions
+    from bench.records.shot.recorded_shot import FlightConditions
     from bench.supervisor.ownership import bench_folder
     from sim.launch_monitor import MonitorParameters
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bench.network.bench_service import BenchStatus
     from bench.network.client import BenchClient
     from bench.network.command import CommandAnswer
-    from bench.shot.shot_message import ShotPublication
+    from bench.records.shot.shot_message import ShotPublication
 
 PANEL = "A running bench"
 

@@ -135,7 +135,7 @@ def _simulate(
 ) -> None:
 
     from bench.design.swing_result import outcome_record, outcome_table, write_outcome
-    from bench.shot.recorded_shot import FlightConditions
+    from bench.records.shot.recorded_shot import FlightConditions
     from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
     from bench.supervisor.readiness import assess_bench
 

@@ -16,9 +16,9 @@ from bench.base.errors import BenchError
 from bench.commands.output import finite, plain_table
 from bench.commands.progress import progress_of
 from bench.commands.session import show_json
+from bench.records.telemetry.enumerations import ENUMERATIONS
+from bench.records.telemetry.recorder import read_swing
 from bench.simulation.replay import INPUTS, MEASURED, TOLERANCE, Difference, Replay, replay_cycles
-from bench.telemetry.enumerations import ENUMERATIONS
-from bench.telemetry.recorder import read_swing
 
 
 def replay_command(path: Path, tolerance: float, json_: bool) -> bool:

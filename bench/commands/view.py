@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from bench.golfer.golfer_file import GolferSwing
-    from bench.shot.shot_record import ShotRecord
+    from bench.records.shot.shot_record import ShotRecord
     from bench.viewer.recording import Layout
     from bench.viewer.window import RerunWindow
     from sim.plant import PlantParameters
@@ -108,7 +108,7 @@ def _read(
     shot: Path | None, campaign: Sequence[Path], progress: Any
 ) -> tuple[list[ShotRecord], PlantParameters, str]:
     """Return the shots, the plant of the first, and a name for them."""
-    from bench.shot.recorded_shot import read_shot
+    from bench.records.shot.recorded_shot import read_shot
     from bench.viewer.recorded_series import record_files
 
     files = [shot] if shot is not None else record_files(campaign)
@@ -143,7 +143,7 @@ def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
     import rerun as rr
 
     from bench.network.zenoh_session import close_session, open_client
-    from bench.shot.recorded_shot import FlightConditions
+    from bench.records.shot.recorded_shot import FlightConditions
     from bench.viewer.feed import Feed
     from bench.viewer.recording import live_layout
     from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
@@ -186,7 +186,7 @@ def _writable(path: Path) -> Path:
     Raises:
         NotStored: it cannot.
     """
-    from bench.telemetry.whole_file import NotStored
+    from bench.records.telemetry.whole_file import NotStored
 
     try:
         with path.open("wb"):

@@ -47,8 +47,8 @@ def wear(records: Records, plot: Plot = None, json_: Json = False) -> None:
     """
     import numpy as np
 
+    from bench.records.telemetry.recorder import read_swing
     from bench.simulation.replay import AHEAD, margins, residual_shares
-    from bench.telemetry.recorder import read_swing
     from bench.viewer.recorded_series import record_files
 
     require_picture(plot)
@@ -108,8 +108,8 @@ def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
     import numpy as np
 
     from bench.commissioning.wear import swing_wear, wear_plot, wearing_values, worn_parts
+    from bench.records.telemetry.recorder import read_swing
     from bench.simulation.replay import settings_of
-    from bench.telemetry.recorder import read_swing
 
     chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _MOST_FITTED)).round().astype(int))
     _, first = read_swing(files[0])

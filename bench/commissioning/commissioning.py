@@ -42,8 +42,8 @@ from bench.commissioning.steps import (
 from bench.commissioning.swing_diagnosis import DiagnosedRobot
 from bench.commissioning.wiring import ValveEdges, Wiring
 from bench.config import Configuration
+from bench.records.telemetry.whole_file import whole_file
 from bench.swing.profile import load_profile
-from bench.telemetry.whole_file import whole_file
 from sim.plant import PlantParameters
 
 STATE_FILE = "commissioning.json"

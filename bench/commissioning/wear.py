@@ -20,7 +20,7 @@ from bench.commissioning.known_robot import ACTUATOR_KEYS
 from bench.commissioning.machine import Array
 from bench.commissioning.short_predictions import Cycles, RecordedSwing, explained
 from bench.control.measured_plant import value_at, with_values
-from bench.shot.plot_style import COLOURS, GREY, STYLE, styled
+from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
 from bench.simulation.replay import FEW, growth_of, settings_of
 from drivers.base import CHAMBERS, JOINTS
 from sim.plant import PlantParameters

@@ -17,9 +17,9 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.base.lifecycle import Phase
-from bench.shot.plot_style import COLOURS, GREY, INK, styled
+from bench.records.shot.plot_style import COLOURS, GREY, INK, styled
+from bench.records.telemetry.recorder import write_swing
 from bench.simulation.simulated_bench import SwingResult
-from bench.telemetry.recorder import write_swing
 from drivers.base import ACTUATORS, CHAMBERS, JOINTS
 from sim.plant import PlantParameters
 

@@ -33,7 +33,7 @@ from scipy.spatial.transform import Rotation
 from bench.drawing.bodies import Colour, DrawnBody, Part
 from bench.drawing.drawing import Array, PlacedBody, draw, plane_to_golf
 from bench.drawing.solids import Mesh, joined_meshes, write_stl
-from bench.telemetry.whole_file import whole_file
+from bench.records.telemetry.whole_file import whole_file
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 

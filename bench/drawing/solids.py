@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.telemetry.whole_file import whole_file
+from bench.records.telemetry.whole_file import whole_file
 from sim.vectors import Vector
 
 Array = NDArray[np.float64]

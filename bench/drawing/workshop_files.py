@@ -19,7 +19,7 @@ from bench.drawing.bodies import DrawnBody
 from bench.drawing.drawing import PlacedBody, draw
 from bench.drawing.model_files import Y_UP_TO_Z_UP
 from bench.drawing.solids import Bar, Ellipsoid, Mesh, Solid, Tube
-from bench.telemetry.whole_file import whole_file, whole_path
+from bench.records.telemetry.whole_file import whole_file, whole_path
 from sim.plant import PlantParameters
 
 REASONS = {

@@ -33,10 +33,10 @@ from mcap.writer import CompressionType, Writer
 
 from bench.drawing.drawing import ball_at_rest, body_poses, plane_to_golf
 from bench.export.record_files import ExportRecord, changes
-from bench.shot.recorded_shot import recorded_shot
-from bench.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, Field
-from bench.telemetry.enumerations import ENUMERATIONS
-from bench.telemetry.whole_file import whole_file
+from bench.records.shot.recorded_shot import recorded_shot
+from bench.records.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, Field
+from bench.records.telemetry.enumerations import ENUMERATIONS
+from bench.records.telemetry.whole_file import whole_file
 from bench.viewer.scene import poses_to_draw
 from sim.plant import PlantParameters
 

@@ -32,10 +32,10 @@ from scipy.io import savemat
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
-from bench.telemetry.cycle_record import FIELDS, Field, arrow_schema, to_arrow, unit_of
-from bench.telemetry.enumerations import ENUMERATIONS
-from bench.telemetry.recorder import read_swing
-from bench.telemetry.whole_file import whole_file
+from bench.records.telemetry.cycle_record import FIELDS, Field, arrow_schema, to_arrow, unit_of
+from bench.records.telemetry.enumerations import ENUMERATIONS
+from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.whole_file import whole_file
 
 
 class ExportColumn(NamedTuple):

@@ -20,7 +20,7 @@ import numpy as np
 from bench.base.errors import BenchError
 from bench.base.from_toml import read_toml
 from bench.golfer.roles import Array, Capture, Orientation, Roles
-from bench.telemetry.whole_file import whole_file
+from bench.records.telemetry.whole_file import whole_file
 
 STEP = 0.001
 """Time between rows (s)."""

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from bench.golfer.comparison import DEFINITION, MotionDeviation
 from bench.golfer.golfer_file import MeasuredSwing
-from bench.shot.plot_style import COLOURS, GREY, INK, STYLE, styled
+from bench.records.shot.plot_style import COLOURS, GREY, INK, STYLE, styled
 
 _NAMES = ("θ1 shoulders", "θ2 lead arm", "θ3 wrist")
 

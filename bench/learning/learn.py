@@ -20,12 +20,12 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, Phase
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, planned_figures
 from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings, Model, Response
-from bench.shot.recorded_shot import plant_of
+from bench.records.shot.recorded_shot import plant_of
+from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.swing_metadata import read_profile
 from bench.simulation.series import Bench, Series, quiet
 from bench.swing.correction import Basis, Correction, basis_of, digest_of
 from bench.swing.profile import Profile
-from bench.telemetry.recorder import read_swing
-from bench.telemetry.swing_metadata import read_profile
 from sim.plant import Encoders, PlantParameters
 
 Array = NDArray[np.float64]

@@ -22,8 +22,8 @@ from bench.network.bench_operator import BenchOperator, SwingRecord
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
 from bench.network.status_words import launch_monitor_text
-from bench.shot.recorded_shot import plant_of
-from bench.shot.shot_message import launch_from_json
+from bench.records.shot.recorded_shot import plant_of
+from bench.records.shot.shot_message import launch_from_json
 from bench.swing.correction import digest_of
 from bench.swing.correction_terms import Source
 from bench.swing.profile import Profile

@@ -30,7 +30,7 @@ from bench.control.records import (
     ControlState,
 )
 from bench.control.step import decide_tick, estimate_tick, limit_tick
-from bench.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base.compiled import compiled, new_record
 from drivers.base.native_calls import DECLINED, OPERATIONAL, NativeCall, NativeCalls
 from drivers.base.raw_memory import call_native, monotonic_now, pointer

@@ -14,7 +14,7 @@ from bench.base.lifecycle import Cause, Phase, Request, State
 from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.states import give_up
 from bench.loop.compiled_tick import AT_DECIDE, AT_NOTE_TRUTH, AT_READ, AT_WRITE, OVER, CompiledTick
-from bench.telemetry.cycle_record import CYCLE, FIELDS
+from bench.records.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import ABSENT, PASSIVE, Command, Driver, DriverError, RecordReader
 from drivers.base.compiled import new_record, numbers
 from drivers.base.native import compiled_call

@@ -2,7 +2,7 @@
 
 The loop puts a snapshot into shared memory in each tick that accepts a request to move (home, arm, swing),
 after the step; a replay of the record sets it and goes on with the tick after it. In a record's metadata it
-stands as text, see `bench.telemetry.swing_metadata.snapshot_entry`.
+stands as text, see `bench.records.telemetry.swing_metadata.snapshot_entry`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bench.control.estimator import ESTIMATOR_STATE
 from bench.control.model import MODEL_STATE
 from bench.control.pid import PID_STATE
 from bench.control.records import CONTROL_STATE, ControlState, new_control_state
-from bench.telemetry.swing_metadata import layout_of
+from bench.records.telemetry.swing_metadata import layout_of
 
 SNAPSHOT = np.dtype(
     [

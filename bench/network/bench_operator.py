@@ -18,8 +18,8 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import Refusal
 from bench.network.bench_service import BenchStatus
 from bench.network.client import LATCHED, REST, BenchClient, CommandRefused
-from bench.shot.shot_message import ShotPublication
-from bench.telemetry.recorder import read_swing
+from bench.records.shot.shot_message import ShotPublication
+from bench.records.telemetry.recorder import read_swing
 from drivers.launch_monitor.matching import MatchOutcome
 
 LEASE = 15.0

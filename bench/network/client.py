@@ -39,7 +39,7 @@ from bench.network.zenoh_session import NoAnswer, close_session, open_client
 
 if TYPE_CHECKING:
     from bench.base.address import Addressed, NetworkSettings
-    from bench.shot.shot_message import ShotPublication
+    from bench.records.shot.shot_message import ShotPublication
 
 TIMEOUT = 2.0
 """Time-out of an answer, s: longer than a request may wait in the bench for its turn and for the loop."""
@@ -210,7 +210,7 @@ class BenchClient:
         Paths of records are those of the bench's machine. The function raises BenchError where it does not
         understand a message.
         """
-        from bench.shot.shot_message import read_shot_message  # not for a stop
+        from bench.records.shot.shot_message import read_shot_message  # not for a stop
 
         channel: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(64)
         subscriber = self._session.declare_subscriber(f"{self._root}/shot", channel)

@@ -252,7 +252,7 @@ class CommandPlane:
             self._event.put(json.dumps(message, allow_nan=False))
 
     def publish_shot(self, message: Mapping[str, Any]) -> None:
-        """Publish the present message about a shot, see `bench.shot.shot_message`."""
+        """Publish the present message about a shot, see `bench.records.shot.shot_message`."""
         with suppress(zenoh.ZError):
             self._shot.put(json.dumps(message, allow_nan=False))
 

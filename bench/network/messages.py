@@ -1,6 +1,6 @@
 """Types of the messages that a bench and its campaigns publish, and the wire contract made from all types.
 
-Those of state and shot: `bench.network.bench_service`, `bench.shot.shot_message`.
+Those of state and shot: `bench.network.bench_service`, `bench.records.shot.shot_message`.
 
 The bench answers with its contract on `golfbench/BENCH/schema`, and `golfbench schema` prints it. For people
 it is `bench/manual/integrator/wire_contract.md`.
@@ -28,10 +28,10 @@ from bench.network.command import (
     form_schema,
 )
 from bench.network.lease import DEFAULT, LONGEST, SHORTEST
-from bench.shot.shot import ShotStatus
-from bench.shot.shot_message import SHOT_VERSION, ShotPublication
-from bench.telemetry.cycle_record import FIELDS, LONGEST_BATCH, SCHEMA_VERSION, unit_of
-from bench.telemetry.enumerations import ENUMERATIONS
+from bench.records.shot.shot import ShotStatus
+from bench.records.shot.shot_message import SHOT_VERSION, ShotPublication
+from bench.records.telemetry.cycle_record import FIELDS, LONGEST_BATCH, SCHEMA_VERSION, unit_of
+from bench.records.telemetry.enumerations import ENUMERATIONS
 from drivers.launch_monitor.matching import MatchOutcome
 
 LOOP_VERSION = 1

@@ -28,7 +28,7 @@ from bench.page.answers import Asked, InvalidBody, UnknownName
 from bench.page.command_line import BackgroundCommand, CommandLine
 from bench.page.downloads import MAX_RECORDS, REPORT, Download, Downloads
 from bench.page.last_swing import swing_view
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
 from bench.store.records import ENDED, CampaignState, Prompt, ShotNote

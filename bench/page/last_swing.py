@@ -22,10 +22,10 @@ import numpy as np
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, State
-from bench.shot.recorded_shot import FlightConditions, recorded_shot, shot_of_cycles, warm_up_shots
-from bench.shot.shot import Shot
-from bench.telemetry.recorder import read_swing
-from bench.telemetry.ring import NoRing, RingReader
+from bench.records.shot.recorded_shot import FlightConditions, recorded_shot, shot_of_cycles, warm_up_shots
+from bench.records.shot.shot import Shot
+from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.ring import NoRing, RingReader
 from drivers.base import ACTUATORS, JOINTS
 from sim.plant import PlantParameters
 

@@ -30,7 +30,7 @@ from bench.page.page_access import PageAddress, PageRole, checked_address, page_
 from bench.page.page_service import Call, PageService, Pool
 from bench.page.request_filter import Application, Guard, http_protocol
 from bench.page.start_service import PlanCatalogue, StartService
-from bench.shot.recorded_shot import FlightConditions
+from bench.records.shot.recorded_shot import FlightConditions
 from bench.supervisor.ownership import bench_folder
 from bench.supervisor.plan import RING_FILE
 

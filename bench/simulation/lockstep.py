@@ -15,7 +15,7 @@ from bench.control.model import BRAKING, note_deviations, note_shares, row_of
 from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.references import charging
 from bench.control.step import step
-from bench.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE
 from drivers.base.compiled import compiled, new_record
 from drivers.base.records import COMMAND, READINGS, pack_command

@@ -37,9 +37,9 @@ from bench.control.settings import (
 )
 from bench.loop.loop import Cycle, CycleArray, Cycles
 from bench.loop.snapshot import read_snapshot, unpack_snapshot
+from bench.records.telemetry.cycle_record import FIELDS, Field
+from bench.records.telemetry.swing_metadata import read_profile, since
 from bench.simulation.lockstep import note_shares_of_tick
-from bench.telemetry.cycle_record import FIELDS, Field
-from bench.telemetry.swing_metadata import read_profile, since
 from drivers.base import JOINTS, Command, DriverError, Readings
 from sim.plant import PlantParameters
 

@@ -22,16 +22,16 @@ from bench.control.settings import (
 )
 from bench.loop.loop import Cycles
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
-from bench.shot.recorded_shot import FlightConditions
-from bench.shot.shot import Shot, ShotStatus
-from bench.shot.shot_record import ShotRecord
+from bench.records.shot.recorded_shot import FlightConditions
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot_record import ShotRecord
+from bench.records.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.simulation.swing_operator import LONGEST_RETURN, never
 from bench.swing.profile import Profile
-from bench.telemetry.swing_metadata import begin_of, profile_entry, since, snapshot_entry
 from drivers.base import Launch
 from drivers.base.compiled import new_record
 from sim.ball import Ball

@@ -17,7 +17,7 @@ from bench.control.air_watch import chambers_show_pressure
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import near_address
 from bench.loop.loop import Cycles, bring_to_rest
-from bench.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.cycle_record import CYCLE
 
 LONGEST_ARMING = 30.0
 """s; the bench's own time-outs are shorter"""

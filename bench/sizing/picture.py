@@ -7,7 +7,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from bench.shot.plot_style import COLOURS, GREY, STYLE, styled
+from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
 from bench.sizing.study import SizedPoint, non_dominated
 
 

@@ -19,7 +19,7 @@ from sqlalchemy import Connection, Engine, Executable, Select, Table, func, inse
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from bench.base.errors import BenchError, Refused
-from bench.shot.shot import COLUMNS, Shot, ShotStatus
+from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store.database import (
     CAMPAIGNS,
     EVENTS,

@@ -44,7 +44,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
 
 from bench.base.errors import BenchError, Refused
-from bench.shot.shot import Shot
+from bench.records.shot.shot import Shot
 from bench.store.records import (
     CampaignEntry,
     CampaignRun,

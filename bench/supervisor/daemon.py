@@ -40,8 +40,9 @@ from bench.network.bench_service import (
 from bench.network.command_plane import CommandPlane
 from bench.network.status_words import LATCHED, MOVING, block_text
 from bench.network.zenoh_session import close_session, open_daemon
-from bench.shot.recorded_shot import FlightConditions
-from bench.shot.shot_message import ShotJoin, shot_publication
+from bench.records.shot.recorded_shot import FlightConditions
+from bench.records.shot.shot_message import ShotJoin, shot_publication
+from bench.records.telemetry.shot_id import run_id
 from bench.supervisor.child import Child, ManagedProcess
 from bench.supervisor.correction import CORRECTED_FILE
 from bench.supervisor.loop_link import LoopLink
@@ -64,7 +65,6 @@ from bench.supervisor.status import (
 )
 from bench.supervisor.timing_record import TimingReader, summary
 from bench.swing.correction import basis_of, digest_of
-from bench.telemetry.shot_id import run_id
 from drivers.launch_monitor.open_connect import club_code
 from sim.live.exchange import PlantPlan
 

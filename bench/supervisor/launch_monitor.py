@@ -5,7 +5,8 @@ configured it forwards launches to GSPro. Plan: a pickled LaunchMonitorPlan on s
 JSON line each:
 
 `ready`      it reads the ring; `link` reports whether it listens
-`shot`       `message`: a settled outcome, as `bench.shot.shot_message` describes it, without its record
+`shot`       `message`: a settled outcome, as `bench.records.shot.shot_message` describes it, without its
+             record
 `link`       `link`: status of the connections (`LaunchMonitorStatus`); on change and every second
 `trouble`    `text`: it cannot listen and retries
 `relieved`   it listens again
@@ -28,9 +29,10 @@ import numpy as np
 from bench.base.errors import BenchError, ExitCode
 from bench.base.lifecycle import State
 from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
-from bench.shot.recorded_shot import FlightConditions, shot_to_json, warm_up_shots
-from bench.shot.shot_matcher import LaunchBook, SwingWatch, Told
-from bench.shot.shot_message import ShotPublication, launch_to_json, shortened, shot_publication
+from bench.records.shot.recorded_shot import FlightConditions, shot_to_json, warm_up_shots
+from bench.records.shot.shot_matcher import LaunchBook, SwingWatch, Told
+from bench.records.shot.shot_message import ShotPublication, launch_to_json, shortened, shot_publication
+from bench.records.telemetry.ring import RingReader
 from bench.supervisor.child_process import (
     Condition,
     HeartbeatSender,
@@ -40,7 +42,6 @@ from bench.supervisor.child_process import (
     send_failure,
 )
 from bench.supervisor.plan import LaunchMonitorPlan
-from bench.telemetry.ring import RingReader
 from drivers.base import DriverError
 from drivers.base.shared_record import SharedMemoryError
 from drivers.launch_monitor.client import SimulatorClient

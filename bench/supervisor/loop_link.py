@@ -16,6 +16,7 @@ import numpy as np
 
 from bench.base.lifecycle import Answer, Refusal, Request, State
 from bench.network.bench_service import Reply, refused
+from bench.records.telemetry.ring import RingReader
 from bench.supervisor.correction import (
     CORRECTED,
     CORRECTED_FILE,
@@ -26,7 +27,6 @@ from bench.supervisor.correction import (
 from bench.supervisor.plan import RING_FILE
 from bench.supervisor.status import refusal_words
 from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE
-from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedRecord
 
 Cycles = np.ndarray[Any, Any]

@@ -33,6 +33,8 @@ from bench.config import Configuration
 from bench.control.settings import build_controller, with_correction
 from bench.loop.loop import Cycle
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
+from bench.records.telemetry.ring import RingWriter, ring_capacity
+from bench.records.telemetry.zero_shift import Shifts, moved_zero, write_shifts
 from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure
 from bench.supervisor.correction import CorrectionReader
 from bench.supervisor.ownership import adopt
@@ -41,8 +43,6 @@ from bench.supervisor.real_time import real_time
 from bench.supervisor.supervision import SUPERVISION_FILE, Orders
 from bench.supervisor.tick_timing import TickTiming, check_budget, create_timing, new_timing
 from bench.supervisor.timing_record import Stall
-from bench.telemetry.ring import RingWriter, ring_capacity
-from bench.telemetry.zero_shift import Shifts, moved_zero, write_shifts
 from drivers.base import Driver, DriverError
 from drivers.base.compiled import new_record, numbers
 from drivers.base.shared_record import SharedMemoryError, SharedRecord

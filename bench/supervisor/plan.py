@@ -7,9 +7,9 @@ from pathlib import Path
 
 from bench.base.lifecycle import Cause
 from bench.config import Configuration
+from bench.records.telemetry.zero_shift import CalibratedShifts
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
-from bench.telemetry.zero_shift import CalibratedShifts
 from drivers.launch_monitor.settings import LaunchMonitorSettings
 from sim.air import Air
 from sim.flight import Wind

@@ -8,7 +8,7 @@ Plan: a pickled PublisherPlan on stdin. Output on stdout, one JSON line each:
 `failed`     `place`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
 `ended`      `batches`, `lost`
 
-It sends `golfbench/<id>/telemetry` (`bench.telemetry.batches`) about 50 times a second and
+It sends `golfbench/<id>/telemetry` (`bench.records.telemetry.batches`) about 50 times a second and
 `golfbench/<id>/loop` (JSON) once a second. It never waits for subscribers: a slow one loses messages, visible
 as gaps of their numbers, and costs no memory. It ends on SIGTERM or when its supervisor is gone.
 """
@@ -30,6 +30,9 @@ from bench.base.address import NetworkSettings
 from bench.base.errors import BenchError, ExitCode
 from bench.network.messages import LOOP_VERSION
 from bench.network.zenoh_session import close_session, open_client
+from bench.records.telemetry.batches import encode_batch
+from bench.records.telemetry.cycle_record import LONGEST_BATCH
+from bench.records.telemetry.ring import RingReader
 from bench.supervisor.child_process import (
     Condition,
     HeartbeatSender,
@@ -39,9 +42,6 @@ from bench.supervisor.child_process import (
     send_failure,
 )
 from bench.supervisor.timing_record import TimingReader, summary
-from bench.telemetry.batches import encode_batch
-from bench.telemetry.cycle_record import LONGEST_BATCH
-from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedMemoryError
 
 PERIOD = 0.02

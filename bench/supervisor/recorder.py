@@ -4,7 +4,7 @@ Plan: a pickled RecorderPlan on stdin. Output on stdout, one JSON line each:
 
 `ready`      the ring is open and the folder is writable
 `stored`     `path`, `kind`, `number`, `lost_records`, `complete`, `replayable`, `shot_id`, `cause`,
-             `warnings`: what drifts from swing to swing, see `bench.shot.swing_drift`;
+             `warnings`: what drifts from swing to swing, see `bench.records.shot.swing_drift`;
              `tick`: at which the swing began; `shot`: its row of the shot table if the plan asks for it
 `trouble`    `text`, `waiting`: records cannot be stored; they wait in memory and are retried
 `relieved`   records can be stored again
@@ -31,9 +31,19 @@ import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
 from bench.base.lifecycle import Cause, State
-from bench.shot.ball_struck import ball_struck
-from bench.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
-from bench.shot.swing_drift import DriftWatch, strike_seen
+from bench.records.shot.ball_struck import ball_struck
+from bench.records.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
+from bench.records.shot.swing_drift import DriftWatch, strike_seen
+from bench.records.telemetry.record_queue import (
+    QueuedRecord,
+    RecordQueue,
+    folder_trouble,
+    record_path,
+    remove_partial,
+)
+from bench.records.telemetry.ring import RingReader
+from bench.records.telemetry.swing_cutter import Cut, Cycles, SwingCutter
+from bench.records.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry, since, swing_metadata
 from bench.supervisor.child_process import (
     Condition,
     HeartbeatSender,
@@ -46,16 +56,6 @@ from bench.supervisor.correction import CORRECTED, weights_of
 from bench.supervisor.timing_record import TimingReader, summary
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
-from bench.telemetry.record_queue import (
-    QueuedRecord,
-    RecordQueue,
-    folder_trouble,
-    record_path,
-    remove_partial,
-)
-from bench.telemetry.ring import RingReader
-from bench.telemetry.swing_cutter import Cut, Cycles, SwingCutter
-from bench.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry, since, swing_metadata
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 from sim.plant import PlantParameters
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError
-from bench.telemetry.whole_file import whole_file
+from bench.records.telemetry.whole_file import whole_file
 
 
 class RunMarker:

@@ -30,8 +30,8 @@ from bench.network.bench_service import (
     LoopStatus,
     ProcessStatus,
 )
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.supervisor.child import Child
-from bench.telemetry.cycle_record import CYCLE
 
 _ENCODERS = (Cause.SHOULDER_ENCODER, Cause.ARM_ENCODER, Cause.WRIST_ENCODER)
 BEFORE = 20

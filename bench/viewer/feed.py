@@ -17,7 +17,7 @@ import zenoh
 from bench.base.errors import BenchError
 from bench.base.json_schema import json_object
 from bench.network.zenoh_session import close_session, open_client
-from bench.telemetry.batches import Batch, decode_batch
+from bench.records.telemetry.batches import Batch, decode_batch
 
 TOPICS = ("telemetry", "state", "event", "shot", "loop")
 """Last parts of the subscribed keys."""

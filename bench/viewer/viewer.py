@@ -18,15 +18,15 @@ import rerun as rr
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.drawing.drawing import ball_at_rest
-from bench.shot.recorded_shot import (
+from bench.records.shot.recorded_shot import (
     FlightConditions,
     flight_of,
     shot_from_json,
     shot_of_cycles,
     warm_up_shots,
 )
-from bench.shot.shot_record import ShotRecord
-from bench.telemetry.cycle_record import CYCLE
+from bench.records.shot.shot_record import ShotRecord
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.viewer.feed import Arrived, Feed
 from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import MovingBall, ShotSeries, document, log_gap, log_moving_ball, moving_ball

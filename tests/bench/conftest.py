@@ -14,10 +14,10 @@ from scipy.interpolate import CubicHermiteSpline
 
 from bench.base.lifecycle import Cause, Phase, State
 from bench.control.settings import EnvelopeSettings
-from bench.shot.shot import Shot, ShotStatus
-from bench.shot.shot_record import ShotRecord
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot_record import ShotRecord
+from bench.records.telemetry.cycle_record import CYCLE, FIELDS
 from bench.swing.profile import Profile
-from bench.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import Launch
 from sim.flight import fly
 from sim.impact import Delivery

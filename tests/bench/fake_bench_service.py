@@ -27,9 +27,9 @@ from bench.network.bench_service import (
 from bench.network.command_plane import CommandPlane
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_daemon
-from bench.shot.recorded_shot import shot_to_json
-from bench.shot.shot import Shot, ShotStatus
-from bench.shot.shot_message import ShotPublication, shot_publication
+from bench.records.shot.recorded_shot import shot_to_json
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot_message import ShotPublication, shot_publication
 
 NEXT = {
     Request.RESET: State.SAFE,

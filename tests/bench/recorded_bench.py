@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from bench.loop.snapshot import SNAPSHOT
+from bench.records.telemetry.ring import RingWriter
 from bench.supervisor.child_process import HEARTBEAT
 from bench.supervisor.correction import CORRECTED, pack_correction
 from bench.supervisor.recorder import RecorderPlan
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.ring import RingWriter
 from drivers.base.shared_record import SharedRecord
 
 Cycles = np.ndarray[Any, Any]

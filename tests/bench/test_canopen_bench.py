@@ -21,12 +21,12 @@ from bench.commissioning.robot_swings import slowed
 from bench.config import load_configuration
 from bench.network.bench_service import DeviceStatus
 from bench.network.client import BenchClient, CommandRefused
-from bench.shot.recorded_shot import recorded_shot
+from bench.records.shot.recorded_shot import recorded_shot
+from bench.records.telemetry.recorder import read_swing
 from bench.simulation.series import SeriesSwing
 from bench.supervisor.ownership import take_bench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.recorder import read_swing
 from drivers.base import PASSIVE, Command
 from drivers.base.records import unpack_command
 from drivers.base.shared_record import SharedRecord

@@ -27,7 +27,7 @@ from bench.campaign.runner import Watcher
 from bench.campaign.runner_control import new_entry, run_campaign
 from bench.campaign.simulated_shots import BEGIN, SimulatedShots
 from bench.config import database_url, load_configuration
-from bench.shot.shot import Shot
+from bench.records.shot.shot import Shot
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database

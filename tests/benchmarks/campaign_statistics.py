@@ -22,7 +22,7 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.sample_size import foreseen
 from bench.campaign.shot_sequence import Role, block_trials, sections
 from bench.config import load_configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row
 from tests.benchmarks.swept import Sweeper, add_engine_options, in_this_process, sweeper
 

@@ -34,10 +34,10 @@ from bench.base.lifecycle import Cause, State
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
 from bench.network.lease import LONGEST
+from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.ring import RingReader
 from bench.supervisor.child_process import HEARTBEAT
 from bench.supervisor.plan import RING_FILE
-from bench.telemetry.recorder import read_swing
-from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedRecord
 from tests.benchmarks.process_samples import (
     Growth,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from bench.base.address import load_address
 from bench.network.client import BenchClient
-from bench.shot.shot_message import ShotPublication
+from bench.records.shot.shot_message import ShotPublication
 
 
 def swing_once(configuration: Path | None) -> ShotPublication:

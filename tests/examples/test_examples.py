@@ -19,7 +19,7 @@ from jsonschema import Draft202012Validator
 from bench.config import Configuration
 from bench.network.messages import wire_contract
 from bench.network.zenoh_session import open_client
-from bench.telemetry.cycle_record import arrow_schema
+from bench.records.telemetry.cycle_record import arrow_schema
 from drivers.base import PASSIVE, Command, Driver
 from drivers.registry import GROUP, BrokenDriver, choose_driver, find_drivers
 from tests.running_bench import running_bench, write_configuration

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.cycle_record import CYCLE
 
 PROGRAM = """
 import sys

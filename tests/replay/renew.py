@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from bench.base.lifecycle import Phase, Reaction
+from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.swing_metadata import since
 from bench.simulation.replay import MEASURED
 from bench.simulation.simulated_bench import SimulatedBench, SwingResult, simulate_swing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.recorder import write_swing
-from bench.telemetry.swing_metadata import since
 
 FOLDER = Path(__file__).parent
 SWING, STOP = FOLDER / "swing.parquet", FOLDER / "stop.parquet"

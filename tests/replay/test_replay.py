@@ -23,12 +23,12 @@ from bench.control.records import ControlParameters
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
 from bench.loop.loop import Cycle, CycleArray
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
+from bench.records.telemetry.cycle_record import FIELDS
+from bench.records.telemetry.recorder import read_swing, write_swing
+from bench.records.telemetry.swing_metadata import begin_of, since, snapshot_entry
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.replay import DECIDED, INPUTS, MEASURED, Replay, replay_cycles
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swings
-from bench.telemetry.cycle_record import FIELDS
-from bench.telemetry.recorder import read_swing, write_swing
-from bench.telemetry.swing_metadata import begin_of, since, snapshot_entry
 from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from sim.driver import SimDriver

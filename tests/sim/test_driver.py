@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE, Command, DriverError
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND, READINGS, pack_command, pack_readings

@@ -9,11 +9,11 @@ from bench.base.lifecycle import State
 from bench.config import load_configuration
 from bench.control.settings import build_controller
 from bench.loop.loop import Cycle
-from bench.shot.recorded_shot import FlightConditions, warm_up_shots
+from bench.records.shot.recorded_shot import FlightConditions, warm_up_shots
+from bench.records.telemetry.ring import RingWriter
 from bench.supervisor.tick_timing import TickTiming, new_timing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.ring import RingWriter
 from drivers.canopen.driver import CanopenDriver
 from drivers.mock import MockDriver
 from sim.nodes.plan import NodesPlan

@@ -27,6 +27,7 @@ from bench.calibration.calibration import (
 )
 from bench.config import Configuration, database_url, load_configuration
 from bench.network.client import BenchClient, CommandRefused
+from bench.records.telemetry.ring import RingReader
 from bench.simulation.loads import pressure_shares, stop_shares
 from bench.store.database import open_database
 from bench.supervisor.ownership import bench_folder
@@ -34,7 +35,6 @@ from bench.supervisor.plan import RING_FILE, TIMING_FILE
 from bench.supervisor.timing_record import TimingReader
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile
-from bench.telemetry.ring import RingReader
 from drivers.base.shared_record import SharedRecord
 from sim.live.exchange import PLANT_REPORT, REPORT_FILE
 from sim.live.surroundings import SurroundingsWriter

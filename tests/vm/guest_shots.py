@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bench.base.lifecycle import State
-from bench.shot.recorded_shot import read_shot
+from bench.records.shot.recorded_shot import read_shot
 from bench.supervisor.timing_record import SEGMENTS, summary
 from drivers.canopen.frames import bus_load
 from tests.benchmarks.row import Row

@@ -25,7 +25,7 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.sample_size import foreseen
 from bench.campaign.shot_sequence import Role, block_trials, looks_after, sections
 from bench.config import load_configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row
 
 SEED = 20261122

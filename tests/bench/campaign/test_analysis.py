@@ -18,7 +18,7 @@ from bench.campaign.findings import findings, findings_record
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.config import load_configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from tests.bench.campaign.known_truth import Case, cases, rows_of
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots, survey
 from tests.sampling import release_except

@@ -16,7 +16,7 @@ from bench.campaign.budget import UncertaintyBudget, flight_slopes, uncertainty_
 from bench.campaign.plan import CampaignPlan, StatedCalibration, stated_uncertainty
 from bench.campaign.plan_file import load_plan
 from bench.config import load_configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from drivers.base import Launch
 from sim.air import Air
 from sim.flight import fly

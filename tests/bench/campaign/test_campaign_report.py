@@ -29,7 +29,7 @@ from bench.campaign.runner import RunOutcome
 from bench.campaign.runner_control import new_entry
 from bench.commands.campaign_baseline import Band, check_baseline, junit_xml, read_baseline
 from bench.config import load_configuration
-from bench.shot.shot import ShotStatus
+from bench.records.shot.shot import ShotStatus
 from bench.store.records import CampaignState, Event, Hit, Prompt, Standing
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

@@ -28,7 +28,7 @@ from bench.campaign.runner_control import new_entry
 from bench.campaign.unequal_variances import common_errors
 from bench.campaign.verdicts import quantity_name
 from bench.config import Configuration
-from bench.shot.recorded_shot import FlightConditions
+from bench.records.shot.recorded_shot import FlightConditions
 from bench.store.records import CampaignState, Hit, Standing
 from drivers.base import Launch
 from sim.ball import REFERENCE_BALL, Ball

@@ -18,7 +18,7 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.report_format import UnitSystem
 from bench.campaign.rules import control_ball_speed, rule_names, rule_on, rule_sets
 from bench.config import Configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from sim.air import Air
 from sim.ball import Ball
 from sim.flight import Launch, fly

@@ -13,7 +13,7 @@ from bench.campaign.control_chart import NELSON, control_charts, nelson_signals
 from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.config import load_configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 
 QUIET = [0.3, -0.4, 1.2, -1.3, 0.2, 0.6, -0.2, -1.1]
 PATTERNS = {

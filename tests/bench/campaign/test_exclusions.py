@@ -22,7 +22,7 @@ from bench.campaign.campaign_report import render_campaign_report
 from bench.campaign.findings import findings
 from bench.campaign.verification import verify_page
 from bench.config import database_url
-from bench.shot.shot import ShotStatus
+from bench.records.shot.shot import ShotStatus
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.records import CampaignState, Event, ShotExclusion

@@ -42,15 +42,15 @@ from bench.network.bench_operator import SwingRecord
 from bench.network.bench_service import ArmingBlock
 from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
-from bench.shot.shot import ShotStatus
-from bench.shot.shot_message import ShotPublication, launch_to_json, shot_publication
+from bench.records.shot.shot import ShotStatus
+from bench.records.shot.shot_message import ShotPublication, launch_to_json, shot_publication
+from bench.records.telemetry.recorder import read_swing
 from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.records import CampaignState
 from bench.supervisor.status import NO_LAUNCH_MONITOR
-from bench.telemetry.recorder import read_swing
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import LaunchRecord

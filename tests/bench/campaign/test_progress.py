@@ -17,7 +17,7 @@ from bench.campaign.runner_control import new_entry
 from bench.campaign.shot_sequence import PlannedShot, all_trials
 from bench.commands.campaign_screen import ProgressScreen, campaign_bar, progress_lines, shot_line
 from bench.config import load_configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignState
 
 NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)

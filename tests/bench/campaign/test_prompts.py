@@ -33,7 +33,7 @@ from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step, all_trial
 from bench.commands.campaign_screen import CampaignBar
 from bench.commands.campaign_terminal import TerminalOperator
 from bench.config import database_url, load_configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database

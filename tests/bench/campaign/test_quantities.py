@@ -11,7 +11,7 @@ from bench.campaign.analysis import spread, values_of
 from bench.campaign.findings import QUANTITIES, level_quantities
 from bench.campaign.plan_file import load_plan
 from bench.config import load_configuration
-from bench.shot.shot import ShotStatus
+from bench.records.shot.shot import ShotStatus
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 

@@ -17,7 +17,7 @@ from bench.campaign.plan import CampaignPlan
 from bench.campaign.plan_file import load_plan
 from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.config import load_configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 
 NOW = datetime(2026, 11, 22, tzinfo=UTC)
 

@@ -41,13 +41,13 @@ from bench.campaign.runner_control import (
 from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.campaign.simulated_shots import Taken
 from bench.config import Configuration, database_url, load_configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.telemetry.recorder import read_swing, write_swing
+from bench.records.telemetry.whole_file import NotStored
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.records import CampaignEntry, CampaignState, Hit
-from bench.telemetry.recorder import read_swing, write_swing
-from bench.telemetry.whole_file import NotStored
 from drivers.base import ACTUATORS
 from drivers.base.compiled import new_record
 from tests.bench.running_postgres import running_postgres
@@ -115,7 +115,7 @@ class Scripted:
             sample=sample,
             **values,
         )
-        from bench.telemetry.cycle_record import CYCLE
+        from bench.records.telemetry.cycle_record import CYCLE
 
         cycles = None if "jam" in shot.reason else new_record(CYCLE, 3)
         return Taken(shot, cycles, {"seed": 1}, shot.ball_speed_mps is not None)

@@ -25,12 +25,12 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.shot_sequence import all_trials
 from bench.config import database_url, load_configuration
 from bench.network.free_port import free_port
-from bench.shot.shot import Shot, ShotStatus
-from bench.shot.shot_matcher import NOT_TOLD
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot_matcher import NOT_TOLD
+from bench.records.telemetry.recorder import read_swing
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.records import CampaignEntry, CampaignState
-from bench.telemetry.recorder import read_swing
 from sim.live.surroundings import SurroundingsWriter
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 

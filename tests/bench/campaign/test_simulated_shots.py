@@ -16,10 +16,10 @@ from bench.campaign.plan_requirements import require_swings
 from bench.campaign.shot_sequence import Step, all_trials
 from bench.campaign.simulated_shots import MonitorResult, SimulatedShots, Taken, hear
 from bench.config import Configuration
-from bench.shot.shot import ShotStatus
-from bench.shot.shot_matcher import NOT_TOLD
+from bench.records.shot.shot import ShotStatus
+from bench.records.shot.shot_matcher import NOT_TOLD
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.simulation.swing_operator import never
-from bench.telemetry.cycle_record import CYCLE
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchWindow
 from sim.launch_monitor import MonitorParameters

@@ -31,7 +31,7 @@ from bench.campaign.prompts import PromptKind
 from bench.campaign.runner_control import new_entry
 from bench.campaign.shot_sequence import PlannedShot, Step, all_trials, sections
 from bench.config import load_configuration
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignState, Standing
 from tests.bench.campaign.known_truth import Known, cases, drawn
 

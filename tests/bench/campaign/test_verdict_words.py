@@ -17,7 +17,7 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.sample_size import foreseen, series_needed
 from bench.campaign.verdicts import Verdict
 from bench.config import load_configuration
-from bench.shot.shot import Shot
+from bench.records.shot.shot import Shot
 from tests.bench.campaign.known_truth import Case, Known, cases, drawn
 
 

@@ -16,10 +16,10 @@ import pytest
 from bench.base.errors import ExitCode, Refused
 from bench.calibration.valve_centre import standing_counts
 from bench.cli import main
+from bench.records.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.ring import NoRing, RingWriter
+from bench.records.telemetry.zero_shift import write_shifts
 from bench.supervisor.ownership import bench_folder
-from bench.telemetry.cycle_record import CYCLE
-from bench.telemetry.ring import NoRing, RingWriter
-from bench.telemetry.zero_shift import write_shifts
 from drivers.base import Launch
 from sim.ball import Ball
 from sim.flight import fly

@@ -28,12 +28,12 @@ from bench.campaign.shot_sequence import all_trials
 from bench.campaign.simulated_shots import BEGIN
 from bench.cli import app, main
 from bench.config import database_url, load_configuration
+from bench.records.telemetry.whole_file import NotStored
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
 from bench.store.records import CampaignState
-from bench.telemetry.whole_file import NotStored
-from tests.bench.shot.read_shots import read_shot_table
+from tests.bench.records.shot.read_shots import read_shot_table
 from tests.sampling import release_except
 
 Call = Callable[..., Result]

@@ -10,7 +10,7 @@ import pytest
 from bench.base.errors import BenchError, ExitCode, Refused
 from bench.cli import main
 from bench.commands.export import Format, planned
-from bench.telemetry.recorder import write_swing
+from bench.records.telemetry.recorder import write_swing
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ import zenoh
 
 from bench.network.client import CommandRefused
 from bench.network.free_port import free_port
-from bench.shot.shot_message import ShotPublication, read_shot_message
-from bench.telemetry.recorder import read_swing
+from bench.records.shot.shot_message import ShotPublication, read_shot_message
+from bench.records.telemetry.recorder import read_swing
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.open_connect import write_heartbeat, write_shot

@@ -25,8 +25,8 @@ from bench.commands.status_table import status_table
 from bench.network.bench_service import LaunchMonitorStatus, Reply
 from bench.network.client import REST
 from bench.network.free_port import free_port
-from bench.shot.recorded_shot import shot_to_json
-from bench.shot.shot import Shot, ShotStatus
+from bench.records.shot.recorded_shot import shot_to_json
+from bench.records.shot.shot import Shot, ShotStatus
 from bench.supervisor.status import NO_LAUNCH_MONITOR
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
 

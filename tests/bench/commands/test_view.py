@@ -19,10 +19,10 @@ import pytest
 from bench.base.errors import ExitCode
 from bench.base.lifecycle import State
 from bench.cli import main
-from bench.telemetry.recorder import write_swing
+from bench.records.telemetry.recorder import write_swing
 from tests.bench.golfer.synthetic import golfer_swing
-from tests.bench.telemetry.fake_bench import BENCH, fake_bench, loopback
-from tests.bench.telemetry.read_recording import Recording
+from tests.bench.records.telemetry.fake_bench import BENCH, fake_bench, loopback
+from tests.bench.records.telemetry.read_recording import Recording
 
 Cycles = np.ndarray[Any, Any]
 HURRY = 60.0

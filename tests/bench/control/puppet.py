@@ -20,8 +20,8 @@ from bench.control.settings import (
     build_controller,
 )
 from bench.control.step import step
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.swing.profile import PHASES, Profile
-from bench.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND, READINGS, unpack_command

@@ -9,7 +9,7 @@ import pytest
 from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.control.settings import SIMULATED
 from bench.loop.loop import Cycle
-from bench.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base import Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from tests.bench.control.operating import asked, press, reach

@@ -32,8 +32,8 @@ from bench.base.lifecycle import (
 )
 from bench.control.records import ControlState
 from bench.control.step import step
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.swing.profile import Profile
-from bench.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND, unpack_command

@@ -32,9 +32,9 @@ from bench.export.record_files import (
     write_mf4,
 )
 from bench.export.rrd_file import write_rrd
-from bench.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
-from bench.telemetry.recorder import write_swing
-from bench.telemetry.whole_file import NotStored
+from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
+from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.whole_file import NotStored
 from sim.robot import Club
 
 Cycles = np.ndarray[Any, Any]

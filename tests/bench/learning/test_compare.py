@@ -17,10 +17,10 @@ from bench.learning.compare import (
     strayed,
     thesis_gains,
 )
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.simulation.series import Bench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.cycle_record import CYCLE
 
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"

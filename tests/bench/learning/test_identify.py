@@ -18,10 +18,10 @@ from bench.learning.identify import (
     variation_of,
     write_plant_file,
 )
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.cycle_record import CYCLE
 from drivers.base.compiled import new_record
 
 SHIPPED = load_configuration(shipped_configuration())

@@ -9,10 +9,10 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import Answer, Request
 from bench.learning.live import require_bench, swung_cycles
 from bench.network.bench_service import LaunchMonitorStatus
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.supervisor.status import NO_LAUNCH_MONITOR
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.cycle_record import CYCLE
 from tests.bench.fake_bench_service import FakeDesk
 
 PROFILE = load_profile(find_profile("default"))

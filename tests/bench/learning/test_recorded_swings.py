@@ -11,11 +11,11 @@ import pytest
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.learning.learn import from_first_tick, read_recorded, require_alike
+from bench.records.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.swing_metadata import profile_entry
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
-from bench.telemetry.cycle_record import CYCLE
-from bench.telemetry.recorder import write_swing
-from bench.telemetry.swing_metadata import profile_entry
 from drivers.base.compiled import new_record
 from sim.plant import PlantParameters
 

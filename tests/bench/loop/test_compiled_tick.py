@@ -13,9 +13,9 @@ from bench.control.records import ControlParameters, ControlState, new_control_s
 from bench.control.settings import build_controller
 from bench.control.step import step
 from bench.loop.compiled_tick import AT_DECIDE, AT_WRITE, CompiledTick
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.cycle_record import CYCLE
 from drivers.base.compiled import new_record
 from drivers.base.records import COMMAND, READINGS
 from sim.driver import SimDriver

@@ -22,9 +22,9 @@ from bench.control.settings import (
     build_controller,
 )
 from bench.loop.loop import Cycle, CycleArray, Loop, bring_to_rest
+from bench.records.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.ring import RingWriter
 from bench.swing.profile import Profile
-from bench.telemetry.cycle_record import CYCLE
-from bench.telemetry.ring import RingWriter
 from drivers.base import PASSIVE, Command, DriverError, Readings
 from drivers.base.compiled import new_record
 from drivers.base.records import pack_readings

@@ -17,9 +17,9 @@ from bench.control.records import ControlParameters
 from bench.control.settings import build_controller
 from bench.loop.compiled_tick import AT_READ, OVER
 from bench.loop.loop import Cycle, CycleArray
+from bench.records.telemetry.ring import RingReader, RingWriter
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.ring import RingReader, RingWriter
 from drivers.base import Command, DriverError, device_limited
 from drivers.base.compiled import new_record
 from drivers.base.native import limit_command

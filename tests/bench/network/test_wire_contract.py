@@ -27,15 +27,15 @@ from bench.network.command import FORMS, Verb, encode_command, encode_error, for
 from bench.network.lease import new_key
 from bench.network.messages import LOOP_VERSION, CampaignMessage, wire_contract
 from bench.network.zenoh_session import open_client
-from bench.shot.shot import Shot, ShotStatus
-from bench.shot.shot_matcher import Told
-from bench.shot.shot_message import ShotPublication, read_shot_message, shot_publication
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot_matcher import Told
+from bench.records.shot.shot_message import ShotPublication, read_shot_message, shot_publication
+from bench.records.telemetry.batches import encode_batch, wire_schema
+from bench.records.telemetry.cycle_record import CYCLE, arrow_schema
 from bench.store.records import CampaignState
 from bench.supervisor.launch_monitor import message_of
 from bench.supervisor.tick_timing import new_timing
 from bench.supervisor.timing_record import summary
-from bench.telemetry.batches import encode_batch, wire_schema
-from bench.telemetry.cycle_record import CYCLE, arrow_schema
 from drivers.launch_monitor.matching import MatchOutcome
 from drivers.launch_monitor.record import ClubFigures, LaunchRecord
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane

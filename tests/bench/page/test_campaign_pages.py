@@ -18,12 +18,12 @@ from bench.campaign.campaign_control import runner_lock
 from bench.config import Configuration, database_url
 from bench.page.campaign_service import CampaignArchive, RunningCampaigns
 from bench.page.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
-from bench.shot.recorded_shot import plant_of
+from bench.records.shot.recorded_shot import plant_of
+from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.ring import RingWriter
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.records import CampaignState, Prompt
-from bench.telemetry.recorder import read_swing
-from bench.telemetry.ring import RingWriter
 from tests.bench.campaign.test_campaign_report import NOW, _record
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.page.conftest import publishing

@@ -12,11 +12,11 @@ import pytest
 from bench.cli import main
 from bench.config import Configuration
 from bench.control.model import KINDS
+from bench.records.telemetry.recorder import read_swing, write_swing
 from bench.simulation.replay import NEAR, margins, residual_shares
 from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.recorder import read_swing, write_swing
 from sim.plant import PlantParameters, build_plant
 
 

@@ -20,7 +20,8 @@ from bench.base.interrupt import deferred_interrupt
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction
 from bench.cli import main
 from bench.control.settings import EnvelopeSettings
-from bench.shot.shot import ShotStatus
+from bench.records.shot.shot import ShotStatus
+from bench.records.telemetry.recorder import read_swing, write_swing
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.simulated_bench import (
     SimulatedBench,
@@ -29,7 +30,6 @@ from bench.simulation.simulated_bench import (
     simulate_swings,
 )
 from bench.swing.profile import Profile, load_profile
-from bench.telemetry.recorder import read_swing, write_swing
 from drivers.base import PASSIVE
 from drivers.base.records import unpack_command
 from sim.ball import Ball

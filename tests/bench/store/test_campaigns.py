@@ -21,7 +21,7 @@ from sqlalchemy.exc import OperationalError
 
 from bench.base.errors import BenchError, Refused
 from bench.config import database_url
-from bench.shot.shot import COLUMNS, Shot, ShotStatus
+from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
 from bench.store import database
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import SHOTS, DatabaseLocked, open_database

@@ -21,12 +21,12 @@ from bench.calibration.archive import add_calibration
 from bench.calibration.calibration import BallPosition
 from bench.config import database_url, load_configuration
 from bench.network.client import CommandRefused
+from bench.records.telemetry.recorder import read_swing
 from bench.simulation.replay import replay_cycles
 from bench.store.database import open_database
 from bench.swing.correction import basis_of, digest_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.recorder import read_swing
 from tests.running_bench import BenchProcess, running_bench, write_configuration
 
 BALL = BallPosition(0.251, -1.559, 5e-4)

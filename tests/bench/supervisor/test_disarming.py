@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Cause, Request, State
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.supervisor.status import disarmed_for
-from bench.telemetry.cycle_record import CYCLE
 
 
 def cycle(state: State, **values: object) -> Any:

@@ -24,11 +24,11 @@ from bench.base.lifecycle import State
 from bench.config import NetworkSettings
 from bench.network.free_port import free_port
 from bench.network.zenoh_session import open_client, open_daemon
+from bench.records.telemetry.batches import Batch, decode_batch
+from bench.records.telemetry.ring import RingWriter
 from bench.supervisor.child_process import HEARTBEAT, Condition
 from bench.supervisor.publisher import Publisher, PublisherPlan
 from bench.supervisor.tick_timing import TickTiming, create_timing
-from bench.telemetry.batches import Batch, decode_batch
-from bench.telemetry.ring import RingWriter
 from drivers.base.shared_record import SharedRecord
 
 pytestmark = pytest.mark.live

@@ -21,14 +21,14 @@ import pytest
 
 from bench.base.lifecycle import Cause, State
 from bench.loop.snapshot import read_snapshot
+from bench.records.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.swing_metadata import read_profile, since
 from bench.supervisor.child_process import HEARTBEAT, Condition
 from bench.supervisor.recorder import Recorder
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from bench.telemetry.cycle_record import CYCLE
-from bench.telemetry.recorder import read_swing
-from bench.telemetry.swing_metadata import read_profile, since
 from tests.bench.recorded_bench import HURRY, RECORDER, Cycles
 from tests.bench.recorded_bench import RecordedBench as Bench
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_WORDS, Cause, Refusal
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.supervisor.status import cause_text, refusal_words, stall_note, supervisor_note
-from bench.telemetry.cycle_record import CYCLE
 
 LOST_TIME, PERIOD = 0.0045, 0.001
 

@@ -10,7 +10,7 @@ import pytest
 from bench.base.lifecycle import State
 from bench.network.zenoh_session import NoAnswer
 from bench.viewer.feed import Arrived, Feed
-from tests.bench.telemetry.fake_bench import BENCH, FakeBench, fake_bench, loopback
+from tests.bench.records.telemetry.fake_bench import BENCH, FakeBench, fake_bench, loopback
 
 Cycles = np.ndarray[Any, Any]
 MakeDay = Callable[..., Cycles]

@@ -12,9 +12,9 @@ import pytest
 
 from bench.base.lifecycle import Phase
 from bench.drawing.drawing import ball_at_rest, body_poses, draw, plane_to_golf
-from bench.shot.shot_record import ShotRecord
-from bench.telemetry.cycle_record import CYCLE
-from bench.telemetry.whole_file import NotStored
+from bench.records.shot.shot_record import ShotRecord
+from bench.records.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.whole_file import NotStored
 from bench.viewer.recording import layout_for, swing_span, write_recording
 from bench.viewer.signals import SWINGING
 from sim.ball import Ball
@@ -22,7 +22,7 @@ from sim.kinematics import joint_positions
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters
 from tests.bench.golfer.synthetic import golfer_swing
-from tests.bench.telemetry.read_recording import Recording
+from tests.bench.records.telemetry.read_recording import Recording
 
 Records = Callable[[int], list[ShotRecord]]
 SITE = Site(ball_x=0.2315, ball_y=-1.514, ground=-1.57)

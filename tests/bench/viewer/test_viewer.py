@@ -16,17 +16,17 @@ import pytest
 import rerun as rr
 
 from bench.base.lifecycle import Cause, Phase, State
-from bench.shot.recorded_shot import FlightConditions, flight_of, shot_to_json
-from bench.shot.shot_record import ShotRecord
-from bench.telemetry.cycle_record import CYCLE
-from bench.telemetry.recorder import read_swing, write_swing
+from bench.records.shot.recorded_shot import FlightConditions, flight_of, shot_to_json
+from bench.records.shot.shot_record import ShotRecord
+from bench.records.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.recorder import read_swing, write_swing
 from bench.viewer.feed import Feed
 from bench.viewer.viewer import LiveView, ViewClock, event_text, loop_rows
 from sim.ball import Ball
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters
-from tests.bench.telemetry.fake_bench import BENCH, FakeBench, fake_bench, loopback
-from tests.bench.telemetry.read_recording import Recording
+from tests.bench.records.telemetry.fake_bench import BENCH, FakeBench, fake_bench, loopback
+from tests.bench.records.telemetry.read_recording import Recording
 
 
 def cycles(first_tick: int, count: int, start: float) -> np.ndarray:

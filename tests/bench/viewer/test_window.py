@@ -24,7 +24,7 @@ from bench.viewer.scene import log_static_scene
 from bench.viewer.signals import bench_time, log_styles, send_scalars
 from bench.viewer.window import LOOPBACK, RerunWindow, quiet_environment, rerun_program
 from sim.plant import PlantParameters
-from tests.bench.telemetry.read_recording import Recording
+from tests.bench.records.telemetry.read_recording import Recording
 
 HURRY = 30.0
 

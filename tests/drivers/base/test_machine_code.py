@@ -72,7 +72,7 @@ def test_the_graph_has_every_file_that_compiled_functions_import() -> None:
     assert {trees[module][0] for module in reached} <= paths.keys()
     assert {
         "bench/base/lifecycle.py",
-        "bench/telemetry/cycle_record.py",
+        "bench/records/telemetry/cycle_record.py",
         "drivers/base/contract.py",
         "drivers/base/__init__.py",
         "bench/control/settings.py",

@@ -21,9 +21,9 @@ import pytest
 import bench.swing
 from bench.control.settings import build_controller
 from bench.loop.loop import Cycle, CycleArray
+from bench.records.telemetry.cycle_record import CYCLE
 from bench.supervisor.child import Child, NotStarted
 from bench.swing.profile import load_profile
-from bench.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE, Command, DriverError
 from drivers.base.records import unpack_command
 from drivers.base.shared_record import SharedRecord

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE, Command
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS, TRUTH, pack_readings, unpack_command

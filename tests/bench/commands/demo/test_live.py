@@ -15,9 +15,9 @@ import pytest
 from bench.base.errors import ExitCode
 from bench.commands.demo.demo import demo_configuration, demo_plan
 from bench.config import load_configuration
-from bench.shot.shot import ShotStatus
-from bench.telemetry.recorder import read_swing
-from tests.bench.shot.read_shots import read_shot_table
+from bench.records.shot.shot import ShotStatus
+from bench.records.telemetry.recorder import read_swing
+from tests.bench.records.shot.read_shots import read_shot_table
 
 pytestmark = [
     pytest.mark.live,

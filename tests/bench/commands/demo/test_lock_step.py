@@ -19,10 +19,10 @@ from bench.cli import main
 from bench.commands.demo.demo import run_demo
 from bench.config import load_configuration
 from bench.control.settings import EnvelopeSettings
-from bench.shot.shot import COLUMNS, Shot, ShotStatus
+from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
+from bench.records.telemetry.recorder import read_swing
 from bench.swing.library import find_profile
-from bench.telemetry.recorder import read_swing
-from tests.bench.shot.read_shots import read_shot_table
+from tests.bench.records.shot.read_shots import read_shot_table
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"

@@ -1,0 +1,234 @@
+"""A swing's record as a shot: read from its file with plant and figures, for the viewer and exports.
+
+A series stores the shot's figures in the record's metadata. A record of the daemon has no figures: then the
+delivery is that of the estimated angles, launch and flight are what the models make of it, and they say so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from math import pi, radians
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.base.errors import BenchError
+from bench.base.from_toml import Builder, as_tree, laid_over
+from bench.base.json_schema import require_fit
+from bench.base.lifecycle import CAUSE_TEXT, Cause
+from bench.records.shot.ball_struck import ball_struck
+from bench.records.shot.head_path import path_to_ball
+from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
+from bench.records.shot.shot_record import ShotRecord
+from bench.records.telemetry.recorder import read_swing
+from drivers.base import Launch
+from sim.air import Air
+from sim.ball import REFERENCE_BALL, Ball
+from sim.flight import Flight, Wind, fly
+from sim.impact import Delivery, delivery_from_plane, strike
+from sim.kinematics import forward_kinematics
+from sim.plant import PlantParameters
+from sim.turf import Turf
+
+Cycles = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True)
+class FlightConditions:
+    """Air, wind and turf of a flight."""
+
+    air: Air = field(default_factory=Air)
+    wind: Wind = field(default_factory=Wind)
+    turf: Turf = field(default_factory=Turf)
+
+
+class RecordedShot(NamedTuple):
+    """Content of a record."""
+
+    record: ShotRecord
+    plant: PlantParameters
+    metadata: dict[str, Any]
+
+
+def read_shot(path: Path, number: int = 1) -> RecordedShot:
+    """Return the shot in the record at `path`; `number` is used if the record has no number.
+
+    Raises:
+        BenchError: the file is missing, damaged or no record.
+        ExceptionGroup: of BenchErrors, values of its configuration that this program does not take.
+    """
+    return recorded_shot(*read_swing(path), str(path), number)
+
+
+def recorded_shot(cycles: Cycles, metadata: dict[str, Any], place: str, number: int = 1) -> RecordedShot:
+    """Return the shot of a record's `cycles` and `metadata`; `place` names it. Raises as `read_shot`."""
+    plant, around = plant_of(metadata, place)
+    if (given := metadata.get("shot")) is not None:
+        shot = shot_from_json(given, f"{place}: shot")
+        return RecordedShot(ShotRecord(shot, cycles, flight_of(shot, plant, around)), plant, metadata)
+    time = metadata.get("time_utc")
+    record = shot_of_cycles(
+        cycles,
+        plant,
+        around,
+        number=int(metadata.get("number", number)),
+        time_utc=datetime.fromisoformat(time) if isinstance(time, str) else datetime.fromtimestamp(0, UTC),
+    )
+    return RecordedShot(record, plant, metadata)
+
+
+def warm_up_shots(plant: PlantParameters, around: FlightConditions) -> None:
+    """Run once what is compiled of delivery, impact and flight: the first time it takes many seconds."""
+    robot = plant.robot
+    forward_kinematics(robot, np.array([[0.571, 4.141, 2 * pi]]))
+    forward_kinematics(robot, np.array([0.571, 4.141, 2 * pi]))
+    head, motion = (0.0, -1.5, 1.5 * pi), (40.0, 0.0, 30.0)
+    delivery = delivery_from_plane(head, motion, (0.0, -1.5), robot.club, robot.lie, "encoders+model")
+    fly(strike(delivery, robot.club, plant.ball), around.air, plant.ball, around.wind, around.turf)
+
+
+def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, FlightConditions]:
+    """Return the plant and the surroundings in a record's configuration, today's defaults for missing keys.
+
+    Raises:
+        ExceptionGroup: of BenchErrors, one for each value that this program does not take.
+    """
+    given = metadata.get("configuration")
+    configuration: dict[str, Any] = dict(given) if isinstance(given, Mapping) else {}
+    if isinstance(around := configuration.get("surroundings"), Mapping):
+        configuration |= around
+    faults: list[BenchError] = []
+    file = Path(f"{place}: configuration")
+    built: dict[str, Any] = {}
+    for name, kind in (("plant", PlantParameters), ("air", Air), ("wind", Wind), ("turf", Turf)):
+        table = configuration.get(name)
+        recorded = as_tree({name: table if isinstance(table, dict) else {}}, file, faults)
+        defaults = json.loads(json.dumps(asdict(kind())))
+        today = as_tree({name: defaults}, file, faults)
+        action = "Read it with the version of golfbench that wrote it."
+        tree = laid_over(today, recorded)[name]
+        built[name] = Builder(tree, file, action, action, faults=faults).build(kind)  # type: ignore[arg-type]
+    if faults:
+        raise ExceptionGroup(f"{place} has an invalid configuration", faults)
+    return built["plant"], FlightConditions(built["air"], built["wind"], built["turf"])
+
+
+def shot_from_json(given: Any, place: str) -> Shot:
+    """Return the shot with the JSON object `given`: the names of the shot table.
+
+    Raises:
+        BenchError: a column is missing or of another type, or the shot is invalid.
+    """
+    action = "Restore it, or use the version of golfbench that wrote it."
+    require_fit(given, Shot, place, action)
+    values = {name: given[name] for name in COLUMNS}
+    try:
+        time = datetime.fromisoformat(given["time_utc"])
+        return Shot(**values | {"status": ShotStatus(given["status"]), "time_utc": time})
+    except ValueError as error:
+        raise BenchError(place, str(error), "a shot", action) from None
+
+
+def shot_to_json(shot: Shot) -> dict[str, Any]:
+    """Return `shot` as the JSON object that `shot_from_json` takes."""
+    return vars(shot) | {"status": str(shot.status), "time_utc": shot.time_utc.isoformat()}
+
+
+def flight_of(shot: Shot, plant: PlantParameters, around: FlightConditions) -> Flight | None:
+    """Return the flight of the launch in `shot`; None without a launch that can be flown.
+
+    A simulated ball is the plant's; on hardware it is the reference ball's flight.
+    """
+    given = (
+        shot.ball_speed_mps,
+        shot.launch_angle_deg,
+        shot.direction_deg,
+        shot.spin_rpm,
+        shot.spin_axis_deg,
+    )
+    if shot.status is ShotStatus.FAILED or any(value is None for value in given):
+        return None
+    speed, angle, direction, spin, axis = (float(value or 0.0) for value in given)
+    launch = Launch(speed, radians(angle), radians(direction), spin * pi / 30, radians(axis))
+    if shot.carry_source in {"", "simulated", "model"} or shot.flight_source == "simulated":
+        return _flown(launch, plant.ball, around)
+    return _flown(launch, REFERENCE_BALL, around)
+
+
+def shot_of_cycles(
+    cycles: Cycles, plant: PlantParameters, around: FlightConditions, *, number: int, time_utc: datetime
+) -> ShotRecord:
+    """Return the shot in `cycles`: the delivery as estimated, launch and flight as modelled.
+
+    A ball flew if it was on the tee before the head crossed its place and not after.
+    """
+    trips = cycles["trip"][cycles["trip"] != 0]
+    delivery = delivery_of_cycles(cycles, plant)
+    launch = flight = None
+    if delivery is not None and ball_struck(cycles):
+        try:
+            launch = strike(delivery, plant.robot.club, plant.ball)
+        except ValueError:
+            launch = None
+        flight = None if launch is None else _flown(launch, plant.ball, around)
+    reason = "" if delivery is not None else "no swing through the ball's place"
+    if len(trips) and Cause(int(trips[0])) is not Cause.POWER_UP:
+        reason = CAUSE_TEXT[Cause(int(trips[0]))]
+    elif launch is None and not reason:
+        reason = "no ball struck"
+    shot = Shot.from_measurements(
+        shot=number,
+        block=1,
+        position=1,
+        club=plant.robot.club.name,
+        ball=plant.ball.name if launch is not None else "",
+        time_utc=time_utc,
+        delivery=delivery,
+        launch=launch,
+        flight=flight,
+        status=ShotStatus.FAILED if reason else ShotStatus.VALID,
+        reason=reason,
+        launch_source="model",
+        carry_source="model",
+    )
+    return ShotRecord(shot, cycles, flight)
+
+
+def delivery_of_cycles(cycles: Cycles, plant: PlantParameters) -> Delivery | None:
+    """Return the delivery of the estimated head at the ball's place; None if it does not arrive there."""
+    estimated = cycles.copy()
+    estimated["plant_angle"] = np.nan
+    robot, site = plant.robot, plant.site
+    path = path_to_ball(robot, estimated, site.ball_x, 0.1)
+    if path is None:
+        return None
+    last = int(np.searchsorted(cycles["time"], path.time[-1])) - 1
+    angle, velocity = cycles["angle"][last], cycles["velocity"][last]
+    ahead = angle + (path.time[-1] - cycles["time"][last]) * velocity
+    step = 1e-6
+    motion = (
+        forward_kinematics(robot, ahead + step * velocity)
+        - forward_kinematics(robot, ahead - step * velocity)
+    ) / (2 * step)
+    try:
+        return delivery_from_plane(
+            tuple(forward_kinematics(robot, ahead)),
+            tuple(motion),
+            (site.ball_x, site.ball_y),
+            robot.club,
+            robot.lie,
+            "encoders+model",
+        )
+    except ValueError:
+        return None
+
+
+def _flown(launch: Launch, ball: Ball, around: FlightConditions) -> Flight | None:
+    try:
+        return fly(launch, around.air, ball, around.wind, around.turf)
+    except ValueError:
+        return None

@@ -1,0 +1,116 @@
+"""One Parquet file a swing: every cycle and what is needed to understand it later."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.base.errors import BenchError
+from bench.records.telemetry.cycle_record import (
+    CYCLE,
+    FIELDS,
+    SCHEMA_VERSION,
+    from_arrow,
+    name_columns,
+    to_arrow,
+)
+from bench.records.telemetry.enumerations import ENUMERATIONS
+from bench.records.telemetry.whole_file import whole_file
+
+METADATA_KEY, UNITS_KEY = b"golfbench", b"units"
+"""Keys of the JSON texts in the Parquet file's key-value metadata."""
+
+# Neighbouring samples of a float share their upper bytes: splitting the bytes into streams lets zstd
+# see that. Codes and switches stay constant for long: a dictionary holds them in a few bytes.
+_SPLIT = [column for field in FIELDS if field.dtype == "f8" for column in field.columns]
+_REPEATED = [column for field in FIELDS if field.dtype != "f8" for column in field.columns]
+
+
+def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str, Any]) -> None:
+    """Write the swing's `cycles` (n records of CYCLE) and `metadata` to `path`, whole or not at all.
+
+    `metadata` holds what JSON can: versions, effective configuration, seed, profile, shot. The schema's
+    version and the names of phases, reactions and causes are added; units stand in each column's metadata,
+    and all together as JSON in the file's own (`units`), which is what DuckDB and polars show. Beside each
+    code stands its name ("phase", "phase_name"); readers of cycles take the code.
+    Raises BenchError (disk full, folder missing or read-only) and TypeError or ValueError when the
+    metadata is not JSON (NaN included) or the cycles are not of CYCLE; then `path` is untouched.
+    """
+    import pyarrow as pa  # 29 MB, and needed for files only
+    import pyarrow.parquet as pq
+
+    if cycles.dtype != CYCLE:
+        raise TypeError(f"cycles have dtype {cycles.dtype}, expected CYCLE")
+    text = json.dumps(
+        {"schema_version": SCHEMA_VERSION, "enumerations": ENUMERATIONS, **metadata}, allow_nan=False
+    )
+    table, names = to_arrow(cycles), name_columns(cycles)
+    for name, column in names.items():
+        about = {"unit": "1", "description": f"name of the code in {name.removesuffix('_name')}"}
+        table = table.append_column(pa.field(name, column.type, metadata=about), column)
+    units = json.dumps({field.name: field.metadata[b"unit"].decode() for field in table.schema})
+    of_file = {METADATA_KEY: text.encode(), UNITS_KEY: units.encode()}
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), **of_file})
+    with whole_file(path) as stream:
+        pq.write_table(
+            table,
+            stream,
+            compression="zstd",
+            use_dictionary=[*_REPEATED, *names],
+            column_encoding=dict.fromkeys(_SPLIT, "BYTE_STREAM_SPLIT"),
+        )
+
+
+def read_swing(path: Path) -> tuple[np.ndarray[Any, Any], dict[str, Any]]:
+    """Return the cycles (records of CYCLE, bit for bit as written) and the metadata stored in `path`.
+
+    Raises BenchError when the file is missing, no Parquet file, not a swing of golfbench, or of a
+    schema version that this program does not know.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path, memory_map=False)
+    except FileNotFoundError as error:
+        raise BenchError(
+            str(path), "no such file", "a swing's record (.parquet)", "Correct the path of the record."
+        ) from error
+    except (OSError, pa.ArrowException) as error:
+        raise BenchError(
+            str(path), f"unreadable: {error}", "a swing's record (Parquet)", "restore it from a copy"
+        ) from error
+    metadata = _read_metadata(path, table.schema.metadata or {})
+    try:
+        return from_arrow(table), metadata
+    except KeyError as error:
+        raise BenchError(
+            str(path),
+            f"a record without {error.args[0]}",
+            f"the columns of schema {SCHEMA_VERSION}",
+            "read it with the version of golfbench that wrote it",
+        ) from error
+
+
+def _read_metadata(path: Path, stored: Mapping[bytes, bytes]) -> dict[str, Any]:
+    """Return the metadata of a swing's file, after checking that this program understands the file."""
+    if METADATA_KEY not in stored:
+        raise BenchError(
+            str(path),
+            "a Parquet file without golfbench metadata",
+            "a swing's record written by golfbench",
+            "name a file that a swing has written",
+        )
+    metadata: dict[str, Any] = json.loads(stored[METADATA_KEY])
+    if metadata.get("schema_version") != SCHEMA_VERSION:
+        raise BenchError(
+            str(path),
+            f"schema version {metadata.get('schema_version')}",
+            f"version {SCHEMA_VERSION}",
+            "read it with the version of golfbench that wrote it",
+        )
+    return metadata

@@ -1,0 +1,113 @@
+"""Drift from swing to swing: a lasting loss of speed, and a ball that is met elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import nan
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.config import load_configuration, shipped_configuration
+from bench.records.shot.swing_drift import LASTING, NEEDED, REFERENCE, DriftWatch, StrikeSeen, strike_seen
+from bench.simulation.series import Bench, Series
+from bench.simulation.variation import healthy_plant
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from sim.plant import PlantParameters, build_plant
+from tests.compiled_only import needs_speed
+
+
+def watch_after(swings: int, scatter: float = 0.0, seed: int = 1) -> DriftWatch:
+    """Return a watch that has seen healthy `swings`, 43 m/s on average."""
+    random, watch = np.random.default_rng(seed), DriftWatch()
+    for _ in range(swings):
+        seen = StrikeSeen(43.0 * (1.0 + scatter * random.normal()), 0.25 + 0.003 * random.normal())
+        assert watch.take(seen, "a").warnings == ()
+    return watch
+
+
+def lost(watch: DriftWatch, share: float, swings: int, tables: str = "a") -> list[tuple[str, ...]]:
+    return [watch.take(StrikeSeen(43.0 * (1.0 - share), 0.25), tables).warnings for _ in range(swings)]
+
+
+def test_a_loss_of_two_percent_that_lasts_is_a_warning() -> None:
+    found = lost(watch_after(REFERENCE, 0.001), 0.02, LASTING)
+    assert [len(warnings) for warnings in found] == [0, 1, 1]  # the median of three
+    assert "club speed 42.14 m/s" in found[-1][0]
+
+
+def test_one_slow_swing_is_none() -> None:
+    watch = watch_after(REFERENCE, 0.001)
+    assert lost(watch, 0.05, 1) == [()]
+    assert lost(watch, 0.0, 5) == [()] * 5
+
+
+def test_too_few_swings_are_no_reference() -> None:
+    assert lost(watch_after(NEEDED - 1), 0.2, 1) == [()]
+
+
+def test_other_tables_begin_again() -> None:
+    assert lost(watch_after(REFERENCE), 0.1, 5, "b") == [()] * 5
+
+
+def test_a_loss_that_creeps_is_not_taken_for_the_usual() -> None:
+    watch = watch_after(REFERENCE, 0.001)
+    found = [lost(watch, share, 1)[0] for share in np.linspace(0.0, 0.03, 60)]
+    assert found[-1]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_swings_that_scatter_by_a_percent_raise_no_alarm(seed: int) -> None:
+    watch_after(100, 0.01, seed)
+
+
+@pytest.mark.parametrize("off", [0.025, -0.03])
+def test_a_ball_that_is_met_elsewhere_is_a_warning_at_once(off: float) -> None:
+    watch = watch_after(REFERENCE)
+    (text,) = watch.take(StrikeSeen(43.0, 0.25 + off), "a").warnings
+    assert "the head met the ball" in text
+    assert watch.take(StrikeSeen(43.0, nan), "a").warnings == ()  # no ball, nothing met
+
+
+def test_json_has_no_nan() -> None:
+    told = DriftWatch().take(StrikeSeen(43.0, nan), "a").as_json()
+    assert told["club_speed_mps"] == 43.0
+    assert told["ball_met_m"] is told["first_ball_met_m"] is None
+
+
+def shipped() -> tuple[Series, Any, PlantParameters]:
+    c = load_configuration(shipped_configuration())
+    file = find_profile(c.swing.profile)
+    profile = load_profile(file)
+    c = c.for_profile(profile, file)
+    plant = healthy_plant(c.plant, 1)
+    envelope = c.envelope.with_model_check("off")
+    return Series(Bench(c.plant, profile, c.control, envelope, c.estimator), plant), profile, plant
+
+
+def swung(watch: DriftWatch, series: Series, profile: Any, counts: int) -> tuple[str, ...]:
+    cycles = series.swing(profile).cycles
+    seen = strike_seen(cycles, counts, struck=True)
+    assert seen is not None
+    return watch.take(seen, "a").warnings
+
+
+@needs_speed
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("joint", range(3))
+def test_an_encoder_that_slipped_by_twenty_millirad_shows_where_the_ball_is_met(joint: int) -> None:
+    series, profile, plant = shipped()
+    counts, watch = plant.encoders.counts_per_revolution, DriftWatch()
+    for _ in range(NEEDED + 1):
+        assert swung(watch, series, profile, counts) == ()
+    for part in range(1, 11):  # it crept in, so that no sample jumps
+        zeros = list(plant.encoders.zero_count)
+        zeros[joint] += part / 10 * 0.02 * counts / (2.0 * np.pi)
+        a, b, c = zeros
+        slipped = replace(plant.encoders, zero_count=(a, b, c))
+        series._engine.stepper.plant = build_plant(replace(plant, encoders=slipped))
+        series.rest()
+    found = swung(watch, series, profile, counts)
+    assert any("the head met the ball" in text for text in found)

@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import numpy as np
+
+from bench.records.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.record_queue import (
+    QueuedRecord,
+    RecordQueue,
+    folder_trouble,
+    record_path,
+    remove_partial,
+)
+from bench.records.telemetry.recorder import read_swing
+
+
+def record(path: Path, number: int = 1, kind: str = "swing") -> QueuedRecord:
+    cycles = np.zeros(5, CYCLE)
+    cycles["tick"] = number
+    return QueuedRecord(
+        path / f"{number}.parquet", datetime.fromtimestamp(0.0, UTC), cycles, {"kind": kind, "number": number}
+    )
+
+
+@contextmanager
+def as_nobody() -> Iterator[None]:
+    """Be somebody without the right to write anywhere."""
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if root:
+            os.seteuid(0)
+
+
+def test_records_are_stored_in_order_and_folders_made(tmp_path: Path) -> None:
+    queue = RecordQueue(3, 1.0)
+    for number in (1, 2):
+        queue.put(record(tmp_path / "swings" / "b", number))
+    stored = [queue.store(0.0), queue.store(0.0), queue.store(0.0)]
+    assert [s and s.metadata["number"] for s in stored] == [1, 2, None]
+    cycles, metadata = read_swing(tmp_path / "swings" / "b" / "2.parquet")
+    assert metadata["number"] == 2
+    assert cycles["tick"][0] == 2
+
+
+def test_a_folder_that_cannot_be_written_keeps_the_record_for_later(tmp_path: Path) -> None:
+    (sealed := tmp_path / "sealed").mkdir(mode=0o555)
+    queue = RecordQueue(3, 1.0)
+    queue.put(record(sealed))
+    with as_nobody():
+        assert queue.store(10.0) is None
+        assert "Permission denied" in queue.trouble or "cannot" in queue.trouble
+        assert folder_trouble(sealed, 0)
+        assert folder_trouble(sealed / "below", 0)
+    sealed.chmod(0o755)
+    assert queue.store(10.9) is None, "it keeps a pause between two tries"
+    assert queue.trouble
+    assert queue.store(11.0) is not None
+    assert not queue.trouble
+    assert os.listdir(sealed) == ["1.parquet"]
+
+
+def test_a_full_queue_drops_the_new_record(tmp_path: Path) -> None:
+    queue = RecordQueue(3, 1.0)
+    for number in range(1, 7):
+        queue.put(record(tmp_path, number))
+    assert len(queue) == 3
+    assert queue.dropped == 3
+    kept = []
+    while stored := queue.store(0.0):
+        kept.append(stored.metadata["number"])
+    assert kept == [1, 2, 3]
+
+
+def test_a_disk_nearly_full_is_told(tmp_path: Path) -> None:
+    assert not folder_trouble(tmp_path / "new" / "folder", 1)
+    assert (tmp_path / "new" / "folder").is_dir()
+    assert "MiB left" in folder_trouble(tmp_path, 1 << 62)
+    (tmp_path / "file").touch()
+    assert str(tmp_path / "file") in folder_trouble(tmp_path / "file" / "x", 1)
+
+
+def test_names_are_utc_and_sort_by_time(tmp_path: Path) -> None:
+    time = datetime(2026, 3, 1, 1, 2, 3, 45, timezone(timedelta(hours=2)))
+    assert record_path(tmp_path, time, 12).name == "20260228T230203000045Z-12.parquet"
+    assert record_path(tmp_path, time.astimezone(UTC), 12) == record_path(tmp_path, time, 12)
+
+
+def test_what_a_killed_recorder_left_is_removed(tmp_path: Path) -> None:
+    for name in (".x.parquet.0123abcd.partial", "x.parquet", ".hidden"):
+        (tmp_path / name).touch()
+    remove_partial(tmp_path)
+    remove_partial(tmp_path / "absent")
+    assert sorted(os.listdir(tmp_path)) == [".hidden", "x.parquet"]
