@@ -20,7 +20,7 @@ ROOMS = (
     "bench.records.telemetry.recorder",
     "bench.records.telemetry.batches",
     "bench.records.telemetry.swing_metadata",
-    "bench.export",
+    "bench.viewer.export",
     "bench.campaign.analysis",
     "bench.campaign.campaign_report",
     "bench.campaign.runner_control",

@@ -14,7 +14,7 @@ from bench.commands.options import option
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
-    from bench.drawing.workshop_files import MassRow
+    from bench.viewer.drawing.workshop_files import MassRow
     from sim.plant import PlantParameters
 
 
@@ -40,7 +40,7 @@ def draw(
     robot.step is for a workshop (mm), robot.glb for people, golfbench.urdf with meshes for simulators (m).
     masses.csv has mass, centre of mass and inertia as drawn and as in the dynamics. Files are replaced.
     """
-    from bench.drawing.workshop_files import mass_rows, write_mass_table
+    from bench.viewer.drawing.workshop_files import mass_rows, write_mass_table
 
     configuration = context.ensure_object(Session).configuration()
     plant = configuration.plant_with(club=club)
@@ -63,9 +63,9 @@ def _write(
     """Write one format or all; return the files to name."""
     from importlib.util import find_spec
 
-    from bench.drawing.drawing import placed
-    from bench.drawing.model_files import collision_outline, write_gltf, write_urdf
-    from bench.drawing.workshop_files import write_step
+    from bench.viewer.drawing.drawing import placed
+    from bench.viewer.drawing.model_files import collision_outline, write_gltf, write_urdf
+    from bench.viewer.drawing.workshop_files import write_step
 
     written = []
     bodies = placed(plant)

@@ -15,7 +15,7 @@ from bench.commands.progress import progress_bar
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bench.export.record_files import ExportRecord
+    from bench.viewer.export.record_files import ExportRecord
 
 
 class Format(StrEnum):
@@ -41,7 +41,7 @@ def export(
     csv has its units beside it, NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (its layout is
     written beside it), mat for MATLAB, mf4 (MDF 4) for CANape and NI.
     """
-    from bench.export.record_files import read_record
+    from bench.viewer.export.record_files import read_record
     from bench.viewer.recorded_series import record_files
 
     targets = planned(record_files(records), format_, output, force)
@@ -86,22 +86,22 @@ def _writer(format_: Format) -> Callable[[Path, ExportRecord], list[Path]]:
     """Return what writes `format_`; only its own library is imported."""
     match format_:
         case Format.CSV:
-            from bench.export.record_files import write_csv
+            from bench.viewer.export.record_files import write_csv
 
             return write_csv
         case Format.RRD:
-            from bench.export.rrd_file import write_rrd
+            from bench.viewer.export.rrd_file import write_rrd
 
             return write_rrd
         case Format.MCAP:
-            from bench.export.mcap_file import write_mcap
+            from bench.viewer.export.mcap_file import write_mcap
 
             return write_mcap
         case Format.MAT:
-            from bench.export.record_files import write_mat
+            from bench.viewer.export.record_files import write_mat
 
             return write_mat
         case Format.MF4:
-            from bench.export.record_files import write_mf4
+            from bench.viewer.export.record_files import write_mf4
 
             return write_mf4

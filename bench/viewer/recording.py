@@ -21,12 +21,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
-from bench.drawing.drawing import ball_at_rest, plane_to_golf
 from bench.golfer.golfer_file import GolferSwing
 from bench.records.shot.head_path import path_to_ball
 from bench.records.shot.shot_record import ShotRecord
 from bench.records.telemetry.whole_file import NotStored, whole_path
 from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
+from bench.viewer.drawing.drawing import ball_at_rest, plane_to_golf
 from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import ShotSeries
 from bench.viewer.signals import (

@@ -16,8 +16,8 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from bench.base.lifecycle import Phase
-from bench.drawing.bodies import DrawnBody
-from bench.drawing.drawing import body_poses, draw, plane_to_golf
+from bench.viewer.drawing.bodies import DrawnBody
+from bench.viewer.drawing.drawing import body_poses, draw, plane_to_golf
 from bench.viewer.signals import Array, Cycles, Times, head_motion
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters

@@ -17,7 +17,6 @@ import rerun as rr
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
-from bench.drawing.drawing import ball_at_rest
 from bench.records.shot.recorded_shot import (
     FlightConditions,
     flight_of,
@@ -27,6 +26,7 @@ from bench.records.shot.recorded_shot import (
 )
 from bench.records.shot.shot_record import ShotRecord
 from bench.records.telemetry.cycle_record import CYCLE
+from bench.viewer.drawing.drawing import ball_at_rest
 from bench.viewer.feed import Arrived, Feed
 from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
 from bench.viewer.shots import MovingBall, ShotSeries, document, log_gap, log_moving_ball, moving_ball

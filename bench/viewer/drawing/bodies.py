@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.drawing.solids import Mesh, Solid, Volume, joined, joined_meshes
+from bench.viewer.drawing.solids import Mesh, Solid, Volume, joined, joined_meshes
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 from sim.robot import Body, Club

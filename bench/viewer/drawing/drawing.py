@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import BenchError
-from bench.drawing.bodies import BALL, CYLINDER, FRAME, GAP, GUARD, STEEL, TEE, DrawnBody, Part
-from bench.drawing.links import (
+from bench.viewer.drawing.bodies import BALL, CYLINDER, FRAME, GAP, GUARD, STEEL, TEE, DrawnBody, Part
+from bench.viewer.drawing.links import (
     club_body,
     layers_of,
     left_arm,
@@ -23,7 +23,7 @@ from bench.drawing.links import (
     shoulder_link,
     wrist_rod,
 )
-from bench.drawing.solids import Bar, Ellipsoid, Mesh, Tube, placed_mesh
+from bench.viewer.drawing.solids import Bar, Ellipsoid, Mesh, Tube, placed_mesh
 from sim.kinematics import UnreachablePose, inverse_kinematics, joint_positions
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters

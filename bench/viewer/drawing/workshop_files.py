@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.errors import BenchError
-from bench.drawing.bodies import DrawnBody
-from bench.drawing.drawing import PlacedBody, draw
-from bench.drawing.model_files import Y_UP_TO_Z_UP
-from bench.drawing.solids import Bar, Ellipsoid, Mesh, Solid, Tube
 from bench.records.telemetry.whole_file import whole_file, whole_path
+from bench.viewer.drawing.bodies import DrawnBody
+from bench.viewer.drawing.drawing import PlacedBody, draw
+from bench.viewer.drawing.model_files import Y_UP_TO_Z_UP
+from bench.viewer.drawing.solids import Bar, Ellipsoid, Mesh, Solid, Tube
 from sim.plant import PlantParameters
 
 REASONS = {

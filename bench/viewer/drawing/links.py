@@ -9,7 +9,7 @@ from math import cos, pi, sin, sqrt
 
 import numpy as np
 
-from bench.drawing.bodies import (
+from bench.viewer.drawing.bodies import (
     ACETAL,
     ALUMINIUM,
     CHROME,
@@ -36,7 +36,7 @@ from bench.drawing.bodies import (
     rod_radius,
     wrist_ways,
 )
-from bench.drawing.solids import Bar, Bore, Ellipsoid, Solid, Tube, Turn
+from bench.viewer.drawing.solids import Bar, Bore, Ellipsoid, Solid, Tube, Turn
 from sim.plant import PlantParameters, Site
 from sim.robot import Body, Club, RobotParameters
 from sim.vectors import Vector

@@ -1,8 +1,8 @@
 """Solids that the drawn parts are made of, and their surfaces as triangles for viewers, URDF, glTF and STL.
 
 Volume, centroid and second moments are exact. Three kinds suffice: bars with bores, round tubes, ellipsoids
-with a flat cut. Each knows its surface as triangles; `bench.drawing.workshop_files` makes the same solids for
-a workshop. Lengths in m.
+with a flat cut. Each knows its surface as triangles; `bench.viewer.drawing.workshop_files` makes the same
+solids for a workshop. Lengths in m.
 """
 
 from __future__ import annotations

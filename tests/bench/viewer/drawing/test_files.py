@@ -15,13 +15,13 @@ import typer.testing
 from bench.base.errors import BenchError
 from bench.cli import app
 from bench.commands.session import Session
-from bench.drawing.bodies import DrawnBody, Part
-from bench.drawing.drawing import draw, placed
-from bench.drawing.model_files import gltf, write_gltf
-from bench.drawing.solids import Ellipsoid
-from bench.drawing.workshop_files import MassRow, load_build123d, mass_rows, solid_shape, write_step
+from bench.viewer.drawing.bodies import DrawnBody, Part
+from bench.viewer.drawing.drawing import draw, placed
+from bench.viewer.drawing.model_files import gltf, write_gltf
+from bench.viewer.drawing.solids import Ellipsoid
+from bench.viewer.drawing.workshop_files import MassRow, load_build123d, mass_rows, solid_shape, write_step
 from sim.plant import PlantParameters
-from tests.bench.drawing.conftest import PLANTS, mesh_volume
+from tests.bench.viewer.drawing.conftest import PLANTS, mesh_volume
 
 MM3 = 1e-9
 

@@ -11,15 +11,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from bench.drawing.drawing import address, plane_to_golf
-from bench.drawing.links import lever_parts
-from bench.drawing.model_files import CLOSURE, CollisionOutline, collision_outline, joints, write_urdf
-from bench.drawing.solids import Tube
+from bench.viewer.drawing.drawing import address, plane_to_golf
+from bench.viewer.drawing.links import lever_parts
+from bench.viewer.drawing.model_files import CLOSURE, CollisionOutline, collision_outline, joints, write_urdf
+from bench.viewer.drawing.solids import Tube
 from sim.kane import forward_dynamics
 from sim.kinematics import forward_kinematics, joint_positions
 from sim.plant import PlantParameters
 from sim.robot import Body, Club
-from tests.bench.drawing.conftest import PLANTS, SIZED
+from tests.bench.viewer.drawing.conftest import PLANTS, SIZED
 from tests.benchmarks.right_arm import with_right_arm
 
 FRAME_RADIUS = 0.1

@@ -21,8 +21,11 @@ from scipy.io import loadmat
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, State
-from bench.export.mcap_file import json_schema, write_mcap
-from bench.export.record_files import (
+from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
+from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.whole_file import NotStored
+from bench.viewer.export.mcap_file import json_schema, write_mcap
+from bench.viewer.export.record_files import (
     ExportRecord,
     changes,
     columns,
@@ -31,10 +34,7 @@ from bench.export.record_files import (
     write_mat,
     write_mf4,
 )
-from bench.export.rrd_file import write_rrd
-from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
-from bench.records.telemetry.recorder import write_swing
-from bench.records.telemetry.whole_file import NotStored
+from bench.viewer.export.rrd_file import write_rrd
 from sim.robot import Club
 
 Cycles = np.ndarray[Any, Any]

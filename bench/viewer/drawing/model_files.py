@@ -30,10 +30,10 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.drawing.bodies import Colour, DrawnBody, Part
-from bench.drawing.drawing import Array, PlacedBody, draw, plane_to_golf
-from bench.drawing.solids import Mesh, joined_meshes, write_stl
 from bench.records.telemetry.whole_file import whole_file
+from bench.viewer.drawing.bodies import Colour, DrawnBody, Part
+from bench.viewer.drawing.drawing import Array, PlacedBody, draw, plane_to_golf
+from bench.viewer.drawing.solids import Mesh, joined_meshes, write_stl
 from sim.plant import PlantParameters
 from sim.pneumatics import Actuator
 

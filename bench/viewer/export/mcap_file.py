@@ -31,12 +31,12 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from bench.drawing.drawing import ball_at_rest, body_poses, plane_to_golf
-from bench.export.record_files import ExportRecord, changes
 from bench.records.shot.recorded_shot import recorded_shot
 from bench.records.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, Field
 from bench.records.telemetry.enumerations import ENUMERATIONS
 from bench.records.telemetry.whole_file import whole_file
+from bench.viewer.drawing.drawing import ball_at_rest, body_poses, plane_to_golf
+from bench.viewer.export.record_files import ExportRecord, changes
 from bench.viewer.scene import poses_to_draw
 from sim.plant import PlantParameters
 
@@ -302,7 +302,7 @@ def write_mcap(path: Path, record: ExportRecord) -> list[Path]:
         writer.finish()  # type: ignore[no-untyped-call]
     layout = path.with_name(LAYOUT)
     with whole_file(layout) as stream:
-        stream.write(resources.files("bench.export").joinpath(LAYOUT).read_bytes())
+        stream.write(resources.files("bench.viewer.export").joinpath(LAYOUT).read_bytes())
     return [path, layout]
 
 

@@ -12,9 +12,9 @@ from typing import Any, cast
 
 import rerun as rr
 
-from bench.export.record_files import ExportRecord
 from bench.records.shot.recorded_shot import recorded_shot
 from bench.records.telemetry.cycle_record import FIELDS
+from bench.viewer.export.record_files import ExportRecord
 from bench.viewer.recording import log_shots, writing_recording
 from bench.viewer.signals import bench_time, send_scalars
 
