@@ -20,10 +20,10 @@ from bench.commands.progress import progress_of_steps
 from bench.commands.session import Session
 
 if TYPE_CHECKING:
-    from bench.sizing.catalogue import Catalogue
-    from bench.sizing.hardware import Hardware
-    from bench.sizing.search import SizingRun, SizingSearch
-    from bench.sizing.study import SizedPoint, SizingDemand
+    from bench.design.sizing.catalogue import Catalogue
+    from bench.design.sizing.hardware import Hardware
+    from bench.design.sizing.search import SizingRun, SizingSearch
+    from bench.design.sizing.study import SizedPoint, SizingDemand
 
 _PIPED_WIDTH = 190
 """Columns of the table in a file or pipe."""
@@ -77,8 +77,8 @@ def size(
     around the cheapest that exceeds the speed by 5 % single parts are made cheaper; for the cheapest of the
     front the whole swing is designed on the plant. Results are reused when the command is run again.
     """
-    from bench.sizing.catalogue import load_catalogue, shipped_catalogue
-    from bench.sizing.search import SizingRun
+    from bench.design.sizing.catalogue import load_catalogue, shipped_catalogue
+    from bench.design.sizing.search import SizingRun
 
     configuration = context.ensure_object(Session).configuration()
     known = shipped_catalogue() if catalogue is None else load_catalogue(catalogue)
@@ -101,7 +101,7 @@ def size(
 
 
 def _demand(speed: float, attack: float, club: str) -> SizingDemand:
-    from bench.sizing.study import SizingDemand
+    from bench.design.sizing.study import SizingDemand
 
     return SizingDemand(speed, radians(attack), club)
 
@@ -117,7 +117,7 @@ def _search(
     Raises:
         BenchError: a part is not in the catalogue, or absorbers are no pair.
     """
-    from bench.sizing.search import SizingGrid, SizingSearch
+    from bench.design.sizing.search import SizingGrid, SizingSearch
 
     vanes, cylinders, valves, absorbers, frames, hoses, vents = parts
     pressures, levers, angles = numbers
@@ -156,8 +156,8 @@ def _pair(text: str) -> tuple[str, str]:
 def _report(run: SizingRun, points: Sequence[SizedPoint], folder: Path) -> None:
     """Print the table, and write the picture, the figures and a configuration for each point of the front."""
     from bench.config import load_configuration
-    from bench.sizing.picture import draw_front
-    from bench.sizing.study import candidate_text, non_dominated
+    from bench.design.sizing.picture import draw_front
+    from bench.design.sizing.study import candidate_text, non_dominated
 
     front = non_dominated(points)
     shipped = load_configuration(Path("shipped"))

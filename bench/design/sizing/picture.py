@@ -7,8 +7,8 @@ from pathlib import Path
 
 import matplotlib as mpl
 
+from bench.design.sizing.study import SizedPoint, non_dominated
 from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
-from bench.sizing.study import SizedPoint, non_dominated
 
 
 def draw_front(points: Sequence[SizedPoint], speed: float, path: Path) -> None:

@@ -9,13 +9,12 @@ from typing import Any
 
 import pytest
 
-from bench.simulation.local_engine import InProcess
-from bench.sizing import search as module
-from bench.sizing.catalogue import shipped_catalogue
-from bench.sizing.hardware import Hardware, parts_of
-from bench.sizing.picture import draw_front
-from bench.sizing.search import SizingGrid, SizingRun, SizingSearch
-from bench.sizing.study import (
+from bench.design.sizing import search as module
+from bench.design.sizing.catalogue import shipped_catalogue
+from bench.design.sizing.hardware import Hardware, parts_of
+from bench.design.sizing.picture import draw_front
+from bench.design.sizing.search import SizingGrid, SizingRun, SizingSearch
+from bench.design.sizing.study import (
     SizedPlan,
     SizedPoint,
     SizedSwing,
@@ -25,6 +24,7 @@ from bench.sizing.study import (
     plan_of,
     swing_of,
 )
+from bench.simulation.local_engine import InProcess
 
 PARTS = shipped_catalogue()
 ASKED: list[str] = []

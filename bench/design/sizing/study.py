@@ -14,10 +14,10 @@ from bench.config import Configuration, load_configuration
 from bench.design.designer import DesignFailed, SwingDemand, design_swing, fastest_plan
 from bench.design.optimal_control import BAR, DownswingPlan
 from bench.design.requirements import load_casadi
+from bench.design.sizing.catalogue import Catalogue
+from bench.design.sizing.hardware import Hardware, configuration_text, highest_pressure, overrides
 from bench.design.stop_verification import SwingCheck
 from bench.simulation.series import Bench, Series
-from bench.sizing.catalogue import Catalogue
-from bench.sizing.hardware import Hardware, configuration_text, highest_pressure, overrides
 from bench.swing.profile import Profile, save_profile
 
 
@@ -126,7 +126,8 @@ def candidate_text(
     """Return the configuration file of `hardware`."""
     tables = overrides(catalogue, hardware, shipped.plant, demand.speed)
     heading = (
-        f"Sized for {demand.speed:g} m/s at the ball. Parts of bench/sizing/catalogue.toml:\n{hardware.name}"
+        f"Sized for {demand.speed:g} m/s at the ball. "
+        f"Parts of bench/design/sizing/catalogue.toml:\n{hardware.name}"
     )
     return configuration_text({"swing": {"club": demand.club}} | tables, heading)
 

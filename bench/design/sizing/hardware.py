@@ -8,7 +8,7 @@ from math import degrees, sqrt
 from typing import Any, NamedTuple
 
 from bench.base.errors import BenchError
-from bench.sizing.catalogue import (
+from bench.design.sizing.catalogue import (
     PRICES,
     AbsorberPart,
     Catalogue,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import BenchError
-from bench.sizing.catalogue import (
+from bench.design.sizing.catalogue import (
     FILE,
     conductance_of,
     fanno_length,

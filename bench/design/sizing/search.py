@@ -10,12 +10,9 @@ from itertools import product
 from pathlib import Path
 
 from bench.config import load_configuration
-from bench.simulation.code_version import code_digest
-from bench.simulation.sweep import Engine, sweep
-from bench.simulation.sweep_store import SweepStore
-from bench.sizing.catalogue import Catalogue
-from bench.sizing.hardware import KINDS, Hardware, parts_of
-from bench.sizing.study import (
+from bench.design.sizing.catalogue import Catalogue
+from bench.design.sizing.hardware import KINDS, Hardware, parts_of
+from bench.design.sizing.study import (
     PlanStudy,
     SizedPlan,
     SizedPoint,
@@ -27,6 +24,9 @@ from bench.sizing.study import (
     plan_of,
     swing_of,
 )
+from bench.simulation.code_version import code_digest
+from bench.simulation.sweep import Engine, sweep
+from bench.simulation.sweep_store import SweepStore
 
 _SMALL_FEED = 2.6e-7
 """Conductance of the three valves up to which the shipped feed and manifold serve, m3/(s Pa)."""
@@ -198,4 +198,4 @@ def _digest(catalogue: Catalogue, demand: SizingDemand) -> str:
     text = json.dumps(
         [asdict(catalogue), asdict(demand), settings, asdict(shipped.estimator)], default=str, sort_keys=True
     )
-    return hashlib.sha256(f"{code_digest('bench.sizing.study')} {text}".encode()).hexdigest()[:16]
+    return hashlib.sha256(f"{code_digest('bench.design.sizing.study')} {text}".encode()).hexdigest()[:16]
