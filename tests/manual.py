@@ -13,7 +13,7 @@ from typing import Any, get_origin, get_type_hints
 
 from bench.base.field_docs import field_docs
 from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_WORDS, Cause, Refusal
-from bench.cli import EXIT_CODES, command_line
+from bench.commands.cli import EXIT_CODES, command_line
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.config.defaults import keys_of, plain
 from bench.config.text import _in_people_units, _Table, _tables, _written

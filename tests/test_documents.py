@@ -13,7 +13,7 @@ import pytest
 import typer
 
 from bench.base.errors import ExitCode
-from bench.cli import EXIT_CODES, app
+from bench.commands.cli import EXIT_CODES, app
 
 ROOT = Path(__file__).resolve().parents[1]
 SKIPPED = {".venv", "data", "node_modules"}
@@ -142,7 +142,7 @@ def test_a_wrong_command_is_found(line: str, golfbench: Any) -> None:
 def test_each_exit_code_is_documented_and_used() -> None:
     assert set(EXIT_CODES) == set(ExitCode)
     code = "".join(path.read_text() for path in (ROOT / "bench").rglob("*.py") if path.name != "cli.py")
-    code += (ROOT / "bench/cli.py").read_text().partition("_EPILOG")[2]
+    code += (ROOT / "bench/commands/cli.py").read_text().partition("_EPILOG")[2]
     assert [member.name for member in ExitCode if f"ExitCode.{member.name}" not in code] == []
 
 

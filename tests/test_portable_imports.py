@@ -25,7 +25,7 @@ ROOMS = (
     "bench.campaign.campaign_report",
     "bench.campaign.runner_control",
     "bench.campaign.simulated_shots",
-    "bench.commands.export",
+    "bench.commands.swing.export",
     "bench.network.client",
     "bench.network.messages",
     "bench.records.shot",

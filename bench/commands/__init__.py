@@ -1,1 +1,1 @@
-"""Command line: one file per command."""
+"""The command line: one file per command."""

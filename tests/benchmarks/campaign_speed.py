@@ -152,7 +152,7 @@ def _memory(folder: Path, campaign: str) -> float:
 
 _MEASURED = """
 import atexit, sys
-from bench.cli import main
+from bench.commands.cli import main
 
 def report():
     with open("/proc/self/status") as status:

@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.lifecycle import Request, State
-from bench.commands.progress import progress_bar
+from bench.commands.common.progress import progress_bar
 from bench.config import Configuration, load_configuration
 from bench.supervisor.child import Child
 from bench.supervisor.loop_link import LoopLink

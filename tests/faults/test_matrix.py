@@ -17,9 +17,9 @@ import pytest
 from typer.testing import CliRunner
 
 import bench.faults.matrix
-from bench.commands.faults import app
-from bench.commands.faults_page import matrix_page, matrix_table
-from bench.commands.session import Session
+from bench.commands.common.session import Session
+from bench.commands.machine.faults import app
+from bench.commands.machine.faults_page import matrix_page, matrix_table
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.faults.case import Workbench
 from bench.faults.catalogue import Breakage, irrelevant

@@ -129,7 +129,7 @@ def _install(folder: Path, python: Path) -> None:
     (home / "bin/python").symlink_to(interpreter)
     (home / "pyvenv.cfg").write_text(f"home = {interpreter.parent}\ninclude-system-site-packages = false\n")
     command = home / "bin/golfbench"
-    command.write_text("#!/opt/golfbench/bin/python\nfrom bench.cli import main\n\nmain()\n")
+    command.write_text("#!/opt/golfbench/bin/python\nfrom bench.commands.cli import main\n\nmain()\n")
     command.chmod(0o755)
     for unit in UNITS.glob("*.service"):
         shutil.copy(unit, folder / "etc/systemd/system")

@@ -215,7 +215,7 @@ def _install_packages(root: Path) -> None:
     (home / "bin/python").symlink_to("/usr/bin/python3.11")
     (home / "pyvenv.cfg").write_text("home = /usr/bin\ninclude-system-site-packages = false\n")
     command = home / "bin/golfbench"
-    command.write_text("#!/opt/golfbench/bin/python\nfrom bench.cli import main\n\nmain()\n")
+    command.write_text("#!/opt/golfbench/bin/python\nfrom bench.commands.cli import main\n\nmain()\n")
     command.chmod(0o755)
     subprocess.run(
         ["chroot", root, f"/{HOME}/bin/python", "-m", "compileall", "-qq", f"/{SITE}"], check=False

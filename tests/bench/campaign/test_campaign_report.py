@@ -27,7 +27,7 @@ from bench.campaign.plan_file import load_plan
 from bench.campaign.report_format import UnitSystem
 from bench.campaign.runner import RunOutcome
 from bench.campaign.runner_control import new_entry
-from bench.commands.campaign_baseline import Band, check_baseline, junit_xml, read_baseline
+from bench.commands.campaign.campaign_baseline import Band, check_baseline, junit_xml, read_baseline
 from bench.config import load_configuration
 from bench.records.shot.shot import ShotStatus
 from bench.store.records import CampaignState, Event, Hit, Prompt, Standing

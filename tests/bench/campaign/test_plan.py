@@ -29,7 +29,7 @@ from bench.campaign.shot_sequence import (
     hits_needed,
     sections,
 )
-from bench.cli import app
+from bench.commands.cli import app
 from bench.config import Configuration, load_configuration
 
 TWO = """

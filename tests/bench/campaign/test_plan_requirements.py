@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from bench.campaign.plan_file import load_plan
 from bench.campaign.plan_requirements import START_SERIES, free_space, needs, needs_series, needs_words
-from bench.cli import app
+from bench.commands.cli import app
 from bench.config import load_configuration
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile, save_profile

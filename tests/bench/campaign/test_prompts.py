@@ -30,8 +30,8 @@ from bench.campaign.prompts import PromptKind, balls_of, places, require_count
 from bench.campaign.runner import Runner, RunOutcome, Watcher
 from bench.campaign.runner_control import course_of, new_entry
 from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step, all_trials
-from bench.commands.campaign_screen import CampaignBar
-from bench.commands.campaign_terminal import TerminalOperator
+from bench.commands.campaign.campaign_screen import CampaignBar
+from bench.commands.campaign.campaign_terminal import TerminalOperator
 from bench.config import database_url, load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.simulation.swing_operator import never

@@ -16,7 +16,7 @@ import pytest
 from bench.base.errors import BenchError, Refused
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import CalibrationKind, EncoderZeros
-from bench.cli import main
+from bench.commands.cli import main
 from bench.commissioning.commissioning import (
     ALL_STEPS,
     STATE_FILE,

@@ -16,8 +16,8 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import Block
 from bench.calibration.archive import add_calibration, effective_calibration
 from bench.calibration.calibration import CalibrationKind, SeenInputs, wiring_digest
-from bench.cli import main
-from bench.commands.calibrate_measured import simulated_hands
+from bench.commands.cli import main
+from bench.commands.machine.calibrate_measured import simulated_hands
 from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.driver_machine import SimulatedMachine
 from bench.commissioning.inputs import INPUTS, InputFinding, fitted, judged, stages

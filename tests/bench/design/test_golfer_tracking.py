@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from bench.cli import app
+from bench.commands.cli import app
 from bench.design.designer import SwingDemand, top_pose
 from bench.design.golfer_tracking import demand_near
 from bench.swing.library import find_profile

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.cli import main
+from bench.commands.cli import main
 from bench.config import load_configuration, shipped_configuration
 from bench.control.gains import Gains
 from bench.control.linear_loop import Estimator, least_damping, steady_estimator

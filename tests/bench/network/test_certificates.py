@@ -13,7 +13,7 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.cli import main
+from bench.commands.cli import main
 from bench.network.certificates import AUTHORITY, make_authority, read_identity, write_identity
 
 Run = Callable[..., tuple[int, str]]

@@ -12,7 +12,7 @@ import pytest
 import zenoh
 
 from bench.base.errors import BenchError, ExitCode
-from bench.cli import main
+from bench.commands.cli import main
 from bench.config import Configuration, NetworkSettings
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import pytest
 
-from bench.cli import main
+from bench.commands.cli import main
 from bench.config import Configuration
 from bench.control.model import KINDS
 from bench.records.telemetry.recorder import read_swing, write_swing

@@ -18,7 +18,7 @@ import bench.swing
 from bench.base.errors import ExitCode, Refused
 from bench.base.interrupt import deferred_interrupt
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction
-from bench.cli import main
+from bench.commands.cli import main
 from bench.control.settings import EnvelopeSettings
 from bench.records.shot.shot import ShotStatus
 from bench.records.telemetry.recorder import read_swing, write_swing
@@ -296,7 +296,7 @@ def test_control_c_ends_the_program_with_130(
             for result in simulate_swings(robot, [Ball()], stop=ControlC(wish.is_made, 240)):
                 write_swing(tmp_path / "swing.parquet", result.cycles, robot.metadata())
 
-    monkeypatch.setattr("bench.commands.doctor_bench.all_probes", swing)  # any command will do
+    monkeypatch.setattr("bench.commands.machine.doctor_bench.all_probes", swing)  # any command will do
     with pytest.raises(SystemExit) as end:
         main(["doctor"])
     assert end.value.code == ExitCode.INTERRUPTED

@@ -24,8 +24,8 @@ from bench.calibration.calibration import (
     ValveCentres,
     wiring_digest,
 )
-from bench.cli import main
-from bench.commands.status_table import status_table
+from bench.commands.bench.status_table import status_table
+from bench.commands.cli import main
 from bench.config import Configuration, database_url, load_configuration
 from bench.network.bench_service import Reply
 from bench.network.client import CommandRefused

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from bench.commands.thesis_report import Others, as_record, draw, simulate_thesis, statements
+from bench.commands.swing.thesis_report import Others, as_record, draw, simulate_thesis, statements
 from bench.swing.thesis_experiment import (
     FRICTION,
     LIMIT,
@@ -184,7 +184,7 @@ def test_a_swing_that_never_reaches_the_ball_is_reported(tmp_path: Path) -> None
 def test_simulate_thesis_writes_picture_and_figures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.commands.thesis_report.run_thesis_experiment", run)
+    monkeypatch.setattr("bench.commands.swing.thesis_report.run_thesis_experiment", run)
     simulate_thesis(tmp_path / "new", as_json=True)
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "new" / "thesis.json").read_text(encoding="utf-8"))

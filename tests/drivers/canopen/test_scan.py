@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from bench.cli import app
-from bench.commands.session import Session
+from bench.commands.cli import app
+from bench.commands.common.session import Session
 from drivers.base import PASSIVE, DriverError
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.scan import ScannedNode, scan

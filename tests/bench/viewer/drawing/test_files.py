@@ -13,8 +13,8 @@ import pytest
 import typer.testing
 
 from bench.base.errors import BenchError
-from bench.cli import app
-from bench.commands.session import Session
+from bench.commands.cli import app
+from bench.commands.common.session import Session
 from bench.viewer.drawing.bodies import DrawnBody, Part
 from bench.viewer.drawing.drawing import draw, placed
 from bench.viewer.drawing.model_files import gltf, write_gltf

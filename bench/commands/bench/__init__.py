@@ -1,0 +1,1 @@
+"""Commands of a running bench and its configuration."""

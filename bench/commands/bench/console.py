@@ -1,0 +1,244 @@
+"""`golfbench console`: the commands of the command line on one kept connection, with a key that stops."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+from prompt_toolkit import PromptSession
+from prompt_toolkit.completion import CompleteEvent, Completer, Completion, PathCompleter
+from prompt_toolkit.document import Document
+from prompt_toolkit.formatted_text import ANSI
+from prompt_toolkit.history import FileHistory, History, InMemoryHistory
+from prompt_toolkit.input import Input
+from prompt_toolkit.input.typeahead import clear_typeahead, get_typeahead
+from prompt_toolkit.key_binding import KeyBindings
+from prompt_toolkit.keys import Keys
+from prompt_toolkit.output import Output
+from prompt_toolkit.styles import Style
+
+from bench.base.errors import BenchError, ExitCode, did_you_mean
+from bench.commands.bench.console_connection import REDRAW, STOP_KEYS, KeptConnection
+from bench.commands.bench.console_terminal import CommandTerminal
+
+if TYPE_CHECKING:
+    from typer.core import TyperGroup
+
+    from bench.commands.common.session import Session
+
+ELSEWHERE = frozenset({"console", "nodes", "page", "run"})
+"""Commands that run until they are ended, and so need a separate terminal."""
+_FIRST_STATE = 2.0
+"""Max time for the first state (s)."""
+_STOPS = (Keys.F8, Keys.ControlBackslash)
+
+Report = Callable[[Callable[[], object], "Session"], int]
+"""Does the work of a command, prints its error and returns its exit code."""
+
+
+def require_terminal() -> None:
+    """Raise BenchError unless keyboard and screen are a terminal."""
+    for name, stream in (("input", sys.stdin), ("output", sys.stdout)):
+        if stream is None or not stream.isatty():
+            expected = "a terminal: its stop key is a key"
+            action = "In scripts use single commands, such as golfbench status --json."
+            raise BenchError("golfbench console", f"standard {name} is no terminal", expected, action)
+
+
+def run_console(session: Session, group: TyperGroup, report: Report) -> None:
+    """Read lines and run them as commands of `group`, until Ctrl-D or `exit`.
+
+    Raises:
+        BenchError: standard input or output is no terminal.
+    """
+    require_terminal()
+    with KeptConnection(session.address()) as connection:
+        kept = replace(session, kept=connection.client)
+        lines = ConsoleLines(connection, CommandCompleter(group, kept), history())
+        connection.wait(_FIRST_STATE)
+        # Between a line and its command the terminal sends Ctrl-\ as a signal.
+        before = signal.signal(signal.SIGQUIT, lambda *_: connection.stop())
+        typer.echo(f"{STOP_KEYS} stops the robot at any time. Ctrl-C ends the waiting, Ctrl-D the console.")
+        while (line := lines.read()) is not None:
+            connection.note = ""
+            with suppress(KeyboardInterrupt):  # Ctrl-C ends a command only
+                if _run_line(line, group, kept, report, connection) in (None, ExitCode.TERMINATED):
+                    break
+        status = connection.status
+        signal.signal(signal.SIGQUIT, before)
+    if status is not None and (lease := status["lease"]) is not None:
+        left = f"{lease['seconds_left']:.0f} s"
+        typer.echo(f"bench {status['bench']}: {lease['holder']} holds it for {left} more, then it disarms")
+
+
+def _run_line(
+    line: str, group: TyperGroup, session: Session, report: Report, connection: KeptConnection
+) -> int | None:
+    """Run `line`; return its exit code, None for the end of the console."""
+    if line.strip() == "exit":
+        return None
+    options = ["--config", str(session.config)] if session.config else []
+    options += ["--debug"] if session.debug else []
+
+    def work() -> None:
+        if arguments := arguments_of(line, group.commands):
+            with CommandTerminal(connection.stop, connection.line, REDRAW):
+                group.main(args=[*options, *arguments], prog_name="golfbench", obj=session)
+
+    return report(work, session)
+
+
+def arguments_of(line: str, commands: Mapping[str, object]) -> list[str]:
+    """Return the words of `line`, without a leading "golfbench"; `help` is `--help`.
+
+    Raises:
+        BenchError: it is no command of the console.
+    """
+    try:
+        words = shlex.split(line)
+    except ValueError as error:
+        raise BenchError(line.strip(), str(error), "a command", "Add the closing quotation mark.") from None
+    if words[:1] == ["golfbench"]:
+        del words[0]
+    if not words:
+        return words
+    if words[0] == "help":
+        return [*words[1:], "--help"]
+    if words[0] in ELSEWHERE:
+        action = f"Start it in another terminal: golfbench {words[0]}."
+        raise BenchError(words[0], "a command that runs until it is ended", "a command that ends", action)
+    if words[0] not in commands:
+        raise BenchError(
+            words[0], "not a command", "a command", did_you_mean(words[0], commands, "help lists all.")
+        )
+    return words
+
+
+class ConsoleLines:
+    """Lines typed at the console, with history, completion, state line and stop key."""
+
+    def __init__(
+        self,
+        connection: KeptConnection,
+        completer: Completer,
+        past: History,
+        terminal: Input | None = None,
+        screen: Output | None = None,
+    ) -> None:
+        """`terminal` and `screen` are those of the process unless given."""
+        self._stop, keys = connection.stop, KeyBindings()
+        for key in _STOPS:
+            keys.add(key, eager=True)(lambda _: connection.stop())
+        self._prompt: PromptSession[str] = PromptSession(
+            "golfbench> ",
+            completer=completer,
+            complete_while_typing=False,
+            complete_in_thread=True,
+            history=past,
+            key_bindings=keys,
+            bottom_toolbar=lambda: ANSI(connection.line(self._prompt.output.get_size().columns)),
+            refresh_interval=REDRAW,
+            style=Style.from_dict({"bottom-toolbar": "noreverse"}),
+            input=terminal,
+            output=screen,
+        )
+
+    def read(self) -> str | None:
+        """Return the next line, None at Ctrl-D; keys typed before it was read are dropped, but a stop key."""
+        while True:
+            if any(press.key in _STOPS for press in get_typeahead(self._prompt.input)):
+                self._stop()
+            clear_typeahead(self._prompt.input)
+            try:
+                return self._prompt.prompt()
+            except KeyboardInterrupt:  # clears the line
+                continue
+            except EOFError:
+                return None
+
+
+def history() -> History:
+    """Return the lines of earlier consoles, in a file that only its user can read."""
+    state = os.environ.get("XDG_STATE_HOME")
+    file = (Path(state) if state else Path.home() / ".local" / "state") / "golfbench" / "console_history"
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        os.close(os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
+    except OSError:
+        return InMemoryHistory()
+    return FileHistory(file)
+
+
+class CommandCompleter(Completer):
+    """Completes commands, options and known values, as the command line declares them."""
+
+    def __init__(self, group: TyperGroup, session: Session) -> None:
+        self._group, self._session, self._paths = group, session, PathCompleter(expanduser=True)
+
+    def get_completions(self, document: Document, complete_event: CompleteEvent) -> Iterator[Completion]:
+        """Yield the completions of the word at the cursor."""
+        before = document.text_before_cursor
+        words, part = before.split(), ""
+        if words and not before[-1].isspace():
+            part = words.pop()
+        if words[:1] == ["golfbench"]:
+            del words[0]
+        command: Any = self._group
+        while words and (below := getattr(command, "commands", {}).get(words[0])):
+            command = below
+            del words[0]
+        for name, below in getattr(command, "commands", {}).items():
+            if name.startswith(part) and not (command is self._group and name in ELSEWHERE):
+                yield _completion(name, part, below.get_short_help_str())
+        yield from self._parameters(command, words, part, complete_event)
+
+    def _parameters(
+        self, command: Any, words: Sequence[str], part: str, event: CompleteEvent
+    ) -> Iterator[Completion]:
+        context = typer.Context(command, obj=self._session)
+        parameters = command.get_params(context)
+        options = {
+            name: one for one in parameters for name in (*one.opts, *one.secondary_opts) if name[0] == "-"
+        }
+        if part.startswith("-"):
+            for name, option in options.items():
+                if name.startswith(part) and (option.multiple or name not in words):
+                    yield _completion(name, part, (option.help or "").replace("\\[", "["))
+            return
+        wanted = _wanted(words, options, [one for one in parameters if one.param_type_name == "argument"])
+        if wanted is None:
+            return
+        with suppress(BenchError, ExceptionGroup):  # configuration or database: its command reports it
+            yield from [_completion(item.value, part) for item in wanted.shell_complete(context, part)]
+        if "Path" in str(wanted.type_descriptor.annotation):
+            yield from self._paths.get_completions(Document(part), event)
+
+
+def _completion(text: str, part: str, about: str = "") -> Completion:
+    """Return the completion of `part` to the word `text`."""
+    return Completion(f"{text} ", -len(part), display=text, display_meta=about)
+
+
+def _wanted(words: Sequence[str], options: Mapping[str, Any], arguments: Sequence[Any]) -> Any:
+    """Return the option or argument whose value follows `words`; None if none does."""
+    taken, open_option = 0, None
+    for word in words:
+        if open_option is not None:
+            open_option = None
+        elif (option := options.get(word)) is not None:
+            open_option = None if option.is_flag else option
+        else:
+            taken += 1
+    if open_option is not None:
+        return open_option
+    if taken < len(arguments):
+        return arguments[taken]
+    return arguments[-1] if arguments and arguments[-1].nargs == -1 else None

@@ -1,0 +1,412 @@
+"""`golfbench status`, `home`, `arm`, ... `lease`: operate a running bench."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bench.commands.common.options import Json, flag, option
+from bench.commands.common.session import Session, exit_unless, show_json, user_name
+
+if TYPE_CHECKING:
+    from bench.network.bench_service import BenchStatus
+    from bench.network.client import BenchClient
+    from bench.network.command import CommandAnswer
+    from bench.records.shot.shot_message import ShotPublication
+
+PANEL = "A running bench"
+
+app = typer.Typer()
+lease_app = typer.Typer(
+    help="Hold the bench: moving it needs its lease, stopping it does not.", no_args_is_help=True
+)
+app.add_typer(lease_app, name="lease", rich_help_panel=PANEL)
+
+Wait = Annotated[bool, flag("--wait", "Wait until it is done; the lease is renewed meanwhile.")]
+Timeout = Annotated[float, option("Longest time to wait with --wait.", "S", low=1.0, high=600.0)]
+
+LONGEST_SWAY = 10.0
+"""s for which a command without --wait asks again while the robot sways or chambers vent."""
+
+_SPARE = 1000
+"""Sequence numbers reserved for one command, so that the next one does not reuse those of a killed one."""
+
+
+@app.command(rich_help_panel=PANEL)
+def status(
+    context: typer.Context,
+    watch: Annotated[bool, flag("--watch", "Keep watching until Ctrl-C.")] = False,
+    json_: Json = False,
+) -> None:
+    """Show the state of the bench: once, or live.
+
+    With --watch and --json: one line for each published state.
+    """
+    import json
+
+    with _client(context) as bench:
+        if json_:
+            typer.echo(json.dumps(bench.status(), indent=None if watch else 2))
+            for heard in bench.states(1.0) if watch else ():
+                if heard is not None:
+                    typer.echo(json.dumps(heard.status))
+            return
+        from rich.console import Console
+
+        from bench.commands.bench.status_table import status_table, watch_status
+
+        if watch:
+            watch_status(bench, Console())
+        Console().print(status_table(bench.status(), 0.0))
+
+
+@app.command(rich_help_panel=PANEL)
+def home(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> None:
+    """Home the robot: prove the encoders' zeros; needs the lease.
+
+    With --wait: exits with 1 if the bench is not READY in time.
+    """
+    with _holding(context) as bench:
+        with _waiting(bench) as watch:
+            bench.home(timeout if wait else LONGEST_SWAY, watch)
+            if wait:
+                bench.wait_for("READY", timeout=timeout, watch=watch)
+        _tell(bench)
+
+
+@app.command(rich_help_panel=PANEL)
+def arm(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> None:
+    """Warn, switch the air on and go to the address; needs the lease.
+
+    With --wait: returns when the robot rests at its address, ready to swing; exits with 1 if not in time.
+    Ctrl-C then ends only the waiting, not the arming: use golfbench disarm.
+    """
+    with _holding(context) as bench:
+        with _waiting(bench) as watch:
+            bench.arm(timeout if wait else LONGEST_SWAY, watch)
+            if wait:
+                bench.wait_until_armed(timeout=timeout, watch=watch)
+        _tell(bench)
+
+
+@app.command(rich_help_panel=PANEL)
+def disarm(context: typer.Context) -> None:
+    """Disarm: vent if at rest, otherwise brake first."""
+    with _client(context) as bench:
+        bench.disarm()
+        _tell(bench)
+
+
+@app.command(rich_help_panel=PANEL)
+def access(
+    context: typer.Context,
+    end: Annotated[bool, flag("--end", "End the access: lock the guard.")] = False,
+) -> None:
+    """Unlock the guard of a vented bench, to change club or ball; needs the lease."""
+    _ask_as_holder(context, lambda bench: bench.secure() if end else bench.access())
+
+
+@app.command(rich_help_panel=PANEL)
+def tee(context: typer.Context) -> None:
+    """Raise the next ball; needs the lease."""
+    _ask_as_holder(context, lambda bench: bench.tee())
+
+
+@app.command(rich_help_panel=PANEL)
+def stop(context: typer.Context) -> None:
+    """Stop the robot; needs no lease. Returns when it stands."""
+    _stop(context, lambda bench: bench.stop())
+
+
+@app.command(rich_help_panel=PANEL)
+def estop(context: typer.Context) -> None:
+    """Stop the robot and latch ESTOP; needs no lease. A convenience, not a safety function.
+
+    Returns when the robot stands.
+    """
+    _stop(context, lambda bench: bench.emergency_stop())
+
+
+@app.command(rich_help_panel=PANEL)
+def reset(context: typer.Context) -> None:
+    """Leave ESTOP or FAULT once the cause is cleared; never moves the robot; needs the lease."""
+    _ask_as_holder(context, lambda bench: bench.reset())
+
+
+@app.command(rich_help_panel=PANEL, context_settings={"allow_extra_args": True})
+def swing(
+    context: typer.Context,
+    no_wait: Annotated[
+        bool, flag("--no-wait", "Return once the swing has begun, without its delivery.")
+    ] = False,
+    timeout: Annotated[
+        float, option("Longest time to wait for its record.", "S", low=1.0, high=600.0)
+    ] = 60.0,
+) -> None:
+    """Swing, if the bench is ARMED, and print the delivery; needs the lease.
+
+    Exits with 1 if the swing did not complete. Profiles: golfbench profile.
+    """
+    from bench.base.errors import BenchError, Refused
+    from bench.network.client import action_of
+
+    if context.args:  # a slip for `golfbench profile ...` must not move the robot
+        found, action = f'argument "{context.args[0]}"', "Profiles: golfbench profile --help."
+        raise BenchError("golfbench swing", found, "no argument, as it moves the robot", action)
+    message: ShotPublication | None = None
+    with _holding(context) as bench:
+        status = bench.status()
+        if status["state"] != "ARMED":
+            found = f"{status['state']}{': ' + status['cause']['text'] if status['cause'] else ''}"
+            raise Refused(f"swing of bench {bench.bench}", found, "state ARMED", action_of(status))
+        with _waiting(bench) as watch:
+            if no_wait:
+                bench.swing(watch=watch)
+            else:
+                message = bench.swing_through(timeout=timeout, watch=watch)
+        if message is not None:
+            typer.echo("\n".join(shot_lines(message)))
+        _tell(bench)
+    exit_unless(message is None or message["cause"] in (None, "NONE"))
+
+
+# The lease -------------------------------------------------------------------------------------------
+
+Seconds = Annotated[
+    float | None, option("Duration of the lease, s.", "N", low=5.0, high=600.0, shown="30, or as before")
+]
+
+
+@lease_app.command("take")
+def take_lease(
+    context: typer.Context,
+    holder: Annotated[str | None, option("Name of the holder.", "NAME", shown="user@host")] = None,
+    seconds: Seconds = None,
+) -> None:
+    """Take the lease; the commands that follow use and renew it."""
+    from bench.commands.bench.lease_file import open_lease_file
+    from bench.network.client import CommandRefused
+    from bench.network.lease import DEFAULT
+
+    name = holder or user_name()
+    with _client(context) as bench, open_lease_file(_folder(), bench.bench) as file:
+        kept = file.read()
+        if kept is not None and kept.holder == name:
+            bench.held = kept
+            file.write(replace(kept, sequence=kept.sequence + _SPARE))
+            try:
+                left = bench.renew_lease(seconds)
+            except CommandRefused:
+                pass  # it was over
+            else:
+                file.write(replace(kept, sequence=kept.sequence + _SPARE))
+                typer.echo(f"bench {bench.bench}: {name} holds it for {left:g} s more")
+                return
+        held = bench.take_lease(name, DEFAULT if seconds is None else seconds)
+        file.write(held)
+        typer.echo(
+            f"bench {bench.bench}: {name} holds it for {held.seconds:g} s; each command renews it, "
+            "without one an armed bench disarms"
+        )
+
+
+@lease_app.command("renew")
+def renew_lease(context: typer.Context, seconds: Seconds = None) -> None:
+    """Renew the lease."""
+    with _holding(context) as bench:
+        left = bench.renew_lease(seconds)
+        typer.echo(f"bench {bench.bench}: held for {left:g} s more")
+
+
+@lease_app.command("release")
+def release_lease(context: typer.Context) -> None:
+    """Release the lease; an armed bench disarms."""
+    with _holding(context) as bench:
+        bench.release_lease()
+        typer.echo(f"bench {bench.bench}: lease released")
+
+
+@lease_app.command("show")
+def show_lease(context: typer.Context, json_: Json = False) -> None:
+    """Show who holds the bench."""
+    with _client(context) as bench:
+        held = bench.status()["lease"]
+        if json_:
+            show_json(held)
+        elif held is None:
+            typer.echo(f"bench {bench.bench}: lease not held")
+        else:
+            typer.echo(
+                f"bench {bench.bench}: {held['holder']} holds it for {held['seconds_left']:.0f} s more"
+            )
+
+
+# Requests --------------------------------------------------------------------------------------------
+
+
+def _client(context: typer.Context, *, stopping: bool = False) -> AbstractContextManager[BenchClient]:
+    return context.ensure_object(Session).connect(stopping=stopping)
+
+
+def _folder() -> Path:
+    from bench.commands.bench.lease_file import lease_folder
+
+    return lease_folder(os.environ, Path.home())
+
+
+@contextmanager
+def _holding(context: typer.Context) -> Iterator[BenchClient]:
+    """Yield a client with the stored lease; renew the lease at the end, and store it again."""
+    from bench.commands.bench.lease_file import open_lease_file
+    from bench.network.client import CommandRefused
+
+    with _client(context) as bench, open_lease_file(_folder(), bench.bench) as file:
+        kept = file.read()
+        if kept is not None:
+            bench.held = replace(kept)
+            file.write(replace(kept, sequence=kept.sequence + _SPARE))
+        try:
+            yield bench
+            if bench.held is not None:
+                with suppress(CommandRefused):  # the command is done all the same
+                    bench.renew_lease()
+        finally:
+            file.write(bench.held)
+
+
+def _ask_as_holder(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
+    with _holding(context) as bench:
+        ask(bench)
+        _tell(bench)
+
+
+@contextmanager
+def _waiting(bench: BenchClient) -> Iterator[Callable[[BenchStatus], None]]:
+    """Yield what shows a state while a command waits, and renews the lease on the way.
+
+    Ctrl-C ends the waiting, not the robot: the operator reads so.
+    """
+    from bench.network.client import CommandRefused
+
+    began = renewed = time.monotonic()
+    newest = ""
+    with _status_line() as show:
+
+        def watch(status: BenchStatus) -> None:
+            nonlocal renewed, newest
+            now = time.monotonic()
+            newest = f"{status['state']}, phase {status['phase']}"
+            show(f"{newest}, {now - began:.0f} s")
+            if bench.held is not None and now - renewed > bench.held.seconds / 3.0:
+                renewed = now
+                with suppress(CommandRefused):  # lost: the bench disarms, which ends the waiting
+                    bench.renew_lease()
+
+        try:
+            yield watch
+        except KeyboardInterrupt:
+            seen = f" ({newest})" if newest else ""
+            typer.echo(
+                f"\nbench {bench.bench}: only the waiting ended, the robot continues{seen}. "
+                "To stop it: golfbench stop",
+                err=True,
+            )
+            raise
+
+
+@contextmanager
+def _status_line() -> Iterator[Callable[[str], object]]:
+    """Yield what shows a text in a line of its own, on a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("") as line:
+        yield line.update
+
+
+def _stop(context: typer.Context, ask: Callable[[BenchClient], CommandAnswer]) -> None:
+    from bench.base.lifecycle import Reaction, State
+    from bench.network.status_words import MOVING, REACTION_WORDS
+    from bench.network.zenoh_session import NoAnswer
+
+    with _client(context, stopping=True) as bench:
+        answer = ask(bench)
+        if answer.note:
+            typer.echo(answer.note)
+        try:
+            status = bench.status()
+        except NoAnswer:  # a role may stop that may not read the state
+            typer.echo(f"bench {bench.bench}: the stop is accepted; its state cannot be read from here")
+            return
+        if State[status["state"]] in MOVING:
+            how = REACTION_WORDS[Reaction[status["reaction"]]]
+            typer.echo(f"bench {bench.bench}: stopping{': ' if how else ''}{how}")
+            with _waiting(bench) as watch:
+                bench.wait_for_stop(watch=watch)
+        _tell(bench)
+
+
+def _tell(bench: BenchClient) -> None:
+    """Show the state with its cause and the next command."""
+    from bench.network.status_words import state_line
+
+    typer.echo(state_line(bench.status()))
+
+
+_MPH, _YARD = 0.44704, 0.9144
+
+
+def shot_lines(message: ShotPublication) -> list[str]:
+    """Return the figures of the shot in `message`, a line each for club, ball and what was wrong."""
+    shot, number = message["shot"] or {}, message["number"]
+    head = "swing" if number is None else f"swing {number}"
+    club = _joined(
+        _speed(shot, "club_speed_mps", "at the ball"),
+        _figure(shot, "attack_angle_deg", "attack {:+.2f}°"),
+        _figure(shot, "strike_x_mm", "strike {:+.1f} mm to the toe"),
+        _figure(shot, "strike_y_mm", "{:+.1f} mm up"),
+    )
+    ball = _joined(
+        _speed(shot, "ball_speed_mps", ""),
+        _figure(shot, "launch_angle_deg", "launch {:.1f}°"),
+        _figure(shot, "spin_rpm", "spin {:.0f} rpm"),
+        _carry(shot),
+    )
+    reason = message["reason"] or str(shot.get("reason") or "")
+    lines = [f"{head}: {club or 'no delivery'}"]
+    if ball:
+        lines.append(f"ball: {ball}")
+    if reason:
+        lines.append(reason)
+    return lines
+
+
+def _joined(*parts: str) -> str:
+    return ", ".join(filter(None, parts))
+
+
+def _figure(shot: Mapping[str, Any], name: str, form: str) -> str:
+    value = shot.get(name)
+    return "" if value is None else form.format(value)
+
+
+def _speed(shot: Mapping[str, Any], name: str, where: str) -> str:
+    value = shot.get(name)
+    return "" if value is None else f"{value:.2f} m/s ({value / _MPH:.1f} mph) {where}".rstrip()
+
+
+def _carry(shot: Mapping[str, Any]) -> str:
+    value, source = shot.get("carry_m"), shot.get("carry_source")
+    if value is None:
+        return ""
+    return f"carry {value:.1f} m ({value / _YARD:.1f} yd)" + (f" by {source}" if source else "")

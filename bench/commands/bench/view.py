@@ -1,0 +1,221 @@
+"""`golfbench view` at the command line: a running bench, a swing, a series, on the screen or into a file."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+from bench.base.errors import BenchError
+from bench.base.interrupt import stop_on_signals
+from bench.commands.common.options import flag, option
+from bench.commands.common.progress import progress_bar
+from bench.commands.common.session import Session
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from bench.golfer.golfer_file import GolferSwing
+    from bench.records.shot.shot_record import ShotRecord
+    from bench.viewer.recording import Layout
+    from bench.viewer.window import RerunWindow
+    from sim.plant import PlantParameters
+
+_TURN = 0.2
+"""s between two looks whether the window is still open."""
+
+
+def view(
+    context: typer.Context,
+    shot: Annotated[Path | None, option("Show a swing's record, .parquet.", "RECORD")] = None,
+    campaign: Annotated[
+        list[Path] | None, option("Show a series: a folder of records, or a record; repeatable.", "PATH")
+    ] = None,
+    golfer: Annotated[
+        Path | None,
+        option("Show a measured golfer, NAME.golfer.toml, next to the recorded swings.", "GOLFER"),
+    ] = None,
+    save: Annotated[Path | None, option("Write a Rerun file, .rrd; no window unless --web.", "FILE")] = None,
+    web: Annotated[bool, flag("--web", "Show it in a browser on this machine.")] = False,
+) -> None:
+    """Show a running bench, a past swing or a series in Rerun, on this machine only.
+
+    A live view ends with Ctrl-C or when its window is closed; it reconnects if the bench restarts.
+    """
+    if shot is not None and campaign:
+        raise BenchError(
+            "--shot and --campaign", "both options", "one of the two", "Leave out --shot or --campaign."
+        )
+    if golfer is not None and shot is None and not campaign:
+        found, expected = "without --shot or --campaign", "a recorded swing next to it"
+        raise BenchError("--golfer", found, expected, "Add --shot RECORD.parquet or --campaign NAME.")
+    if save is not None and save.suffix != ".rrd":
+        raise BenchError("--save", str(save), "a name that ends in .rrd", "Name it so, or golfbench export.")
+    where = _Where(save, web)
+    with ExitStack() as stack:
+        if shot is not None or campaign:
+            _view_records(stack, shot, campaign or [], golfer, where)
+        else:
+            _view_bench(stack, context.ensure_object(Session), where)
+
+
+class _Where(NamedTuple):
+    """Options that say where it is shown."""
+
+    save: Path | None
+    web: bool
+
+    @property
+    def on_screen(self) -> bool:
+        """Whether there is a viewer, not a file alone."""
+        return self.web or self.save is None
+
+
+# Records ---------------------------------------------------------------------------------------------
+
+
+def _view_records(
+    stack: ExitStack, shot: Path | None, campaign: Sequence[Path], golfer: Path | None, where: _Where
+) -> None:
+    import rerun as rr
+
+    from bench.viewer.recording import layout_for, log_shots, write_recording
+
+    with progress_bar() as progress:
+        records, plant, name = _read(shot, campaign, progress)
+        swing = None if golfer is None else _golfer(golfer, records, plant)
+        if where.save is not None:
+            write_recording(where.save, records, plant, name, swing)
+            typer.echo(f"written: {where.save}")
+            if not where.on_screen:
+                return
+        window = _window(stack, where)
+        recording = _recording(stack, name, [rr.GrpcSink(window.url)], layout_for(records))
+        task = progress.add_task("showing", total=len(records))
+        log_shots(recording, records, plant, lambda: progress.advance(task), swing)
+        recording.flush(timeout_sec=60.0)
+    _say_where(window)
+    with stop_on_signals() as wish:
+        while window.alive and not wish.wait(_TURN):
+            pass
+
+
+def _read(
+    shot: Path | None, campaign: Sequence[Path], progress: Any
+) -> tuple[list[ShotRecord], PlantParameters, str]:
+    """Return the shots, the plant of the first, and a name for them."""
+    from bench.records.shot.recorded_shot import read_shot
+    from bench.viewer.recorded_series import record_files
+
+    files = [shot] if shot is not None else record_files(campaign)
+    task = progress.add_task("reading", total=len(files))
+    read = []
+    for number, file in enumerate(files, start=1):
+        read.append(read_shot(file, number))
+        progress.advance(task)
+    name = str(shot) if shot is not None else ", ".join(map(str, campaign))
+    return [recorded.record for recorded in read], read[0].plant, name
+
+
+def _golfer(path: Path, records: Sequence[ShotRecord], plant: PlantParameters) -> GolferSwing:
+    """Return the golfer in `path`, who is aligned at the ball with at least one of `records`."""
+    from bench.golfer.comparison import require_club
+    from bench.golfer.golfer_file import load_golfer
+    from bench.viewer.recording import impact_time
+
+    golfer = load_golfer(path)
+    require_club(golfer)
+    if all(impact_time(record, plant) is None for record in records):
+        found, expected = "no recorded swing reaches the ball", "a swing through the ball's position"
+        raise BenchError("--golfer", found, expected, "Choose another record, or leave --golfer out.")
+    return golfer
+
+
+# A running bench -------------------------------------------------------------------------------------
+
+
+def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
+
+    import rerun as rr
+
+    from bench.network.zenoh_session import close_session, open_client
+    from bench.records.shot.recorded_shot import FlightConditions
+    from bench.viewer.feed import Feed
+    from bench.viewer.recording import live_layout
+    from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
+
+    c = options.configuration()
+    session = open_client(c.network, c.bench.id)  # first: nobody waits half a minute for "no answer"
+    stack.callback(close_session, session)
+    around = FlightConditions(c.air, c.wind, c.turf)
+    warm_up(c.plant, around)
+    feed = stack.enter_context(Feed(session, c.bench.id, time.time))
+    wish = stack.enter_context(stop_on_signals())
+    window = _window(stack, where) if where.on_screen else None
+    sinks: list[Any] = [] if window is None else [rr.GrpcSink(window.url)]
+    if where.save is not None:
+        # No table of contents at its end: that would be kept in memory, and a file cut short is readable so.
+        sinks.append(rr.FileSink(_writable(where.save), write_footer=False))
+    recording = _recording(stack, f"bench {c.bench.id}", sinks, live_layout())
+    live = LiveView(recording, feed, c.bench.id, c.plant, around)
+    if window is not None:
+        _say_where(window)
+    typer.echo(f"showing bench {c.bench.id}; Ctrl-C ends it", err=True)
+    period = FILE_PERIOD if window is None else PERIOD
+    while not wish.is_made() and (window is None or window.alive):
+        began = time.monotonic()
+        live.turn(period)
+        wish.wait(max(0.0, period - (time.monotonic() - began)))
+    live.turn(0.0)
+    recording.flush(timeout_sec=2.0)
+    a = feed.account
+    typer.echo(
+        f"{a.batches} batches, {a.lost_batches} lost, {a.lost_cycles} cycles lost in the ring; age at the "
+        f"subscriber {live.to_subscriber.words()}, in Rerun {live.to_rerun.words()} (the last minute)",
+        err=True,
+    )
+
+
+def _writable(path: Path) -> Path:
+    """Return `path` after checking that it can be written: Rerun does not report it.
+
+    Raises:
+        NotStored: it cannot.
+    """
+    from bench.records.telemetry.whole_file import NotStored
+
+    try:
+        with path.open("wb"):
+            return path
+    except OSError as error:
+        raise NotStored(
+            str(path), error.strerror or str(error), "a file that can be written", "Give --save another path."
+        ) from None
+
+
+# Where it is shown -----------------------------------------------------------------------------------
+
+
+def _window(stack: ExitStack, where: _Where) -> RerunWindow:
+    from bench.viewer.window import RerunWindow
+
+    return stack.enter_context(RerunWindow("web" if where.web else "window"))
+
+
+def _recording(stack: ExitStack, name: str, sinks: Sequence[Any], layout: Layout) -> rr.RecordingStream:
+    import rerun as rr
+
+    recording = rr.RecordingStream(layout.application)
+    stack.callback(recording.disconnect)
+    recording.set_sinks(*sinks, default_blueprint=layout.blueprint)
+    recording.send_recording_name(name)
+    return recording
+
+
+def _say_where(window: RerunWindow) -> None:
+    if window.page is not None:
+        typer.echo(window.page)

@@ -1,0 +1,320 @@
+"""The operator at a campaign's terminal: sees prompts and confirms them with Enter.
+
+A load list may be confirmed with the number of loaded balls, which is compared with it. While the
+series runs, a key marks a shot, with a comment typed below the progress bar. Keys are read in a thread of
+their own, from a terminal in the foreground only: neither a pipe nor a background process loses a byte or
+stops.
+"""
+
+from __future__ import annotations
+
+import codecs
+import os
+import re
+import select
+import sys
+import termios
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from threading import Event, Lock, Thread
+from typing import Any
+
+from rich.console import Group
+from rich.markup import escape
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from bench.base.errors import BenchError, Refused
+from bench.campaign.prompts import Numbered, PromptKind, balls_of, places, require_count
+from bench.commands.campaign.campaign_screen import CampaignBar
+from bench.commands.common.session import user_name
+from bench.store.records import Prompt, ShotNote
+
+LONGEST = 200
+"""Max length of a comment, characters."""
+HINT = "m: mark the last shot"
+_LOOK = 0.1
+"""Max time until a key is seen, s."""
+_SEQUENCE = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|O.)")
+"""What a terminal sends for arrows and function keys."""
+_DELETE, _CLEAR, _CANCEL, _DONE = "\x7f\b", "\x15", "\x1b", "\r\n"
+
+
+def in_foreground(terminal: int) -> bool:
+    """Return whether this process may read from `terminal`; one in the background would be stopped."""
+    try:
+        return os.tcgetpgrp(terminal) == os.getpgrp()
+    except OSError:  # not the controlling terminal: it stops no process
+        return True
+
+
+class MarkLine:
+    """A comment on a shot, typed key by key."""
+
+    def __init__(self, by: str) -> None:
+        """`by` is who types."""
+        self.by = by
+        self._open: ShotNote | None = None
+
+    @property
+    def shown(self) -> str:
+        """The line for the terminal."""
+        note = self._open
+        return HINT if note is None else f"mark shot {note.shot} (Enter: store, Esc: cancel): {note.text}▏"
+
+    def feed(self, keys: str, last: int, now: datetime) -> list[ShotNote]:
+        """Take `keys`, typed `now` with `last` as the last shot (0: none yet); return the finished marks."""
+        done = []
+        for key in _SEQUENCE.sub("", keys):
+            if self._open is None:
+                if key in "mM" and last:
+                    self._open = ShotNote(last, now, self.by, "")
+            elif key in _DONE:
+                done += self.finish()
+            elif key == _CANCEL:
+                self._open = None
+            else:
+                self._open = self._open._replace(text=_edited(self._open.text, key))
+        return done
+
+    def finish(self) -> list[ShotNote]:
+        """Return the mark that is being typed as it is, if there is one."""
+        note, self._open = self._open, None
+        return [] if note is None else [note._replace(text=note.text.strip())]
+
+
+def _edited(text: str, key: str) -> str:
+    if key in _DELETE:
+        return text[:-1]
+    if key == _CLEAR:
+        return ""
+    return text + key if key.isprintable() and len(text) < LONGEST else text
+
+
+class MarkKeys:
+    """Reads the keys of the terminal and stores the marks; pauses while a prompt reads lines."""
+
+    def __init__(
+        self,
+        bar: CampaignBar,
+        by: str,
+        progress: Callable[[], Mapping[str, Any]],
+        store: Callable[[ShotNote], None],
+    ) -> None:
+        """`progress` returns the campaign's; `store` raises BenchError if a mark cannot be stored yet."""
+        self._bar, self._progress, self._store = bar, progress, store
+        self._line, self._kept = MarkLine(by), deque[ShotNote]()
+        self._decoder = codecs.getincrementaldecoder("utf-8")("ignore")
+        self._lock, self._paused, self._closing = Lock(), False, Event()
+        self._before: list[Any] | None = None
+        """Settings of the terminal before its keys were read singly."""
+        self._thread = Thread(target=self._work, name="keys", daemon=True)
+
+    def _last(self) -> int:
+        """Return the last shot, 0 before the first."""
+        shot = self._progress()["last_shot"]
+        return shot["shot"] if shot else 0
+
+    def mark(self, text: str) -> None:
+        """Mark the last shot with a comment that was typed elsewhere."""
+        if last := self._last():
+            self._kept.append(ShotNote(last, datetime.now(UTC), self._line.by, text[:LONGEST]))
+
+    def pause(self) -> None:
+        """Give the terminal back for lines; a mark that is being typed is stored as it is."""
+        with self._lock:
+            self._paused = True
+            self._kept += self._line.finish()
+            self._restore()
+
+    def resume(self) -> None:
+        """Read keys again."""
+        with self._lock:
+            self._paused = False
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End; store what was typed, and name a mark that cannot be stored."""
+        self._closing.set()
+        self._thread.join()
+        self.pause()
+        self._bar.key_line = None
+        self._store_kept()
+        for note in self._kept:
+            self._print(f"The mark of shot {note.shot} was not stored: {note.text}")
+
+    def _work(self) -> None:
+        while not self._closing.is_set():
+            with self._lock:
+                heard = not self._paused and self._listen()
+            shown = heard and self._last()  # the first shot is the first that can be marked
+            self._bar.key_line = Text(self._line.shown, style="dim") if shown else None
+            self._store_kept()
+            if not heard:
+                self._closing.wait(_LOOK)
+
+    def _listen(self) -> bool:
+        """Read the keys that were pressed; return whether the terminal is ours to read."""
+        with suppress(OSError, termios.error):
+            terminal = sys.stdin.fileno()
+            if not in_foreground(terminal):
+                self._before = None
+                return False
+            self._read_singly(terminal)
+            if select.select([terminal], [], [], _LOOK)[0]:
+                if not (found := os.read(terminal, 1024)):
+                    self._closing.set()
+                keys = self._decoder.decode(found)
+                self._kept += self._line.feed(keys, self._last(), datetime.now(UTC))
+            return True
+        self._closing.set()  # no terminal any more
+        return False
+
+    def _read_singly(self, terminal: int) -> None:
+        """Get keys without Enter and without echo; Ctrl-C stays a signal."""
+        now, lines = termios.tcgetattr(terminal), termios.ICANON | termios.ECHO
+        if now[3] & lines or self._before is None:
+            # Off already: a killed command left it so, and could not restore it.
+            flags = now[3] if now[3] & lines else now[3] | lines
+            self._before = [*now[:3], flags, *now[4:6], list(now[6])]
+        if now[3] & lines:
+            now[3] &= ~lines
+            termios.tcsetattr(terminal, termios.TCSADRAIN, now)
+
+    def _restore(self) -> None:
+        before, self._before = self._before, None
+        with suppress(OSError, termios.error, ValueError):
+            terminal = sys.stdin.fileno()
+            if before is not None and in_foreground(terminal):
+                termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+
+    def _store_kept(self) -> None:
+        """Store the marks whose shots are stored; the others are tried again."""
+        while self._kept:
+            note = self._kept[0]
+            try:
+                self._store(note)
+            except BenchError:
+                return
+            self._kept.popleft()
+            self._print(f"shot {note.shot} marked{f': {note.text}' if note.text else ''}")
+
+    def _print(self, text: str) -> None:
+        self._bar.console.print(Text(text), highlight=False)
+
+
+@contextmanager
+def mark_keys(
+    bar: CampaignBar, by: str, progress: Callable[[], Mapping[str, Any]], store: Callable[[ShotNote], None]
+) -> Iterator[MarkKeys | None]:
+    """Read the key that marks while `bar` shows progress; None without a terminal."""
+    if bar.disable or sys.stdin is None or not sys.stdin.isatty():
+        yield None
+        return
+    keys = MarkKeys(bar, by, progress, store)
+    keys.start()
+    try:
+        yield keys
+    finally:
+        keys.close()
+
+
+_GUARD = "The chambers are vented and the guard is unlocked. Close it when everybody is out"
+_BENCH = "Answer when it runs again"
+_AFTER = {
+    PromptKind.CLUB: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
+    PromptKind.BALLS: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
+    PromptKind.BENCH: f"{_BENCH}: the campaign takes the bench and goes on.",
+}
+_YES = frozenset({"", "y", "yes", "ok", "done"})
+"""Lines that confirm."""
+_COLUMNS = 4
+"""Number of places of a load list in a line."""
+
+
+class TerminalOperator:
+    """Shows prompts above the progress bar; on a terminal, Enter confirms."""
+
+    def __init__(
+        self, bar: CampaignBar, campaign: str, kinds: frozenset[PromptKind], keys: MarkKeys | None = None
+    ) -> None:
+        """`kinds` of prompts wait for the operator; others are answered automatically."""
+        self.name, self.kinds = user_name(), kinds
+        self._bar, self._campaign, self._keys = bar, campaign, keys
+        self._prompt: Prompt | None = None
+        self._listening = sys.stdin is not None and sys.stdin.isatty()
+
+    def show(self, prompt: Prompt) -> None:
+        """Show a prompt and how to confirm it."""
+        self._prompt = prompt
+        if self._keys:
+            self._keys.pause()
+        self._bar.hide()
+        command, balls = f"golfbench campaign answer {self._campaign}", balls_of(prompt)
+        enter = "Enter, or the number of balls that you loaded and Enter" if balls else "Enter"
+        how = f"{enter} (or {command})" if self._listening else command
+        if self._listening and in_foreground(sys.stdin.fileno()):
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before is no answer to this
+        if self._listening and self._keys:
+            how += "; to mark the last shot: m COMMENT"
+        text = f"{_AFTER[PromptKind(prompt.kind)]}\nTo answer: {how}"
+        content = Group(Text(prompt.text, style="bold"), *_load_table(balls), Text(text))
+        title = f"before shot {prompt.before_shot}"
+        self._bar.console.print(Panel(content, title=title, title_align="left", expand=False))
+
+    def answered(self) -> bool:
+        """Return whether the prompt was confirmed; a wrong answer is refused in words."""
+        if not self._listening or not in_foreground(sys.stdin.fileno()):
+            return False
+        if not select.select([sys.stdin], [], [], 0)[0]:
+            return False
+        line = ""
+        with suppress(OSError):
+            line = sys.stdin.readline()
+        self._listening = bool(line)  # an end of input is no answer
+        return self._listening and self._confirms(line.strip())
+
+    def _confirms(self, line: str) -> bool:
+        word, _, comment = line.partition(" ")
+        if word in {"m", "M"} and self._keys:
+            self._keys.mark(comment.strip())
+            return False
+        if line.lower() in _YES:
+            return True
+        try:
+            count = int(line)
+        except ValueError:
+            self._say(f"{line!r} is no answer: press Enter once it is done.")
+            return False
+        try:
+            if self._prompt is not None:
+                require_count(self._prompt, count)
+        except Refused as wrong:
+            self._say(f"Not confirmed: {wrong.found}, expected {wrong.expected}. {wrong.action}")
+            return False
+        return True
+
+    def _say(self, text: str) -> None:
+        self._bar.console.print(escape(text), highlight=False)
+
+    def hide(self) -> None:
+        """Show the bar again."""
+        self._bar.show()
+        if self._keys:
+            self._keys.resume()
+
+
+def _load_table(balls: Sequence[Numbered]) -> Iterator[Table]:
+    """Yield a load list as a table; nothing without balls."""
+    if not balls:
+        return
+    table, cells = Table.grid(padding=(0, 3)), places(balls)
+    for at in range(0, len(cells), _COLUMNS):
+        table.add_row(*(Text(cell) for cell in cells[at : at + _COLUMNS]))
+    yield table

@@ -1,0 +1,61 @@
+"""A whole bench as a child of a command that needs one for its own time.
+
+`python -m bench.commands.campaign.demo.bench_process`.
+
+Plan: a pickled BenchPlan on stdin. Told on stdout: `ready`, commands are answered; `failed` as other children
+do. It ends, the robot at rest, by SIGTERM or when its parent is gone; Ctrl-C at the terminal is the parent's.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from bench.base.errors import BenchError, ExitCode
+from bench.config import Configuration
+from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure
+from bench.supervisor.daemon import Daemon
+from drivers.base import DriverError
+
+_LOOK = 0.5
+"""s between two looks at the parent."""
+
+
+@dataclass(frozen=True)
+class BenchPlan:
+    """Which bench, and where its log goes."""
+
+    configuration: Configuration
+    log: Path
+
+
+def _end_with(parent: Parent) -> None:
+    while not parent.gone:
+        time.sleep(_LOOK)
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def main() -> int:
+    """Run the bench of the plan on stdin; return the exit code."""
+    parent = Parent()
+    os.setpgid(0, 0)  # out of reach of the terminal's Ctrl-C, with all processes of the bench
+    plan: BenchPlan = read_plan()
+    log = os.open(plan.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    os.dup2(log, sys.stderr.fileno())
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+    threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
+    try:
+        Daemon(plan.configuration).run(lambda: send_event("ready"))
+    except (BenchError, DriverError) as error:
+        return send_failure(error)
+    return ExitCode.OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

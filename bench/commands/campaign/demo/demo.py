@@ -1,0 +1,313 @@
+"""`golfbench demo`: the shipped test of two balls on a bench that runs for it alone, or in lock-step.
+
+The bench is the daemon with the plant in step (`paced`); the campaign swings it over the network as any
+campaign does. Everything that is started here ends here, also after Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from bench.base.errors import BenchError, Refused
+from bench.base.interrupt import deferred_interrupt
+from bench.campaign.campaign_record import load_record
+from bench.campaign.campaign_report import write_campaign_report
+from bench.campaign.findings import Findings, findings
+from bench.campaign.plan import CampaignPlan
+from bench.campaign.plan_file import load_plan
+from bench.campaign.plan_requirements import require_swings
+from bench.campaign.report_format import MPH, YARD
+from bench.campaign.runner import RunOutcome
+from bench.campaign.runner_control import bench_facts, new_entry, run_campaign
+from bench.campaign.verdicts import robot_words
+from bench.commands.campaign.campaign_runner_screen import CampaignScreen
+from bench.commands.campaign.campaign_screen import campaign_bar
+from bench.commands.campaign.demo.bench_process import BenchPlan
+from bench.config import Configuration, database_url
+from bench.network.client import BenchClient
+from bench.network.free_port import free_port
+from bench.records.shot.recorded_shot import read_shot
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot_table import write_shot_table
+from bench.store.campaigns import CampaignStore
+from bench.store.database import open_database
+from bench.store.records import CampaignEntry, CampaignState
+from bench.supervisor.child import Child
+from bench.viewer.recording import write_recording
+
+
+def demo_plan(configuration: Configuration, swings: int, seed: int) -> CampaignPlan:
+    """Return the shipped test of two balls, with the configured swing, club and ball and the next ball.
+
+    Raises:
+        ExceptionGroup: of BenchErrors; it cannot be swung here.
+    """
+    c, plan = configuration, load_plan(Path("two-balls"), configuration)
+    first = c.plant.ball.name
+    second = islice((name for name in c.balls if name != first), 1)
+    balls, club = (first, *second), c.plant.robot.club.name
+    plan = replace(
+        plan,
+        design=replace(
+            plan.design,
+            balls=balls,
+            clubs=(club,),
+            swings=(c.swing.profile,),
+            blocks=-(-swings // len(balls)),
+            seed=seed,
+        ),
+        balls={name: c.balls[name] for name in balls},
+        clubs={club: c.clubs[club]},
+    )
+    # A bench of its own, which has no calibrations.
+    require_swings(plan, replace(c, bench=replace(c.bench, id="demo")))
+    return plan
+
+
+def new_folder(output: Path | None, configuration: Configuration, begin: datetime) -> Path:
+    """Return the folder to write to, which is made.
+
+    Raises:
+        Refused: there are files in it.
+        BenchError: it cannot be made.
+    """
+    folder = output or configuration.bench.data_dir / f"demo-{begin:%Y%m%dT%H%M%SZ}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        used = any(folder.iterdir())
+    except OSError as error:
+        action = "Name another one with --output."
+        raise BenchError(str(folder), error.strerror or str(error), "a folder to write to", action) from error
+    if used:
+        raise Refused(str(folder), "files in it", "a new or empty folder", "Name another one with --output.")
+    return folder
+
+
+def write_result(
+    title: str,
+    store: CampaignStore,
+    entry: CampaignEntry,
+    outcome: RunOutcome,
+    folder: Path,
+    c: Configuration,
+) -> None:
+    """Leave report, recording and table in `folder`, and print the result; after Ctrl-C the table only."""
+    record = load_record(store, entry)
+    found = findings(record.plan, record.shots)
+    report, recording, shots = (folder / name for name in ("report.html", "demo.rrd", "shots.csv"))
+    if record.shots:
+        write_shot_table(shots, record.shots)
+    interrupted = outcome.state is CampaignState.STOPPED
+    if record.shots and not interrupted:
+        with Console(stderr=True).status("writing report and recording"):
+            write_campaign_report(report, record, found)
+            if stored := [c.bench.data_dir / one.file for one in store.shots(entry.id) if one.file]:
+                swung = [read_shot(path).record for path in stored]
+                write_recording(recording, swung, c.plant, folder.name)
+    s, design = record.plan.simulation, record.plan.design
+    by_itself = "" if entry.real_time else f"supply pressure {100 * s.supply:g} %, "
+    scatter = (
+        f"drawn from seed {entry.seed}: {by_itself}restitution {100 * s.restitution:g} % from hit to hit, "
+        f"{100 * s.sample:g} % from ball to ball, launch monitor {s.ball_speed:g} m/s, {s.spin_rpm:g} rpm "
+        f"and {s.carry:g} m of carry (standard deviations)"
+    )
+    ending = "Ctrl-C: the robot was brought to rest; no report, no recording"
+    ending = ending if interrupted else outcome.reason
+    print_result(title, len(design.balls) * design.blocks, record.shots, ending, scatter)
+    swings = c.bench.data_dir / "campaigns" / entry.id / "swings"
+    print_findings(found, [path for path in (report, recording, shots, swings) if path.exists()])
+
+
+class ScreenColumn(NamedTuple):
+    """One column of the table."""
+
+    head: str
+    unit: str
+    text: Callable[[Shot], str]
+
+
+def _figure(name: str, form: str, scale: float = 1.0) -> Callable[[Shot], str]:
+    """Return a function that writes one figure of a shot, divided by `scale`; "–" when there is none."""
+
+    def text(shot: Shot) -> str:
+        value = getattr(shot, name)
+        return "–" if value is None else format(value / scale, form).replace("-", "−")
+
+    return text
+
+
+def _strike(shot: Shot) -> str:
+    """Write where on the face the ball was struck."""
+    return f"{_figure('strike_x_mm', '+.1f')(shot)} {_figure('strike_y_mm', '+.1f')(shot)}"
+
+
+_COLUMNS = (
+    ScreenColumn("shot", "", lambda shot: str(shot.shot)),
+    ScreenColumn("ball", "", lambda shot: shot.ball),
+    ScreenColumn("club", "mph", _figure("club_speed_mps", ".2f", MPH)),
+    ScreenColumn("", "m/s", _figure("club_speed_mps", ".2f")),
+    ScreenColumn("attack", "°", _figure("attack_angle_deg", "+.2f")),
+    ScreenColumn("strike", "mm", _strike),
+    ScreenColumn("ball", "mph", _figure("ball_speed_mps", ".1f", MPH)),
+    ScreenColumn("launch", "°", _figure("launch_angle_deg", ".1f")),
+    ScreenColumn("spin", "rpm", _figure("spin_rpm", ".0f")),
+    ScreenColumn("carry", "yd", _figure("carry_m", ".1f", YARD)),
+    ScreenColumn("", "m", _figure("carry_m", ".1f")),
+)
+
+
+def print_result(title: str, planned: int, shots: Sequence[Shot], ending: str, scatter: str) -> None:
+    """Print the table of `shots` below `title`, how the demo ended, and what was varied.
+
+    `ending`: why fewer than the `planned` shots were made, else empty; `scatter`: what differs by itself.
+    """
+    console = Console(highlight=False)
+    console.print(_table(title, shots))
+    left = planned - len(shots)
+    if ending:
+        console.print(f"{ending}, {left} swings not begun.", style="bold red")
+    elif left > 0:
+        console.print(f"{left} swings not begun: after a stop nothing arms by itself.", style="bold red")
+    console.print(f"Everything is simulated. From shot to shot differ, {scatter}.\n")
+
+
+def print_findings(found: Findings, files: Sequence[Path]) -> None:
+    """Print the verdicts, and where the `files` are."""
+    console = Console(highlight=False)
+    for verdict in (verdict for section in found.verdicts for verdict in section):
+        console.print(verdict.headline, style="bold")
+        console.print(verdict.detail)
+    console.print(f"{robot_words(found.repeatability)}\n")
+    for path in files:
+        console.print(_way_to_open(path), soft_wrap=True)
+
+
+def _table(title: str, shots: Sequence[Shot]) -> Table:
+    """Return the shots; below them why those that are not valid are not."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=0, title_justify="left")
+    table.title = Text(title, "bold")
+    for column in _COLUMNS:
+        name = column.head == "ball" and not column.unit
+        table.add_column(
+            f"{column.head}\n[dim]{column.unit}[/]", justify="left" if name else "right", no_wrap=True
+        )
+    for shot in shots:
+        style = None if shot.status is ShotStatus.VALID else "red"
+        table.add_row(*(column.text(shot) for column in _COLUMNS), style=style)
+    if reasons := [f"shot {shot.shot}, {shot.status}: {shot.reason}" for shot in shots if shot.reason]:
+        table.caption = Text("\n".join(reasons), "red", justify="left")
+        table.caption_justify = "left"
+    return table
+
+
+def _way_to_open(path: Path) -> str:
+    """Return the file's path with what opens it."""
+    match path.suffix:
+        case ".html":
+            return f"report     {path}   (opens in any browser)"
+        case ".rrd":
+            rerun = Path(sys.executable).with_name("rerun")
+            shown = os.path.relpath(rerun) if rerun.is_relative_to(Path.cwd()) else rerun
+            return f"recording  {path}\n           opens with: {shown} {path}"
+        case ".csv":
+            return f"shots      {path}"
+        case _:
+            return f"swings     {path}{os.sep}   (Parquet, a row a millisecond)"
+
+
+_START = 400.0
+"""s that the bench may take to start: the first time everything is compiled."""
+_END = 40.0
+"""s in which it must have brought the robot to rest."""
+
+
+def demo_configuration(configuration: Configuration, data_dir: Path, *, live: bool) -> Configuration:
+    """Return `configuration` with files below `data_dir`.
+
+    `live`: of a simulated bench of its own, which stays armed from swing to swing.
+    """
+    c = replace(configuration, bench=replace(configuration.bench, data_dir=data_dir, database=""))
+    if not live:
+        return c
+    return replace(
+        c,
+        bench=replace(c.bench, id=f"demo-{os.getpid()}"),
+        driver=replace(c.driver, name="sim", time="paced"),
+        network=replace(c.network, endpoint=f"tcp/127.0.0.1:{free_port()}", beyond="", router=""),
+        lifecycle=replace(c.lifecycle, series=True, local_reset=False),
+    )
+
+
+@contextmanager
+def own_bench(configuration: Configuration, log: Path) -> Iterator[None]:
+    """Run a bench for the time of a block; it has brought its robot to rest when the block ends.
+
+    Raises:
+        NotStarted: it does not come up.
+    """
+    child = Child.start("bench", "bench.commands.campaign.demo.bench_process", BenchPlan(configuration, log))
+    patience = 2.0  # nothing moves before it is ready
+    try:
+        child.wait_until_ready(_START)
+        patience = _END
+        yield
+    finally:
+        child.end(patience)
+
+
+def run_demo(
+    configuration: Configuration, output: Path | None, swings: int, seed: int, *, live: bool
+) -> bool:
+    """Swing the shipped test of two balls, show and store it; return whether it came to its end.
+
+    `live`: on a bench that is started for it; else in lock-step in this process, where one seed gives the
+    same shots. After Ctrl-C the swing under way is completed; the shots so far and their table are there,
+    without report and recording.
+
+    Raises:
+        BenchError: the profile is invalid, `output` cannot be used, or the bench does not start.
+        ExceptionGroup: of BenchErrors, the reasons why the profile cannot be swung here.
+        KeyboardInterrupt: Ctrl-C, after the robot was brought to rest and the files were written.
+    """
+    begin = datetime.now(UTC)
+    demo_plan(configuration, swings, seed)  # refused before anything is written
+    folder = new_folder(output, configuration, begin)
+    c = demo_configuration(configuration, folder / "bench", live=live)
+    plan = demo_plan(c, swings, seed)
+    d = plan.design
+    shots = len(d.balls) * d.blocks
+    title = f"{shots} {'swings in real time' if live else 'simulated swings'}: {d.clubs[0]}"
+    title += f", profile {d.swings[0]}, balls {' and '.join(d.balls)}"
+    console = Console(stderr=True)
+    with ExitStack() as stack:
+        store = CampaignStore(stack.enter_context(open_database(database_url("", c.bench.data_dir))))
+        running = stack.enter_context(ExitStack())
+        if live:
+            with console.status("starting the bench"):
+                running.enter_context(own_bench(c, folder / "bench.log"))
+        with deferred_interrupt() as asked:
+            facts = None
+            if live:
+                with BenchClient.connect(c) as client:
+                    facts = bench_facts(plan, c, client.status())
+            entry = new_entry(plan, c, begin, simulated=True, real_time=facts)
+            store.begin(entry)
+            with campaign_bar() as bar:
+                outcome = run_campaign(entry, c, store, CampaignScreen(entry, plan, bar), asked.is_made)
+            with console.status("bringing the robot to rest"):
+                running.close()
+            write_result(title, store, entry, outcome, folder, c)
+    return outcome.state is CampaignState.FINISHED

@@ -1,0 +1,361 @@
+"""The command line: names all commands, maps errors to messages and exit codes.
+
+The module of a command is imported when the command is called, and heavy packages inside the commands that
+need them: a stop does not wait for the imports of a simulation.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TypeAlias, cast
+
+import typer
+from typer.core import TyperGroup
+from typer.models import CommandInfo, TyperInfo
+
+from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode
+from bench.base.interrupt import Terminated, leave
+from bench.commands.common.any_terminal import accept_any_text
+from bench.commands.common.options import Json, argument, flag, option
+from bench.commands.common.plain_command import make_plain
+from bench.commands.common.session import Session, exit_unless, show_json
+
+if TYPE_CHECKING:
+    from typer.core import TyperCommand
+
+    _Command: TypeAlias = TyperCommand | TyperGroup
+
+HELP = "A bench for golf clubs and balls: the swing robot, its control, and its simulation."
+
+EXIT_CODES: Mapping[ExitCode, tuple[str, str]] = {
+    ExitCode.OK: ("done", ""),
+    ExitCode.REFUSED: (
+        "refused, or the answer is no: a check failed, the lease is missing",
+        "read the reason",
+    ),
+    ExitCode.BAD_INPUT: (
+        "wrong usage, or invalid configuration, profile or file",
+        "correct the value that the message states",
+    ),
+    ExitCode.DEVICE: ("a device or service does not work", "check cable, power, driver, port"),
+    ExitCode.INTERNAL: ("internal error of golfbench", "report it with the output of `golfbench --debug`"),
+    ExitCode.FILE: ("a file or folder cannot be read or written", "check path, rights, disk space"),
+    ExitCode.NO_ANSWER: (
+        "no answer from the bench: not running, or access denied",
+        "start it; check `[network]` and the certificate",
+    ),
+    ExitCode.INTERRUPTED: ("interrupted by Ctrl-C", ""),
+    ExitCode.TERMINATED: ("a campaign ended by SIGTERM (`systemctl stop`, `kill`)", "`campaign resume`"),
+}
+"""Meaning and action of each exit code."""
+
+_EPILOG = "\n".join(
+    ("[bold]Exit codes[/bold]", *(f"{code:4}  {meaning}" for code, (meaning, _) in EXIT_CODES.items()))
+)
+
+_OPERATE = "bench.commands.bench.operate:app"
+
+COMMANDS: Mapping[str, str] = {
+    "run": "bench.commands.bench.run:run",
+    "nodes": "bench.commands.bench.nodes:nodes",
+    "launch-monitor": "bench.commands.bench.launch_monitor:launch_monitor",
+    "commission": "bench.commands.machine.commission:commission",
+    "learn": "bench.commands.swing.learn:learn",
+    "identify": "bench.commands.machine.identify:identify",
+    "wear": "bench.commands.machine.wear:wear",
+    "tune": "bench.commands.machine.tune:tune",
+    "view": "bench.commands.bench.view:view",
+    "page": "bench.commands.bench.page:page",
+    "console": "bench.commands.cli:console",
+    "export": "bench.commands.swing.export:export",
+    "draw": "bench.commands.machine.draw:draw",
+    "size": "bench.commands.machine.size:size",
+    "schema": "bench.commands.bench.schema:schema",
+    "certificates": "bench.commands.bench.certificates:certificates",
+    "cluster": "bench.commands.machine.cluster:cluster",
+    "doctor": "bench.commands.cli:doctor",
+    "demo": "bench.commands.cli:demo",
+    "check": "bench.commands.cli:check",
+    "replay": "bench.commands.cli:replay",
+    "compare": "bench.commands.swing.compare_swings:compare",
+    "profile": "bench.commands.swing.profile:app",
+    "golfer": "bench.commands.swing.golfer:app",
+    **dict.fromkeys(
+        ("status", "home", "arm", "swing", "disarm", "access", "tee", "stop", "estop", "reset", "lease"),
+        _OPERATE,
+    ),
+    "calibrate": "bench.commands.machine.calibrate:app",
+    "campaign": "bench.commands.campaign.campaign:app",
+    "faults": "bench.commands.machine.faults:app",
+}
+"""By name: module and attribute, a function, or a Typer app that is the command or has it."""
+
+
+class _Commands(Mapping[str, "_Command"]):
+    """All commands by name; each is loaded at its first use."""
+
+    def __init__(self) -> None:
+        self._loaded: dict[str, _Command] = {}
+
+    def __getitem__(self, name: str) -> _Command:
+        if name not in self._loaded:
+            module, _, attribute = COMMANDS[name].partition(":")
+            command = _command(getattr(import_module(module), attribute), name)
+            self._loaded[name] = _prepared(command)
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(COMMANDS)
+
+    def __len__(self) -> int:
+        return len(COMMANDS)
+
+
+def _command(found: typer.Typer | Callable[..., Any], name: str) -> Any:
+    """Return the command called `name`: a function, an app, or one of the commands of an app."""
+    style: dict[str, Any] = {"pretty_exceptions_short": True, "rich_markup_mode": "rich"}
+    if not isinstance(found, typer.Typer):
+        return typer.main.get_command_from_info(CommandInfo(name, callback=found), **style)
+    for info in found.registered_commands:
+        if name in (info.name, typer.main.get_command_name(getattr(info.callback, "__name__", ""))):
+            return typer.main.get_command_from_info(info, **style)
+    groups = [info for info in found.registered_groups if info.name == name]
+    group = groups[0] if groups else TyperInfo(found, name=name)
+    return typer.main.get_group_from_info(group, suggest_commands=True, **style)
+
+
+def _prepared(command: _Command) -> _Command:
+    make_plain(command)
+    below = getattr(command, "commands", {})
+    for one in below.values() if isinstance(below, dict) else ():  # of the others when they are loaded
+        _prepared(one)
+    return command
+
+
+class _Lazy(TyperGroup):
+    """The whole command line."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = cast("MutableMapping[str, Any]", _Commands())
+
+
+app = typer.Typer(
+    cls=_Lazy,
+    help=HELP,
+    epilog=_EPILOG,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"golfbench {version('golfbench')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    ctx: typer.Context,
+    config: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            envvar="GOLFBENCH_CONFIG",
+            help="Configuration, a TOML file or a variant's name.",
+        ),
+    ] = None,
+    debug: Annotated[bool, flag("--debug", "Print the traceback of an error.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Read the global options, which precede the command."""
+    session = ctx.ensure_object(Session)
+    session.config, session.debug = None if config is None else Path(config), debug
+
+
+def doctor(
+    context: typer.Context,
+    json_: Json = False,
+    data_dir: Annotated[
+        Path | None, option("Folder of records.", "PATH", shown="data_dir of the configuration")
+    ] = None,
+) -> None:
+    """Check this machine: packages, real time, memory, CAN, tools.
+
+    With hardware in the configuration also its CAN link, clock, interrupt thread and core.
+    Exits with 1 if something is missing that the simulation needs.
+    """
+    from rich.console import Console
+
+    from bench.commands.common.progress import progress_bar
+    from bench.commands.machine.doctor import examine, report, table, usable
+    from bench.commands.machine.doctor_bench import all_probes
+
+    planned = all_probes(context.ensure_object(Session).configuration, data_dir)
+    findings = []
+    with progress_bar() as progress:
+        task = progress.add_task(f"examining {planned[0].group}", total=len(planned))
+        for finding, following in zip(examine(planned), (*planned[1:], planned[-1]), strict=True):
+            findings.append(finding)
+            progress.update(task, advance=1, description=f"examining {following.group}")
+    if json_:
+        show_json(report(findings))
+    else:
+        Console().print(table(findings))
+    exit_unless(usable(findings))
+
+
+def demo(
+    context: typer.Context,
+    output: Annotated[
+        Path | None, option("New or empty folder for the files.", "DIR", shown="DATA_DIR/demo-TIME")
+    ] = None,
+    seed: Annotated[int, option("Seed of the shot-to-shot scatter.", low=0)] = 1,
+    swings: Annotated[int, option("Number of swings.", low=1, high=200)] = 10,
+    engine: Annotated[
+        Literal["bench", "compiled"],
+        option("bench: a running bench in real time; compiled: lock-step in this process, within seconds."),
+    ] = "bench",
+) -> None:
+    """Compare two balls on the simulated robot: table, report and records.
+
+    Exits with 1 if the test was not completed.
+    """
+    from bench.commands.campaign.demo.demo import run_demo
+
+    configuration = context.ensure_object(Session).configuration()
+    exit_unless(run_demo(configuration, output, swings, seed, live=engine == "bench"))
+
+
+def check(
+    context: typer.Context,
+    profile: Annotated[str | None, argument("PROFILE", "Name or path.", shown="the configuration's")] = None,
+    defaults: Annotated[
+        bool, flag("--defaults", "Print the shipped configuration with every key, its meaning and bounds.")
+    ] = False,
+) -> None:
+    """Check configuration and swing before anything moves; print the checks.
+
+    Exits with 2 and lists all mistakes.
+    """
+    from rich.console import Console
+
+    from bench.commands.bench.check import check_all, shipped_text
+
+    if defaults:
+        typer.echo(shipped_text(), nl=False)
+        return
+    check_all(context.ensure_object(Session), profile, Console())
+
+
+def replay(
+    record: Annotated[Path, argument("RECORD", "Record of a swing, .parquet.")],
+    tolerance: Annotated[
+        float, option("Absolute and relative tolerance; codes must be equal.", low=0.0)
+    ] = 1e-9,
+    json_: Json = False,
+) -> None:
+    """Replay a record's readings through the present controller and compare all fields.
+
+    Exits with 1 if a field differs.
+    """
+    from bench.commands.swing.replay import replay_command
+
+    exit_unless(replay_command(record, tolerance, json_))
+
+
+def console(context: typer.Context) -> None:
+    """Enter commands on one connection, with the state in view and a key that stops the robot.
+
+    Needs a terminal; scripts use single commands.
+    """
+    from bench.commands.bench.console import run_console
+
+    run_console(context.ensure_object(Session), command_line(), report_errors)
+
+
+def command_line() -> TyperGroup:
+    """Return all commands as one."""
+    return cast("TyperGroup", _prepared(cast("TyperGroup", typer.main.get_command(app))))
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line with `arguments` (those of the process by default) and exit with its code."""
+    accept_any_text()
+    session = Session()
+    work = partial(command_line().main, args=arguments, prog_name="golfbench", obj=session)
+    leave(report_errors(work, session))
+
+
+def report_errors(work: Callable[[], object], session: Session) -> int:
+    """Do the `work` of a command; print its error, and return its exit code."""
+    code: int | str | None = ExitCode.OK
+    try:
+        work()
+    except SystemExit as ended:
+        code = ended.code
+    except KeyboardInterrupt:
+        code = ExitCode.INTERRUPTED
+    except Terminated:
+        code = ExitCode.TERMINATED
+    except Exception as error:
+        if session.debug:
+            traceback.print_exception(error)
+        texts, code = explain(error)
+        print(*texts, sep="\n", file=sys.stderr)
+    return int(code or 0)
+
+
+def explain(error: Exception) -> tuple[list[str], ExitCode]:
+    """Return the messages for `error`, of a group those of its errors and its own, and the exit code."""
+    from drivers.base import DriverError
+
+    for_programs = os.environ.get(FOR_PROGRAMS) == "json"
+    match error:
+        case ExceptionGroup():
+            parts = [explain(part) for part in error.exceptions]
+            all_texts = [text for texts, _ in parts for text in texts]
+            if not for_programs:
+                all_texts.append(f"{len(parts)} error{'s' * (len(parts) > 1)}: {error.message}")
+            return all_texts, max(code for _, code in parts)
+        case BenchError() if for_programs:
+            return [json.dumps(error.record())], error.exit_code
+        case BenchError():
+            lines = (f"error: {error.place}", f"  found:    {error.found}", f"  expected: {error.expected}")
+            return ["\n".join((*lines, f"  action:   {error.action}"))], error.exit_code
+        case DriverError():
+            return [f"error: {error}"], ExitCode.DEVICE
+        case FileNotFoundError() if not _has_working_directory():
+            text = "error: working directory: it was deleted\n  action:   cd to a folder that exists"
+            return [text], ExitCode.FILE
+        case OSError(filename=str() | bytes() | Path()):
+            return [f"error: {error.filename!s}: {error.strerror}"], ExitCode.FILE
+        case OSError(errno=errno.ENOSPC | errno.EDQUOT | errno.EIO | errno.EROFS):
+            return [f"error: standard output or a file: {error.strerror}"], ExitCode.FILE
+        case _:
+            cause = f"internal error: {type(error).__name__}: {error}"
+            return [
+                f"{cause}\n  action:   report it with the output of golfbench --debug ..."
+            ], ExitCode.INTERNAL
+
+
+def _has_working_directory() -> bool:
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return False
+    return True

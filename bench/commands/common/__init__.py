@@ -1,0 +1,1 @@
+"""Parts that commands share: session, options, output, progress."""

@@ -1,0 +1,1 @@
+"""Commands of a machine: calibration, commissioning, faults, sizing, doctor."""

@@ -1,0 +1,327 @@
+"""`golfbench calibrate aerodynamics` and `inputs`: drag and lift from measured flights; the inputs tried."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from math import pi, radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bench.base.errors import BenchError
+from bench.commands.common.options import Json, argument, flag, option
+from bench.commands.common.session import Session, at_terminal, show_json
+
+if TYPE_CHECKING:
+    from bench.calibration.aerodynamics_fit import FlightUncertainty
+    from bench.calibration.ball_aerodynamics import BallAerodynamics
+    from bench.calibration.calibration import Entry, SeenInputs
+    from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.inputs_check import WatchedMachine
+    from bench.commissioning.live_robot import Hands
+    from bench.config import Configuration
+
+
+def _spread(metavar: str, figure: str) -> Any:
+    return typer.Option(min=0.0, metavar=metavar, help=f"{figure}: SD of the device from flight to flight.")
+
+
+def _shared(metavar: str, figure: str) -> Any:
+    return typer.Option(min=0.0, metavar=metavar, help=f"{figure}: standard uncertainty of its calibration.")
+
+
+BallName = Annotated[str, argument("BALL", "Ball model, as plans name it.")]
+FlightTable = Annotated[
+    Path,
+    argument(
+        "FLIGHTS",
+        "CSV, one row per flight, or an export of TrackMan or Foresight: ball_speed_mps (_mph, _kmh), "
+        "launch_angle_deg, spin_rpm, and of carry_m (_yd, _ft), apex_m (_yd, _ft), time_s what was measured; "
+        "optional direction_deg, spin_axis_deg, air_temperature_k (_c, _f), air_pressure_pa (_hpa), "
+        "relative_humidity, wind_mps, cross_wind_mps.",
+    ),
+]
+Source = Annotated[str, option("Device and place: full-flight monitor, indoor range.", "TEXT")]
+PointTable = Annotated[
+    Path | None,
+    option(
+        "CSV of trajectories: flight, time_s, distance_m, height_m; FLIGHTS has a column flight, too.", "FILE"
+    ),
+]
+Mass = Annotated[float, option("Mass of the ball.", "G")]
+Diameter = Annotated[float, option("Diameter of the ball.", "MM")]
+SpeedScatter = Annotated[float, _spread("M/S", "Ball speed")]
+AngleScatter = Annotated[float, _spread("DEG", "Launch angle")]
+SpinScatter = Annotated[float, _spread("RPM", "Spin")]
+CarryScatter = Annotated[float, _spread("M", "Carry")]
+ApexScatter = Annotated[float, _spread("M", "Apex")]
+TimeScatter = Annotated[float, _spread("S", "Flight time")]
+PointScatter = Annotated[float, _spread("M", "Coordinates of a point")]
+SpeedError = Annotated[float, _shared("M/S", "Ball speed")]
+AngleError = Annotated[float, _shared("DEG", "Launch angle")]
+SpinError = Annotated[float, _shared("RPM", "Spin")]
+CarryError = Annotated[float, _shared("M", "Carry")]
+ApexError = Annotated[float, _shared("M", "Apex")]
+TimeError = Annotated[float, _shared("S", "Flight time")]
+PointError = Annotated[float, _shared("M", "Coordinates of points")]
+Day = Annotated[str | None, option("Day of the measurement, YYYY-MM-DD.", "DATE", shown="today")]
+Measurer = Annotated[str | None, option("Who measured.", "NAME", shown="the user's name")]
+Store = Annotated[bool, flag("--store/--no-store", "Store the result, or only print it.")]
+
+
+def aerodynamics(
+    context: typer.Context,
+    ball: BallName,
+    flights: FlightTable,
+    source: Source,
+    points: PointTable = None,
+    mass_g: Mass = 45.93,
+    diameter_mm: Diameter = 42.67,
+    speed_scatter: SpeedScatter = 0.3,
+    angle_scatter_deg: AngleScatter = 0.2,
+    spin_scatter_rpm: SpinScatter = 100.0,
+    carry_scatter: CarryScatter = 1.0,
+    apex_scatter: ApexScatter = 0.5,
+    time_scatter: TimeScatter = 0.05,
+    point_scatter: PointScatter = 0.01,
+    speed_error: SpeedError = 0.0,
+    angle_error_deg: AngleError = 0.0,
+    spin_error_rpm: SpinError = 0.0,
+    carry_error: CarryError = 0.0,
+    apex_error: ApexError = 0.0,
+    time_error: TimeError = 0.0,
+    point_error: PointError = 0.0,
+    measured: Day = None,
+    by: Measurer = None,
+    store: Store = True,
+    json_: Json = False,
+) -> None:
+    """Fit drag and lift of a ball model to measured flights, with standard uncertainties.
+
+    Campaigns with carry = "measured" fly every launch with the newest coefficients of its ball. The scatter
+    of the device weights the figures; the uncertainty of its calibration is common to all flights and added.
+    """
+    scatter = _uncertainty(
+        *(speed_scatter, angle_scatter_deg, spin_scatter_rpm),
+        *(carry_scatter, apex_scatter, time_scatter, point_scatter),
+    )
+    calibration = _uncertainty(
+        *(speed_error, angle_error_deg, spin_error_rpm), *(carry_error, apex_error, time_error, point_error)
+    )
+    day = _day(measured)
+    values = _fitted(ball, flights, points, scatter, calibration, mass_g / 1e3, diameter_mm / 2e3)
+    _keep(context, values, day, source, user_name() if by is None else by, store=store, json_=json_)
+
+
+def _fitted(
+    ball: str,
+    flights: Path,
+    points: Path | None,
+    scatter: FlightUncertainty,
+    calibration: FlightUncertainty,
+    mass: float,
+    radius: float,
+) -> BallAerodynamics:
+    """Return the fit to the flights in the files; BenchError when they do not determine it."""
+    from bench.calibration.aerodynamics_fit import fit_aerodynamics
+    from bench.calibration.flight_table import read_flights
+
+    table = read_flights(flights, points)
+    for note in table.notes:
+        typer.echo(f"Not used, {flights}: {note}", err=True)
+    try:
+        return fit_aerodynamics(ball, table.flights, scatter, calibration, mass=mass, radius=radius)
+    except ValueError as error:
+        raise BenchError(
+            str(flights), str(error), "flights that determine drag and lift", "Measure more of them."
+        ) from None
+
+
+def _keep(
+    context: typer.Context,
+    values: BallAerodynamics,
+    date: datetime,
+    source: str,
+    by: str,
+    *,
+    store: bool,
+    json_: bool,
+) -> None:
+    """Store the fit unless `store` is false, and print it."""
+    from bench.calibration.archive import add_aerodynamics
+    from bench.calibration.ball_aerodynamics import AerodynamicsEntry
+    from bench.config import database_url
+    from bench.store.database import open_database
+
+    bench = context.ensure_object(Session).configuration().bench
+    entry = AerodynamicsEntry(0, date, source, by, values)
+    if store:
+        url = database_url(bench.database, bench.data_dir)
+        with open_database(url, datetime.now(UTC)) as database:
+            entry = add_aerodynamics(database, bench.id, values, date=date, source=source, by=by)
+    if json_:
+        return show_json(entry.record())
+    typer.echo(f"{values.ball}: {entry.text}{'' if store else '; not stored'}")
+    if values.chi_square > 2.0:
+        typer.echo(
+            f"The flights scatter {values.chi_square**0.5:.1f} times as much as stated: the errors are "
+            "widened by that. Check the table for wrong rows, and the stated scatter."
+        )
+
+
+def _uncertainty(
+    speed: float, angle_deg: float, spin_rpm: float, carry: float, apex: float, time: float, point: float
+) -> FlightUncertainty:
+
+    from bench.calibration.aerodynamics_fit import FlightUncertainty
+
+    return FlightUncertainty(speed, radians(angle_deg), spin_rpm * pi / 30, carry, apex, time, point)
+
+
+def _day(text: str | None) -> datetime:
+    """Return noon (UTC) of the day in `text`; now without one."""
+    if text is None:
+        return datetime.now(UTC)
+    try:
+        return datetime.strptime(text, "%Y-%m-%d").replace(hour=12, tzinfo=UTC)
+    except ValueError:
+        raise BenchError(
+            "calibrate aerodynamics: --measured",
+            repr(text),
+            "a day such as 2026-11-22",
+            "Give the day as --measured YYYY-MM-DD.",
+        ) from None
+
+
+def user_name() -> str:
+    """Return the name of this process' user; empty, which is refused, when it has none."""
+    import getpass
+
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return ""
+
+
+SIMULATED_PATIENCE = 2.0
+"""s in which simulated hands have acted."""
+
+
+def inputs(
+    context: typer.Context,
+    sim: Annotated[bool, flag("--sim", "Simulate robot and hands in lock-step; nothing is stored.")] = False,
+    by: Annotated[str | None, option("Who checks.", "NAME", shown="the user's name")] = None,
+) -> None:
+    """Check each interlock, button and switch, and the supply's sensor beside its gauge.
+
+    Takes the place of golfbench run for about five minutes, and says what to do by hand. On a machine it is
+    due each day: ARM is refused without it, and after one that found something wrong.
+    """
+    from bench.commissioning.inputs_check import check_inputs, raise_findings
+
+    configuration = context.ensure_object(Session).configuration()
+    simulated = sim or configuration.driver.name == "sim"
+    with _simulated(configuration) if simulated else _live(configuration) as (machine, hands):
+        seen, findings = check_inputs(machine, hands, configuration, lambda what: typer.echo(what, err=True))
+    if not simulated:
+        entry = keep_inputs(configuration, seen, user_name() if by is None else by)
+        typer.echo(f"{entry.name} of bench {entry.bench}; expires {entry.expires:%Y-%m-%d %H:%M} UTC")
+    raise_findings(findings)
+    typer.echo(f"{len(seen.seen)} inputs seen to change: {', '.join(seen.seen)}.")
+    typer.echo(f"Supply sensor {1e-5 * seen.gauge:+z.2f} bar beside the gauge.")
+
+
+def inputs_in_force(configuration: Configuration, now: datetime) -> str | None:
+    """Return the name of the check in force, empty if it is due; None with a simulated robot."""
+    from bench.calibration.archive import calibration_of
+    from bench.calibration.calibration import CalibrationKind, SeenInputs, is_rewired
+
+    if configuration.driver.name == "sim":
+        return None
+    entry = calibration_of(configuration, now).of(CalibrationKind.INPUTS)
+    if entry is None or entry.expired(now) or not isinstance(entry.values, SeenInputs):
+        return ""
+    wrong = entry.values.findings or is_rewired(entry.values, configuration)
+    return "" if wrong else entry.name
+
+
+def keep_inputs(configuration: Configuration, seen: SeenInputs, by: str) -> Entry:
+    """Store a check of the inputs.
+
+    Raises:
+        BenchError: it cannot be stored.
+    """
+    from bench.calibration.archive import keep_calibration
+
+    return keep_calibration(configuration, seen, datetime.now(UTC), by=by, method="each acted on by hand")
+
+
+def simulated_hands(machine: SimulatedMachine) -> Hands:
+    """Return the hands at a robot simulated in lock-step."""
+    from bench.commissioning.live_robot import Hands
+
+    return Hands(
+        machine.set_supply,
+        lambda text: None,
+        act=machine.act,
+        gauge=machine.gauge,
+        patience=SIMULATED_PATIENCE,
+    )
+
+
+def gauge_from_person() -> float:
+    """Ask what the gauge behind the regulator shows; Pa over the atmosphere."""
+    while True:
+        text = typer.prompt("bar on the gauge behind the regulator", err=True)
+        try:
+            bar = float(text.replace(",", "."))
+        except ValueError:
+            bar = math.nan
+        if 0.0 <= bar <= 20.0:
+            return 1e5 * bar
+        typer.echo(f"{text!r}: a number from 0 to 20 is wanted, such as: 2.9", err=True)
+
+
+def ask_person(text: str) -> None:
+    """Say what to do, and wait until it is done."""
+    typer.prompt(f"{text}, then press Enter", default="", show_default=False, err=True)
+
+
+@contextmanager
+def _simulated(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]]:
+    from bench.commissioning.driver_machine import SimulatedMachine
+
+    c = configuration
+    with SimulatedMachine(c.plant, c.plant, tuple(c.faults.values()), inputs_only=True) as machine:
+        yield machine, simulated_hands(machine)
+
+
+@contextmanager
+def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]]:
+    """Take the bench's place."""
+    from bench.commissioning.inputs import by_person, turned_once
+    from bench.commissioning.live_robot import Hands, live_robot
+    from bench.supervisor.ownership import take_bench
+
+    if not at_terminal():
+        action = "Run it in a terminal beside the machine."
+        raise BenchError("calibrate inputs", "no terminal", "a person who acts and reads", action)
+
+    def say(text: str) -> None:
+        typer.echo(text, err=True)
+
+    supply = configuration.plant.supply
+    turn = turned_once(by_person(ask_person, supply.pressure, supply.atmosphere))
+    with take_bench(configuration.bench.id) as owner:
+        hands = Hands(turn, say, act=saying(say), gauge=gauge_from_person)
+        with live_robot(configuration, owner, hands, inputs_only=True) as robot:
+            yield robot, hands
+
+
+def saying(say: Callable[[str], None]) -> Callable[..., None]:
+    """Return hands that act on words; the inputs show when it is done."""
+    return lambda act: say(f"{act.text}.")

@@ -1,0 +1,389 @@
+"""`golfbench commission`: from an unknown robot to its first learned swing, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from bench.base.errors import BenchError
+from bench.commands.common.options import flag, option
+from bench.commands.common.output import plain_table
+from bench.commands.common.progress import paused, progress_bar
+from bench.commands.common.session import Session, at_terminal, show_json
+
+if TYPE_CHECKING:
+    from bench.calibration.calibration import SeenInputs
+    from bench.commissioning.commissioning import Commissioning
+    from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.inputs_check import WatchedMachine
+    from bench.commissioning.known_robot import KnownRobot
+    from bench.commissioning.live_robot import Hands
+    from bench.commissioning.machine import CommissionedMachine
+    from bench.commissioning.steps import NamedStep, SwungRobot
+    from bench.config import Configuration
+    from bench.control.settings import EnvelopeSettings
+    from sim.live.contact_watch import ContactWatch
+    from sim.plant import PlantParameters
+
+Simulated = Annotated[bool, flag("--sim", "Simulate the robot in lock-step.")]
+Robot = Annotated[
+    Path | None,
+    option(
+        "Configuration of the robot that really moves, with its faults; the bench assumes --config.", "FILE"
+    ),
+]
+Output = Annotated[Path, option("Folder of state, records, robot.toml and report.", "DIR")]
+Turn = Annotated[
+    str | None,
+    option(
+        "Program that turns the pressure regulator, called with bar absolute or 'service'.",
+        "PROGRAM",
+        shown="a person is asked",
+        names="--regulator",
+    ),
+]
+Resume = Annotated[bool, flag("--resume", "Continue after the last step done in DIR.")]
+Check = Annotated[bool, flag("--check", "Move nothing: check the files, and say what each step does.")]
+Json = Annotated[bool, flag("--json", "With --check: print JSON for a program to read.")]
+
+
+def commission(
+    context: typer.Context,
+    output: Output,
+    sim: Simulated = False,
+    robot: Robot = None,
+    regulator: Turn = None,
+    resume: Resume = False,
+    check: Check = False,
+    json_: Json = False,
+) -> None:
+    """Check the inputs, measure an unknown robot in five bounded steps, design its swing, and learn it.
+
+    Takes the place of golfbench run meanwhile; with --sim the robot is simulated in lock-step. Writes
+    robot.toml, with standard errors, its profile, also as learned, and a report to sign. If the machine is
+    wrong it says what to do. Exits with 0 once the swing is learned within the tolerances.
+    """
+    from bench.commissioning.commissioning import begin
+    from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.config import load_configuration
+    from bench.design.requirements import load_casadi
+
+    configuration = context.ensure_object(Session).configuration()
+    simulated = sim or configuration.driver.name == "sim"
+    _require_possible(configuration, sim=sim, robot=robot, regulator=regulator)
+    truth = configuration if robot is None else load_configuration(robot)
+    state = begin(output, configuration, simulated=simulated, resume=resume)
+    state.robot = "" if robot is None else str(robot.resolve())
+    if check:
+        if simulated:
+            with SimulatedMachine(truth.plant, configuration.plant):
+                pass  # a robot that it refuses is refused before anything begins
+        _show_steps(state, json_=json_)
+        return
+    load_casadi()  # a missing package must fail before the long part
+    _require_somebody_at_the_regulator(simulated=simulated, regulator=regulator)
+    _commission(state, configuration, truth, live=not sim, regulator=regulator)
+    _show(state)
+
+
+def _require_possible(
+    configuration: Configuration, *, sim: bool, robot: Path | None, regulator: str | None
+) -> None:
+    """Refuse options that do not go together, and a simulated plant on its own clock.
+
+    Raises:
+        BenchError: the text says which.
+    """
+    driver = configuration.driver
+    simulated = sim or driver.name == "sim"
+    if robot is not None and not simulated:
+        action = "Leave it out: the robot behind the driver is the one that it is."
+        raise BenchError("commission --robot", f"driver {driver.name!r}", "a simulated robot", action)
+    if regulator is not None and simulated:
+        action = "Leave it out: the simulated regulator is turned without it."
+        raise BenchError("commission --regulator", "a simulated robot", "a real one", action)
+    if not sim and driver.name == "sim" and not driver.paced:
+        action = 'Set driver.time = "paced", or add --sim.'
+        raise BenchError("driver.time", repr(driver.time), "'paced'", action)
+
+
+def _require_somebody_at_the_regulator(*, simulated: bool, regulator: str | None) -> None:
+    """Refuse a robot whose regulator neither a program nor a person at a terminal turns.
+
+    Raises:
+        BenchError: nothing has moved.
+    """
+    if simulated or regulator is not None or at_terminal():
+        return
+    action = "Name a program that turns the pressure regulator, or run the command in a terminal."
+    raise BenchError("commission --regulator", "neither a program nor a terminal", "one of them", action)
+
+
+def _commission(
+    state: Commissioning,
+    configuration: Configuration,
+    truth: Configuration,
+    *,
+    live: bool,
+    regulator: str | None,
+) -> None:
+    """Do the steps that are left; write state, report, robot.toml and profiles.
+
+    On the robot of the configured driver if `live`, else on the simulated `truth` in lock-step.
+    """
+    from bench.commissioning.commissioning import ALL_STEPS, commission, commission_swings, known_with_swing
+    from bench.commissioning.folder_lock import folder_lock
+    from bench.config import load_configuration
+
+    nominal = configuration.plant
+
+    def now() -> datetime:
+        return datetime.now(UTC)
+
+    def show(what: str) -> None:
+        bar.update(task, description=what)
+
+    def on_step(step: NamedStep) -> None:
+        bar.update(task, description=step.title, completed=len(state.done))
+        _write_report(state, nominal, now())
+
+    file = state.folder / "robot.toml"
+    with (
+        folder_lock(state.folder),
+        progress_bar() as bar,
+        _live(configuration, truth, regulator, bar) if live else _simulated(configuration, truth) as machine,
+    ):
+        state.save()
+        task = bar.add_task(ALL_STEPS[0].title, total=len(ALL_STEPS), completed=len(state.done))
+        try:
+            _see_inputs(state, configuration, machine, now, on_step, show)
+            measured, observe = machine.measured, machine.observe
+            known = commission(state, nominal, measured, now, observe=observe, on_step=on_step, progress=show)
+            measured.set_supply(float("inf"))
+            _write_robot(file, state, known, configuration.envelope)
+            robot = load_configuration(file)
+            commission_swings(state, robot, machine.swung, now, on_step=on_step, progress=show)
+            swung = known_with_swing(load_configuration(file), state.folder).envelope
+            _write_robot(file, state, known, configuration.envelope, swung.following)
+            bar.update(task, completed=len(state.done))
+        finally:
+            _write_report(state, nominal, now())
+
+
+def _see_inputs(
+    state: Commissioning,
+    configuration: Configuration,
+    machine: _Machine,
+    now: Callable[[], datetime],
+    on_step: Callable[[NamedStep], None],
+    progress: Callable[[str], None],
+) -> None:
+    """Do the step before all others; on hardware its result is a calibration."""
+    from bench.commands.machine.calibrate_measured import inputs_in_force, keep_inputs, user_name
+    from bench.commissioning.commissioning import see_inputs
+
+    in_force = None if state.simulated else inputs_in_force(configuration, now())
+
+    def keep(seen: SeenInputs) -> None:
+        if in_force is not None:
+            keep_inputs(configuration, seen, user_name())
+
+    see_inputs(
+        state,
+        configuration,
+        machine.watched,
+        machine.hands,
+        now,
+        in_force=in_force,
+        keep=keep,
+        on_step=on_step,
+        progress=progress,
+    )
+
+
+def _write_robot(
+    file: Path,
+    state: Commissioning,
+    known: KnownRobot,
+    envelope: EnvelopeSettings,
+    following: Mapping[str, tuple[float, float, float]] | None = None,
+) -> None:
+    """Write robot.toml, with the limits of `following` errors of its swing once that is designed."""
+    from bench.commissioning.robot_file import robot_file
+    from bench.records.telemetry.whole_file import whole_file
+
+    made = datetime.now(UTC).date()
+    with whole_file(file) as stream:
+        stream.write(robot_file(known, state.configuration, made, envelope, following).encode())
+
+
+class _Machine(NamedTuple):
+    """A robot in the forms that the steps take."""
+
+    measured: CommissionedMachine
+    swung: SwungRobot
+    watched: WatchedMachine
+    hands: Hands
+    observe: Callable[[], tuple[str, ...]]
+    """Returns notes after a measuring step."""
+
+
+@contextmanager
+def _simulated(configuration: Configuration, truth: Configuration) -> Iterator[_Machine]:
+    """Yield the robot of `truth`, simulated in lock-step."""
+    from bench.commands.machine.calibrate_measured import simulated_hands
+    from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.steps import SimulatedRobot
+
+    faults = tuple(truth.faults.values())
+    with SimulatedMachine(truth.plant, configuration.plant, faults) as machine:
+        swung, hands = SimulatedRobot(truth.plant, faults), simulated_hands(machine)
+        yield _Machine(machine, swung, machine, hands, lambda: (_loads(machine),))
+
+
+@contextmanager
+def _live(
+    configuration: Configuration, truth: Configuration, regulator: str | None, bar: Progress
+) -> Iterator[_Machine]:
+    """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
+    from bench.commands.machine.calibrate_measured import SIMULATED_PATIENCE
+    from bench.commissioning.inputs import in_simulation
+    from bench.commissioning.live_robot import Hands, live_robot
+    from bench.supervisor.ownership import take_bench
+    from sim.live.contact_watch import ContactWatch
+
+    def say(text: str) -> None:
+        bar.console.print(text, highlight=False)
+
+    c, supply = configuration, configuration.plant.supply
+    with take_bench(c.bench.id) as owner:
+        if c.driver.name == "sim":
+            marks = ContactWatch(owner.folder)
+            plant = in_simulation(owner.folder, supply.pressure, supply.atmosphere)
+            hands = Hands(
+                plant.turn,
+                say,
+                look=lambda: _mark_in(marks, truth.plant),
+                act=plant.act,
+                gauge=plant.gauge,
+                patience=SIMULATED_PATIENCE,
+            )
+            moving = live_robot(c, owner, hands, truth)
+        else:
+            hands = _hands_of_person(c, regulator, bar, say)
+            moving = live_robot(c, owner, hands)
+        with moving as robot:
+            yield _Machine(robot, robot, robot, hands, tuple)
+
+
+def _hands_of_person(
+    configuration: Configuration, regulator: str | None, bar: Progress, say: Callable[[str], None]
+) -> Hands:
+    """Return the hands of the person at the terminal, `regulator` being the program that turns it, if any."""
+    from bench.commands.machine.calibrate_measured import ask_person, gauge_from_person, saying
+    from bench.commands.swing.learn import mark_from_person
+    from bench.commissioning.inputs import by_person, by_program, turned_once
+    from bench.commissioning.live_robot import Hands
+
+    def ask(text: str) -> None:
+        with paused(bar):
+            ask_person(text)
+
+    def ask_mark() -> tuple[float, float] | None:
+        with paused(bar):
+            typer.echo(
+                "The guard is released: look at the ball's mark on the face, and wipe it off.", err=True
+            )
+            mark = mark_from_person()
+            ask_person("Leave and close the guard")
+        return mark
+
+    def ask_gauge() -> float:
+        with paused(bar):
+            return gauge_from_person()
+
+    supply = configuration.plant.supply
+    turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else by_program(regulator)
+    person, gauge = (ask_mark, ask_gauge) if at_terminal() else (None, None)
+    return Hands(turned_once(turn), say, person, act=saying(say), gauge=gauge)
+
+
+def _mark_in(contacts: ContactWatch, truth: PlantParameters) -> tuple[float, float] | None:
+    """Return the mark of the newest of the simulated `contacts` on the club of `truth`."""
+    from bench.commissioning.steps import read_mark
+
+    contacts.attach()
+    contact, site = contacts.look(), truth.site
+    return None if contact is None else read_mark(contact.delivery(truth.robot, (site.ball_x, site.ball_y)))
+
+
+def _show_steps(state: Commissioning, *, json_: bool) -> None:
+    """Print the steps, their bounds, and which are done."""
+    from bench.commissioning.commissioning import ALL_STEPS
+
+    done = {step.name for step in state.done}
+    if json_:
+        steps = [
+            {"name": step.name, "title": step.title, "bounds": step.bounds_text, "done": step.name in done}
+            for step in ALL_STEPS
+        ]
+        found = {"folder": str(state.folder), "robot": state.robot, "simulated": state.simulated}
+        return show_json(found | {"steps": steps})
+    console = Console()
+    console.print(
+        f"Robot{', simulated' if state.simulated else ''}: {state.robot or 'as configured'}. "
+        f"Folder: {state.folder}.",
+        highlight=False,
+        markup=False,
+    )
+    for number, step in enumerate(ALL_STEPS):
+        word = "done" if step.name in done else "left"
+        console.print(
+            f"{number}. {step.title} ({word})\n   {step.bounds_text}", highlight=False, markup=False
+        )
+
+
+def _loads(machine: SimulatedMachine) -> str:
+    """Return the simulated robot's loads since it was switched on, in words."""
+    loads = machine.loads
+    return (
+        f"simulated loads so far: {100 * loads.stop_share:.0f} % of a cushion's rated energy ({loads.stop}), "
+        f"{100 * loads.pressure_share:.0f} % of a chamber's, head {1e3 * loads.lowest_clearance:.0f} mm "
+        f"above the ground, {loads.peak_head_speed:.1f} m/s"
+    )
+
+
+def _write_report(state: Commissioning, nominal: PlantParameters, made: datetime) -> None:
+    """Write the report of what was done so far."""
+    from bench.commissioning.robot_file import commissioning_report
+    from bench.records.telemetry.whole_file import whole_file
+
+    with whole_file(state.folder / "report.html") as stream:
+        stream.write(commissioning_report(state, nominal, made).encode())
+
+
+def _show(state: Commissioning) -> None:
+    """Print what was found."""
+    figures = ("found", "standard error")
+    table = plain_table("step", "value", *figures, "unit", right=figures, title="Commissioned robot")
+    for value in {value.key: value for value in state.values}.values():
+        table.add_row(value.step, value.key, f"{value.value:.6g}", f"{value.error:.2g}", value.unit)
+    console = Console()
+    console.print(table)
+    for step in state.done:
+        for note in step.notes:
+            console.print(f"{step.name}: {note}", highlight=False)
+    robot, learned = state.folder / "robot.toml", state.folder / "learned.toml"
+    console.print(
+        f"Written: {robot}, swing.toml, learned.toml and report.html.\n"
+        f"Swing it: golfbench --config {robot} profile simulate {learned}",
+        highlight=False,
+        markup=False,
+    )

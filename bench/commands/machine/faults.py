@@ -1,0 +1,222 @@
+"""`golfbench faults ...`: inject faults and judge the outcomes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bench.base.errors import BenchError
+from bench.base.interrupt import deferred_interrupt
+from bench.commands.common.options import (
+    ClusterAddress,
+    Json,
+    Processes,
+    ProfileName,
+    argument,
+    flag,
+    option,
+    sweep_engine,
+)
+from bench.commands.common.output import console_of, write_text
+from bench.commands.common.progress import progress_of
+from bench.commands.common.session import Session, exit_unless
+
+if TYPE_CHECKING:
+    from bench.faults.catalogue import Breakage
+    from bench.faults.matrix import FaultStudy, MatrixPlan
+    from bench.faults.verdict import CaseOutcome
+    from bench.simulation.sweep import Engine
+
+app = typer.Typer(no_args_is_help=True)
+
+_PIPED_WIDTH = 150
+"""Columns of tables in a file or pipe."""
+
+
+@app.callback()
+def faults() -> None:
+    """Inject faults into every signal and part in every phase on the simulated robot; judge the outcomes."""
+
+
+Output = Annotated[Path | None, option("Folder of results.", "DIR", shown="DATA_DIR/faults")]
+Signals = Annotated[list[str] | None, option("Only faults whose name contains this; repeatable.", "TEXT")]
+Phases = Annotated[list[str] | None, option("Only faults in this phase; repeatable.", "PHASE")]
+ModelCheck = Annotated[bool, flag("--model-check/--no-model-check", "Run with the model-based check.")]
+Compare = Annotated[
+    bool, flag("--compare", "Repeat faults of encoders, valves and supply without that check.")
+]
+Families = Annotated[
+    list[str] | None,
+    option(
+        "Only 'one fault', 'during a stop', 'from the start', 'latent pair', 'access'; repeatable.", "FAMILY"
+    ),
+]
+Every = Annotated[int, option("A sample: one case of N.", "N", low=1)]
+Quick = Annotated[bool, flag("--quick", "One instant per phase only.")]
+
+
+@app.command()
+def run(
+    context: typer.Context,
+    profile: ProfileName = None,
+    output: Output = None,
+    signal: Signals = None,
+    phase: Phases = None,
+    family: Families = None,
+    every: Every = 1,
+    model_check: ModelCheck = True,
+    compare: Compare = False,
+    quick: Quick = False,
+    processes: Processes = 0,
+    cluster: ClusterAddress = "",
+    json_: Json = False,
+) -> None:
+    """Run the fault matrix; results of earlier runs with the same sources are reused.
+
+    Writes matrix.html, matrix.json and cases.jsonl. Exits with 1 if a case ends unsafe.
+    """
+    from bench.commands.machine.faults_page import matrix_table, reasons_table
+    from bench.faults.catalogue import FAMILIES
+    from bench.faults.matrix import fault_study, plan_matrix
+    from bench.faults.summary import PHASES, summary_text
+
+    _must_be_known("--phase", phase or (), PHASES)
+    _must_be_known("--family", family or (), FAMILIES)
+    configuration = context.ensure_object(Session).configuration()
+    study = fault_study(configuration, profile or configuration.swing.profile, model_check=model_check)
+    folder = output or configuration.bench.data_dir / "faults"
+    folder.mkdir(parents=True, exist_ok=True)
+    plan = plan_matrix(
+        study.profile,
+        model_check=model_check,
+        signals=signal or (),
+        phases=phase or (),
+        families=family or (),
+        one_instant=quick,
+        every=every,
+    )
+    with sweep_engine(configuration, processes, cluster, len(plan.cases)) as engine:
+        summary = _matrix(study, folder, plan, compare, engine)
+    _write(folder, summary)
+    unsafe = summary["verdicts"]["unsafe"]
+    if json_:
+        typer.echo(summary_text(summary), nl=False)
+    else:
+        console = console_of(_PIPED_WIDTH)
+        console.print(matrix_table(summary))
+        if unsafe:
+            console.print(reasons_table(summary))
+        console.print(f"{folder / 'matrix.html'}", highlight=False)
+    exit_unless(not unsafe)
+
+
+def _write(folder: Path, summary: dict[str, Any]) -> None:
+    from bench.commands.machine.faults_page import matrix_page
+    from bench.faults.summary import summary_text
+    from bench.records.telemetry.whole_file import whole_file
+
+    page = matrix_page(summary, summary.get("comparison"))
+    for name, text in {"matrix.json": summary_text(summary), "matrix.html": page}.items():
+        with whole_file(folder / name) as file:
+            file.write(text.encode())
+
+
+def _must_be_known(option: str, given: Sequence[str], known: Sequence[str]) -> None:
+
+    if unknown := sorted(set(given) - set(known)):
+        raise BenchError(
+            option, ", ".join(unknown), f"one of {', '.join(known)}", f"Give {option} one of these."
+        )
+
+
+def _matrix(
+    study: FaultStudy, folder: Path, plan: MatrixPlan, compare: bool, engine: Engine
+) -> dict[str, Any]:
+
+    from bench.faults.summary import compare as compared
+    from bench.faults.summary import origin_of, summarise
+
+    outcomes, seconds = _outcomes(study, plan, folder / "cases.jsonl", engine)
+    summary = summarise(
+        outcomes,
+        plan.skipped,
+        model_check=study.model_check,
+        profile=study.profile.name,
+        seconds=seconds,
+        origin=origin_of(study.configuration, study.profile, datetime.now(UTC)) | {"every": plan.every},
+    )
+    if compare:
+        rest = type(plan)(tuple(case for case in plan.cases if _is_compared(case[0])), ())
+        other = replace(study, model_check=not study.model_check)
+        without, _ = _outcomes(other, rest, folder / "without.jsonl", engine)
+        pair = (outcomes, without) if study.model_check else (without, outcomes)
+        summary["comparison"] = compared(*pair)
+    return summary
+
+
+def _is_compared(breakage: Breakage) -> bool:
+    from sim.faults import sort_of
+
+    return breakage.family == "one fault" and sort_of(breakage.fault.signal) in (
+        "encoder",
+        "valve",
+        "supply",
+        "club head",
+    )
+
+
+def _outcomes(
+    study: FaultStudy, plan: MatrixPlan, path: Path, engine: Engine
+) -> tuple[list[CaseOutcome], float]:
+    """Return the outcomes, and the seconds that they took over all runs."""
+    from bench.faults.matrix import matrix_store, run_matrix
+
+    store = matrix_store(path, study)
+    text = f"breaking {study.profile.name}" + ("" if study.model_check else ", no model check")
+    with deferred_interrupt() as asked, progress_of(text, len(plan.cases)) as show:
+        outcomes = run_matrix(plan, study, store, engine, progress=show, stop=asked.is_made)
+    return outcomes, store.seconds
+
+
+@app.command()
+def table(
+    matrix: Annotated[Path, argument("MATRIX", "Result of faults run, matrix.json.")],
+    output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
+    brief: Annotated[bool, flag("--brief", "One row for all faults of a sort, as in sim/FAULTS.md.")] = False,
+) -> None:
+    """Write the hazard table of a fault matrix, one row for each fault."""
+    from bench.faults.hazard_file import hazard_table
+
+    write_text(_from_matrix(matrix, lambda summary: hazard_table(summary, brief=brief)), output)
+
+
+@app.command("file")
+def hazard_file_of(
+    matrix: Annotated[Path, argument("MATRIX", "Result of faults run, matrix.json.")],
+    output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
+    judgement: Annotated[Path | None, option("Assessment file.", "TOML", shown="golfbench's own")] = None,
+) -> None:
+    """Write the hazard file: failure modes, safety functions and hazards to people, as in sim/HAZARDS.md."""
+    from bench.faults.hazard_file import FILE, hazard_file, load_judgement
+
+    judged = load_judgement(judgement or FILE)
+    write_text(_from_matrix(matrix, lambda summary: hazard_file(summary, judged)), output)
+
+
+def _from_matrix(matrix: Path, document: Callable[[dict[str, Any]], str]) -> str:
+    """Return the `document` of the summary in the file `matrix`.
+
+    Raises:
+        BenchError: the file is no matrix.
+    """
+    try:
+        return document(json.loads(matrix.read_text(encoding="utf-8")))
+    except (ValueError, KeyError, TypeError):
+        found, action = "not a matrix", "Run `golfbench faults run` and name its matrix.json."
+        raise BenchError(str(matrix), found, "a matrix.json of `golfbench faults run`", action) from None

@@ -1,0 +1,170 @@
+"""`golfbench wear`: what wears, by part, and how near recorded swings come to the check's limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, isnan
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from rich.console import Console
+from rich.table import Table
+
+from bench.base.errors import BenchError
+from bench.commands.common.options import Json, Plot, argument, require_picture
+from bench.commands.common.output import finite, plain_table
+from bench.commands.common.progress import progress_of
+from bench.commands.common.session import exit_unless, show_json
+
+if TYPE_CHECKING:
+    from bench.commissioning.wear import PartWear
+    from bench.simulation.replay import Margin
+
+Records = Annotated[list[Path], argument("RECORD...", "Parquet files of swings, or folders of them.")]
+
+_PARTS = {
+    "air": "valve, chamber sensors or supply of the {joint}",
+    "flow": "dead band, centre or leakage of the {joint} valve, or a chamber sensor",
+    "velocity": "friction of the {joint}, or the supply",
+    "jump": "encoder of the {joint}: coupling, cable, latency",
+    "effort": "head and shaft, or scale of the {joint} encoder",
+}
+"""Where a residual comes from, by comparison."""
+_MOST_FITTED = 40
+"""Swings whose parts are fitted, evenly over all of them: 1 s each."""
+_CLEAR = 0.5
+"""Share of the worn change from which a part of the joint is named for its residual."""
+_SHOWN = 0.25
+"""Share of the worn change from which a part has its line."""
+
+
+def wear(records: Records, plot: Plot = None, json_: Json = False) -> None:
+    """Show what wears on the robot of recorded swings, by part, with the trend; draw it with --plot.
+
+    The second table has the largest residuals as shares of the limits of the model-based check. Exits with 1
+    if a part is worn, a residual near its limit, or a trend reaches it within as many swings again (at most
+    200).
+    """
+    import numpy as np
+
+    from bench.records.telemetry.recorder import read_swing
+    from bench.simulation.replay import AHEAD, margins, residual_shares
+    from bench.viewer.recorded_series import record_files
+
+    require_picture(plot)
+    files = record_files(records)
+    swings = []
+    with progress_of("replaying swings", len(files)) as show:
+        for done, file in enumerate(files):
+            cycles, metadata = read_swing(file)
+            time = str(metadata.get("time_utc", file.name))
+            swings.append((time, file, residual_shares(cycles, metadata, str(file))))
+            show(done + 1)
+    swings.sort(key=lambda swing: swing[0])
+    parts = _worn_parts([file for _, file, _ in swings], plot)
+    found = margins(np.array([shares for _, _, shares in swings]))
+    near = [one for one in found if one.near]
+    ahead = min(AHEAD, len(swings))
+    is_worn = any(one.is_worn or one.left <= ahead for one in parts)
+    if json_:
+        rows = [{name: finite(value) for name, value in one._asdict().items()} for one in found]
+        worn = {"parts": [_as_json(one) for one in parts], "worn": is_worn}
+        show_json({"swings": len(swings), **worn, "margins": rows, "near": bool(near)})
+    else:
+        _print(parts, found, len(swings), ahead)
+    exit_unless(not near and not is_worn)
+
+
+def _print(parts: list[PartWear], found: list[Margin], swings: int, ahead: int) -> None:
+    """Print both tables, and what to do about the parts in question."""
+    console = Console()
+    if parts:
+        console.print(_part_table(parts))
+    for part in parts:
+        if part.is_worn or part.left <= ahead:
+            when = (
+                "worn" if part.is_worn else f"worn within {max(2, ceil(part.left))} more swings at this rate"
+            )
+            said = f"{part.value.part}, {part.value.name}: {when}. {part.value.action}"
+            console.print(said, style="yellow", highlight=False)
+    console.print(_margin_table(found, f"{swings} swings: largest residuals, % of their limits"))
+    for one in found:
+        if one.near:
+            changed = [part for part in parts if part.value.part.startswith(one.joint)][:1]
+            first = (
+                changed[0] if changed and abs(changed[0].latest) >= _CLEAR * changed[0].value.most else None
+            )
+            where = f"{first.value.part}, {first.value.name}" if first else _PARTS[one.kind]
+            console.print(
+                f"{one.joint} {one.kind} is near its limit: {where.format(joint=one.joint)}. "
+                "Look at it; if nothing is broken, measure the robot again with golfbench commission.",
+                style="yellow",
+                highlight=False,
+            )
+
+
+def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
+    """Return the parts' wear over records, oldest first, and draw it; none without chamber sensors."""
+    import numpy as np
+
+    from bench.commissioning.wear import swing_wear, wear_plot, wearing_values, worn_parts
+    from bench.records.telemetry.recorder import read_swing
+    from bench.simulation.replay import settings_of
+
+    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _MOST_FITTED)).round().astype(int))
+    _, first = read_swing(files[0])
+    values = wearing_values(settings_of(first, str(files[0]))[0]["plant"])
+    swings = []
+    with progress_of("fitting parts", len(chosen)) as show:
+        for done, k in enumerate(chosen.tolist()):
+            try:
+                swings.append(swing_wear(*read_swing(files[k]), str(files[k])))
+            except BenchError as error:
+                Console(stderr=True).print(str(error), style="yellow", highlight=False)
+                return []
+            show(done + 1)
+    if plot is not None:
+        wear_plot(values, swings, (chosen + 1).tolist()).savefig(plot, dpi=150)
+    return worn_parts(values, swings)
+
+
+def _as_json(one: PartWear) -> dict[str, Any]:
+    """Return a part's wear in its unit."""
+    value, scale = one.value, one.value.scale
+    return {
+        "part": value.part,
+        "value": value.name,
+        "unit": value.unit,
+        "before": scale * one.before,
+        "latest": scale * one.latest,
+        "error": scale * one.error,
+        "growth": finite(scale * one.growth),
+        "most": scale * value.most,
+        "worn": one.is_worn,
+        "swings_left": finite(one.left),
+    }
+
+
+def _part_table(parts: list[PartWear]) -> Table:
+    figures = ("first", "latest", "error", "per 100", "worn from")
+    shown = [one for one in parts if abs(one.latest) >= _SHOWN * one.value.most]
+    title = f"parts: change against the configuration; {len(parts) - len(shown)} others hardly differ"
+    table = plain_table("part", "value", *figures, "unit", right=figures, title=title)
+    for one in shown:
+        scale = one.value.scale
+        growth = "" if isnan(one.growth) else f"{100 * scale * one.growth:+.2g}" if one.growth else "no trend"
+        row = (f"{scale * one.before:+.2f}", f"{scale * one.latest:+.2f}", f"{scale * one.error:.2f}")
+        most = f"{scale * one.value.most:.2g}"
+        style = "yellow" if one.is_worn else None
+        table.add_row(one.value.part, one.value.name, *row, growth, most, one.value.unit, style=style)
+    return table
+
+
+def _margin_table(found: list[Margin], title: str) -> Table:
+    figures = ("first swings", "latest", "per 100 swings")
+    table = plain_table("joint", "comparison", *figures, right=figures, title=title)
+    for one in found:
+        growth = "" if isnan(one.growth) else f"{1e4 * one.growth:+.1f}" if one.growth else "no trend"
+        values: tuple[Any, ...] = (f"{100 * one.before:.0f}", f"{100 * one.latest:.0f}", growth)
+        table.add_row(one.joint, one.kind, *values, style="yellow" if one.near else None)
+    return table

@@ -1,0 +1,1 @@
+"""Commands of swings: profiles, golfers, learning, records."""

@@ -1,0 +1,247 @@
+"""`golfbench golfer ...`: measured swings of golfers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+
+from bench.base.errors import BenchError
+from bench.commands.common.options import Json, Plot, argument, option, require_picture
+from bench.commands.common.output import console_of, finite
+from bench.commands.common.session import Session, show_json
+
+if TYPE_CHECKING:
+    from bench.config import Configuration
+    from bench.golfer.comparison import MotionDeviation, SwingMotion
+    from bench.golfer.golfer_file import ImportOptions
+    from sim.plant import PlantParameters
+
+app = typer.Typer(no_args_is_help=True)
+
+_NAME = re.compile(r"[\w][\w .-]{0,99}")
+
+
+Recording = Annotated[Path, argument("FILE", "Recording: .c3d, .trc, .csv or .bvh.")]
+Markers = Annotated[Path | None, option("TOML from roles to markers.", "MAP", shown="built-in maps")]
+Name = Annotated[str | None, option("Name of the result.", "NAME", shown="the file's")]
+Lead = Annotated[str | None, option("Lead side, to be verified.", "left|right", shown="found")]
+Up = Annotated[str | None, option("Up axis, -z for z down.", "x|y|z", shown="found")]
+Events = Annotated[str | None, option("Events (s) in the file's time.", "top=S,impact=S", shown="found")]
+Cutoff = Annotated[str, option("Cut-offs of the filter (Hz); hands 5/3 of the body's.", "BODY,HEAD")]
+Output = Annotated[Path, option("Folder of the result.", "DIR")]
+
+
+Swings = Annotated[
+    list[str] | None, argument("GOLFER SWING...", "Reference and swings.", shown="all built-in golfers")
+]
+
+
+@app.callback()
+def golfer() -> None:
+    """Import measured swings of golfers, and compare swings with them."""
+
+
+@app.command("import")
+def import_(
+    context: typer.Context,
+    file: Recording,
+    markers: Markers = None,
+    name: Name = None,
+    lead: Lead = None,
+    up: Up = None,
+    events: Events = None,
+    cutoff: Cutoff = "15,50",
+    output: Output = Path(),
+    plot: Plot = None,
+    json_: Json = False,
+) -> None:
+    """Import a recorded swing: events, swing plane, joint angles, speeds, and what a robot cannot repeat.
+
+    Writes NAME.golfer.toml and its table. A recording without a club gives shoulders and arm only. Files of
+    GEARS itself are not read: export C3D from GEARS. C3D needs `pip install 'golfbench[mocap]'`.
+    """
+    from bench.commands.swing.golfer_tables import import_report
+    from bench.golfer.comparison import beyond_ranges
+    from bench.golfer.golfer_file import save_golfer, summary
+    from bench.golfer.measuring import measure
+    from bench.golfer.recording import read_capture
+    from bench.golfer.roles import find_roles
+
+    options = _import_options(lead, up, events, cutoff)
+    require_picture(plot)
+    title = file.stem if name is None else name
+    _require_destination(title, output)
+    plant = context.ensure_object(Session).configuration().plant
+    capture = read_capture(file)
+    roles = find_roles(capture, markers)
+    swing = measure(capture, roles, options)
+    path = save_golfer(output, title, swing, capture, roles)
+    if plot is not None:
+        from bench.golfer.golfer_plot import golfer_plot
+
+        golfer_plot(swing, f"{title}, {capture.path.name}").savefig(plot, dpi=150)
+    figures, beyond = summary(swing), beyond_ranges(plant, swing.angle[swing.downswing])
+    if json_:
+        source = {"golfer": str(path), "source_sha256": capture.digest}
+        marked = {"markers": roles.markers, "markers_left_out": roles.dropped}
+        return show_json(source | figures | {"beyond_machine": _beyond_record(beyond)} | marked)
+    console = Console()
+    for shown in import_report(figures, roles, beyond):
+        console.print(shown, highlight=False, soft_wrap=isinstance(shown, str))
+    typer.echo(f"Golfer: {path}")
+    if plot is not None:
+        typer.echo(f"Picture: {plot}")
+
+
+def _beyond_record(excess: Sequence[float]) -> dict[str, float | None]:
+    """Return the excess beyond the machine's ranges by joint, None where not measured."""
+    keys = ("shoulder_rad", "right_arm_m", "wrist_rad")
+    return {key: finite(round(value, 5)) for key, value in zip(keys, excess, strict=True)}
+
+
+@app.command()
+def compare(context: typer.Context, swings: Swings = None, plot: Plot = None, json_: Json = False) -> None:
+    """Compare swings with the first one, which is a golfer's: deviation of each joint and of the head.
+
+    Swings are NAME.golfer.toml, model:NAME of a built-in golfer, or profiles by name or path. Without swings
+    each built-in golfer's model is compared with the profile that follows it.
+    """
+    from bench.commands.swing.golfer_tables import PIPED_WIDTH, beyond_text, comparison_table
+    from bench.golfer.comparison import beyond_ranges, compare_motions
+
+    require_picture(plot)
+    configuration = context.ensure_object(Session).configuration()
+    plant = configuration.plant
+    if swings:
+        if len(swings) < 2:
+            action = "Add profiles, NAME.golfer.toml or model:NAME."
+            raise BenchError("SWING", swings[0], "a golfer and at least one other swing", action)
+        reference, *others = (_motion(plant, text) for text in swings)
+        pairs = [(reference, other) for other in others]
+    else:
+        pairs = _golfers_own(configuration)
+    rows = [compare_motions(*pair) for pair in pairs]
+    if plot is not None and rows:
+        from bench.golfer.golfer_plot import comparison_plot
+
+        comparison_plot(rows).savefig(plot, dpi=150)
+    if json_:
+        return show_json([_record(row) for row in rows])
+    console = console_of(PIPED_WIDTH)
+    console.print(comparison_table(rows), highlight=False)
+    for motion in {row.reference.name: row.reference for row in rows}.values():
+        excess = beyond_ranges(plant, motion.angle[motion.in_downswing])
+        console.print(f"{motion.name}: {beyond_text(excess)}", highlight=False, soft_wrap=True)
+    if plot is not None and rows:
+        typer.echo(f"Picture: {plot}")
+
+
+def _motion(plant: PlantParameters, text: str) -> SwingMotion:
+    """Return the motion that `text` names."""
+    from bench.golfer.comparison import golfer_motion, golfer_named, robot_motion
+    from bench.golfer.golfer_file import SUFFIX
+    from bench.swing.library import find_profile
+    from bench.swing.profile import load_profile
+
+    if text.startswith("model:") or text.endswith(SUFFIX):
+        return golfer_motion(plant, golfer_named(text.removeprefix("model:")))
+    return robot_motion(plant, load_profile(find_profile(text)))
+
+
+def _record(row: MotionDeviation) -> dict[str, Any]:
+    """Return `row` as a record: fractions of the reference's ranges, None where not measured."""
+    from bench.golfer.comparison import DEFINITION
+
+    joints = ("shoulder", "arm", "wrist", "head")
+    units = ("shoulder_rad", "arm_rad", "wrist_rad", "head_m")
+    found: dict[str, Any] = {
+        key: {
+            "name": motion.name,
+            "source": motion.source,
+            "head_speed_mps": finite(round(motion.head_speed, 5)),
+            "downswing_s": round(motion.downswing, 4),
+        }
+        for key, motion in (("reference", row.reference), ("swing", row.other))
+    }
+    for key, names, values in (("deviation", joints, row.share), ("rms", units, row.error)):
+        found[key] = {name: finite(round(value, 5)) for name, value in zip(names, values, strict=True)}
+    return found | {"definition": DEFINITION}
+
+
+def _golfers_own(c: Configuration) -> list[tuple[SwingMotion, SwingMotion]]:
+    """Return each built-in golfer's model with the profile that follows it within the ranges of robot `c`.
+
+    NAME-full needs the ranges of the variant `golfers`, NAME those of the shipped robot.
+    """
+    from bench.design.static_checks import beyond_range
+    from bench.golfer.comparison import golfer_motion, robot_motion
+    from bench.swing.golfers import GOLFERS
+    from bench.swing.library import find_profile, profile_names
+    from bench.swing.profile import load_profile
+
+    known = profile_names()
+    found: list[tuple[SwingMotion, SwingMotion]] = []
+    for name, golfer in GOLFERS.items():
+        own = [load_profile(find_profile(n)) for n in (f"{name}-full", name) if n in known]
+        fitting = [swing for swing in own if not beyond_range(swing, c.plant, c.envelope)]
+        if own:
+            followed = robot_motion(c.plant, (fitting or own[-1:])[0])
+            found.append((golfer_motion(c.plant, golfer), followed))
+    return found
+
+
+def _require_destination(name: str, folder: Path) -> None:
+    """Refuse a name that is no file's, or a folder that does not exist."""
+    if not _NAME.fullmatch(name):
+        raise BenchError("--name", name[:60], "letters, digits, blanks, dots, dashes", "Give another --name.")
+    if not folder.is_dir():
+        raise BenchError("--output", str(folder), "a folder that exists", "Make the folder, or name another.")
+
+
+def _import_options(lead: str | None, up: str | None, events: str | None, cutoff: str) -> ImportOptions:
+    """Return the checked options of an import."""
+    from bench.golfer.golfer_file import ImportOptions
+
+    return ImportOptions(
+        _choice("--lead", lead, ("left", "right")),
+        _choice("--up", up, ("x", "y", "z", "-x", "-y", "-z")),
+        **_events(events),
+        cutoff=_cutoff(cutoff),
+    )
+
+
+def _choice(option: str, given: str | None, choices: tuple[str, ...]) -> str:
+    if given is None:
+        return ""
+    if given.lower() not in choices:
+        raise BenchError(option, given[:40], f"one of {', '.join(choices)}", f"Correct {option}.")
+    return given.lower()
+
+
+def _events(text: str | None) -> dict[str, float]:
+    """Return the events in `text` (s)."""
+    found: dict[str, float] = {}
+    for part in text.split(",") if text else ():
+        key, _, value = (word.strip() for word in part.partition("="))
+        try:
+            found[{"top": "top", "impact": "impact"}[key]] = float(value)
+        except (KeyError, ValueError):
+            raise BenchError("--events", part[:40], "top=S, impact=S or both", "Correct --events.") from None
+    return found
+
+
+def _cutoff(text: str) -> tuple[float, float]:
+    try:
+        body, head = (float(part) for part in text.split(","))
+    except ValueError:
+        raise BenchError(
+            "--cutoff", text[:40], "two frequencies (Hz), as 15,50", "Correct --cutoff."
+        ) from None
+    if not (2.0 <= body <= 200.0 and 2.0 <= head <= 500.0):
+        raise BenchError("--cutoff", text[:40], "2 to 200 and 2 to 500 Hz", "Correct --cutoff.")
+    return body, head

@@ -1,0 +1,278 @@
+"""`golfbench learn`: repeat a swing, correct it by what it delivered, and keep the correction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, TaskID
+from rich.table import Table
+
+from bench.base.errors import BenchError
+from bench.base.lifecycle import CAUSE_TEXT
+from bench.commands.common.options import ClubName, Json, argument, flag, known_profiles, option
+from bench.commands.common.output import plain_table
+from bench.commands.common.progress import paused, progress_bar
+from bench.commands.common.session import Session, exit_unless, show_json
+from bench.swing.correction_terms import Source
+
+if TYPE_CHECKING:
+    from bench.config import Configuration
+    from bench.learning.learn import LearningProblem, LearningResult, Recorded, Swinger
+    from bench.learning.store import Learned
+    from bench.simulation.series import Bench
+    from sim.plant import PlantParameters
+
+_FACE = 60.0
+"""mm from its centre, beyond which no mark is read."""
+_LEARNING = "learning swings"
+"""Text of the bar."""
+
+SwingName = Annotated[str, argument("SWING", "Name or path of a profile.", complete=known_profiles)]
+Simulated = Annotated[bool, flag("--sim", "Simulate the robot in lock-step, without a running bench.")]
+Robot = Annotated[
+    Path | None,
+    option("Configuration of the robot that really swings; the bench still assumes --config.", "FILE"),
+]
+Draw = Annotated[
+    int | None, option("Or seed of a random robot within 10 % of the configured one.", "SEED", low=0)
+]
+IdentifiedRobot = Annotated[
+    Path | None,
+    option("Output of golfbench identify: start from what was learned on that robot in simulation.", "FILE"),
+]
+Records = Annotated[
+    list[Path] | None,
+    option("Record it was identified from, repeatable: corrects what identification missed.", "RECORD"),
+]
+DeliverySource = Annotated[
+    Source | None, option("Source of the delivery on a running bench.", shown="encoders+model")
+]
+Swings = Annotated[int, option("Max number of swings.", low=1, high=100)]
+Output = Annotated[
+    Path | None, option("Also write the corrected profile, .toml, with its table beside it.", "FILE")
+]
+
+
+def learn(
+    context: typer.Context,
+    profile: SwingName,
+    sim: Simulated = False,
+    robot: Robot = None,
+    draw: Draw = None,
+    club: ClubName = None,
+    identified: IdentifiedRobot = None,
+    records: Records = None,
+    source: DeliverySource = None,
+    swings: Swings = 12,
+    output: Output = None,
+    json_: Json = False,
+) -> None:
+    """Learn a swing by repeating it on the running bench, or with --sim; store the correction.
+
+    The target is the delivery that the profile plans. Exits with 1 if it is not reached.
+    """
+    from bench.config import database_url
+    from bench.design.requirements import require_planned_openings
+    from bench.learning.learn import read_recorded
+    from bench.learning.store import Conditions, keep, stored
+    from bench.simulation.series import Bench
+    from bench.store.database import open_database
+    from bench.supervisor.readiness import assess_bench
+    from bench.swing.profile import save_profile
+
+    elsewhere = {"--robot": robot, "--draw": draw, "--club": club}
+    _require_usable({"--source": source} if sim else elsewhere, sim)
+    _require_identified(records, identified)
+    recorded = read_recorded(records or [])
+    configuration = context.ensure_object(Session).configuration()
+    require_planned_openings(configuration.control)
+    ready = assess_bench(configuration, datetime.now(UTC), profile, club=club)
+    ready.require_possible()
+    swing, configuration = ready.profile, ready.configuration
+    plant = configuration.plant
+    truth = _robot(plant, robot, draw, club)
+    bench = Bench.of(configuration, swing)
+    measured, origin = source or "encoders+model", _Origin(identified, recorded)
+    if sim:
+        result, simulated = _learn_in_lock_step(bench, truth, origin, swings), True
+    else:
+        result, simulated = _learn_live(configuration, bench, origin, measured, swings)
+    settings, now = configuration.bench, datetime.now(UTC)
+    conditions = Conditions.of(swing, plant, configuration.air.temperature, truth if simulated else None)
+    entry = stored(result, settings.id, swing.name, conditions, measured, now, simulated=simulated)
+    with open_database(database_url(settings.database, settings.data_dir), now) as database:
+        version = keep(database, entry)
+    if output is not None:
+        save_profile(output, result.correction.applied_to(swing))
+    _show(result, entry, version, json_)
+    exit_unless(result.within)
+
+
+def _show(result: LearningResult, entry: Learned, version: int, json_: bool) -> None:
+    """Print the learning swings, stored as `version`."""
+    if json_:
+        return show_json(entry.record | {"version": version})
+    console = Console()
+    console.print(_table(result, entry.profile))
+    console.print(_verdict(result, entry, version), highlight=False)
+
+
+def _require_usable(options: Mapping[str, object], sim: bool) -> None:
+    """Refuse any of `options` that is given: they belong to the other kind of bench than `sim`."""
+    for given in (name for name, value in options.items() if value is not None):
+        expected = f"{'with' if not sim else 'without'} --sim only"
+        action = "Leave it out: a bench is " + (
+            "the robot it is." if not sim else "read by its encoders here."
+        )
+        raise BenchError("learn", given, expected, action)
+
+
+def _require_identified(records: list[Path] | None, identified: Path | None) -> None:
+    """Refuse `records` without the robot identified from them."""
+    if records and identified is None:
+        raise BenchError(
+            "learn", "--records", "with --identified only", "Name the robot that they identified."
+        )
+
+
+def _robot(plant: PlantParameters, file: Path | None, draw: int | None, club: str | None) -> PlantParameters:
+    """Return the robot that swings in simulation: that of `file` or else `plant`, varied by seed `draw`.
+
+    It swings the club called `club`, as `plant` does.
+    """
+    from bench.config import load_configuration
+    from bench.simulation.variation import drawn
+
+    robot = plant if file is None else load_configuration(file).with_club(club).plant
+    return robot if draw is None else drawn(draw, robot).applied_to(robot)
+
+
+class _Origin(NamedTuple):
+    """What learning starts from besides the model."""
+
+    identified: Path | None
+    """Configuration of the identified robot; None to start from the model."""
+    recorded: Sequence[Recorded]
+    """Swings that it was identified from."""
+
+
+def _learn_in_lock_step(bench: Bench, robot: PlantParameters, origin: _Origin, swings: int) -> LearningResult:
+    """Learn on the simulated `robot` in at most `swings` swings."""
+    from bench.learning.learn import on_series
+    from bench.simulation.series import Series
+
+    with progress_bar() as bar:
+        problem = _problem(bench, origin, bar)
+        task = bar.add_task(_LEARNING, total=swings + 1)
+        return _result(problem, on_series(problem, Series(bench, robot)), swings, bar, task)
+
+
+def _learn_live(
+    configuration: Configuration, bench: Bench, origin: _Origin, source: Source, swings: int
+) -> tuple[LearningResult, bool]:
+    """Learn on the running bench, set the correction there, and return whether its robot is simulated."""
+    from bench.learning.live import LiveSwinger, require_bench
+    from bench.network.client import BenchClient
+
+    def say(text: str) -> None:
+        bar.console.print(text, highlight=False)
+
+    def ask_mark() -> tuple[float, float] | None:
+        with paused(bar):
+            return mark_from_person()
+
+    with progress_bar() as bar, BenchClient.connect(configuration) as client:
+        require_bench(client.status(), bench.profile, source)
+        problem = _problem(bench, origin, bar)
+        task = bar.add_task(_LEARNING, total=swings + 1)
+        with LiveSwinger(client, problem, source, say, ask_mark) as live:
+            result = _result(problem, live, swings, bar, task)
+            live.correct(result.weights)
+        return result, live.simulated
+
+
+def _problem(bench: Bench, origin: _Origin, bar: Progress) -> LearningProblem:
+    """Return the model's response, or that of the identified robot once it has learned."""
+    from bench.config import load_configuration
+    from bench.learning.learn import begun_on, prepare
+
+    task = bar.add_task("the model's response", total=1.0)
+    problem = prepare(bench, lambda part: bar.update(task, completed=part))
+    bar.update(task, completed=1.0)
+    if origin.identified is not None:
+        task = bar.add_task("the identified robot learns", total=None)
+        problem = begun_on(problem, load_configuration(origin.identified).plant, origin.recorded)
+        bar.update(task, total=1.0, completed=1.0)
+    return problem
+
+
+def _result(
+    problem: LearningProblem, swinger: Swinger, swings: int, bar: Progress, task: TaskID
+) -> LearningResult:
+    """Learn with `swinger`, one step of the bar's `task` a swing."""
+    from bench.learning.ilc import LearningSettings
+    from bench.learning.learn import learn as learned
+
+    return learned(
+        problem,
+        swinger,
+        LearningSettings(swings=swings),
+        on_attempt=lambda attempt: bar.update(task, advance=1),
+    )
+
+
+def mark_from_person() -> tuple[float, float] | None:
+    """Ask for the ball's mark on the face; None if it cannot be read."""
+    while True:
+        text = typer.prompt(
+            "mark on the face, mm towards the toe and mm up (empty: none)", default="", err=True
+        )
+        if not text.strip():
+            return None
+        try:
+            toe, high = map(float, text.replace(",", " ").split())
+        except ValueError:
+            toe = high = float("nan")
+        if abs(toe) <= _FACE and abs(high) <= _FACE:
+            return toe, high
+        typer.echo(f"{text!r}: two numbers are wanted, each within {_FACE:g} mm, such as: 3.5 -2", err=True)
+
+
+def _table(result: LearningResult, name: str) -> Table:
+
+    table = plain_table(title=f"{name}: what each swing delivered")
+    units = ("strike\nmm", "head\nm/s", "lean\n°", "attack\n°", "path\nmrad", "limit\n%")
+    for column in ("swing", *units, ""):
+        table.add_column(column, justify="right" if column != "" else "left", no_wrap=True)
+
+    def row(first: str, figures: dict[str, float | None], *rest: str) -> None:
+        forms = ("{:+.2f}", "{:.2f}", "{:+.2f}", "{:+.2f}")
+        values = [
+            "" if value is None else form.format(value)
+            for form, value in zip(forms, figures.values(), strict=True)
+        ]
+        table.add_row(first, *values, *rest)
+
+    row("target", result.target.shown, "", "", "")
+    for number, attempt in enumerate(result.attempts):
+        note = attempt.cause.name if attempt.cause else "kept" if number == result.chosen else ""
+        path = "" if attempt.path_error != attempt.path_error else f"{1e3 * attempt.path_error:.1f}"
+        row(str(number), attempt.figures.shown, path, f"{100 * attempt.saturated:.0f}", note)
+    return table
+
+
+def _verdict(result: LearningResult, entry: Learned, version: int) -> str:
+    causes = dict.fromkeys(attempt.cause for attempt in result.attempts if attempt.cause)
+    stops = "".join(f"{cause.name}: {CAUSE_TEXT[cause]}\n" for cause in causes)
+    kept = f"Kept as version {version} of {entry.profile} for {entry.conditions.text}."
+    if result.within:
+        return f"{stops}Within the tolerances after {result.chosen} learning swings. {kept}"
+    return (
+        f"{stops}Not within the tolerances after {result.used} learning swings: the nearest is kept. {kept}\n"
+        "A share of saturation that stays high says that the robot has not enough air for this swing."
+    )

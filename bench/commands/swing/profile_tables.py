@@ -1,0 +1,220 @@
+"""A profile for people: figures and phases, its motion as a picture, outcomes of its check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from bench.commands.common.output import plain_table
+from bench.swing.profile import FollowedGolfer, Profile
+from drivers.base import ACTUATORS
+
+if TYPE_CHECKING:
+    from bench.design.stop_verification import TrialOutcome, TrialSummary
+    from sim.plant import PlantParameters
+
+_BARS = " ▁▂▃▄▅▆▇█"
+_WIDTH = 64
+_UNITS = {"mps": "m/s", "deg": "°", "mm": "mm", "m": "m", "s": "s", "j": "J", "pa": "Pa"}
+_COLOURS = ("#1f5fa8", "#d1495b", "#2a9d5c")
+
+
+def listing(profiles: list[tuple[str, Profile]]) -> Table:
+    """Return the table of `golfbench profile list`; pairs of name and profile.
+
+    One line each, whatever the width: `golfbench profile show NAME` prints the whole text.
+    """
+    table = plain_table(expand=True)
+    table.add_column("name", no_wrap=True)
+    table.add_column("club", no_wrap=True)
+    table.add_column("m/s", no_wrap=True, justify="right")
+    table.add_column("attack °", no_wrap=True, justify="right")
+    table.add_column("what it is", no_wrap=True, overflow="ellipsis", ratio=1)  # it alone gives way
+    for name, profile in profiles:
+        speed = _figure(profile, "head_speed_mps", ".1f")
+        attack = _figure(profile, "attack_angle_deg", "+.1f")
+        table.add_row(*map(Text, (name, profile.club, speed, attack, profile.text)))
+    return table
+
+
+def _figure(profile: Profile, key: str, form: str) -> str:
+    value = profile.delivery.get(key)
+    return "" if value is None else format(round(value, 1) + 0.0, form)
+
+
+def details(profile: Profile, path: Path, plant: PlantParameters) -> Group:
+    """Return everything `golfbench profile show` prints."""
+    head = Text(f"{profile.name}", "bold")
+    head.append(f"  {profile.text}\n{path}", "not bold")
+    facts = _table("", "", title="")
+    for name, value in (
+        ("golfer", profile.golfer),
+        ("club", profile.club),
+        ("ball", f"x {profile.ball[0]:.3f} m, y {profile.ball[1]:.3f} m in the swing plane"),
+        ("planned contact", f"{profile.impact_time:.4f} s"),
+        ("no return after", f"{profile.begins[4] * profile.period:.3f} s"),
+        ("samples", f"{len(profile.angle)} every {1e3 * profile.period:g} ms"),
+        ("blind brakes", f"{len(profile.blind_brake)}, every {profile.blind_spacing} samples"),
+    ):
+        facts.add_row(name, Text(value))
+    followed = [] if profile.followed is None else [_deviation(profile.followed)]
+    return Group(head, facts, *followed, _phases(profile), _speed_line(profile, plant), *_groups(profile))
+
+
+def _table(*columns: str, title: str) -> Table:
+    table = plain_table(title=title or None, title_justify="left", title_style="bold")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="right" if i and column else "left", no_wrap=True)
+    table.show_header = any(columns)
+    return table
+
+
+def _deviation(followed: FollowedGolfer) -> Group:
+    """Return the deviation of a profile from the measured swing that it follows."""
+    from bench.golfer.comparison import followed_texts
+
+    table = _table("", "", title=f"Deviation from the golfer's {followed['follow']}")
+    for row in zip(("shoulder", "arm", "wrist", "head"), followed_texts(followed), strict=True):
+        table.add_row(*row)
+    speed = f"Golfer's head speed at the ball: {followed['head_speed_mps']:.1f} m/s."
+    source = f"SHA-256 of the golfer's file:\n{followed['sha256']}"
+    return Group(table, Text(f"{followed['definition']}. {speed} {source}\n"))
+
+
+def _phases(profile: Profile) -> Table:
+    from bench.swing.motion import phase_times
+
+    table = _table("phase", "begins, s", "lasts, s", "greatest speed, rad/s", title="Phases")
+    for phase, begin, end in phase_times(profile):
+        rows = slice(round(begin / profile.period), round(end / profile.period))
+        speed = np.abs(profile.velocity[rows]).max(axis=0) if rows.stop > rows.start else np.zeros(3)
+        fastest = " / ".join(f"{value:.1f}" for value in speed)
+        table.add_row(phase.name.lower().replace("_", " "), f"{begin:.3f}", f"{end - begin:.3f}", fastest)
+    return table
+
+
+def _speed_line(profile: Profile, plant: PlantParameters) -> Text:
+    """Return the head's speed over time as a row of bars, the column of the contact marked."""
+    from bench.swing.motion import Motion
+
+    speed = Motion(profile, plant).head_speed
+    columns = np.array_split(speed, min(_WIDTH, len(speed)))
+    heights = [int(np.ceil(part.max() / speed.max() * (len(_BARS) - 1))) for part in columns]
+    contact = int(profile.impact_time / profile.duration * len(columns))
+    line = Text(f"head, at most {speed.max():.1f} m/s\n", "bold")
+    for column, height in enumerate(heights):
+        line.append(_BARS[height], "bold red" if column == contact else "cyan")
+    line.append(f"\n0 s{'':{len(columns) - 9}}{profile.duration:.2f} s   red: the ball", "not bold")
+    return line
+
+
+def _groups(profile: Profile) -> list[Table]:
+    tables = []
+    for title, values in (("Planned delivery", profile.delivery), ("Limits it was made for", profile.limits)):
+        table = _table("", "value", "unit", title=title)
+        table.columns[2].justify = "left"
+        table.show_header = False
+        for name, value in values.items():
+            what, _, suffix = name.rpartition("_")
+            known = suffix in _UNITS
+            table.add_row((what if known else name).replace("_", " "), f"{value:.6g}", _UNITS.get(suffix, ""))
+        tables.append(table)
+    return tables
+
+
+def draw(profile: Profile, plant: PlantParameters, path: Path) -> None:
+    """Write a picture (PNG, SVG or PDF by the suffix of `path`) of the planned motion.
+
+    Raises:
+        ValueError: no picture format has that suffix.
+        OSError: `path` cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    from bench.swing.motion import Motion, phase_times
+
+    motion = Motion(profile, plant)
+    time = np.arange(len(profile.angle)) * profile.period
+    figure = Figure(figsize=(9.0, 9.0), layout="constrained")
+    axes = figure.subplots(4, 1, sharex=True)
+    cock = 360.0 - np.degrees(profile.angle[:, 2])
+    rows = (
+        (np.degrees(profile.angle[:, 0]), "shoulder θ1, °"),
+        (1e3 * motion.position[:, 1], "right-arm rod, mm"),
+        (cock, "wrist cock, °"),
+    )
+    for ax, (values, label), colour in zip(axes, rows, _COLOURS, strict=False):
+        ax.plot(time, values, color=colour)
+        ax.set_ylabel(label)
+    axes[3].plot(time, motion.head_speed, color="black", label="head, m/s")
+    axes[3].set_ylabel("head, m/s")
+    valves = axes[3].twinx()
+    for i, name in enumerate(ACTUATORS):
+        valves.plot(time, profile.valve[:, i], color=_COLOURS[i], linewidth=0.7, alpha=0.8, label=name)
+    valves.set(ylim=(-1.05, 1.05), ylabel="valve opening")
+    valves.legend(loc="upper left", fontsize=8, ncols=3, frameon=False)
+    for ax in axes:
+        for _, begin, _ in phase_times(profile)[1:]:
+            ax.axvline(begin, color="#bbbbbb", linewidth=0.7)
+        ax.axvline(profile.impact_time, color="#d1495b", linestyle="--", linewidth=0.9)
+        ax.grid(alpha=0.25)
+    axes[0].set_title(f"{profile.name}: {profile.text}", loc="left", fontsize=10)
+    axes[3].set_xlabel("time, s; dashed: planned contact; grey: phases")
+    axes[3].set_xlim(0.0, profile.duration)
+    figure.savefig(path, dpi=110)
+
+
+SCHEMA_VERSION = 1
+
+
+def check_table(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSummary]) -> Table:
+    """Return one row a fault: how many instants, the worst ends and when they began."""
+    unsafe = sum(bool(outcome.unsafe) for outcome in outcomes)
+    table = Table(
+        title=f"{name}: {len(outcomes)} cases, {unsafe} end unsafe",
+        caption="Shares are of the rating; instants are seconds from the start of the swing.",
+    )
+    table.add_column("fault")
+    for heading in ("cases", "unsafe", "most energy in a stop", "highest pressure", "clearance mm"):
+        table.add_column(heading, justify="right")
+    table.add_column("at rest after s", justify="right")
+    for summary in summaries:
+        stop, pressure = summary.worst_stop, summary.worst_pressure
+        lowest, slowest = summary.lowest, summary.slowest
+        table.add_row(
+            summary.fault,
+            str(summary.instants),
+            f"[red]{summary.unsafe}[/red]" if summary.unsafe else "0",
+            f"{100 * stop.stop_share:.0f} % {stop.stop} @{stop.time:.2f}",
+            f"{100 * pressure.pressure_share:.0f} % @{pressure.time:.2f}",
+            f"{1e3 * lowest.clearance:.0f} @{lowest.time:.2f}",
+            f"{slowest.rest_time:.2f} @{slowest.time:.2f}",
+        )
+    return table
+
+
+def check_record(name: str, outcomes: list[TrialOutcome], summaries: list[TrialSummary]) -> dict[str, Any]:
+    """Return all outcomes as a JSON-ready record; a time that never came is null."""
+
+    def one(outcome: TrialOutcome) -> dict[str, Any]:
+        record = {key: getattr(outcome, key) for key in outcome.__dataclass_fields__}
+        rests = outcome.rest_time < float("inf")
+        return record | {
+            "phase": outcome.phase.name,
+            "cause": outcome.cause.name,
+            "rest_time": outcome.rest_time if rests else None,
+            "unsafe": outcome.unsafe,
+        }
+
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "profile": name,
+        "cases": len(outcomes),
+        "unsafe": {summary.fault: summary.unsafe for summary in summaries},
+        "outcomes": [one(outcome) for outcome in outcomes],
+    }

@@ -1,0 +1,24 @@
+"""`golfbench check` says whether the model-based check will run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bench.commands.cli import main
+
+
+@pytest.mark.parametrize(("setting", "off"), [("simulated", False), ("off", True)])
+def test_a_check_that_is_off_is_named(
+    setting: str, off: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.toml"
+    text = f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n[envelope.model]\ncheck = "{setting}"\n'
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        main(["--config", str(file), "check"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert ended.value.code in (0, None), said
+    assert ("warning: the model-based check is off" in said) is off
+    assert ("limits of the model-based check" in said) is not off

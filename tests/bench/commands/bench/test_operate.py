@@ -1,0 +1,451 @@
+"""The verbs of a running bench on the command line: words, exit codes, the kept lease, the live status."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from io import StringIO
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import pytest
+from rich.console import Console
+
+from bench.base.errors import ExitCode
+from bench.base.lifecycle import Cause, Request, State
+from bench.commands.bench.status_table import status_table
+from bench.commands.cli import main
+from bench.network.bench_service import LaunchMonitorStatus, Reply
+from bench.network.client import REST
+from bench.network.free_port import free_port
+from bench.records.shot.recorded_shot import shot_to_json
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.supervisor.status import NO_LAUNCH_MONITOR
+from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
+
+
+class Outcome(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+Golfbench = Callable[..., Outcome]
+
+
+@pytest.fixture
+def port() -> int:
+    return free_port()
+
+
+@pytest.fixture
+def golfbench(
+    port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Golfbench:
+    """Run a command line for the bench at `port`, as a user with a login session of their own."""
+    configuration = tmp_path / "bench.toml"
+    configuration.write_text(f'base = "shipped"\n[network]\nendpoint = "tcp/127.0.0.1:{port}"\n')
+    monkeypatch.setenv("GOLFBENCH_CONFIG", str(configuration))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
+
+    def run(*arguments: str) -> Outcome:
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        out, err = capsys.readouterr()
+        code = end.value.code
+        assert isinstance(code, int)
+        return Outcome(int(code), out, err)
+
+    return run
+
+
+@pytest.fixture
+def running(port: int, golfbench: Golfbench) -> Iterator[RunningPlane]:
+    with running_plane(FakeDesk(), loopback_configuration(port)) as running:
+        yield running
+
+
+def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None:
+    taken = golfbench("lease", "take", "--holder", "Ann", "--seconds", "60")
+    assert taken.out.startswith("bench bench1: Ann holds it for 60 s; each command renews it")
+    day = [
+        ("reset", "SAFE"),
+        ("access", "ACCESS"),
+        ("access --end", "SAFE"),
+        ("home", "READY"),
+        ("arm", "ARMED"),
+        ("tee", "ARMED"),
+        ("swing --no-wait", "READY"),
+        ("arm", "ARMED"),
+        ("disarm", "READY"),
+    ]
+    for line, state in day:
+        code, out, err = golfbench(*line.split())
+        assert (code, err) == (0, "")
+        assert out.startswith(f"bench bench1: {state}. ")
+    assert running.desk.requests[-3:] == [Request.SWING, Request.ARM, Request.DISARM]
+    assert golfbench("lease", "release").out == "bench bench1: lease released\n"
+    assert golfbench("lease", "show").out == "bench bench1: lease not held\n"
+    assert running.plane.counts()["refused"] == 0
+
+
+def test_a_script_waits_until_it_may_swing(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    golfbench("reset")
+    ready = "bench bench1: READY. Ready: vented and homed. Next: golfbench arm --wait\n"
+    assert golfbench("home", "--wait").out == ready
+    began = time.monotonic()
+    armed = golfbench("arm", "--wait")
+    assert armed.out.startswith("bench bench1: ARMED. Armed: air on, the robot may move. Next: golfbench tee")
+    assert time.monotonic() - began >= REST
+    assert golfbench("swing").code == 0
+
+
+def test_swing_waits_and_prints_delivery_launch_and_carry(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
+    golfbench("lease", "take")
+    running.desk.state = State.ARMED
+    swung = golfbench("swing")
+    assert swung == Outcome(
+        0,
+        "swing 1: 43.05 m/s (96.3 mph) at the ball, attack +1.94°, strike +0.1 mm to the toe, -0.1 mm up\n"
+        "ball: 64.15 m/s (143.5 mph), launch 12.4°, spin 2406 rpm, carry 208.0 m (227.5 yd) by model\n"
+        "bench bench1: READY. Ready: vented and homed. Next: golfbench arm --wait\n",
+        "",
+    )
+
+
+def test_swing_without_a_record_is_refused_in_time(
+    running: RunningPlane, golfbench: Golfbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golfbench("lease", "take")
+    running.desk.state, running.desk.publish_shot = State.ARMED, lambda message: None
+    code, _, err = golfbench("swing", "--timeout", "1")
+    assert code == ExitCode.REFUSED
+    assert "no record within 1 s" in err
+
+
+def test_a_swing_that_was_stopped_exits_with_1(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    publish = running.desk.publish_shot
+    row = Shot(1, 1, 1, "driver", "default", ShotStatus.FAILED, "stopped by the operator")
+    stopped = {"cause": "OPERATOR_STOP", "shot": shot_to_json(row)}
+    running.desk.state = State.ARMED
+    running.desk.publish_shot = lambda message: publish({**message, **stopped})  # type: ignore[typeddict-item]
+    code, out, _ = golfbench("swing")
+    assert code == ExitCode.REFUSED
+    assert out.startswith("swing 1: no delivery\nstopped by the operator\n")
+
+
+@pytest.mark.parametrize(
+    ("state", "action"),
+    [
+        (State.ESTOP, "golfbench reset"),
+        (State.FAULT, "golfbench reset"),
+        (State.SAFE, "golfbench home --wait"),
+        (State.READY, "golfbench arm --wait"),
+        (State.ACCESS, "golfbench access --end"),
+    ],
+)
+def test_a_refused_swing_has_the_action_of_its_state(
+    running: RunningPlane, golfbench: Golfbench, state: State, action: str
+) -> None:
+    golfbench("lease", "take")
+    running.desk.state = state
+    code, _, err = golfbench("swing")
+    assert code == ExitCode.REFUSED
+    assert f"Next: {action}." in err
+    assert running.desk.requests == []
+
+
+def test_a_disarming_is_told_with_its_cause(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    running.desk.state, running.desk.cause = State.READY, Cause.LEASE
+    _, _, err = golfbench("swing")
+    assert "found:    READY: disarmed, as the lease lapsed or was released" in err
+    assert "action:   Take it, then arm. Next: golfbench arm --wait." in err
+
+
+def test_ctrl_c_while_waiting_tells_that_the_robot_continues(
+    running: RunningPlane, golfbench: Golfbench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golfbench("lease", "take")
+    running.desk.state = State.SAFE
+
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bench.network.client.BenchClient.wait_for", interrupt)
+    code, _, err = golfbench("home", "--wait")
+    assert code == ExitCode.INTERRUPTED
+    assert "only the waiting ended, the robot continues" in err
+    assert "golfbench stop" in err
+    monkeypatch.undo()
+
+
+def test_stop_of_a_moving_robot_prints_the_state_after(running: RunningPlane, golfbench: Golfbench) -> None:
+    """The stop is taken in the state before; the robot brakes first."""
+    desk = running.desk
+    desk.state = State.HOMING
+
+    def stop() -> Reply:
+        threading.Timer(0.3, setattr, (desk, "state", State.FAULT)).start()
+        return Reply(True, State.HOMING.name)
+
+    desk.stop = stop  # type: ignore[method-assign]
+    code, out, _ = golfbench("stop")
+    assert code == 0
+    first, last = out.splitlines()
+    assert first == "bench bench1: stopping"
+    assert last.startswith("bench bench1: FAULT. ")
+    assert last.endswith("Next: golfbench reset")
+
+
+def test_waiting_to_be_armed_renews_the_lease_and_ends_in_time(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
+    golfbench("lease", "take", "--seconds", "5")
+    running.desk.state, running.desk.armed_phase = State.READY, "RETURN"
+    code, _, err = golfbench("arm", "--wait", "--timeout", "6")
+    assert code == ExitCode.REFUSED
+    assert "bench bench1 after 6 s" in err
+    assert "found:    ARMED in phase RETURN" in err
+    assert "expected: ARMED, at rest at the address" in err
+    assert running.plane.lease() is not None, "5 s, taken over 6 s ago"
+    assert golfbench("disarm").code == 0
+
+
+def test_a_fault_ends_the_waiting(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    running.desk.state, running.desk.armed_phase = State.READY, "RETURN"
+
+    def fail_once_armed() -> None:
+        while running.desk.state is not State.ARMED:
+            time.sleep(0.01)
+        running.desk.stop()
+
+    fault = threading.Thread(target=fail_once_armed)
+    fault.start()
+    code, _, err = golfbench("arm", "--wait")
+    fault.join()
+    assert code == ExitCode.REFUSED
+    assert "found:    FAULT in phase STANDING: the bench was switched on" in err
+    assert "action:   Reset to begin. Next: golfbench reset." in err
+
+
+def test_the_verbs_renew_the_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    before = running.plane.lease()
+    golfbench("reset")
+    after = running.plane.lease()
+    assert before is not None
+    assert after is not None
+    assert after.expiry > before.expiry
+
+
+def test_stops_need_no_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+    told = "bench bench1: FAULT. The bench was switched on. Next: golfbench reset\n"
+    assert golfbench("stop") == Outcome(0, told, "")
+    code, out, _ = golfbench("estop")
+    assert code == 0
+    assert "convenience, not a safety function" in out
+    assert [what for what, _ in running.desk.stops] == ["stop", "estop"]
+
+
+def test_a_refusal_exits_with_1_and_says_state_and_reason(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
+    golfbench("lease", "take")
+    code, out, err = golfbench("arm")
+    assert (code, out) == (ExitCode.REFUSED, "")
+    assert err == (
+        "error: arm of bench bench1\n"
+        "  found:    refused in state ESTOP: not possible in this state\n"
+        "  expected: state READY\n"
+        "  action:   Clear the cause, then reset. Next: golfbench reset.\n"
+    )
+
+
+def test_what_moves_needs_the_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+    for line in ("home", "arm", "access", "access --end", "tee", "reset", "lease renew", "lease release"):
+        code, _, err = golfbench(*line.split())
+        assert code == ExitCode.REFUSED
+        assert "golfbench lease take" in err
+    assert running.desk.requests == []
+
+
+def test_swing_alone_swings_only_an_armed_bench(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take")
+    running.desk.state = State.READY
+    code, _, err = golfbench("swing")
+    assert code == ExitCode.REFUSED
+    assert "found:    READY" in err
+    assert "golfbench arm" in err
+    assert running.desk.requests == []
+    running.desk.state = State.ARMED
+    golfbench("lease", "release")
+    assert golfbench("swing").code == ExitCode.REFUSED
+    assert running.desk.requests == []
+
+
+@pytest.mark.parametrize("words", ["list", "check default", "--no-wait show", "-- --help"])
+def test_swing_with_an_argument_is_refused_and_moves_nothing(
+    running: RunningPlane, golfbench: Golfbench, words: str
+) -> None:
+    golfbench("lease", "take")
+    running.desk.state = State.ARMED
+    code, _, err = golfbench("swing", *words.split())
+    assert code == ExitCode.BAD_INPUT
+    assert "golfbench profile" in err
+    assert running.desk.requests == []
+
+
+def test_a_second_user_is_told_who_holds_the_bench(
+    running: RunningPlane, golfbench: Golfbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    golfbench("lease", "take", "--holder", "Ann")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "other"))
+    code, _, err = golfbench("lease", "take", "--holder", "Bob")
+    assert code == ExitCode.REFUSED
+    assert re.search(r"Ann holds the bench for (29|30) s more", err)
+    assert re.search(r"Ann holds it for (29|30) s more", golfbench("lease", "show").out)
+    assert json.loads(golfbench("lease", "show", "--json").out)["holder"] == "Ann"
+
+
+def test_taking_again_renews(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take", "--holder", "Ann")
+    first = running.plane.lease()
+    again = golfbench("lease", "take", "--holder", "Ann", "--seconds", "90")
+    assert again.out == "bench bench1: Ann holds it for 90 s more\n"
+    second = running.plane.lease()
+    assert first is not None
+    assert second is not None
+    assert second.key == first.key
+    assert golfbench("reset").code == 0
+    assert golfbench("lease", "renew").out == "bench bench1: held for 90 s more\n"
+
+
+def test_a_lease_of_before_a_restart_is_over(port: int, golfbench: Golfbench) -> None:
+    with running_plane(FakeDesk(), loopback_configuration(port)):
+        golfbench("lease", "take")
+    with running_plane(FakeDesk(), loopback_configuration(port)):
+        code, _, err = golfbench("reset")
+        assert code == ExitCode.REFUSED
+        assert "no valid lease" in err
+        assert golfbench("lease", "take").code == 0
+        assert golfbench("reset").code == 0
+
+
+@pytest.mark.parametrize("seconds", ["4", "601", "x"])
+def test_durations_are_checked(seconds: str, golfbench: Golfbench) -> None:
+    assert golfbench("lease", "take", "--seconds", seconds).code == ExitCode.BAD_INPUT
+
+
+@pytest.mark.parametrize("line", ["status", "home", "stop", "estop", "swing", "lease take", "lease show"])
+def test_no_bench_no_answer(line: str, golfbench: Golfbench) -> None:
+    code, _, err = golfbench(*line.split())
+    assert code == ExitCode.NO_ANSWER
+    assert "no answer: denied or not running" in err
+    assert "golfbench run" in err
+
+
+# Status ----------------------------------------------------------------------------------------------
+
+
+def test_status_is_json_for_a_program(running: RunningPlane, golfbench: Golfbench) -> None:
+    golfbench("lease", "take", "--holder", "Ann")
+    status = json.loads(golfbench("status", "--json").out)
+    assert status["state"] == "ESTOP"
+    assert status["lease"]["holder"] == "Ann"
+    assert status["joints_deg"] == [32.71, 237.3, None]
+
+
+def shown(age: float = 0.0, state: State = State.ESTOP) -> str:
+    console = Console(width=80, record=True, file=StringIO())
+    console.print(status_table(FakeDesk(state).status(), age))
+    return console.export_text()
+
+
+def test_a_refused_message_of_a_launch_monitor_is_in_the_table() -> None:
+    link = {**NO_LAUNCH_MONITOR, "listening": "127.0.0.1:2921", "refused": 2, "refusal": "invalid JSON"}
+    console = Console(width=80, record=True, file=StringIO())
+    status = FakeDesk().status()
+    status["launch_monitor"] = cast(LaunchMonitorStatus, link)
+    console.print(status_table(status, 0.0))
+    text = console.export_text()
+    assert "not connected, listening at 127.0.0.1:2921" in text
+    assert "refused 2, last: invalid JSON" in text
+
+
+def test_the_table_shows_everything_within_80_columns() -> None:
+    text = shown()
+    assert max(map(len, text.splitlines())) <= 80
+    for part in (
+        "bench bench1",
+        "ESTOP",
+        "STANDING",
+        "POWER_UP: the bench was switched on",
+        "not held",
+        "not homed",
+        "vented",
+        "e-stop clear",
+        "guard closed",
+        "guard not locked",
+        "shoulder 32.7°",
+        "wrist –",
+        "8.01 bar",
+        "shoulder vane 1.01/1.01",
+        "1000.0 Hz",
+        "tick 123456",
+        "skipped 3",
+        "late 5",
+        "p50 8 µs",
+        "p99 41 µs",
+        "tick p99 93 µs",
+        "loop 4711",
+        "recorder DEAD: killed by signal 9",
+        "node 10 (valves and interlocks) has restarted",
+        "frames 123456, missing 7",
+        "prefer: memory lock none instead of all",
+        "sim",
+        "default",
+    ):
+        assert part in text, part
+    assert "SILENT" not in text
+    assert "bus off" not in text  # none was counted
+
+
+def test_a_silent_bench_is_shown_as_one() -> None:
+    assert "SILENT: last heard 3.2 s ago" in shown(3.2)
+
+
+@pytest.mark.live
+@pytest.mark.paced
+def test_watch_follows_the_bench_until_ctrl_c(running: RunningPlane, golfbench: Golfbench) -> None:
+    environment = os.environ | {"COLUMNS": "80", "PYTHONUNBUFFERED": "1"}
+    command = [sys.executable, "-m", "bench", "status", "--watch", "--json"]
+    watch = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True)
+    assert watch.stdout is not None
+    try:
+        assert json.loads(watch.stdout.readline())["state"] == "ESTOP"
+        running.desk.state = State.READY
+        deadline = time.monotonic() + 20.0
+        while not running.plane._state.matching_status.matching:  # type: ignore[attr-defined]
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        running.plane.publish_state(running.desk.status())
+        assert json.loads(watch.stdout.readline())["state"] == "READY"
+        watch.send_signal(signal.SIGINT)
+        assert watch.wait(20.0) == ExitCode.INTERRUPTED
+    finally:
+        watch.kill()
+        watch.wait()
+        watch.stdout.close()

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import ipaddress
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import numpy as np
+import psutil
+import pytest
+
+from bench.base.errors import ExitCode
+from bench.base.lifecycle import State
+from bench.commands.cli import main
+from bench.records.telemetry.recorder import write_swing
+from tests.bench.golfer.synthetic import golfer_swing
+from tests.bench.records.telemetry.fake_bench import BENCH, fake_bench, loopback
+from tests.bench.records.telemetry.read_recording import Recording
+
+Cycles = np.ndarray[Any, Any]
+HURRY = 60.0
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture
+def records(tmp_path: Path, make_swing: Callable[[int], Cycles]) -> Path:
+    folder = tmp_path / "swings"
+    folder.mkdir()
+    for number in (1, 2):
+        write_swing(folder / f"{number:03d}.parquet", make_swing(number), {"number": number})
+    return folder
+
+
+def test_a_shot_goes_into_a_file_that_holds_the_record(
+    records: Path, tmp_path: Path, make_swing: Callable[[int], Cycles], capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "shot.rrd"
+    assert run("view", "--shot", records / "002.parquet", "--save", file) == ExitCode.OK
+    _, angles = Recording(file).read("/signals/angle_deg/actual", "Scalars:scalars")
+    assert np.array_equal(angles, np.degrees(make_swing(2)["angle"]))
+    assert str(file) in capsys.readouterr().out
+
+
+def test_a_series_goes_into_a_file_with_its_table(records: Path, tmp_path: Path) -> None:
+    file = tmp_path / "series.rrd"
+    assert run("view", "--campaign", records, "--save", file) == ExitCode.OK
+    recording = Recording(file)
+    assert len(recording.read("/signals/valve/applied", "Scalars:scalars")[0]) == 4200
+    _, tables = recording.read("/shots", "TextDocument:text")
+    assert len(tables) == 2
+
+
+def test_a_golfer_is_shown_next_to_swings_that_reach_the_ball(
+    records: Path,
+    tmp_path: Path,
+    make_swing: Callable[[int], Cycles],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file, shot = tmp_path / "two.rrd", records / "002.parquet"
+    monkeypatch.setattr("bench.golfer.golfer_file.load_golfer", lambda _: golfer_swing())
+    asked = ["view", "--golfer", "anna.golfer.toml", "--save", file]
+    assert run(*asked, "--shot", shot) == ExitCode.OK
+    assert "/scene/golfer/club" in Recording(file).entities
+    write_swing(shot, make_swing(2)[:300], {"number": 2})
+    assert run(*asked, "--shot", shot) == ExitCode.BAD_INPUT
+    assert "no recorded swing reaches the ball" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--shot", "x.parquet", "--campaign", "y"], "--shot and --campaign"),
+        (["--save", "x.csv"], ".rrd"),
+        (["--shot", "absent.parquet"], "no such file"),
+        (["--campaign", "absent"], "no such file"),
+        (["--golfer", "anna.golfer.toml"], "without --shot or --campaign"),
+    ],
+)
+def test_mistakes_are_told(options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("view", *options) == ExitCode.BAD_INPUT
+    told = capsys.readouterr().err
+    assert words in told
+    assert "Traceback" not in told
+
+
+def configuration(tmp_path: Path, endpoint: str) -> Path:
+    file = tmp_path / "bench.toml"
+    file.write_text(f'base = "shipped"\n[bench]\nid = "{BENCH}"\n[network]\nendpoint = "{endpoint}"\n')
+    return file
+
+
+def test_a_bench_that_is_not_there_is_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = configuration(tmp_path, loopback().endpoint)
+    assert run("--config", file, "view", "--save", tmp_path / "x.rrd") == ExitCode.NO_ANSWER
+    assert "denied or not running" in capsys.readouterr().err
+
+
+@pytest.mark.live
+def test_it_shows_a_bench_live_on_a_web_page_and_listens_on_the_loopback_only(
+    tmp_path: Path, make_day: Callable[..., Cycles]
+) -> None:
+    network, file, day = loopback(), tmp_path / "live.rrd", make_day([(State.READY, 20)])
+    command = [
+        sys.executable,
+        "-m",
+        "bench",
+        "--config",
+        str(configuration(tmp_path, network.endpoint)),
+        "view",
+    ]
+    with fake_bench(network) as bench:
+        viewer = subprocess.Popen(
+            [*command, "--web", "--save", str(file)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert viewer.stdout is not None
+            page = viewer.stdout.readline().strip()
+            assert re.fullmatch(r"http://127\.0\.0\.1:[0-9]+/\?url=.*", page)
+            with urlopen(page, timeout=HURRY) as answer:  # noqa: S310 - its own page
+                assert answer.status == 200
+            deadline = time.monotonic() + HURRY
+            while not file.exists() or file.stat().st_size < 200_000:
+                assert viewer.poll() is None
+                assert time.monotonic() < deadline
+                bench.send(day)
+                day["tick"] += 20
+                day["time"] += 20 / 1024
+                time.sleep(0.01)
+            family = [psutil.Process(viewer.pid), *psutil.Process(viewer.pid).children(recursive=True)]
+            ports = [c for p in family for c in p.net_connections("inet") if c.status == psutil.CONN_LISTEN]
+            assert len(ports) >= 2
+            assert all(ipaddress.ip_address(c.laddr.ip).is_loopback for c in ports)
+            os.kill(viewer.pid, signal.SIGTERM)
+            _, told = viewer.communicate(timeout=HURRY)
+        finally:
+            if viewer.poll() is None:
+                viewer.kill()
+                viewer.communicate()
+    assert viewer.returncode == ExitCode.OK
+    assert " 0 lost, 0 cycles lost in the ring" in told
+    assert "age at the subscriber p50" in told
+    at, _ = Recording(file).read("/signals/valve/applied", "Scalars:scalars")
+    assert np.allclose(np.diff(at), 1 / 1024, atol=2e-9)

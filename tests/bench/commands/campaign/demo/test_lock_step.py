@@ -1,0 +1,187 @@
+"""`golfbench demo` as its user sees it: the files, what is refused, and Ctrl-C."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numba
+import pyarrow.parquet as pq
+import pytest
+from rerun.chunk import RrdReader
+
+from bench.base.errors import BenchError, ExitCode
+from bench.commands.campaign.demo.demo import run_demo
+from bench.commands.cli import main
+from bench.config import load_configuration
+from bench.control.settings import EnvelopeSettings
+from bench.records.shot.shot import COLUMNS, Shot, ShotStatus
+from bench.records.telemetry.recorder import read_swing
+from bench.swing.library import find_profile
+from tests.bench.records.shot.read_shots import read_shot_table
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+
+
+def _demo(*arguments: str) -> int:
+    """Run the command in this process and return its exit code."""
+    with pytest.raises(SystemExit) as end:
+        main([*arguments[:-1], "demo", "--engine", "compiled", "--swings", "2", "--output", arguments[-1]])
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+def _names(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def _figures(shots: list[Shot]) -> list[tuple[object, ...]]:
+    return [tuple(getattr(s, name) for name in COLUMNS if name != "time_utc") for s in shots]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files of two swings."""
+    folder: Path = tmp_path_factory.mktemp("demo")
+    assert _demo(str(folder)) == ExitCode.OK
+    return folder
+
+
+def _swings(folder: Path) -> list[Path]:
+    return sorted(folder.glob("bench/campaigns/*/swings/*.parquet"))
+
+
+def test_a_demo_leaves_report_recording_table_database_and_swings(folder: Path) -> None:
+    top = {path.name for path in folder.iterdir()}
+    assert top == {"report.html", "demo.rrd", "shots.csv", "bench"}
+    assert [path.name for path in _swings(folder)] == ["000001.parquet", "000002.parquet"]
+    assert (folder / "bench" / "golfbench.sqlite").exists()
+
+
+def test_the_table_has_the_exported_columns_and_two_balls_in_turn(folder: Path) -> None:
+    header = (folder / "shots.csv").read_text().splitlines()[0]
+    assert header.split(",") == [*COLUMNS]
+    shots = read_shot_table(folder / "shots.csv")
+    assert [(s.shot, s.block, s.position) for s in shots] == [(1, 1, 1), (2, 1, 2)]
+    assert {s.ball for s in shots} == {"tour", "range"}
+    assert [(s.status, s.launch_source) for s in shots] == [(ShotStatus.VALID, "simulated")] * 2
+    assert all(s.club_speed_mps is not None and s.club_speed_mps > 40 for s in shots)
+
+
+def test_the_report_loads_nothing_and_names_the_seed_and_what_was_varied(folder: Path) -> None:
+    report = (folder / "report.html").read_text()
+    assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", report)
+    assert "Two balls" in report or "Tour ball against range ball" in report
+    assert "supply pressure" in report
+
+
+def test_the_recording_can_be_read_and_holds_both_shots(folder: Path) -> None:
+    entities = {str(chunk.entity_path) for chunk in RrdReader(str(folder / "demo.rrd")).stream()}
+    assert "/signals/ball_speed_mps" in entities
+
+
+def test_a_swing_holds_what_it_was_made_with(folder: Path) -> None:
+    cycles, metadata = read_swing(_swings(folder)[1])
+    assert len(cycles) == pq.read_metadata(_swings(folder)[1]).num_rows > 1000
+    assert metadata["shot"]["shot"] == 2
+    supply = metadata["varied"]["supply_pressure"]
+    assert 0 < abs(supply / load_configuration().plant.supply.pressure - 1) < 0.005
+
+
+def test_the_seed_repeats_the_shots_and_another_one_does_not(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    configuration = load_configuration()
+    assert run_demo(configuration, tmp_path / "again", 2, 1, live=False)
+    again = read_shot_table(tmp_path / "again" / "shots.csv")
+    assert _figures(again) == _figures(read_shot_table(folder / "shots.csv"))
+    text = " ".join(capsys.readouterr().out.split())
+    assert "2 simulated swings: driver" in text
+    assert "Everything is simulated" in text
+    assert "drawn from seed 1: supply pressure" in text
+    for name in ("report.html", "demo.rrd", "shots.csv"):
+        assert name in text
+    assert run_demo(configuration, tmp_path / "other", 2, 2, live=False)
+    assert _figures(read_shot_table(tmp_path / "other" / "shots.csv")) != _figures(again)
+
+
+def test_a_swing_that_fails_is_shown_with_its_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lame = tmp_path / "lame.toml"
+    following = EnvelopeSettings().following
+    tight = "\n".join(f"{name} = [0.001, 0.001, 0.001]" for name in following if name == "backswing")
+    lame.write_text(f'base = "shipped"\n[envelope.following]\n{tight}\n')
+    assert _demo("--config", str(lame), str(tmp_path / "out")) == ExitCode.REFUSED
+    shots = read_shot_table(tmp_path / "out" / "shots.csv")
+    # The stopped club may sink against the ball: then it was hit, and is excluded.
+    assert {shot.status for shot in shots} <= {ShotStatus.FAILED, ShotStatus.EXCLUDED}
+    assert all("reference" in shot.reason for shot in shots)
+    assert (tmp_path / "out" / "report.html").exists()
+    assert "shots in a row not valid" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_bad_profile_is_refused_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.toml"
+    text = find_profile("default").read_text()
+    bad.write_text(re.sub(r"(?m)^impact_time_s = .*$", "impact_time_s = nan", text))
+    own = tmp_path / "own.toml"
+    own.write_text(f'base = "shipped"\n[swing]\nprofile = "{bad}"\n')
+    assert _demo("--config", str(own), str(tmp_path / "out")) == ExitCode.BAD_INPUT
+    assert "impact_time_s" in capsys.readouterr().err
+    assert _names(tmp_path) == {"bad.toml", "own.toml"}
+
+
+def test_a_swing_that_is_not_possible_here_is_refused_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text('base = "shipped"\n[envelope]\nmax_speed = [5.0, 6.0, 48.0]\n')
+    assert _demo("--config", str(own), str(tmp_path / "out")) == ExitCode.BAD_INPUT
+    assert "at most 5 rad/s" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_in_use_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = _names(folder)
+    assert _demo(str(folder)) == ExitCode.REFUSED
+    assert "--output" in capsys.readouterr().err
+    assert _names(folder) == before
+
+
+def test_a_folder_that_cannot_be_made_is_said_so(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BenchError, match=r"--output"):
+        run_demo(load_configuration(), tmp_path / "file" / "below", 1, 1, live=False)
+
+
+@pytest.mark.live
+def test_control_c_ends_with_130_and_leaves_whole_files(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "bench", "demo", "--engine", "compiled", "--swings", "200"]
+    command += ["--output", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        limit = time.monotonic() + 100
+        while len(_swings(out)) < 2:
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < limit
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=60)
+    assert process.returncode == ExitCode.INTERRUPTED
+    assert "Traceback" not in errors
+    assert "Ctrl-C" in output
+    shots = read_shot_table(out / "shots.csv")
+    assert 2 <= len(shots) < 200
+    assert not (out / "report.html").exists()
+    assert [int(path.stem) for path in _swings(out)][: len(shots)] == [shot.shot for shot in shots]
+    for shot in shots[:3]:
+        assert read_swing(_swings(out)[shot.shot - 1])[1]["shot"]["ball"] == shot.ball

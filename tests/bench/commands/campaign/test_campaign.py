@@ -1,0 +1,473 @@
+"""golfbench campaign: a simulated campaign from its plan to its report, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from markupsafe import escape
+from typer.testing import CliRunner, Result
+
+from bench.base.errors import BenchError, ExitCode, Refused
+from bench.campaign.campaign_control import bench_lock, require_free, runner_lock
+from bench.campaign.campaign_record import load_record
+from bench.campaign.campaign_report import render_campaign_report
+from bench.campaign.findings import findings
+from bench.campaign.plan_file import campaign_names, load_plan
+from bench.campaign.runner import Watcher
+from bench.campaign.runner_control import new_entry, run_campaign
+from bench.campaign.shot_sequence import all_trials
+from bench.campaign.simulated_shots import BEGIN
+from bench.commands.cli import app, main
+from bench.config import database_url, load_configuration
+from bench.records.telemetry.whole_file import NotStored
+from bench.simulation.swing_operator import never
+from bench.store.campaigns import CampaignStore
+from bench.store.database import open_database
+from bench.store.records import CampaignState
+from tests.bench.records.shot.read_shots import read_shot_table
+from tests.sampling import release_except
+
+Call = Callable[..., Result]
+
+PLAN = """
+[campaign]
+name = "short"
+title = "Short"
+[design]
+balls = ["tour", "range"]
+blocks = 2
+[control]
+ball = "tour"
+[warm_up]
+window = 2
+at_most = 4
+[simulation]
+missing_launch = [5]
+feeder_jam = [7]
+door_opened = [9]
+"""
+
+
+@pytest.fixture
+def call(tmp_path: Path) -> Call:
+    (tmp_path / "bench.toml").write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "data"}"\n')
+    (tmp_path / "short.toml").write_text(PLAN)
+
+    def run(*arguments: str | Path) -> Result:
+        options = ["--config", str(tmp_path / "bench.toml"), "campaign", *map(str, arguments)]
+        return CliRunner().invoke(app, options)
+
+    return run
+
+
+def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) -> None:
+    baseline = tmp_path / "baseline.toml"
+    baseline.write_text('[[figure]]\npath = "sections.0.levels.tour.spread.mean"\nlow = 150\nhigh = 250\n')
+    outputs = ("--report", tmp_path / "r.html", "--junit", tmp_path / "j.xml", "--check", baseline, "--json")
+    done = call("run", tmp_path / "short.toml", "--sim", *outputs)
+    assert done.exit_code == ExitCode.OK, done.output
+    told = json.loads(done.stdout)
+    assert told["state"] == "finished"
+    assert told["baseline"][0]["holds"]
+    assert told["findings"]["by_status"] == {"valid": 12, "excluded": 1, "failed": 1}
+    assert "Short" in (tmp_path / "r.html").read_text()
+    assert (tmp_path / "j.xml").read_text().count("<testcase") == 10 + 2
+
+    listed = json.loads(call("list", "--json").stdout)
+    assert [entry["state"] for entry in listed] == ["finished"]
+    campaign = listed[0]["id"]
+    call("export", campaign, "--output", tmp_path / "shots.csv")
+    shots = read_shot_table(tmp_path / "shots.csv")
+    assert [shot.reason for shot in shots if shot.reason] == [
+        "the launch monitor saw no ball",
+        "feeder jam: no ball came",
+    ]
+    assert shots[4].club_speed_mps is not None
+    assert shots[4].carry_m is None
+    assert len(list((tmp_path / "data" / "campaigns" / campaign / "swings").glob("*.parquet"))) == 13
+    assert call("mark", campaign, "a gust", "--shot", "3").stdout == "shot 3 marked: a gust\n"
+    assert "no shot 99" in str(call("mark", campaign, "--shot", "99").exception)
+    reason = ("--reason", "leaf on the tee", "--by", "Ann")
+    assert call("exclude", campaign, "3", *reason).stdout == "shot 3 excluded: leaf on the tee\n"
+    assert "excluded by hand: leaf on the tee" in call("export", campaign).stdout
+    assert call("exclude", campaign, "4").exit_code == 2, "no reason"
+    report = call("report", campaign)
+    page = Path(report.stdout.strip()).read_text()
+    assert "guard opened" in page
+    assert "2 excluded (1 by hand)" in page
+    assert "note: a gust (" in page
+    assert f"{campaign}-draft" in page
+    verified = call("verify", campaign)
+    assert verified.exit_code == ExitCode.OK, verified.output
+    assert "\nverified: " in verified.stdout
+    assert call("report", campaign, "--issue", "--by", "Ann", "--units", "us").exit_code == ExitCode.OK
+    page = Path(report.stdout.strip()).read_text()
+    assert f"{campaign}-R1" in page
+    assert "issued by Ann" in page
+    assert call("verify", campaign).exit_code == ExitCode.OK
+    assert isinstance(call("report", campaign, "--issue").exception, Refused)
+    assert call("verify", campaign, "--report", tmp_path / "none.html").exception is not None
+    with sqlite3.connect(tmp_path / "data" / "golfbench.sqlite") as database:
+        database.execute("UPDATE shots SET ball_speed_mps = ball_speed_mps + 1 WHERE shot = 3")
+    changed = call("verify", campaign)
+    assert changed.exit_code == ExitCode.REFUSED
+    assert "shot 3: not as reported" in changed.stdout
+    assert "NOT VERIFIED" in changed.stdout
+    with sqlite3.connect(tmp_path / "data" / "golfbench.sqlite") as database:
+        database.execute("UPDATE shots SET ball_speed_mps = ball_speed_mps - 1 WHERE shot = 3")
+    refused = call("resume", campaign)
+    assert isinstance(refused.exception, Refused)
+
+    baseline.write_text('[[figure]]\npath = "sections.0.levels.tour.spread.mean"\nlow = 250\n')
+    checked = json.loads(call("check", tmp_path / "short.toml", "--json").stdout)
+    given = ("--by", "Ann", "--expect", checked["digest"])
+    again = call("run", tmp_path / "short.toml", "--sim", "--check", baseline, *given)
+    assert again.exit_code == ExitCode.REFUSED
+    assert "OUTSIDE" in again.stdout
+    second = json.loads(call("list", "--json").stdout)[0]["id"]
+    assert second != campaign
+    with sqlite3.connect(tmp_path / "data" / "golfbench.sqlite") as database:
+        by = dict(database.execute("SELECT campaign, by FROM campaign_runs"))
+    assert (by[second], "@" in by[campaign]) == ("Ann", True)
+    assert call("export", second).stdout_bytes == (tmp_path / "shots.csv").read_bytes()
+
+    with sqlite3.connect(tmp_path / "data" / "golfbench.sqlite") as database:  # as a killed runner leaves it
+        database.execute("UPDATE campaigns SET state = 'running' WHERE id = ?", (second,))
+    page = Path(call("report", second).stdout.strip()).read_text()
+    assert "This campaign is not finished: interrupted" in page
+
+
+def test_a_campaign_without_a_bench_or_with_a_wrong_baseline_begins_nothing(
+    call: Call, tmp_path: Path
+) -> None:
+    (tmp_path / "wrong.toml").write_text("x = 1")
+    done = call("run", tmp_path / "short.toml", "--sim", "--check", tmp_path / "wrong.toml")
+    assert done.exception is not None
+    changed = call("run", tmp_path / "short.toml", "--sim", "--expect", "0" * 16)
+    assert "as checked" in str(changed.exception)
+    assert call("list").stdout.strip() == "No campaigns yet."
+    assert call("report", "nothing").exception is not None
+
+
+@pytest.mark.parametrize("verb", ["pause", "stop", "abort", "resume", "export", "report"])
+def test_an_unknown_campaign_is_told(call: Call, verb: str) -> None:
+    assert "no such campaign" in str(call(verb, "xyz").exception)
+
+
+@pytest.mark.release
+def test_the_gate_of_ci_holds_and_sees_a_club_that_rebounds_less(tmp_path: Path) -> None:
+    gate = Path(__file__).parents[4] / ".github"
+    assert "--check .github/two-balls.baseline.toml" in (gate / "workflows" / "check.yml").read_text()
+    for restitution, expected in ((0.882, ExitCode.OK), (0.872, ExitCode.REFUSED)):
+        (tmp_path / "bench.toml").write_text(
+            f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "data"}"\n'
+            f"[clubs.driver]\nrestitution = {restitution}\n"
+        )
+        options = ["--config", str(tmp_path / "bench.toml"), "campaign", "run", "two-balls", "--sim"]
+        done = CliRunner().invoke(app, [*options, "--check", str(gate / "two-balls.baseline.toml")])
+        assert done.exit_code == expected, done.output
+        assert ("OUTSIDE" in done.stdout) == (expected is ExitCode.REFUSED)
+
+
+User = Callable[..., tuple[int, str]]
+
+
+@pytest.fixture
+def user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> User:
+    """Run `golfbench campaign ...` as a user; return the exit code and what stands on the screen."""
+    (tmp_path / "bench.toml").write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "data"}"\n')
+    (tmp_path / "short.toml").write_text(SHORT)
+
+    def run(*arguments: str | Path) -> tuple[int, str]:
+        with pytest.raises(SystemExit) as end:
+            main(["--config", str(tmp_path / "bench.toml"), "campaign", *map(str, arguments)])
+        assert isinstance(end.value.code, int)
+        out = capsys.readouterr()
+        assert "Traceback" not in out.err
+        return end.value.code, " ".join((out.out + out.err).split())
+
+    return run
+
+
+SHORT = """
+[campaign]
+name = "short"
+[design]
+balls = ["tour", "range"]
+blocks = 1
+[warm_up]
+at_most = 0
+[gate]
+centre = "planned"
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "words"),
+    [
+        (('"range"]', '"rnage"]'), "short.toml: design.balls", "Did you mean range?"),
+        (("blocks = 1", "blocks = 500"), "ball_handling.samples", '500 hits of "tour" are planned'),
+        (("blocks = 1", 'blocks = 1\nclubs = ["thesis"]'), "default.toml: club", "[swings.default] thesis ="),
+        (("[gate]", '[swings.fast]\ndriver = "default"\n[gate]'), "swings.fast", "Add it to design.swings"),
+        (("[gate]", "[ball_handling]\nmagazine = -1\n[gate]"), "ball_handling.magazine", "0 to 1000"),
+        (("[gate]", "[gate"), "short.toml", "TOML"),
+    ],
+)
+def test_a_plan_that_does_not_hold_begins_nothing(
+    user: User, tmp_path: Path, change: tuple[str, str], place: str, words: str
+) -> None:
+    (tmp_path / "short.toml").write_text(SHORT.replace(*change))
+    for command in (("check", tmp_path / "short.toml"), ("run", tmp_path / "short.toml", "--sim")):
+        code, text = user(*command)
+        assert code == ExitCode.BAD_INPUT
+        assert place in text
+        assert words in text
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_database_of_a_newer_golfbench_is_refused_untouched(user: User, tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    with open_database(database_url("", tmp_path / "data")) as engine, engine.begin() as connection:
+        connection.exec_driver_sql("UPDATE schema_version SET version = 99")
+    before = (tmp_path / "data" / "golfbench.sqlite").read_bytes()
+    for command in (("run", tmp_path / "short.toml", "--sim"), ("list",), ("answer", "short")):
+        code, text = user(*command)
+        assert code == ExitCode.BAD_INPUT
+        assert "schema version 99" in text
+    assert (tmp_path / "data" / "golfbench.sqlite").read_bytes() == before
+    assert not (tmp_path / "data" / "campaigns").exists()
+
+
+def test_a_plan_changed_between_a_stop_and_resume_is_refused(
+    user: User, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *_: object) -> None:
+        raise NotStored(str(path), "No space left on device", "space for a swing", "Free some.")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("bench.campaign.runner.write_swing", full)
+        code, text = user("run", tmp_path / "short.toml", "--sim")
+        assert (code, "No space left on device" in text) == (ExitCode.FILE, True)
+        assert "nothing was stored" not in text
+        assert "0 shots are stored" in text
+    (tmp_path / "short.toml").write_text(SHORT.replace("blocks = 1", "blocks = 2"))
+    code, text = user("resume", "short", tmp_path / "short.toml")
+    assert code == ExitCode.REFUSED
+    assert "another plan than it was begun with" in text
+    (tmp_path / "bench.toml").write_text(
+        (tmp_path / "bench.toml").read_text() + "[air]\ntemperature = 300.0\n"
+    )
+    code, text = user("resume", "short")
+    assert code == ExitCode.REFUSED
+    assert "air.temperature" in text
+    assert "short" in user("list")[1]
+
+
+@pytest.mark.slow
+def test_a_disk_that_is_full_loses_nothing_and_resume_goes_on(user: User, tmp_path: Path) -> None:
+    """The limit on a file's size makes the operating system itself refuse the write."""
+    # Compiled code is in its cache before the limit holds: it is not the file that the test is about.
+    (tmp_path / "warm.toml").write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "warm"}"\n')
+    with pytest.raises(SystemExit):
+        main(
+            [
+                "--config",
+                str(tmp_path / "warm.toml"),
+                "campaign",
+                "run",
+                str(tmp_path / "short.toml"),
+                "--sim",
+            ]
+        )
+    limited = (
+        "import resource, sys\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))\n"
+        "from bench.commands.cli import main\n"
+        "main(sys.argv[1:])\n"
+    )
+    arguments = ["--config", str(tmp_path / "bench.toml"), "campaign", "run", str(tmp_path / "short.toml")]
+    done = subprocess.run(
+        [sys.executable, "-c", limited, *arguments, "--sim"],
+        capture_output=True,
+        text=True,
+        timeout=110,
+        check=False,
+    )
+    assert done.returncode == ExitCode.FILE, done.stderr
+    assert "File too large" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list((tmp_path / "data").rglob("*.parquet"))
+    code, text = user("resume", "short")
+    assert (code, "finished; 2 shots" in text) == (ExitCode.OK, True)
+
+
+def test_a_runner_that_lives_is_not_joined_by_a_second_one(user: User, tmp_path: Path) -> None:
+    configuration = load_configuration(tmp_path / "bench.toml")
+    plan = load_plan(tmp_path / "short.toml", configuration)
+    entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True)
+    with open_database(database_url("", tmp_path / "data")) as engine:
+        CampaignStore(engine).begin(entry)
+    with runner_lock(tmp_path / "data", entry.id):
+        with (
+            pytest.raises(Refused, match=f"runs campaign {entry.id}"),
+            runner_lock(tmp_path / "data", entry.id),
+        ):
+            pass
+        assert "goes on" in user("resume", "short")[1], "it is asked to go on, there is no second one"
+    with bench_lock(tmp_path / "data", entry), pytest.raises(Refused, match=f"runs campaign {entry.id}"):
+        require_free(tmp_path / "data", entry.bench)
+    require_free(tmp_path / "data", entry.bench)
+
+
+@pytest.mark.parametrize("name", release_except({"two-balls", "repeatability"}, campaign_names()))
+def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
+    """With two blocks."""
+    shipped = load_configuration(Path("bag" if name in {"bag", "wedge"} else "shipped"))
+    configuration = replace(shipped, bench=replace(shipped.bench, data_dir=tmp_path))
+    plan = load_plan(Path(name), configuration)
+    plan = replace(plan, design=replace(plan.design, blocks=2), stop=replace(plan.stop, rule="fixed"))
+    entry = new_entry(plan, configuration, BEGIN, simulated=True)
+    with open_database(database_url("", tmp_path)) as engine:
+        store = CampaignStore(engine)
+        store.begin(entry)
+        outcome = run_campaign(entry, configuration, store, Watcher(), never)
+        record = load_record(store, entry)
+    assert outcome.state is CampaignState.FINISHED, outcome.reason
+    found = findings(plan, record.shots)
+    assert found.by_status["valid"] >= len(all_trials(plan))
+    assert all(found.verdicts)
+    assert escape(entry.title) in render_campaign_report(record, found)
+
+
+def test_the_air_that_was_read_is_kept_and_shown(call: Call) -> None:
+    assert "No reading of the air yet" in call("air").output
+    told = call("air", "--temperature", "21.5", "--pressure", "1008.2", "--humidity", "40", "--by", "Ann")
+    assert told.exit_code == ExitCode.OK, told.output
+    shown = call("air").output
+    assert shown == told.output
+    assert shown.startswith("21.5 deg C, 1008.2 hPa, 40 %; read 20")
+    assert shown.endswith("by Ann\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (("--temperature", "21"), "--pressure, --humidity"),
+        (("--temperature", "210", "--pressure", "1000", "--humidity", "40"), "temperature"),
+        (("--temperature", "21", "--pressure", "nan", "--humidity", "40"), "pressure"),
+        (("--temperature", "21", "--pressure", "1000", "--humidity", "-1"), "humidity"),
+    ],
+)
+def test_air_that_cannot_be_is_refused(call: Call, arguments: tuple[str, ...], what: str) -> None:
+    refused = call("air", *arguments)
+    assert isinstance(refused.exception, BenchError)
+    assert what in str(refused.exception)
+    assert "No reading of the air yet" in call("air").output
+
+
+Begin = Callable[[int], list[str]]
+
+
+@pytest.fixture
+def begin(user: User, tmp_path: Path) -> Begin:
+    """Begin campaigns of one plan that nobody runs; return their ids, the newest first."""
+
+    def begin(number: int) -> list[str]:
+        configuration = load_configuration(tmp_path / "bench.toml")
+        plan = load_plan(tmp_path / "short.toml", configuration)
+        dates = [datetime(2026, 1, 1, 0, 0, second, tzinfo=UTC) for second in range(number)]
+        entries = [new_entry(plan, configuration, date, simulated=True) for date in dates]
+        with open_database(database_url("", tmp_path / "data")) as engine:
+            store = CampaignStore(engine)
+            for entry in entries:
+                store.begin(entry)
+                store.change(
+                    entry.id, state=CampaignState.SUSPENDED, reason="no ball came, five times running"
+                )
+        return [entry.id for entry in reversed(entries)]
+
+    return begin
+
+
+@pytest.fixture
+def two(begin: Begin) -> list[str]:
+    return begin(2)
+
+
+def state_of(user: User, campaign: str) -> str:
+    return {entry["id"]: str(entry["state"]) for entry in json.loads(user("list", "--json")[1])}[campaign]
+
+
+@pytest.mark.parametrize("columns", ["20", "40", "60", "80", "200"])
+def test_the_list_shows_ids_whole_at_any_width(
+    user: User, two: list[str], columns: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    code, text = user("list")
+    assert code == ExitCode.OK
+    for word in (*two, "bench1", "2026-01-01", "suspended", "no ball came", "excluded"):
+        assert word in text
+    assert user("list", "--bench", "bench1")[1] == text
+    assert user("list", "--bench", "other")[1].strip() == "No campaigns of bench other yet."
+
+
+@pytest.mark.parametrize("verb", ["pause", "stop", "abort", "resume", "export", "report", "answer"])
+def test_an_ambiguous_or_short_beginning_of_an_id_stands_for_no_campaign(
+    user: User, two: list[str], verb: str
+) -> None:
+    code, text = user(verb, "short")
+    assert code == ExitCode.BAD_INPUT
+    assert f"2 campaigns begin so: {two[0]}, {two[1]}" in text
+    assert f"Give the id: for the newest, {two[0]}." in text
+    assert state_of(user, two[0]) == "suspended"
+
+
+def test_the_beginning_of_an_id_that_fits_one_campaign_stands_for_it(user: User, two: list[str]) -> None:
+    code, text = user("abort", "--yes", two[1][:-1])
+    assert code == ExitCode.OK
+    assert text.startswith(f"{two[1]} aborted")
+    assert (state_of(user, two[0]), state_of(user, two[1])) == ("suspended", "aborted")
+
+
+def test_a_beginning_of_three_characters_is_too_short(begin: Begin, user: User) -> None:
+    (campaign,) = begin(1)
+    code, text = user("abort", "--yes", "sho")
+    assert code == ExitCode.BAD_INPUT
+    assert f"1 campaign begins so: {campaign}" in text
+    assert "at least 4 characters" in text
+    assert "no such campaign" in user("abort", "--yes", "lon")[1]
+    assert state_of(user, campaign) == "suspended"
+
+
+@pytest.mark.parametrize(("typed", "state"), [("y\n", "aborted"), ("n\n", "suspended"), ("", "suspended")])
+def test_abort_asks_for_a_confirmation_that_names_the_campaign(
+    user: User, two: list[str], typed: str, state: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", StringIO(typed))
+    code, text = user("abort", two[0])
+    assert f"Abort campaign {two[0]} (suspended, 0 shots)? It cannot be resumed. [y/N]" in text
+    assert state_of(user, two[0]) == state
+    assert code == (ExitCode.OK if state == "aborted" else ExitCode.REFUSED)
+    if code:
+        assert f"action: golfbench campaign abort --yes {two[0]}" in text
+
+
+def test_a_resumed_campaign_leaves_a_report_and_compares_its_figures(
+    user: User, two: list[str], tmp_path: Path
+) -> None:
+    (tmp_path / "band.toml").write_text('[[figure]]\npath = "shots"\nlow = 3\n')
+    outputs = ("--report", tmp_path / "r.html", "--check", tmp_path / "band.toml")
+    code, text = user("resume", two[0], *outputs)
+    assert code == ExitCode.REFUSED
+    assert "finished; 2 shots, 2 valid" in text
+    assert "OUTSIDE" in text
+    assert two[0] in (tmp_path / "r.html").read_text()

@@ -1,0 +1,90 @@
+"""golfbench campaign new: a commented plan that the bench takes, or all that is missing."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from bench.base.errors import BenchError
+from bench.commands.cli import app
+
+TWO = ("--compare", "ball", "--ball", "tour", "--ball", "range", "--club", "driver")
+SIZES = ("--difference", "2", "--deviation", "1")
+Call = Callable[..., Result]
+
+
+@pytest.fixture
+def call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Call:
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str, answers: str | None = None) -> Result:
+        return CliRunner().invoke(app, ["campaign", *arguments], input=answers)
+
+    return run
+
+
+def test_new_plan_is_commented_and_long_enough_for_its_difference(call: Call, tmp_path: Path) -> None:
+    done = call("new", "two-balls.toml", *TWO, *SIZES)
+    assert done.exit_code == 0, done.output
+    text = (tmp_path / "two-balls.toml").read_text()
+    plan = tomllib.loads(text)
+    assert plan["campaign"] == {"name": "two-balls", "title": "Two balls"}
+    assert plan["design"]["blocks"] == 7
+    assert "# worth finding, same unit" in text
+    assert "14 shots, about 11 min" in done.stdout
+    assert call("check", "two-balls.toml").exit_code == 0
+
+
+def test_new_plan_without_a_terminal_lists_all_missing_options(call: Call, tmp_path: Path) -> None:
+    error = call("new", "two.toml", "--club", "driver").exception
+    assert isinstance(error, BenchError)
+    assert error.found == "no --compare, --ball, --difference, --deviation"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_new_plan_with_a_zero_is_refused_at_its_key(call: Call) -> None:
+    error = call("new", "two.toml", *TWO, "--difference", "0", "--deviation", "1").exception
+    assert isinstance(error, ExceptionGroup)
+    (told,) = error.exceptions
+    assert isinstance(told, BenchError)
+    assert told.place.endswith("two.toml: analysis.difference")
+    assert told.found == "0.0"
+
+
+def test_new_plan_asks_at_the_terminal_again_after_a_wrong_answer(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.commands.campaign.campaign_new.at_terminal", lambda: True)
+    done = call("new", "two.toml", answers="bal\nball\ntour, range\ndriver\nx\n0,5\n2\n")
+    assert done.exit_code == 0, done.output
+    plan = tomllib.loads((tmp_path / "two.toml").read_text())
+    assert plan["design"]["balls"] == ["tour", "range"]
+    assert plan["analysis"]["deviation"] == 0.5
+    assert "found 'bal', expected one of ball, club, swing" in done.output
+
+
+@pytest.mark.parametrize("name", ["Two.toml", "two", "two balls.toml", f"{'a' * 42}.toml"])
+def test_new_plan_whose_file_makes_no_name_is_refused(call: Call, tmp_path: Path, name: str) -> None:
+    error = call("new", name, *TWO, *SIZES).exception
+    assert isinstance(error, BenchError)
+    assert "two-balls.toml" in error.action
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_new_plan_overwrites_no_file(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "two.toml").write_text("kept")
+    assert isinstance(call("new", "two.toml", *TWO, *SIZES).exception, BenchError)
+    assert (tmp_path / "two.toml").read_text() == "kept"
+
+
+def test_new_plan_with_unknown_names_is_kept_and_each_is_named(call: Call, tmp_path: Path) -> None:
+    error = call("new", "two.toml", *TWO, "--ball", "trou", "--club", "drivr", *SIZES).exception
+    assert isinstance(error, ExceptionGroup)
+    told = " ".join(map(str, error.exceptions))
+    assert "trou" in told
+    assert "drivr" in told
+    assert (tmp_path / "two.toml").exists()

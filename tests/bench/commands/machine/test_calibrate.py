@@ -1,0 +1,315 @@
+"""`golfbench calibrate` as typed, and what `golfbench check` says about it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from math import pi, radians
+from pathlib import Path
+from shutil import rmtree
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.base.errors import ExitCode, Refused
+from bench.calibration.valve_centre import standing_counts
+from bench.commands.cli import main
+from bench.records.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.ring import NoRing, RingWriter
+from bench.records.telemetry.zero_shift import write_shifts
+from bench.supervisor.ownership import bench_folder
+from drivers.base import Launch
+from sim.ball import Ball
+from sim.flight import fly
+
+Answer = tuple[int, str, str]
+
+BALL = ["ball", "--x", "0.2503", "--y", "-1.5602", "--uncertainty-mm", "0.5"]
+CLUB = [
+    *("club", "--length", "1.0902", "--loft-deg", "10.4", "--lie-deg", "53.1"),
+    *("--length-uncertainty-mm", "0.5", "--angle-uncertainty-deg", "0.2"),
+]
+POSE = ["encoders", "--uncertainty-deg", "0.02", "--from-pose", "-30", "237", "350"]
+
+
+@pytest.fixture
+def golfbench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
+    """Return a function that runs a command in an empty folder and gives code, output and errors."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+    (tmp_path / "mine.toml").write_text('base = "shipped"\n[bench]\nid = "testbench"\n', encoding="utf-8")
+
+    def run(*arguments: str) -> Answer:
+        with pytest.raises(SystemExit) as end:
+            main(["--config", "mine.toml", *arguments])
+        output = capsys.readouterr()
+        return int(end.value.code or 0), output.out, output.err
+
+    return run
+
+
+Run = Callable[..., Answer]
+
+
+def test_a_new_bench_is_nominal_and_looking_makes_nothing(golfbench: Run, tmp_path: Path) -> None:
+    code, text, _ = golfbench("calibrate", "list")
+    assert (code, "testbench was never calibrated" in text) == (0, True)
+    code, text, _ = golfbench("calibrate", "show")
+    assert (code, text.count("nominal")) == (0, 5)
+    assert not (tmp_path / "data").exists()
+
+
+def test_what_is_calibrated_is_listed_shown_and_superseded(golfbench: Run) -> None:
+    assert golfbench("calibrate", *BALL, "--by", "Ada", "--note", "new tee", "--expires-days", "7")[0] == 0
+    assert golfbench("calibrate", *BALL, "--by", "Bob", "--method", "laser")[0] == 0
+    code, text, _ = golfbench("calibrate", "list", "--json")
+    first, second = json.loads(text)
+    assert (code, first["version"], first["by"], first["note"]) == (0, 1, "Ada", "new tee")
+    assert (second["version"], second["by"], second["method"]) == (2, "Bob", "laser")
+    assert second["values"] == {"x": 0.2503, "y": -1.5602, "uncertainty": 0.0005}
+    days = [datetime.fromisoformat(e["expires"]) - datetime.fromisoformat(e["date"]) for e in (first, second)]
+    assert days == [timedelta(days=7), timedelta(days=30)]
+    text = golfbench("calibrate", "list")[1]
+    assert "superseded" in text
+    assert "in force" in text
+    code, text, _ = golfbench("calibrate", "show", "--json")
+    shown = json.loads(text)
+    assert (code, shown["problems"], shown["nominal"]) == (0, [], ["encoders", "club", "valves", "inputs"])
+    assert [entry["version"] for entry in shown["in_force"]] == [2]
+
+
+def test_check_takes_the_calibration_and_refuses_with_an_expired_one(
+    golfbench: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert golfbench("calibrate", *BALL)[0] == 0
+    code, text, _ = golfbench("check")
+    assert (code, "ball version 1 of" in text, "warning" in text) == (0, True, False)
+    import bench.commands.bench.check as report
+
+    class Later(datetime):
+        @classmethod
+        def now(cls, tz: Any = None) -> Later:
+            return cls(2100, 1, 1, tzinfo=UTC)
+
+    monkeypatch.setattr(report, "datetime", Later)
+    code, text, errors = golfbench("check")
+    assert (code, text.splitlines()[-1]) == (
+        ExitCode.REFUSED,
+        "Arming blocked for 1 reason: this bench does not swing.",
+    )
+    assert "error: calibration ball version 1" in errors
+
+
+def test_check_finds_a_ball_that_the_swing_does_not_meet(golfbench: Run) -> None:
+    assert golfbench("calibrate", "ball", "--x", "0.26", "--y", "-1.56", "--uncertainty-mm", "1")[0] == 0
+    code, _, errors = golfbench("check")
+    assert code == ExitCode.BAD_INPUT
+    assert "(0.2600, -1.5600) m" in errors
+
+
+def test_expired_calibration_makes_show_say_no(golfbench: Run, tmp_path: Path) -> None:
+    from bench.calibration.archive import add_calibration
+    from bench.calibration.calibration import BallPosition
+    from bench.config import database_url
+    from bench.store.database import open_database
+
+    past = datetime(2020, 1, 1, tzinfo=UTC)
+    with open_database(database_url("", tmp_path / "data"), past) as database:
+        values = BallPosition(0.25, -1.56, 0.001)
+        expires = past + timedelta(days=1)
+        add_calibration(database, "testbench", values, date=past, expires=expires, by="me", method="rule")
+    code, text, _ = golfbench("calibrate", "show")
+    assert code == ExitCode.REFUSED
+    assert "calibration ball version 1 expired on 2020-01-02" in text
+
+
+def test_a_club_in_its_mount(golfbench: Run) -> None:
+    code, text, _ = golfbench("calibrate", *CLUB, "--json")
+    values = json.loads(text)["values"]
+    assert (code, values["club"], values["length_to_face"]) == (0, "driver", 1.0902)
+    assert values["lie"] == pytest.approx(radians(53.1))
+
+
+def test_encoders_by_counts_and_by_pose(golfbench: Run) -> None:
+    golfbench("calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "5", "6.5", "-7")
+    shown = [*POSE, "--counts", "1", "20000", "131071"]
+    code, text, _ = golfbench("calibrate", *shown, "--sign", "1", "-1", "1", "--json")
+    entry = json.loads(text)
+    assert (code, entry["version"], entry["values"]["sign"]) == (0, 2, [1, -1, 1])
+    per_degree = 131072 / 360
+    expected = [1.5 + 30 * per_degree, 20000.5 + 237 * per_degree, (131071.5 - 350 * per_degree) % 131072]
+    assert entry["values"]["zero_count"] == pytest.approx(expected)
+    # The sign in force goes on until another one is given.
+    text = golfbench("calibrate", *shown, "--json")[1]
+    assert json.loads(text)["values"]["sign"] == [1, -1, 1]
+
+
+def test_encoders_keep_what_the_running_devices_say_of_their_zeros(golfbench: Run, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('base = "local_can"\n[bench]\nid = "testbench"\n', encoding="utf-8")
+    counts = ["calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "5", "6.5", "-7"]
+    code, text, errors = golfbench(*counts, "--json")
+    assert (code, json.loads(text)["values"]["zero_shift"]) == (0, ["", "", ""])
+    assert "presets of the encoders are unknown" in errors
+    folder = bench_folder("testbench")
+    folder.mkdir()
+    try:
+        write_shifts(folder, ("preset 0, offset 0", "preset 7, offset -7", ""))
+        code, text, errors = golfbench(*counts)
+        assert (code, errors) == (0, "")
+        assert "in the devices preset 0, offset 0; preset 7, offset -7; " in text
+    finally:
+        rmtree(folder)
+    kept = json.loads(golfbench("calibrate", "list", "--json")[1])[1]["values"]["zero_shift"]
+    assert kept == ["preset 0, offset 0", "preset 7, offset -7", ""]
+
+
+def test_valves_are_measured_on_the_software_plant(golfbench: Run) -> None:
+    code, text, _ = golfbench("calibrate", "valves", "--measure", "--json")
+    values = json.loads(text)["values"]
+    assert code == 0
+    assert values["centre"] == pytest.approx([0.0, 0.0, 0.0], abs=values["uncertainty"])
+    assert values["dead_band"] == pytest.approx([0.02, 0.02, 0.02], abs=values["uncertainty"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "texts"),
+    [
+        (["ball", "--x", "9", "--y", "nan", "--uncertainty-mm", "1"], 2, ["ball: x", "ball: y"]),
+        (["ball", "--x", "0.6", "--y", "-1.5", "--uncertainty-mm", "1"], 2, ["0.355 m from", "plant.site"]),
+        ([*BALL, "--by", " "], 2, ["--by"]),
+        ([*CLUB, "hickory"], 2, ['"hickory"', "driver, thesis, iron7"]),
+        (["encoders", "--uncertainty-deg", "1"], 2, ["no measurement", "Give one of the two"]),
+        ([*POSE, "--zero-counts", "1", "2", "3"], 2, ["Give one of the two"]),
+        ([*POSE], 1, ["no bench testbench running", "golfbench run"]),
+        ([*POSE[:4], "0", "0", "350"], 2, ["arm", "180.0 to 288.0"]),
+        ([*POSE, "--counts", "-1", "5", "5"], 2, ["--counts[0]", "0 to 131071"]),
+        ([*POSE, "--counts", "1", "5", "5", "--sign", "1", "0", "1"], 2, ["sign: 1 or -1"]),
+        (["valves", "--measure", "--uncertainty", "1"], 2, ["Give one or the other"]),
+        (["valves", "--centre", "0", "0", "0"], 2, ["values missing"]),
+        (
+            ["valves", "--centre", "0", "0.5", "0", "--dead-band", "0", "0", "0", "--uncertainty", "0"],
+            2,
+            ["centre[1]", "-0.2 to 0.2"],
+        ),
+        ([*BALL, "--expires-days", "0"], 2, []),
+    ],
+)
+def test_a_mistake_is_told_and_nothing_is_stored(
+    golfbench: Run, arguments: list[str], code: int, texts: list[str]
+) -> None:
+    found, _, errors = golfbench("calibrate", *arguments)
+    assert found == code
+    assert "Traceback" not in errors
+    for text in texts:
+        assert text in errors
+    assert golfbench("calibrate", "list", "--json")[1] == "[]\n"
+
+
+def test_only_the_software_plant_is_ramped(golfbench: Run, tmp_path: Path) -> None:
+    text = 'base = "shipped"\n[driver]\nname = "mock"\n'
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    code, _, errors = golfbench("calibrate", "valves", "--measure")
+    assert (code, "driver mock" in errors) == (ExitCode.REFUSED, True)
+
+
+# Counts of a running bench ---------------------------------------------------------------------------
+
+
+class Ticking:
+    """A ring that gets new cycles while `standing_counts` sleeps."""
+
+    def __init__(self, path: Path, counts: Any, valid: bool = True) -> None:
+        self.ring, self.counts, self.valid = RingWriter(path, 1024), np.asarray(counts), valid
+
+    def __call__(self, seconds: float) -> None:
+        cycle = np.zeros(1, CYCLE)
+        for count in self.counts:
+            cycle["encoder_count"], cycle["encoder_valid"] = count, self.valid
+            self.ring(cycle)
+
+
+@pytest.fixture
+def ticking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    made: list[Ticking] = []
+
+    def make(counts: Any, valid: bool = True, path: Path = tmp_path / "ring") -> Path:
+        ticking = Ticking(path, counts, valid)
+        made.append(ticking)
+        monkeypatch.setattr("bench.calibration.valve_centre.time.sleep", ticking)
+        return path
+
+    yield make
+    for ticking in made:
+        ticking.ring.close()
+
+
+def test_counts_of_a_locked_robot_are_their_median_also_across_the_range_end(ticking: Any) -> None:
+    wobble = np.array([-2, -1, 0, 1, 1] * 20)
+    counts = np.stack([1000 + wobble, wobble % 4096, (4095 + wobble) % 4096], axis=1)
+    assert standing_counts(ticking(counts), 4096) == (1000, 0, 4095)
+
+
+@pytest.mark.parametrize(
+    ("counts", "valid", "text"),
+    [
+        ([[1, 2, 3]] * 5, True, "5 cycles"),
+        ([[1, 2, 3]] * 50, False, "shoulder: invalid readings"),
+        ([[1, 2, n] for n in range(50)], True, "wrist: it moved by 49 counts"),
+    ],
+)
+def test_a_bench_that_does_not_stand_still_gives_no_counts(
+    ticking: Any, counts: Any, valid: bool, text: str
+) -> None:
+    with pytest.raises(Refused, match=text):
+        standing_counts(ticking(counts, valid), 4096)
+
+
+def test_no_bench_no_counts(tmp_path: Path) -> None:
+    with pytest.raises(NoRing):
+        standing_counts(tmp_path / "ring", 4096)
+
+
+def test_the_pose_takes_the_counts_of_the_running_bench(golfbench: Run, ticking: Any) -> None:
+    folder = bench_folder("testbench")
+    folder.mkdir()
+    try:
+        ticking([[100, 200, 300]] * 50, path=folder / "ring")
+        code, text, _ = golfbench("calibrate", *POSE, "--json")
+    finally:
+        rmtree(folder)
+    entry = json.loads(text)
+    assert (code, entry["method"]) == (0, "locked at the mechanical reference, counts read")
+    assert entry["values"]["zero_count"][0] == pytest.approx(100.5 + 30 * 131072 / 360)
+
+
+def test_the_aerodynamics_of_a_ball_are_fitted_stored_and_listed(golfbench: Run, tmp_path: Path) -> None:
+    rows = ["ball_speed_mps,launch_angle_deg,spin_rpm,carry_m,apex_m,time_s"]
+    for speed in (58.0, 61.0, 64.0, 67.0, 70.0):
+        flight = fly(Launch(speed, radians(11.0), 0.0, 280.0, 0.0), ball=Ball(drag_factor=1.03))
+        rows.append(f"{speed},11,{280 * 30 / pi:.3f},{flight.carry},{flight.apex},{flight.time}")
+    (tmp_path / "flights.csv").write_text("\n".join(rows))
+    command = [
+        "calibrate",
+        "aerodynamics",
+        "tour",
+        "flights.csv",
+        "--by",
+        "Ann",
+        "--source",
+        "radar, range 2",
+    ]
+    code, text, _ = golfbench(*command, "--no-store")
+    assert (code, "not stored" in text) == (0, True)
+    assert golfbench("calibrate", "list", "--json")[1].strip() == "[]"
+    code, text, _ = golfbench(*command, "--measured", "2026-10-02")
+    assert (code, "tour: drag 1.0300 ±" in text, "2026-10-02, version 1, by Ann" in text) == (0, True, True)
+    assert "aerodynamics of tour: drag 1.0300" in golfbench("calibrate", "list")[1]
+    (record,) = json.loads(golfbench("calibrate", "list", "--json")[1])
+    assert (record["kind"], record["subject"], record["source"]) == ("aerodynamics", "tour", "radar, range 2")
+    code, _, errors = golfbench(*command, "--measured", "tomorrow")
+    assert (code, "--measured" in errors) == (2, True)
+    (tmp_path / "flights.csv").write_text("\n".join(rows[:3]))
+    code, _, errors = golfbench(*command)
+    assert (code, "expected at least 3" in errors) == (2, True)

@@ -1,0 +1,398 @@
+"""`golfbench doctor`: every item is looked at, nothing raises, each gap comes with its action."""
+
+from __future__ import annotations
+
+import io
+import json
+import resource
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from packaging.requirements import Requirement
+from rich.console import Console
+
+from bench.commands.machine import doctor, probe
+from bench.commands.machine.doctor import CheckStatus, Finding, ItemResult, Probe
+from drivers.base.machine_code import module_digests
+
+
+@pytest.fixture(scope="module")
+def findings() -> list[Finding]:
+    """This machine, looked at once."""
+    return list(doctor.examine(doctor.probes(Path("data"))))
+
+
+def test_this_machine_runs_the_simulation(findings: list[Finding]) -> None:
+    assert doctor.usable(findings)
+    assert [f"{f.item}: {f.value}" for f in findings if f.value.startswith("not examined")] == []
+
+
+def test_whatever_is_not_well_says_what_to_do(findings: list[Finding]) -> None:
+    assert [f.item for f in findings if f.status is not CheckStatus.OK and not f.advice] == []
+
+
+def test_all_required_packages_are_named_with_their_version(findings: list[Finding]) -> None:
+    versions = {f.item: f.value for f in findings if f.group == "packages"}
+    assert {"numpy", "numba", "eclipse-zenoh", "rerun-sdk", "python-can", "filterpy"} <= versions.keys()
+    assert versions["numpy"] == np.__version__
+
+
+def test_the_report_is_json_with_a_version(findings: list[Finding]) -> None:
+    document = json.loads(json.dumps(doctor.report(findings), allow_nan=False))
+    assert (document["schema"], document["schema_version"]) == ("golfbench.doctor", 1)
+    assert sum(document["count"].values()) == len(document["findings"]) == len(findings)
+    assert document["usable"] is True
+    assert set(document["findings"][0]) == set(Finding._fields)
+
+
+def test_the_table_shows_every_item_and_the_sum(findings: list[Finding]) -> None:
+    screen = io.StringIO()
+    Console(width=160, file=screen).print(doctor.table(findings))
+    text = screen.getvalue()
+    assert all(finding.item in text for finding in findings)
+    assert f"the simulation runs here: {sum(f.status is CheckStatus.OK for f in findings)} ok" in text
+
+
+def test_an_item_that_raises_is_a_finding() -> None:
+    def look() -> ItemResult:
+        raise ZeroDivisionError("no such thing")
+
+    (finding,) = doctor.examine([Probe("group", "item", look, required=True)])
+    assert finding.status is CheckStatus.LIMITED
+    assert "ZeroDivisionError: no such thing" in finding.value
+
+
+def test_a_missing_requirement_makes_the_machine_unusable() -> None:
+    gap = ItemResult(CheckStatus.MISSING, "gone")
+    assert doctor.usable(list(doctor.examine([Probe("group", "optional", lambda: gap)])))
+    assert not doctor.usable(list(doctor.examine([Probe("group", "needed", lambda: gap, required=True)])))
+
+
+# Packages --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "status", "value"),
+    [
+        ("numpy>=1", CheckStatus.OK, ""),
+        ("numpy>=1,<2", CheckStatus.LIMITED, "outside the tested versions"),
+        ("no-such-distribution", CheckStatus.MISSING, "not installed"),
+    ],
+)
+def test_package(line: str, status: CheckStatus, value: str) -> None:
+    outcome = doctor.package(Requirement(line))
+    assert outcome.status is status
+    assert outcome.value.endswith(value)
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ("import os, signal; os.kill(os.getpid(), signal.SIGILL)", "child process ended with -4: no message"),
+        ("raise ImportError('lib.so')", "ImportError: lib.so"),
+        ("import time; time.sleep(60)", "timed out after 1"),
+    ],
+    ids=["ends the interpreter", "raises", "hangs"],
+)
+def test_a_package_that_cannot_be_imported_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, found: str
+) -> None:
+    (tmp_path / "numpy.py").write_text(code)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(doctor, "CHILD_TIME_LIMIT", 1.0)
+    outcome = doctor.package(Requirement("numpy"))
+    assert outcome.status is CheckStatus.MISSING
+    assert f"{np.__version__}, import fails: " in outcome.value
+    assert found in outcome.value
+
+
+def test_without_metadata_the_installation_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def requires(name: str) -> Iterator[str]:
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr("importlib.metadata.requires", requires)
+    (finding,) = doctor.examine(list(doctor.package_probes()))
+    assert (finding.status, finding.required) == (CheckStatus.MISSING, True)
+    assert "golfbench" in finding.value
+
+
+def test_compiled_code_cold_then_warm_then_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    cold = doctor.compiled_code()
+    assert cold.status is CheckStatus.LIMITED
+    assert cold.value.startswith("cold")
+    folder = Path(json.loads(doctor._child("cache"))["folder"]) / "sim.kane"
+    for version in (module_digests()["sim.kane"], "0123456789abcdef"):
+        (folder / version / "sim").mkdir(parents=True)
+        (folder / version / "sim" / "f.nbc").touch()
+    warm = doctor.compiled_code()
+    assert warm.status is CheckStatus.OK
+    assert warm.figures == {"functions": 1.0}
+    monkeypatch.setattr("os.access", lambda *_: False)
+    assert "not writable" in doctor.compiled_code().value
+
+
+# The machine -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def files(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Contents of the kernel's files by path, in place of this machine's."""
+    contents: dict[str, str] = {}
+    monkeypatch.setattr(doctor, "small_text", lambda path: contents.get(str(path), ""))
+    return contents
+
+
+def test_kernel(files: dict[str, str]) -> None:
+    files["/sys/kernel/realtime"] = "1"
+    assert doctor.kernel().status is CheckStatus.OK
+
+
+def test_processors(files: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1, 2, 3})
+    files["/sys/devices/system/cpu/isolated"] = "3"
+    assert doctor.processors()[:2] == (CheckStatus.OK, "4, isolated: 3")
+    files["/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"] = "powersave"
+    assert doctor.processors().status is CheckStatus.LIMITED
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0})
+    assert "share one" in doctor.processors().advice
+
+
+def test_virtual_machine(files: dict[str, str]) -> None:
+    files["/proc/cpuinfo"] = "flags : fpu sse"
+    assert doctor.virtual_machine().status is CheckStatus.OK
+    files["/proc/cpuinfo"] = "flags : fpu hypervisor sse"
+    assert doctor.virtual_machine().status is CheckStatus.LIMITED
+
+
+@pytest.mark.parametrize(
+    ("kibibytes", "status"), [(8_000_000, CheckStatus.OK), (1_000_000, CheckStatus.LIMITED)]
+)
+def test_memory(files: dict[str, str], kibibytes: int, status: CheckStatus) -> None:
+    files["/proc/meminfo"] = f"MemTotal: 9 kB\nMemAvailable:   {kibibytes} kB"
+    outcome = doctor.memory()
+    assert outcome.status is status
+    assert outcome.figures["available_bytes"] == kibibytes * 1024
+
+
+def test_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert doctor.data_folder(tmp_path / "not" / "yet").status is CheckStatus.OK
+    file = tmp_path / "file"
+    file.touch()
+    outcome = doctor.data_folder(file)
+    assert outcome.status is CheckStatus.MISSING
+    assert str(file) in outcome.advice
+    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 1000}))
+    assert doctor.data_folder(tmp_path).status is CheckStatus.LIMITED
+
+
+# Real time -------------------------------------------------------------------------------------------
+
+
+def _answer(held: bool, p99_us: float) -> dict[str, Any]:
+    """What the child process tells when the kernel grants everything or nothing."""
+    told = {True: ("FIFO 80", "", ""), False: ("OTHER 0", "Operation not permitted", "the action")}[held]
+    names = ("scheduling", "memory lock", "timer slack", "idle states")
+    setting = dict(zip(("granted", "reason", "action"), told, strict=True)) | {"held": held}
+    return {
+        "settings": dict.fromkeys(names, setting),
+        "latency": {"p50_us": 8.0, "p99_us": p99_us, "max_us": 4000.0},
+    }
+
+
+SETTINGS = ("SCHED_FIFO", "memory lock", "timer slack", "idle states")
+
+
+def _realtime(monkeypatch: pytest.MonkeyPatch, answer: dict[str, Any]) -> dict[str, Finding]:
+    monkeypatch.setattr(doctor, "_child", lambda _: json.dumps(answer))
+    return {finding.item: finding for finding in doctor.examine(list(doctor.realtime_probes()))}
+
+
+def test_real_time_granted(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = _realtime(monkeypatch, _answer(True, 40.0))
+    assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {CheckStatus.OK}
+    assert "FIFO 80" in found["SCHED_FIFO"].value
+    assert found["wake-up latency"].figures == {"p50_us": 8.0, "p99_us": 40.0, "max_us": 4000.0}
+
+
+def test_real_time_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = _realtime(monkeypatch, _answer(False, 900.0))
+    assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {CheckStatus.LIMITED}
+    assert "Operation not permitted" in found["SCHED_FIFO"].value
+    assert {found[item].advice for item in SETTINGS} == {"the action"}
+    assert "scheduling OTHER 0" in found["wake-up latency"].value
+
+
+def test_a_child_that_fails_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: str) -> str:
+        raise RuntimeError("child ended")
+
+    monkeypatch.setattr(doctor, "_child", fail)
+    found = {finding.item: finding for finding in doctor.examine(list(doctor.realtime_probes()))}
+    assert found["SCHED_FIFO"].value == "not examined: RuntimeError: child ended"
+
+
+def test_an_unknown_question_is_an_error() -> None:
+    with pytest.raises(RuntimeError, match="child process ended with 1"):
+        doctor._child("no such question")
+
+
+CAPABILITIES = {"none": 0, "nice": 1 << 23, "lock": 1 << 14, "both": 1 << 23 | 1 << 14}
+
+
+@pytest.mark.parametrize(
+    ("priority", "locked", "held", "lacking"),
+    [
+        (0, 8 * 2**20, "both", ""),
+        (0, 8 * 2**20, "none", "rtprio 80 and memlock unlimited"),
+        (0, 8 * 2**20, "nice", "memlock unlimited"),
+        (0, 8 * 2**20, "lock", "rtprio 80"),
+        (80, resource.RLIM_INFINITY, "none", ""),
+        (resource.RLIM_INFINITY, 8 * 2**20, "none", "memlock unlimited"),
+    ],
+)
+def test_limits(
+    priority: int,
+    locked: int,
+    held: str,
+    lacking: str,
+    files: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limits = {resource.RLIMIT_RTPRIO: priority, resource.RLIMIT_MEMLOCK: locked}
+    monkeypatch.setattr("resource.getrlimit", lambda kind: (limits[kind], limits[kind]))
+    files["/proc/self/status"] = f"Name:\tpython\nCapEff:\t{CAPABILITIES[held]:016x}"
+    outcome = doctor.limits()
+    assert outcome.status is (CheckStatus.LIMITED if lacking else CheckStatus.OK)
+    assert outcome.advice == (f"raise to {lacking} in /etc/security/limits.conf" if lacking else "")
+
+
+@pytest.mark.parametrize(
+    ("runtime", "status"),
+    [("-1", CheckStatus.OK), ("950000", CheckStatus.OK), ("500000", CheckStatus.LIMITED)],
+)
+def test_throttling(files: dict[str, str], runtime: str, status: CheckStatus) -> None:
+    files["/proc/sys/kernel/sched_rt_runtime_us"] = runtime
+    files["/proc/sys/kernel/sched_rt_period_us"] = "1000000"
+    assert doctor.throttling().status is status
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "status"),
+    [
+        ("[always] madvise never\n", "always", CheckStatus.LIMITED),
+        ("always [madvise] never\n", "madvise", CheckStatus.OK),
+        ("always madvise [never]\n", "never", CheckStatus.OK),
+        ("", "this kernel has none", CheckStatus.OK),
+    ],
+)
+def test_huge_pages(files: dict[str, str], text: str, value: str, status: CheckStatus) -> None:
+    files["/sys/kernel/mm/transparent_hugepage/enabled"] = text
+    outcome = doctor.huge_pages()
+    assert (outcome.value, outcome.status) == (value, status)
+
+
+def test_a_coarse_clock_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.clock_getres", lambda _: 4e-3)
+    assert doctor.clock().status is CheckStatus.LIMITED
+
+
+def test_latencies_are_late_never_early() -> None:
+    late = probe.wake_up_latencies(ticks=20, period_ns=1_000_000)
+    assert len(late) == 20
+    assert late == sorted(late)
+    assert late[0] >= 0.0
+
+
+# CAN ---------------------------------------------------------------------------------------
+
+
+def test_no_can_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> socket.socket:
+        raise OSError(97, "Address family not supported by protocol")
+
+    monkeypatch.setattr("socket.socket", refuse)
+    outcome = doctor.socketcan()
+    assert outcome.status is CheckStatus.MISSING
+    assert "Address family not supported" in outcome.value
+
+
+@pytest.mark.parametrize(("kind", "status"), [("280", CheckStatus.OK), ("1", CheckStatus.LIMITED)])
+def test_can_interfaces(kind: str, status: CheckStatus, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Socket:
+        def close(self) -> None: ...
+
+    monkeypatch.setattr("socket.socket", lambda *_: Socket())
+    monkeypatch.setattr(doctor, "small_text", lambda path: kind if path.name == "type" else "up")
+    outcome = doctor.socketcan()
+    assert outcome.status is status
+    assert ("lo up" in outcome.value) is (status is CheckStatus.OK)
+
+
+@pytest.mark.parametrize(
+    ("channels", "status"), [(["pcan:PCAN_USBBUS1"], CheckStatus.OK), ([], CheckStatus.MISSING)]
+)
+def test_attached_interfaces(
+    channels: list[str], status: CheckStatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor, "_child", lambda _: json.dumps(channels))
+    assert doctor.can_channels().status is status
+
+
+NI_MISSING = "Could not find an installation of NI-DAQmx."
+
+
+@pytest.mark.parametrize(
+    ("found", "status", "value", "advice"),
+    [
+        (["", "", [], "found no package"], CheckStatus.MISSING, "no package nidaqmx", "golfbench[daq]"),
+        (["1.7.0", "", [], NI_MISSING], CheckStatus.MISSING, NI_MISSING, "NI-DAQmx for Linux"),
+        (["1.7.0", "24.3.0", [], ""], CheckStatus.LIMITED, "no card", "nilsdev"),
+        (["1.7.0", "24.3.0", [], "(-50)"], CheckStatus.LIMITED, "24.3.0, (-50)", "nilsdev"),
+        (["1.7.0", "24.3.0", ["Dev1 (PCIe-6363)"], ""], CheckStatus.OK, "NI-DAQmx 24.3.0: Dev1 (PCIe", ""),
+    ],
+)
+def test_what_drives_a_daq_card(
+    found: list[object], status: CheckStatus, value: str, advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("package", "runtime", "cards", "trouble")
+    answer = json.dumps(dict(zip(names, found, strict=True)))
+    monkeypatch.setattr(doctor, "_child", lambda question: answer if question == "daq" else "")
+    outcome = doctor.daq_cards()
+    assert outcome.status is status
+    assert value in outcome.value
+    assert advice in outcome.advice
+
+
+def test_the_package_itself_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    nidaqmx = pytest.importorskip("nidaqmx")
+    found = probe.daq_cards()
+    assert found["package"] == nidaqmx.__version__
+    assert found["runtime"] or "NI-DAQmx" in found["trouble"]
+    monkeypatch.setitem(sys.modules, "nidaqmx", None)  # not installed
+    assert probe.daq_cards() == {
+        "package": "",
+        "runtime": "",
+        "cards": [],
+        "trouble": probe.daq_cards()["trouble"],
+    }
+    assert "golfbench[daq]" in probe.daq_cards()["trouble"]
+
+
+# The command -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_command_prints_json_only() -> None:
+    answer = subprocess.run(
+        [sys.executable, "-m", "bench", "doctor", "--json"], capture_output=True, text=True, check=True
+    )
+    assert json.loads(answer.stdout)["usable"] is True
+    assert answer.stderr == ""

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.base.errors import BenchError, ExitCode, Refused
+from bench.commands.cli import main
+from bench.commands.swing.export import Format, planned
+from bench.records.telemetry.recorder import write_swing
+
+
+@pytest.fixture
+def records(tmp_path: Path, make_swing: Callable[[int], np.ndarray[Any, Any]]) -> Path:
+    folder = tmp_path / "swings"
+    folder.mkdir()
+    for number in (1, 2):
+        write_swing(folder / f"{number:03d}.parquet", make_swing(number)[:50], {"number": number})
+    return folder
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main([str(argument) for argument in arguments])
+    return int(ended.value.code or 0)
+
+
+@pytest.mark.parametrize("kind", Format)
+def test_a_folder_of_records_is_exported(kind: Format, records: Path, tmp_path: Path) -> None:
+    assert run("export", records, "--format", kind, "--output", tmp_path / "out") == ExitCode.OK
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {f"001.{kind}", f"002.{kind}"} <= names
+
+
+def test_one_record_goes_beside_itself_or_where_it_is_told_to(records: Path, tmp_path: Path) -> None:
+    one = records / "001.parquet"
+    assert planned([one], Format.MAT, None, False) == [(one, records / "001.mat")]
+    assert planned([one], Format.MAT, tmp_path / "x.mat", False) == [(one, tmp_path / "x.mat")]
+    assert planned([one], Format.MAT, records, False) == [(one, records / "001.mat")]
+
+
+def test_nothing_is_overwritten_unasked(
+    records: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "x.mat"
+    target.write_text("mine")
+    assert run("export", records / "001.parquet", "--format", "mat", "--output", target) == ExitCode.REFUSED
+    assert target.read_text() == "mine"
+    assert "--force" in capsys.readouterr().err
+    assert run("export", records / "001.parquet", "--format", "mat", "--output", target, "--force") == 0
+    assert target.read_bytes()[:6] == b"MATLAB"
+
+
+def test_two_records_never_share_a_file(records: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other" / "001.parquet"
+    with pytest.raises(BenchError, match="several records of that name"):
+        planned([records / "001.parquet", other], Format.CSV, tmp_path / "out", False)
+    (records / "001.csv").touch()
+    with pytest.raises(Refused):
+        planned([records / "001.parquet"], Format.CSV, None, False)
+
+
+def test_what_is_no_record_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.parquet").write_text("nothing")
+    assert run("export", tmp_path / "x.parquet", "--format", "csv") == ExitCode.BAD_INPUT
+    assert run("export", tmp_path / "y.parquet", "--format", "csv") == ExitCode.BAD_INPUT
+    assert run("export", tmp_path, "--format", "xls") == ExitCode.BAD_INPUT
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert run("export", empty, "--format", "csv") == ExitCode.BAD_INPUT
+    told = capsys.readouterr().err
+    assert "unreadable" in told
+    assert "no such file" in told
+    assert "Traceback" not in told

@@ -1,0 +1,340 @@
+"""The frame of the command line: quick to start, and every error with its action and exit code."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from bench.base.errors import FOR_PROGRAMS, BenchError, ExitCode, Refused
+from bench.base.interrupt import Terminated
+from bench.base.lifecycle import State
+from bench.commands.cli import command_line, main
+from bench.network.free_port import free_port
+from drivers.base import DriverError
+from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
+from tests.sampling import release_except
+
+TOP = Path(__file__).resolve().parents[3]
+HEAVY = (
+    "can",
+    "filterpy",
+    "matplotlib",
+    "numba",
+    "numpy",
+    "pyarrow",
+    "rerun",
+    "scipy",
+    "sqlalchemy",
+    "zenoh",
+)
+BAD_PRESSURE = BenchError("config.toml supply.pressure", "-3", "0.1e6 to 1.1e6 Pa", "Correct the value.")
+BAD_KEY = BenchError("config.toml supply.presure", "an unknown key", "pressure", "Correct the key.")
+UNSAFE = Refused("hook.toml follow_through", "78 J at the stop", "at most 40 J", "Lower the speed.")
+
+
+def _golfbench(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "bench", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
+    """Run a command that raises the given error, and return the exit code."""
+
+    def run(error: BaseException, *arguments: str) -> int:
+        def fail(*_: object) -> None:
+            raise error
+
+        monkeypatch.setattr("bench.commands.machine.doctor_bench.all_probes", fail)
+        with pytest.raises(SystemExit) as end:
+            main([*arguments, "doctor"])
+        assert isinstance(end.value.code, int)
+        return end.value.code
+
+    return run
+
+
+def test_help_names_commands_and_exit_codes() -> None:
+    answer = _golfbench("--help")
+    assert answer.returncode == 0
+    assert "doctor" in answer.stdout
+    for code in ExitCode:
+        assert f" {code.value}  " in answer.stdout
+
+
+def test_help_starts_without_heavy_packages() -> None:
+    code = "import sys, atexit; atexit.register(lambda: print(*sys.modules))\n"
+    code += "from bench.commands.cli import main; main(['--help'])"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(answer.stdout.splitlines()[-1].split())
+    assert "bench.commands.cli" in loaded
+    assert loaded.isdisjoint(HEAVY)
+
+
+NO_CLIENTS = frozenset(
+    {
+        "llvmlite",
+        "matplotlib",
+        "numba",
+        "numpy",
+        "pandas",
+        "pyarrow",
+        "pydantic",
+        "scipy",
+        "sim",
+        "sqlalchemy",
+    }
+)
+"""Packages that a command of a running bench does without: who stops a robot does not wait for them."""
+
+
+COMMANDS = (
+    *(
+        "stop",
+        "estop",
+        "status",
+        "status --json",
+        "home",
+        "arm",
+        "disarm",
+        "access",
+        "access --end",
+        "tee",
+        "reset",
+    ),
+    *("swing", "swing --no-wait", "lease take", "lease renew", "lease release", "lease show"),
+)
+
+
+@pytest.mark.parametrize("command", release_except({"stop", "status", "swing", "lease take"}, COMMANDS))
+def test_a_command_of_a_running_bench_loads_no_model(command: str, tmp_path: Path) -> None:
+    """With a bench that answers everything and swings at once."""
+    code = (
+        "import sys; from bench.base.interrupt import leave; import bench.commands.cli\n"
+        "def show(code): print(*sys.modules); leave(code)\n"
+        "bench.commands.cli.leave = show; bench.commands.cli.main(sys.argv[1:])"
+    )
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path)}
+    with running_plane(FakeDesk(State.ARMED), loopback_configuration(port := free_port())):
+        file = tmp_path / "bench.toml"
+        file.write_text(f'base = "shipped"\n[network]\nendpoint = "tcp/127.0.0.1:{port}"\n')
+        lease = [sys.executable, "-c", code, "--config", str(file), "lease", "take"]
+        if not command.startswith("lease take"):
+            subprocess.run(lease, env=environment, capture_output=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code, "--config", str(file), *command.split()],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    loaded = {name.partition(".")[0] for name in done.stdout.splitlines()[-1].split()}
+    assert "zenoh" in loaded
+    assert not loaded & NO_CLIENTS
+
+
+@pytest.mark.parametrize("command", ["campaign list", "campaign stop nothing", "campaign watch"])
+def test_command_of_stored_campaigns_loads_no_model(command: str, tmp_path: Path) -> None:
+    code = (
+        "import sys; import bench.commands.cli\n"
+        "def show(code): print(*sys.modules)\n"
+        "bench.commands.cli.leave = show; bench.commands.cli.main(sys.argv[1:])"
+    )
+    file = tmp_path / "bench.toml"
+    network = f'[network]\nendpoint = "tcp/127.0.0.1:{free_port()}"\n'
+    file.write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n{network}')
+    done = subprocess.run(
+        [sys.executable, "-c", code, "--config", str(file), *command.split()],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    loaded = {name.partition(".")[0] for name in done.stdout.splitlines()[-1].split()}
+    assert loaded & {"sqlalchemy", "zenoh"}
+    assert not loaded & (NO_CLIENTS - {"pydantic", "sqlalchemy"})
+
+
+def test_list_of_profiles_loads_no_compiler(tmp_path: Path) -> None:
+    code = (
+        "import sys; import bench.commands.cli\n"
+        "bench.commands.cli.leave = lambda code: print(*sys.modules)\n"
+        "bench.commands.cli.main(['profile', 'list'])"
+    )
+    printed = subprocess.check_output([sys.executable, "-c", code], text=True, cwd=tmp_path)
+    loaded = {name.partition(".")[0] for name in printed.splitlines()[-1].split()}
+    assert not loaded & {"numba", "scipy", "matplotlib"}
+
+
+def _pages(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    yield path, command
+    for name, below in getattr(command, "commands", {}).items():
+        yield from _pages(below, *path, name)
+
+
+@pytest.mark.parametrize(
+    ("path", "command"), [pytest.param(*page, id=" ".join(page[0])) for page in _pages(command_line())]
+)
+def test_a_help_page_shows_every_text_whole(
+    path: tuple[str, ...], command: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Brackets are style tags to the library that prints it: "Where to [default: here]." lost its default."""
+    monkeypatch.setenv("COLUMNS", "400")
+    with pytest.raises(SystemExit):
+        main([*path, "--help"])
+    shown = capsys.readouterr().out
+    texts = [command.help or "", *(getattr(parameter, "help", "") for parameter in command.params)]
+    texts += [text for p in command.params if isinstance(text := getattr(p, "show_default", ""), str)]
+    for text in texts:
+        for paragraph in text.replace("\\[", "[").split("\n\n"):
+            assert " ".join(paragraph.split()) in shown
+    assert not re.search(r" \.(\s|$)", shown)
+    assert "<bool>" not in shown, "a flag takes no value"
+    assert "[[" not in shown
+
+
+def test_version() -> None:
+    assert _golfbench("--version").stdout == f"golfbench {version('golfbench')}\n"
+
+
+@pytest.mark.parametrize("arguments", [["dcotor"], ["doctor", "--jsno"], ["--config"], []])
+def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
+    answer = _golfbench(*arguments)
+    assert answer.returncode == ExitCode.BAD_INPUT
+    assert "Traceback" not in answer.stderr
+
+
+def test_shell_completion_is_there() -> None:
+    answer = _golfbench(
+        env={
+            **os.environ,
+            "_GOLFBENCH_COMPLETE": "complete_bash",
+            "COMP_WORDS": "golfbench do",
+            "COMP_CWORD": "1",
+        }
+    )
+    assert answer.stdout.split() == ["doctor"]
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "texts"),
+    [
+        (BAD_PRESSURE, 2, ["supply.pressure", "-3", "0.1e6 to 1.1e6 Pa", "Correct the value."]),
+        (UNSAFE, 1, ["hook.toml", "78 J", "at most 40 J", "Lower the speed."]),
+        (
+            ExceptionGroup("config.toml", [BAD_PRESSURE, BAD_KEY]),
+            2,
+            ["Correct the value.", "Correct the key."],
+        ),
+        (DriverError("valve island: found no answer"), 69, ["error: valve island: found no answer"]),
+        (FileNotFoundError(2, "No such file or directory", "swing.toml"), 74, ["swing.toml: No such file"]),
+        (ZeroDivisionError("1/0"), 70, ["internal error: ZeroDivisionError: 1/0", "--debug"]),
+        (KeyboardInterrupt(), 130, []),
+        (Terminated(), 143, []),
+    ],
+)
+def test_errors_show_their_action_and_no_traceback(
+    error: BaseException,
+    code: int,
+    texts: list[str],
+    run: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(error) == code
+    shown = capsys.readouterr().err
+    assert [text for text in texts if text not in shown] == []
+    assert "Traceback" not in shown
+
+
+def test_errors_for_a_program_are_json_lines(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(FOR_PROGRAMS, "json")
+    assert run(ExceptionGroup("config.toml", [BAD_PRESSURE, BAD_KEY])) == ExitCode.BAD_INPUT
+    printed = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    assert printed == [BAD_PRESSURE.record(), BAD_KEY.record()]
+
+
+def test_debug_shows_the_traceback(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(ZeroDivisionError("1/0"), "--debug") == ExitCode.INTERNAL
+    assert "Traceback (most recent call last)" in capsys.readouterr().err
+
+
+def test_an_error_reads_well_in_one_line_and_crosses_processes() -> None:
+    copy = pickle.loads(pickle.dumps(UNSAFE))  # noqa: S301 - our own bytes
+    assert type(copy) is Refused
+    assert (
+        str(copy)
+        == "hook.toml follow_through: found 78 J at the stop, expected at most 40 J. Lower the speed."
+    )
+
+
+def test_full_disk_behind_standard_output_is_no_internal_error(
+    run: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(OSError(errno.ENOSPC, "No space left on device")) == ExitCode.FILE
+    assert capsys.readouterr().err == "error: standard output or a file: No space left on device\n"
+
+
+def test_deleted_working_directory_is_reported_with_its_action(
+    run: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert run(FileNotFoundError(errno.ENOENT, "No such file or directory")) == ExitCode.FILE
+    assert "working directory: it was deleted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["sim/__init__.py", "drivers/__init__.py", "sim.py"])
+def test_import_of_the_bench_beside_a_package_of_the_same_name_reports_both_places(
+    tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).touch()
+    (tmp_path / "script.py").write_text("import bench\n")
+    path = {**os.environ, "PYTHONPATH": str(TOP)}
+    script = [sys.executable, str(tmp_path / "script.py")]
+    answer = subprocess.run(script, capture_output=True, text=True, check=False, env=path)
+    package = name.partition("/")[0].removesuffix(".py")
+    assert f"golfbench: found '{package}' in {tmp_path}" in answer.stderr
+    assert f"expected it in {TOP / package}" in answer.stderr
+    script.insert(1, "-P")
+    subprocess.run(script, check=True, env=path)
+
+
+@pytest.mark.live
+def test_ctrl_c_ends_with_130_and_no_traceback() -> None:
+    command = [sys.executable, "-m", "bench", "doctor", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not psutil.Process(process.pid).children():  # until it examines packages in a child
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=20)
+    assert (process.returncode, output) == (ExitCode.INTERRUPTED, "")
+    assert "Traceback" not in errors
+
+
+@pytest.mark.live
+def test_a_closed_pipe_is_no_error() -> None:
+    command = f"{sys.executable} -m bench doctor --json | head -c 10"
+    answer = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True)
+    assert answer.stdout.startswith("{")
+    assert answer.stderr == ""
