@@ -41,7 +41,7 @@ from bench.commissioning.steps import (
     WrongMachine,
 )
 from bench.config import Configuration
-from bench.control.feed_forward import FeedForward
+from bench.control.law.feed_forward import FeedForward
 from bench.design.designer import DesignFailed
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, strike_from_mark
 from bench.learning.ilc import LearningSettings

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from bench.base.lifecycle import Phase
 from bench.commissioning.steps import LEARNED_FILE, StepResult, SwungRobot
 from bench.config import Configuration
-from bench.control.gain_table import MOVE, gains_along
+from bench.control.law.gain_table import MOVE, gains_along
 from bench.control.model_limits import limits_path, save_limits
 from bench.control.settings import pid_record
 from bench.design.designer import DesignFailed, SwingDemand, design_swing

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 from bench.base.errors import BenchError, did_you_mean
 from bench.base.from_toml import format_value, read_toml
+from bench.control.estimate.model import KINDS
 from bench.control.made_for import MadeFor, Values
-from bench.control.model import KINDS
 from bench.control.settings import MODEL_PHASES, MODEL_ROWS, ModelSettings, Triple
 
 SCHEMA = "golfbench-limits/2"

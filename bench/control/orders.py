@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from bench.base.lifecycle import Reaction, Request, State
-from bench.control.homing import begin_search
-from bench.control.pid import reset_integral
-from bench.control.references import begin_move, follow_profile
+from bench.control.law.pid import reset_integral
+from bench.control.moves.homing import begin_search
+from bench.control.moves.references import begin_move, follow_profile
 from bench.control.states import change_state, disarm
 from drivers.base.compiled import compiled
 

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.lifecycle import Cause, Phase, Request, State
-from bench.control.air import AIR_STATE
-from bench.control.encoder import ENCODER_STATE
-from bench.control.estimator import ESTIMATOR_STATE
-from bench.control.model import MODEL_STATE
-from bench.control.pid import PID_STATE
+from bench.control.estimate.air import AIR_STATE
+from bench.control.estimate.encoder import ENCODER_STATE
+from bench.control.estimate.estimator import ESTIMATOR_STATE
+from bench.control.estimate.model import MODEL_STATE
+from bench.control.law.pid import PID_STATE
 from drivers.base.compiled import new_record
 
 CONTROL_PARAMETERS = np.dtype(
@@ -90,7 +90,7 @@ CONTROL_PARAMETERS = np.dtype(
     align=True,
 )
 """Gains and times. `downswing_damping` is the share of the damping left in the downswing, `dither` swings the
-spools around their openings up to the top. `feed_forward` is a code of `bench.control.feed_forward`,
+spools around their openings up to the top. `feed_forward` is a code of `bench.control.law.feed_forward`,
 `rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the openings that carry the spools
 out of their dead bands in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
 
@@ -114,7 +114,7 @@ HOMING = _nested(
     ("zero_shift", "f8", (3,)),  # rad: added to an angle by a zero that was set in this tick
     ("index_wrong", "i4"),  # cause that names an encoder whose count was wrong at its index, or 0
 )
-"""Memory of `bench.control.homing`."""
+"""Memory of `bench.control.moves.homing`."""
 
 FIRST_MOTION = _nested(
     ("answered", "u1", (3,)),  # the joint moved along since power-up and the guard's last opening
@@ -122,7 +122,7 @@ FIRST_MOTION = _nested(
     ("start", "f8", (3,)),  # rad: where that began
     ("bound", "f8", (3,)),  # opening beyond the dead band that its valve is allowed
 )
-"""Memory of `bench.control.first_motion`."""
+"""Memory of `bench.control.moves.first_motion`."""
 
 VENTING = _nested(
     ("emptied", "?"),  # chambers and manifold are proven empty
@@ -142,21 +142,21 @@ SENSORS = _nested(
     ("doubt", "f8", (7,)),  # s for which it has not been believable
     ("dead", "u1", (7,)),  # for too long
 )
-"""Memory of `bench.control.air_watch`: pressure sensors of the manifold and the six chambers."""
+"""Memory of `bench.control.monitor.air_watch`: pressure sensors of the manifold and the six chambers."""
 
 VENTS = _nested(
     ("fitted", "u1", (2,)),  # the vent has reported its position
     ("agreed", "f8", (2,)),  # s: when that last agreed with the command
     ("wrong", "u1", (2,)),  # it has disagreed for too long
 )
-"""Memory of `bench.control.air_watch`: the vents' positions."""
+"""Memory of `bench.control.monitor.air_watch`: the vents' positions."""
 
 SHUT_OFF = _nested(
     ("fitted", "?"),  # the shut-off valve has reported its position
     ("agreed", "f8"),  # s: when that last agreed with the command
     ("wrong", "?"),  # it has disagreed for too long
 )
-"""Memory of `bench.control.air_watch`: the shut-off valve's position."""
+"""Memory of `bench.control.monitor.air_watch`: the shut-off valve's position."""
 
 MANIFOLD = _nested(
     ("shut", "f8"),  # s since the supply was shut
@@ -170,7 +170,7 @@ MANIFOLD = _nested(
     ("unproven", "?"),  # its sensor has to prove itself at the next venting
     ("excused", "?"),  # a reset has taken notice of that
 )
-"""Memory of `bench.control.manifold_watch`."""
+"""Memory of `bench.control.monitor.manifold_watch`."""
 
 EXHAUSTS = _nested(
     ("bound", "f8", (13,)),  # Pa, as in AIR_STATE
@@ -178,13 +178,13 @@ EXHAUSTS = _nested(
     ("late", "f8", (6,)),  # s for which a chamber has been above its bound
     ("slow", "u1", (6,)),  # its exhaust was found too slow since the last reset
 )
-"""Memory of `bench.control.exhaust_watch`."""
+"""Memory of `bench.control.monitor.exhaust_watch`."""
 
 LOCK = _nested(
     ("agreed", "f8"),  # s: when the guard's lock last agreed with its command
     ("wrong", "?"),  # it did not for too long, and has not been seen to since
 )
-"""Memory of `bench.control.lock_watch`."""
+"""Memory of `bench.control.monitor.lock_watch`."""
 
 ADDRESS_AIR = _nested(
     ("held", "u1", (3,)),  # the joint is in its band: its valve serves its air
@@ -194,7 +194,7 @@ ADDRESS_AIR = _nested(
     ("since", "f8"),  # s: since when it is waited for
     ("ready", "?"),  # a swing may begin
 )
-"""Memory of `bench.control.address_air`."""
+"""Memory of `bench.control.moves.address_air`."""
 
 MOVE = _nested(
     ("start", "f8"),  # s
@@ -203,7 +203,7 @@ MOVE = _nested(
     ("gain", "f8", (3,)),  # opening per rad/s of reference speed, of the last tick's pose
     ("arm_first", "?"),  # arm and wrist move before the shoulder
 )
-"""Memory of `bench.control.motion`: the slow move under way."""
+"""Memory of `bench.control.moves.motion`: the slow move under way."""
 
 SWING = _nested(
     ("start", "f8"),  # s
@@ -273,7 +273,7 @@ CONTROL_STATE = np.dtype(
         ("calm", "f8", (3,)),  # rad/s by which rest is judged
         ("stopped_at", "f8"),  # s: when a stop was last asked for
         ("moved_at", "f8"),  # s: when a joint last did not rest
-        ("let_off", "u1", (3,)),  # actuators that `bench.control.escape` moves even in PASSIVE
+        ("let_off", "u1", (3,)),  # actuators that `bench.control.moves.escape` moves even in PASSIVE
         ("unseen", "u1", (3,)),  # joints that BLIND_BRAKE brakes without their encoder
         ("blind_row", "i8"),  # of its patterns; -1: none
         # One record for each monitor and move.

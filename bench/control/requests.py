@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
-from bench.control.air_watch import air_cause, all_chambers_are_seen, chambers_show_pressure
 from bench.control.envelope import interlock_cause
+from bench.control.monitor.air_watch import air_cause, all_chambers_are_seen, chambers_show_pressure
 from drivers.base.compiled import compiled
 
 STOP_HOLDS = 1.5

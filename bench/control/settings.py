@@ -18,20 +18,20 @@ from bench.base.lifecycle import (
     reaction_table,
     transition_table,
 )
-from bench.control import escape
-from bench.control.braking import lifted_angle
-from bench.control.demand import demand_for
-from bench.control.encoder import design_encoders
 from bench.control.envelope import ENVELOPE_PARAMETERS
-from bench.control.estimator import design_estimator
-from bench.control.feed_forward import CODES, FeedForward, kane_gains
-from bench.control.gain_table import GainTable, constant_gains
-from bench.control.gains import Gains
-from bench.control.machine_gains import machine_gains
-from bench.control.model import ARMING, BLOW, BRAKING, KINDS, LEARNING, MODEL_LIMITS
-from bench.control.pid import design_pid
-from bench.control.planned_air import swing_periods, swing_shares, swing_widths
-from bench.control.pressed_stops import pressed_stops, stop_tolerance
+from bench.control.estimate.encoder import design_encoders
+from bench.control.estimate.estimator import design_estimator
+from bench.control.estimate.model import ARMING, BLOW, BRAKING, KINDS, LEARNING, MODEL_LIMITS
+from bench.control.law.demand import demand_for
+from bench.control.law.feed_forward import CODES, FeedForward, kane_gains
+from bench.control.law.gain_table import GainTable, constant_gains
+from bench.control.law.gains import Gains
+from bench.control.law.machine_gains import machine_gains
+from bench.control.law.pid import design_pid
+from bench.control.moves import escape
+from bench.control.moves.braking import lifted_angle
+from bench.control.moves.planned_air import swing_periods, swing_shares, swing_widths
+from bench.control.moves.pressed_stops import pressed_stops, stop_tolerance
 from bench.control.records import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
@@ -84,11 +84,11 @@ class ControlSettings:
 
     gains: GainSource = "machine"
     """Gains of PIDs, damping and slow moves: "machine", by pose from the robot's linearised loops
-    (`bench.control.machine_gains`); "hand", those of `pid`, `damping` and `move_gain`."""
+    (`bench.control.law.machine_gains`); "hand", those of `pid`, `damping` and `move_gain`."""
     pid: PidSettings = field(default_factory=PidSettings)
     """Gains set by hand."""
     feed_forward: FeedForward = "planned"
-    """What opens the valves beside the PIDs in a swing, see `bench.control.feed_forward`."""
+    """What opens the valves beside the PIDs in a swing, see `bench.control.law.feed_forward`."""
     force_gain: NotNegativeTriple = (20.0, 10.0, 20.0)
     """Of "kane+pneumatic": rate at which a force that is missing in the chambers is made up for, 1/s."""
     damping: NotNegativeTriple = (0.0046, 0.00067, 0.0004)
@@ -227,7 +227,7 @@ class HomingSettings:
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """The model-based check (`bench.control.model`) and its limits by phase.
+    """The model-based check (`bench.control.estimate.model`) and its limits by phase.
 
     These hold for profiles without limits of their own (`bench.control.model_limits`).
     """

@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 
 from bench.base.lifecycle import Cause, State
-from bench.control.air_watch import (
+from bench.control.estimate.model import model_cause
+from bench.control.monitor.air_watch import (
     air_cause,
     chambers_show_pressure,
     emptiness_is_proven,
     manifold_shows_pressure,
     nothing_is_held_up,
 )
-from bench.control.encoder_watch import resting_jump
-from bench.control.exhaust_watch import exhaust_cause
-from bench.control.first_motion import forget_answers
-from bench.control.homing import begin_search
-from bench.control.lock_watch import lock_is_late
-from bench.control.model import model_cause
+from bench.control.monitor.encoder_watch import resting_jump
+from bench.control.monitor.exhaust_watch import exhaust_cause
+from bench.control.monitor.lock_watch import lock_is_late
+from bench.control.moves.first_motion import forget_answers
+from bench.control.moves.homing import begin_search
 from bench.control.requests import is_released, manifold_is_full
 from bench.control.states import change_state, disarm, is_calm, latch, resting_state
 from drivers.base.compiled import compiled

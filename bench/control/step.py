@@ -13,22 +13,22 @@ from typing import Any
 import numpy as np
 
 from bench.base.lifecycle import Cause, Phase, Reaction, Request
-from bench.control.air import conductance_of_vents, observe_air
-from bench.control.air_watch import VENTS, air_fault, watch_air
-from bench.control.braking import brake, brake_blind, wait_passive
-from bench.control.encoder import decode_encoders
-from bench.control.encoder_watch import index_cause
 from bench.control.envelope import interlock_cause, limit, readings_cause, relay_closed
-from bench.control.escape import escape
-from bench.control.estimator import estimate
-from bench.control.exhaust_watch import watch_exhausts
-from bench.control.feed_forward import PNEUMATIC
-from bench.control.gain_table import supply_factor
-from bench.control.homing import bounded
-from bench.control.lock_watch import watch_lock
-from bench.control.manifold_watch import watch_manifold
-from bench.control.model import observe
-from bench.control.motion import follow
+from bench.control.estimate.air import conductance_of_vents, observe_air
+from bench.control.estimate.encoder import decode_encoders
+from bench.control.estimate.estimator import estimate
+from bench.control.estimate.model import observe
+from bench.control.law.feed_forward import PNEUMATIC
+from bench.control.law.gain_table import supply_factor
+from bench.control.monitor.air_watch import VENTS, air_fault, watch_air
+from bench.control.monitor.encoder_watch import index_cause
+from bench.control.monitor.exhaust_watch import watch_exhausts
+from bench.control.monitor.lock_watch import watch_lock
+from bench.control.monitor.manifold_watch import watch_manifold
+from bench.control.moves.braking import brake, brake_blind, wait_passive
+from bench.control.moves.escape import escape
+from bench.control.moves.homing import bounded
+from bench.control.moves.motion import follow
 from bench.control.orders import carry_out
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import is_released, take_request, watch_local_reset

@@ -16,14 +16,14 @@ from bench.base.lifecycle import (
     Reaction,
     State,
 )
-from bench.control.address_air import address_air_cause
-from bench.control.air_watch import air_cause
 from bench.control.envelope import motion_cause
-from bench.control.first_motion import first_motion_cause
-from bench.control.homing import search_cause
-from bench.control.low_head import watch_low_head
-from bench.control.model import BRAKING, model_cause, row_of
-from bench.control.references import charging
+from bench.control.estimate.model import BRAKING, model_cause, row_of
+from bench.control.monitor.air_watch import air_cause
+from bench.control.moves.address_air import address_air_cause
+from bench.control.moves.first_motion import first_motion_cause
+from bench.control.moves.homing import search_cause
+from bench.control.moves.low_head import watch_low_head
+from bench.control.moves.references import charging
 from bench.control.states import disarm, react
 from drivers.base.compiled import compiled
 

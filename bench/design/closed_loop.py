@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, Cause
-from bench.control.gain_table import DAMPING, DERIVATIVE, gains_along
+from bench.control.law.gain_table import DAMPING, DERIVATIVE, gains_along
 from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.profile import Profile
 

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import Configuration
-from bench.control.gain_table import MOVE, gains_along
-from bench.control.planned_air import with_planned_air
+from bench.control.law.gain_table import MOVE, gains_along
+from bench.control.moves.planned_air import with_planned_air
 from bench.control.settings import EnvelopeSettings, pid_record
 from bench.design.blind_brake import SPACING, design_blind_brake
 from bench.design.closed_loop import LoopFailed, imprint, with_follow_through

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT
+from bench.control.estimate.model import KINDS, LEARNING
 from bench.control.made_for import MadeFor
 from bench.control.measured_plant import measured_as
-from bench.control.model import KINDS, LEARNING
 from bench.control.model_limits import FROM_SETTINGS, REQUIRED, LimitTables, ModelLimits
 from bench.control.records import ControlParameters
 from bench.control.settings import MODEL_ROWS, ModelSettings, Triple, build_controller, with_tables_of

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.braking import brake_opening
-from bench.control.gain_table import DERIVATIVE, PROPORTIONAL
+from bench.control.law.gain_table import DERIVATIVE, PROPORTIONAL
+from bench.control.moves.braking import brake_opening
 from bench.control.settings import ControlSettings
 from bench.simulation.loads import begin_tally
 from drivers.base import PASSIVE
@@ -35,7 +35,7 @@ _BELOW = -0.9
 """Height of the head (m) below which passing the ball's place counts."""
 
 BRAKE_LAW = np.dtype([("gain", "f8", (3,)), ("damping", "f8", (3,)), ("fade", "f8", (3,))], align=True)
-"""The braking law of the controller (`bench.control.braking`)."""
+"""The braking law of the controller (`bench.control.moves.braking`)."""
 
 
 class Arrival(NamedTuple):

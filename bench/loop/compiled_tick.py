@@ -16,12 +16,12 @@ import numba
 import numpy as np
 from numba import carray
 
-from bench.control.air import AIR_STATE
-from bench.control.encoder import ENCODER_PARAMETERS, ENCODER_STATE
 from bench.control.envelope import ENVELOPE_PARAMETERS
-from bench.control.estimator import ESTIMATOR_PARAMETERS, ESTIMATOR_STATE
-from bench.control.model import MODEL_LIMITS, MODEL_STATE
-from bench.control.pid import PID_PARAMETERS, PID_STATE
+from bench.control.estimate.air import AIR_STATE
+from bench.control.estimate.encoder import ENCODER_PARAMETERS, ENCODER_STATE
+from bench.control.estimate.estimator import ESTIMATOR_PARAMETERS, ESTIMATOR_STATE
+from bench.control.estimate.model import MODEL_LIMITS, MODEL_STATE
+from bench.control.law.pid import PID_PARAMETERS, PID_STATE
 from bench.control.records import (
     CONTROL_PARAMETERS,
     CONTROL_STATE,

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from bench.base.errors import BenchError
-from bench.control.air import AIR_STATE
-from bench.control.encoder import ENCODER_STATE
-from bench.control.estimator import ESTIMATOR_STATE
-from bench.control.model import MODEL_STATE
-from bench.control.pid import PID_STATE
+from bench.control.estimate.air import AIR_STATE
+from bench.control.estimate.encoder import ENCODER_STATE
+from bench.control.estimate.estimator import ESTIMATOR_STATE
+from bench.control.estimate.model import MODEL_STATE
+from bench.control.law.pid import PID_STATE
 from bench.control.records import CONTROL_STATE, ControlState, new_control_state
 from bench.records.telemetry.swing_metadata import layout_of
 

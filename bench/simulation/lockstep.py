@@ -11,9 +11,9 @@ from typing import Any, Self
 import numpy as np
 
 from bench.base.lifecycle import Phase, Reaction
-from bench.control.model import BRAKING, note_deviations, note_shares, row_of
+from bench.control.estimate.model import BRAKING, note_deviations, note_shares, row_of
+from bench.control.moves.references import charging
 from bench.control.records import ControlParameters, ControlState, new_control_state
-from bench.control.references import charging
 from bench.control.step import step
 from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE

@@ -25,7 +25,7 @@ from scipy import stats
 
 from bench.base.errors import BenchError
 from bench.base.from_toml import Builder, Tree, as_tree, laid_over
-from bench.control.model import KINDS
+from bench.control.estimate.model import KINDS
 from bench.control.records import ControlParameters, ControlState
 from bench.control.settings import (
     ControlSettings,

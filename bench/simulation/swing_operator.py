@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Refusal, Request
-from bench.control.air_watch import chambers_show_pressure
+from bench.control.monitor.air_watch import chambers_show_pressure
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import near_address
 from bench.loop.loop import Cycles, bring_to_rest

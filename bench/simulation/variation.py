@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Phase, Reaction, Request
-from bench.control.model import KINDS, LEARNING
+from bench.control.estimate.model import KINDS, LEARNING
 from bench.control.records import ControlParameters
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep

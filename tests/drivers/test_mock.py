@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.control.encoder import ENCODER_STATE, decode_encoders, design_encoders
+from bench.control.estimate.encoder import ENCODER_STATE, decode_encoders, design_encoders
 from drivers.base import Command
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS, pack_readings

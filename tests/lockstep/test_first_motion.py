@@ -11,7 +11,7 @@ import pytest
 
 from bench.base.lifecycle import Cause, Request, State
 from bench.config import Configuration
-from bench.control.first_motion import forget_answers
+from bench.control.moves.first_motion import forget_answers
 from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import build_controller
 from bench.simulation.lockstep import Lockstep

@@ -18,7 +18,7 @@ import pytest
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, Phase, Reaction, Request
 from bench.commands.cli import main
-from bench.control.gain_table import DAMPING, DERIVATIVE, INTEGRAL, PROPORTIONAL
+from bench.control.law.gain_table import DAMPING, DERIVATIVE, INTEGRAL, PROPORTIONAL
 from bench.control.records import ControlParameters
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
 from bench.loop.loop import Cycle, CycleArray

@@ -16,9 +16,9 @@ from bench.commands.common.progress import progress_bar
 from bench.commands.common.session import Session, exit_unless, show_json
 
 if TYPE_CHECKING:
-    from bench.control.linear_loop import Estimator
-    from bench.control.linear_plant import Frozen
-    from bench.control.machine_gains import MachineGains
+    from bench.control.law.linear_loop import Estimator
+    from bench.control.law.linear_plant import Frozen
+    from bench.control.law.machine_gains import MachineGains
     from bench.learning.along_swing import Judged, Proof
     from bench.simulation.series import Bench
 
@@ -67,8 +67,8 @@ def tune(
 
 def _linearised(bench: Bench) -> tuple[list[Frozen], Estimator]:
     """Return the plant at instants of the bench's swing, and its settled filters."""
-    from bench.control.linear_loop import steady_estimator
-    from bench.control.linear_plant import freeze
+    from bench.control.law.linear_loop import steady_estimator
+    from bench.control.law.linear_plant import freeze
     from bench.control.settings import estimator_record
     from bench.learning.along_swing import operating_points
     from sim.plant import build_plant
@@ -81,7 +81,7 @@ def _linearised(bench: Bench) -> tuple[list[Frozen], Estimator]:
 
 def _machine(bench: Bench) -> MachineGains | None:
     """Return the bench's gains by pose; None where they are set by hand."""
-    from bench.control.machine_gains import machine_gains
+    from bench.control.law.machine_gains import machine_gains
     from bench.control.settings import estimator_record
 
     control = bench.control
@@ -152,7 +152,7 @@ def _story(proofs: dict[str, Proof], worst: str, machine: MachineGains | None) -
 
 def _by_pose(machine: MachineGains) -> list[str]:
     """Return what gains by pose reach over the whole working range, and what limits them."""
-    from bench.control.machine_gains import RequiredMargins
+    from bench.control.law.machine_gains import RequiredMargins
     from drivers.base import JOINTS
 
     required, worst = RequiredMargins(), machine.worst
@@ -191,7 +191,7 @@ def _milli(values: Any) -> str:
 def _record(
     bench: Bench, judged: Judged, proofs: dict[str, Proof], machine: MachineGains | None
 ) -> dict[str, Any]:
-    from bench.control.gain_table import gains_at
+    from bench.control.law.gain_table import gains_at
     from drivers.base import JOINTS
 
     loops = [

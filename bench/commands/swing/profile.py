@@ -522,7 +522,7 @@ def address(
     The bench brings the chambers to them before it permits a swing, so that a swing does not depend on how
     the robot came to its address.
     """
-    from bench.control.planned_air import with_planned_air
+    from bench.control.moves.planned_air import with_planned_air
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, save_profile
 

@@ -22,7 +22,7 @@ from bench.base.lifecycle import (
     Request,
     State,
 )
-from bench.control.air_watch import SENSORS
+from bench.control.monitor.air_watch import SENSORS
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import (
     manifold_is_full,

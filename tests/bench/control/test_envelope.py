@@ -23,7 +23,7 @@ from bench.control.envelope import (
     motion_cause,
     readings_cause,
 )
-from bench.control.estimator import ESTIMATOR_STATE
+from bench.control.estimate.estimator import ESTIMATOR_STATE
 from bench.control.settings import ControlSettings, EnvelopeSettings, build_controller
 from bench.swing.profile import Profile
 from drivers.base.compiled import new_record

@@ -14,8 +14,8 @@ import pytest
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.config import load_configuration
+from bench.control.estimate.model import BLOW, BRAKING, KINDS, LEARNING
 from bench.control.made_for import LEAST_FELT_TEE_SHIFT, NAMES_IN_FILES, NOT_FELT, SHARE, TOLERANCES, MadeFor
-from bench.control.model import BLOW, BRAKING, KINDS, LEARNING
 from bench.control.model_limits import (
     ENDING,
     FROM_SETTINGS,

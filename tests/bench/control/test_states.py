@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import EDGES, LOST, TRUSTED, Cause, Phase, Reaction, Request, State
-from bench.control.braking import brake_opening
+from bench.control.moves.braking import brake_opening
 from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.states import arrive, begin_reaction, disarm, give_up, latch, react, stand
 from tests.bench.control.operating import at_power_up, do, on_the_way, reach

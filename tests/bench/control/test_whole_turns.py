@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Cause, Refusal, Request, State
-from bench.control.encoder import ENCODER_STATE, FRESH, decode_encoders
+from bench.control.estimate.encoder import ENCODER_STATE, FRESH, decode_encoders
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS
 from tests.bench.control.operating import asked, press, reach

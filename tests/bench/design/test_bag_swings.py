@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration
-from bench.control.braking import lifted_angle
+from bench.control.moves.braking import lifted_angle
 from bench.design.stop_verification import TRIALS, SwingCheck
 from bench.simulation.simulated_bench import simulate_swing
 from sim.kinematics import forward_kinematics

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.base.errors import Refused
-from bench.control.model import KINDS, LEARNING
+from bench.control.estimate.model import KINDS, LEARNING
 from bench.control.model_limits import FROM_SETTINGS, REQUIRED
 from bench.control.settings import MODEL_ROWS, ModelSettings
 from bench.design.model_limits import FLOORS, _rounded, _tables, floor_of, gumbel_quantile, make_limits

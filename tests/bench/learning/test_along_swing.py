@@ -12,9 +12,9 @@ import pytest
 
 from bench.commands.cli import main
 from bench.config import load_configuration, shipped_configuration
-from bench.control.gains import Gains
-from bench.control.linear_loop import Estimator, least_damping, steady_estimator
-from bench.control.linear_plant import Frozen, freeze
+from bench.control.law.gains import Gains
+from bench.control.law.linear_loop import Estimator, least_damping, steady_estimator
+from bench.control.law.linear_plant import Frozen, freeze
 from bench.control.settings import estimator_record
 from bench.learning.along_swing import Judged, gains_along, judge, operating_points
 from bench.simulation.series import Bench, Series

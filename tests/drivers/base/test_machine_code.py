@@ -104,11 +104,11 @@ def test_the_digest_covers_every_file_of_the_graph_and_no_other(copy: Path) -> N
 def test_change_renews_the_modules_that_import_it_and_no_others(copy: Path) -> None:
     digests = module_digests(copy)
     assert digests == module_digests()
-    changed = copy / "bench/control/pid.py"
+    changed = copy / "bench/control/law/pid.py"
     changed.write_text(changed.read_text() + "\n")
     now = module_digests(copy)
     renewed = {module for module in digests if now[module] != digests[module]}
-    assert {"bench.control.pid", "bench.control.step", "bench.loop.loop"} <= renewed
+    assert {"bench.control.law.pid", "bench.control.step", "bench.loop.loop"} <= renewed
     assert not renewed & {"sim.kane", "sim.motion", "sim.flight", "bench.control.envelope", "sim.driver"}
 
 

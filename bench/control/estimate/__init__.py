@@ -1,0 +1,1 @@
+"""Estimates: angles, velocities, chamber pressures, residuals of the model."""

@@ -1,0 +1,1 @@
+"""Control laws: PID, its gains and margins, feed-forward."""

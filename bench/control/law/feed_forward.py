@@ -1,0 +1,108 @@
+"""Valve openings ahead of the error: what the profile plans, or what the robot's model says the motion takes.
+
+planned         the profile's openings, found for this very loop on the nominal plant
+kane            a spool meters flow, and flow changes the force: the rate of the force that Kane's equations
+                demand and the speed of the motion, each with a constant gain, that of half a stroke and of
+                chambers evenly charged
+kane+pneumatic  the opening whose air flow changes the force as demanded: chamber equations and the valve's
+                flow (ISO 6358) solved for the spool, dead band and leakage included, at the pressures that
+                `bench.control.estimate.air` observes
+
+All pure; the demanded forces and their rates are tables made beforehand (`bench.control.law.demand`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.control.estimate.air import actuator_force, actuator_motion
+from drivers.base.compiled import compiled
+from sim.pneumatics import flow
+
+Array = NDArray[np.float64]
+FeedForward = Literal["none", "planned", "kane", "kane+pneumatic"]
+CODES: tuple[FeedForward, ...] = ("none", "planned", "kane", "kane+pneumatic")
+"""In the order of their codes in the control record."""
+NONE, PLANNED, KANE, PNEUMATIC = range(4)
+
+_CHARGED = 0.75
+"""Share of the supply's pressure that charging leaves in the chambers."""
+_EASED = 0.01
+"""Share of the stroke over which the jump across the dead band is spread: no chatter around zero."""
+
+
+@compiled
+def force_rates(p: Any, i: int, pressure: Any, position: float, speed: float) -> tuple[float, float, float]:
+    """Return the force rates of actuator `i` (N/s, shoulder N m/s): spool centred; added by full openings.
+
+    `pressure` (13,) Pa as in AIR_STATE. The first is that of motion and leakage; the second is added by the
+    opening 1, the third by -1 (negative), both beyond the dead band and in proportion.
+    """
+    pa, pb, supply, atmosphere = pressure[6 + 2 * i], pressure[7 + 2 * i], pressure[12], p.atmosphere
+    edge, ratio, leak = p.conductance[i], p.critical_ratio[i], p.leakage[i]
+    in_a, out_a = flow(edge, supply, pa, ratio), flow(edge, pa, atmosphere, ratio)
+    in_b, out_b = flow(edge, supply, pb, ratio), flow(edge, pb, atmosphere, ratio)
+    across = flow(p.cross_leakage[i], pa, pb, ratio)
+    area_a, area_b, dead = p.area_a[i], p.area_b[i], p.dead_volume[i]
+    gain_a = p.exponent * area_a / max(dead + area_a * (position - p.volume_lower[i]), 0.2 * dead)
+    gain_b = p.exponent * area_b / max(dead + area_b * (p.volume_upper[i] - position), 0.2 * dead)
+    still = gain_a * (leak * (in_a - out_a) - across - pa * area_a * speed)
+    still -= gain_b * (leak * (in_b - out_b) + across + pb * area_b * speed)
+    return still, gain_a * in_a + gain_b * out_b, -gain_a * out_a - gain_b * in_b
+
+
+@compiled
+def opening_for(p: Any, i: int, rates: tuple[float, float, float], wanted: float) -> float:
+    """Return the opening with which the force of actuator `i` changes at `wanted`; `rates` of `force_rates`.
+
+    Within -1 to 1 of the stroke.
+    """
+    still, up, down = rates
+    missing = wanted - still
+    full = up if missing > 0.0 else -down
+    if not full > 0.0:
+        return 0.0
+    share = min(max(missing / full, -1.0), 1.0)
+    band = p.dead_band[i] * min(abs(share) / _EASED, 1.0)
+    opening = band + (1.0 - p.dead_band[i]) * abs(share)
+    return float(opening if share > 0.0 else -opening)
+
+
+@compiled
+def pneumatic_opening(
+    p: Any, robot: Any, i: int, air: Any, angle: Any, velocity: Any, force: float, rate: float, gain: float
+) -> float:
+    """Return the opening of actuator `i` for a demanded `force` and its `rate` at the observed pressures.
+
+    `angle`, `velocity` (3,) are the motion's; what is missing in force is made up for at `gain` (1/s).
+    """
+    position, speed = actuator_motion(robot, p, angle, velocity, i)
+    rates = force_rates(p, i, air.pressure, position, speed)
+    return opening_for(p, i, rates, rate + gain * (force - actuator_force(p, air.pressure, i)))
+
+
+def kane_gains(plant: Any) -> tuple[Array, Array]:
+    """Return openings (3,) per N/s of force rate and per m/s of actuator speed; the shoulder's in N m, rad.
+
+    `plant` is the machine's PLANT_PARAMETERS record.
+    """
+    p, air = plant[0], np.full(13, _CHARGED * plant["regulated"][0])
+    air[12] = p["regulated"]
+    by_rate, by_speed = np.zeros(3), np.zeros(3)
+    for i in range(3):
+        middle = 0.5 * (p["volume_lower"][i] + p["volume_upper"][i])
+        still, up, down = _nominal_rates(plant, i, air, middle, 0.0)
+        moving = _nominal_rates(plant, i, air, middle, 1.0)[0]
+        by_rate[i] = 2.0 / (up - down)
+        by_speed[i] = (still - moving) * by_rate[i]
+    return by_rate, by_speed
+
+
+@compiled
+def _nominal_rates(
+    plant: Any, i: int, pressure: Any, position: float, speed: float
+) -> tuple[float, float, float]:
+    return force_rates(plant[0], i, pressure, position, speed)

@@ -1,0 +1,1 @@
+"""Monitors of sensors, exhausts, manifold, guard lock and encoders."""

@@ -1,0 +1,1 @@
+"""Moves: swing, slow move, homing, brake, hold, and their references."""

@@ -1,0 +1,215 @@
+"""Feed-forward by the model: forces demanded, valves inverted, chambers observed; off, nothing of it acts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.base.lifecycle import Cause, Phase
+from bench.config import load_configuration, shipped_configuration
+from bench.control.estimate.air import actuator_force
+from bench.control.law.demand import actuator_forces, demand_of
+from bench.control.law.feed_forward import FeedForward, force_rates, kane_gains, opening_for
+from bench.control.settings import ControlSettings
+from bench.simulation.engine import LockstepEngine
+from bench.simulation.lockstep import Lockstep
+from bench.simulation.series import Bench, Series
+from bench.simulation.variation import WORN
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile
+from sim.kane import inverse_dynamics
+from sim.motion import chambers
+from sim.plant import PlantParameters, build_plant
+from tests.bench.control.puppet import ADDRESS, SAMPLES, STILL, Puppet
+
+Array = np.ndarray[Any, Any]
+
+PLANT = PlantParameters()
+MACHINE = build_plant(PLANT).plant
+compiled_only = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
+)
+
+
+def plant_force_rate(i: int, pressure: Array, opening: float, position: float, speed: float) -> float:
+    """Return the plant's own force rate of actuator `i` with its spool at `opening`."""
+    rate = np.zeros(13)
+    chambers(MACHINE[0], i, pressure, rate, opening, position, speed, 0.0)
+    p = MACHINE[0]
+    return float(rate[6 + 2 * i] * p["area_a"][i] - rate[7 + 2 * i] * p["area_b"][i])
+
+
+bars = st.floats(1.1e5, 7.9e5)
+
+
+@given(
+    i=st.integers(0, 2),
+    pa=bars,
+    pb=bars,
+    share=st.floats(0.02, 0.98),
+    side=st.sampled_from([-1.0, 1.0]),
+    part=st.floats(0.1, 0.9),
+    speed=st.floats(-1.0, 1.0),
+)
+def test_the_opening_found_changes_the_force_as_wanted(
+    i: int, pa: float, pb: float, share: float, side: float, part: float, speed: float
+) -> None:
+    p, pressure = MACHINE[0], np.zeros(13)
+    pressure[6 + 2 * i], pressure[7 + 2 * i], pressure[12] = pa, pb, 8e5
+    low, high = p["volume_lower"][i], p["volume_upper"][i]
+    position = low + part * (high - low)
+    rates = force_rates(p, i, pressure, position, speed)
+    assert rates[0] == pytest.approx(plant_force_rate(i, pressure, 0.0, position, speed), rel=1e-9)
+    wanted = rates[0] + share * (rates[1] if side > 0 else -rates[2]) * side
+    opening = opening_for(p, i, rates, wanted)
+    assert opening * side > 0
+    assert plant_force_rate(i, pressure, opening, position, speed) == pytest.approx(wanted, rel=1e-6)
+    assert opening_for(p, i, rates, wanted + side * 1e7) == side
+    assert abs(opening_for(p, i, rates, rates[0])) < 1e-9
+
+
+def test_constant_gains_are_those_of_half_a_stroke() -> None:
+    by_rate, by_speed = kane_gains(MACHINE)
+    pressure = np.full(13, 6e5)
+    pressure[12] = 8e5
+    middle = 0.5 * (MACHINE["volume_lower"][0, 0] + MACHINE["volume_upper"][0, 0])
+    still, up, down = force_rates(MACHINE[0], 0, pressure, middle, 0.0)
+    assert by_rate[0] * 0.5 * (up - down) == pytest.approx(1.0)
+    moving = force_rates(MACHINE[0], 0, pressure, middle, 2.0)[0]
+    assert by_speed[0] * 2.0 == pytest.approx((still - moving) * by_rate[0])
+    assert (by_rate > 0).all()
+    assert (by_speed > 0).all()
+
+
+def swung(period: float = 1e-3) -> tuple[Profile, Array, Array]:
+    """Return a smooth swing with its velocities and accelerations."""
+    time = np.arange(SAMPLES)[:, None] * period
+    rate, size = 2 * pi / 0.5, np.array([-0.3, 0.05, -0.2])
+    angle = ADDRESS + size * (1 - np.cos(rate * time)) / 2
+    velocity, acceleration = size * rate / 2 * np.sin(rate * time), size * rate**2 / 2 * np.cos(rate * time)
+    return replace(STILL, angle=angle, velocity=velocity), velocity, acceleration
+
+
+def test_the_demand_is_kanes_inverse_dynamics_early_by_the_spools_lag() -> None:
+    profile, velocity, acceleration = swung()
+    demand = demand_of(PLANT, profile)
+    exact = actuator_forces(PLANT, profile.angle, velocity, acceleration)
+    lag = 2 * 0.8 / (2 * pi * 100.0) + 0.0005
+    at = np.arange(SAMPLES) * 1e-3
+    for rows in (slice(20, 270), slice(310, 470)):  # not across the ends of the smoothed parts
+        for i in range(3):
+            early = np.interp(at + lag, at, exact[:, i])[rows]
+            # Friction that changes sides is smoothed, too.
+            assert np.median(np.abs(demand.force[rows, i] - early)) < 0.01 * np.ptp(exact[:, i])
+            rate = np.gradient(np.interp(at + lag, at, exact[:, i]), 1e-3)[rows]
+            assert np.median(np.abs(demand.rate[rows, i] - rate)) < 0.05 * np.ptp(rate)
+    assert np.ptp(demand.force[510:], axis=0).max() == 0.0  # the impact's forces are not the actuators'
+    assert not demand.rate[510:].any()
+
+
+def test_forces_are_joint_torques_over_levers_and_friction() -> None:
+    angle = np.array([[0.3, 4.2, 5.6]])
+    still = np.zeros((1, 3))
+    force = actuator_forces(PLANT, angle, still, still)[0]
+    torque = inverse_dynamics(PLANT.robot, angle[0], still[0], still[0])
+    assert force == pytest.approx([torque[0], torque[1], torque[2] / (0.06 * np.cos(5.6))])
+    fast = np.array([[2.0, 0.0, 0.0]])
+    more = actuator_forces(PLANT, angle, fast, still)[0, 0]
+    less = actuator_forces(PLANT, angle, -fast, still)[0, 0]
+    assert more - less == pytest.approx(2 * (6.0 + 0.3 * 2.0))
+
+
+def test_planned_openings_leave_the_observer_alone() -> None:
+    puppet = Puppet().swing(50)
+    assert not puppet.state.air["started"][0]
+    puppet = Puppet(control=replace(QUICK_PNEUMATIC)).swing(50)
+    assert puppet.state.air["started"][0]
+
+
+QUICK_PNEUMATIC = ControlSettings(
+    precharge_time=0.02, move_timeout=0.2, blind_settle=0.1, feed_forward="kane+pneumatic"
+)
+
+
+@pytest.mark.parametrize("feed_forward", ["kane", "kane+pneumatic"])
+def test_readings_without_pressures_give_finite_openings(feed_forward: FeedForward) -> None:
+    puppet = Puppet(swung()[0], replace(QUICK_PNEUMATIC, feed_forward=feed_forward)).swing(150)
+    openings = puppet.run(100)
+    assert np.isfinite(openings).all()
+    assert np.abs(openings).max() <= 1.0
+    assert np.abs(puppet.control["feed_forward"]).max() > 0.01
+    assert puppet.cause is Cause.NONE
+    puppet.give(supply_pressure=np.nan)
+    assert np.isfinite(puppet.run(20)).all()
+
+
+def test_a_stall_and_senseless_steps_do_not_spoil_the_observer() -> None:
+    puppet = Puppet(control=QUICK_PNEUMATIC).hold()
+    puppet.time += 3.0
+    puppet.run(3)
+    assert np.isfinite(puppet.state.air["pressure"][0]).all()
+    # The manifold stays full: chambers behind an empty one would leak into it.
+    puppet.give(chamber_pressure=5e5, supply_pressure=8e5).run(100)
+    assert puppet.state.air["pressure"][0, 6:12] == pytest.approx(5e5, rel=0.01)
+
+
+# Whole swings -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def shipped() -> Bench:
+    """Return the shipped configuration with its swing."""
+    c = load_configuration(shipped_configuration())
+    return Bench(c.plant, load_profile(find_profile(c.swing.profile)), c.control)
+
+
+def bench_with(bench: Bench, feed_forward: FeedForward) -> Bench:
+    return bench._replace(control=replace(bench.control, feed_forward=feed_forward))
+
+
+def rms(cycles: Array, first: int, last: int) -> Array:
+    """Return the following error (3,) rad of a part of a swing."""
+    rows = cycles[first:last]
+    return np.asarray(np.sqrt(np.mean((rows["reference_angle"] - rows["plant_angle"]) ** 2, axis=0)))
+
+
+@compiled_only
+def test_the_inverted_valves_follow_the_reference_without_pressure_sensors(shipped: Bench) -> None:
+    blind = replace(shipped.model, pressure_sensors=False)
+    begins, errors = shipped.profile.begins, {}
+    for feed_forward in ("none", "kane+pneumatic"):
+        swing = Series(bench_with(shipped, feed_forward), blind).swing(shipped.profile)
+        assert np.isnan(swing.cycles["chamber_pressure"]).all()
+        errors[feed_forward] = rms(swing.cycles, begins[1], begins[4])
+    assert (errors["kane+pneumatic"] < 0.05).all()
+    assert errors["kane+pneumatic"].max() < 0.5 * errors["none"].max()
+
+
+@compiled_only
+@pytest.mark.parametrize("worn", [False, True], ids=["nominal", "worn"])
+def test_the_observer_knows_the_forces(shipped: Bench, worn: bool) -> None:
+    plant = replace(shipped.model, pressure_sensors=False)
+    plant = WORN.applied_to(plant) if worn else plant
+    bench = bench_with(shipped, "kane+pneumatic")
+    stepper = Lockstep(build_plant(plant), bench.controller(), bench.profile.angle[0])
+    engine = LockstepEngine(stepper)
+    assert engine.arm()
+    assert engine.start_swing(attempts=1, wait=1)
+    off, size = [], []
+    for _ in range(bench.profile.begins[5] - 1):
+        stepper.advance(1)
+        if stepper.state.control["phase"][0] in (Phase.DOWNSWING, Phase.COMMITTED):
+            air = stepper.state.air["pressure"][0].copy()
+            truth = np.concatenate([np.zeros(6), stepper.plant_state["pressure"][0], [0.0]])
+            told, true = ([actuator_force(MACHINE[0], p, i) for i in range(3)] for p in (air, truth))
+            off.append(np.subtract(told, true))
+            size.append(true)
+    share = np.sqrt(np.mean(np.square(off), axis=0)) / np.sqrt(np.mean(np.square(size), axis=0))
+    assert share.max() < (0.35 if worn else 0.15)

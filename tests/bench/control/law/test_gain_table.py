@@ -1,0 +1,113 @@
+"""Gains over the pose: exact where they are constant, continuous, bounded by the grid, by the supply."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.base.lifecycle import Phase
+from bench.control.law.gain_table import (
+    SHAPE,
+    GainTable,
+    constant_gains,
+    gains_along,
+    gains_at,
+    interpolate_gains,
+    supply_factor,
+)
+from bench.control.law.gains import Gains
+from bench.control.law.pid import design_pid
+from bench.control.records import new_control_state
+from bench.control.settings import build_controller
+from bench.control.step import decide_tick, estimate_tick
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
+from sim.plant import PlantParameters
+
+Array = np.ndarray[Any, Any]
+LOWER, SPACING = np.array([-1.0, 4.0, 5.0]), np.array([0.5, 0.1, 0.2])
+GIVEN = Gains(
+    (2.0, 0.65, 0.1 + 0.2), (0.5, 0.8, 0.45), (0.165, 0.024, 0.1), (0.0046, 1e-7, 0.0), (1.0, 2.0, 3.0)
+)
+
+
+def record(table: GainTable) -> Array:
+    return design_pid(table, lowest=(-1.0,) * 3, highest=(1.0,) * 3)
+
+
+def linear(supply: float = 0.0) -> GainTable:
+    """Return gains that are linear in each angle's place on the grid."""
+    a, b, c = np.meshgrid(*(np.arange(n) for n in SHAPE), indexing="ij")
+    table = np.ones((*SHAPE, 5, 3)) * (1 + a + 10 * b + 100 * c)[..., None, None]
+    table *= np.arange(1, 16).reshape(5, 3)
+    return GainTable(LOWER, SPACING, supply, table)
+
+
+angle = st.floats(-50.0, 50.0)
+
+
+@given(pose=st.tuples(angle, angle, angle))
+def test_gains_set_by_hand_are_exactly_those(pose: tuple[float, float, float]) -> None:
+    assert gains_at(record(constant_gains(GIVEN)), np.array(pose)) == GIVEN
+
+
+@given(pose=st.tuples(angle, angle, angle))
+def test_between_poses_gains_are_interpolated_and_outside_the_border_holds(
+    pose: tuple[float, float, float],
+) -> None:
+    place = np.clip((np.array(pose) - LOWER) / SPACING, 0.0, np.array(SHAPE) - 1.0)
+    expected = (1 + place @ [1.0, 10.0, 100.0]) * np.arange(1, 16).reshape(5, 3)
+    found = gains_along(record(linear()), np.array([pose]))[0]
+    assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_an_angle_that_is_no_number_is_taken_as_the_lowest() -> None:
+    found, nothing = np.zeros((5, 3)), np.full(3, np.nan)
+    interpolate_gains(found, record(linear())[0], nothing, 2.0)
+    assert found == pytest.approx(2.0 * np.arange(1, 16).reshape(5, 3))
+
+
+def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
+    by_hand, table = np.zeros((5, 3)), record(linear())
+    for pose in np.random.default_rng(4).uniform(-2.0, 8.0, (50, 3)):
+        plain(interpolate_gains)(by_hand, table.view(np.recarray)[0], pose, 0.9)
+        assert gains_along(table, pose[None], 0.9)[0].tolist() == by_hand.tolist()
+
+
+@pytest.mark.parametrize(
+    ("supply", "pressure", "factor"),
+    [
+        (8e5, 8e5, 1.0),
+        (8e5, 6.4e5, 1.25),
+        (8e5, 1e5, 1.4),
+        (8e5, 2e6, 0.7),
+        (8e5, np.nan, 1.0),
+        (8e5, 0.0, 1.0),
+        (8e5, -1.0, 1.0),
+        (0.0, 5e5, 1.0),
+    ],
+)
+def test_gains_follow_the_supply_within_bounds(supply: float, pressure: float, factor: float) -> None:
+    assert supply_factor(supply, pressure) == pytest.approx(factor)
+
+
+def test_the_supply_at_the_address_holds_for_the_swing() -> None:
+    """A swing draws the supply down by half a bar: gains that followed it would change what was planned."""
+    parameters = build_controller(PlantParameters(), load_profile(find_profile("default")))
+    parameters.pid["supply"] = 8e5
+    state, readings = new_control_state(), new_record(READINGS)
+    factors = list[float]()
+    for phase, pressure in ((Phase.HOLD, 7.0e5), (Phase.DOWNSWING, 6.0e5), (Phase.RETURN, 6.5e5)):
+        readings["supply_pressure"] = pressure
+        estimate_tick(state, parameters, readings, 0.001 * len(factors))
+        state.control["phase"] = phase
+        decide_tick(state, parameters, readings, 0.001 * len(factors))
+        factors.append(float(state.pid["supply_factor"][0]))
+    assert factors == pytest.approx([8.0 / 7.0] * 3)

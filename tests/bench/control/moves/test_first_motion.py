@@ -1,0 +1,125 @@
+"""Valves are hardly open until each joint has answered."""
+
+from __future__ import annotations
+
+from math import inf, isnan, nan
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.base.lifecycle import Cause, Phase
+from bench.control.estimate.estimator import ESTIMATOR_STATE
+from bench.control.law.pid import PID_STATE
+from bench.control.moves.first_motion import bound_first, first_motion_cause, forget_answers, note_answers
+from bench.control.records import CONTROL_PARAMETERS, CONTROL_STATE
+from drivers.base.compiled import new_record
+
+BAND, OPENING = 0.02, 0.15
+
+
+class Joints:
+    """Records of a bench that is homed with joint 1 alone in motion."""
+
+    def __init__(self) -> None:
+        self.state, self.pid = new_record(CONTROL_STATE), new_record(PID_STATE)
+        self.estimator, self.parameters = new_record(ESTIMATOR_STATE), new_record(CONTROL_PARAMETERS)
+        self.state["phase"], self.state["measured_step"] = Phase.HOMING, 0.1
+        self.parameters["move_band"], self.parameters["home_opening"] = BAND, OPENING
+        self.parameters["home_touch_speed"] = 0.5
+
+    def tick(self, reference_speed: float, angle: float) -> None:
+        self.state["reference_velocity"][0, 1] = reference_speed
+        self.estimator["angle"][0, 1] = angle
+        note_answers(self.state[0], self.pid[0], self.estimator[0])
+
+    def bound(self, opening: float, joint: int = 1) -> float:
+        return float(bound_first(self.state[0], self.parameters[0], joint, opening))
+
+    @property
+    def answered(self) -> list[int]:
+        return [int(joint) for joint in self.state["first_motion"]["answered"][0]]
+
+
+@pytest.fixture
+def joints() -> Joints:
+    return Joints()
+
+
+def test_bound_before_any_motion_is_a_little_beyond_the_dead_band(joints: Joints) -> None:
+    joints.tick(0.0, 1.0)
+    assert joints.bound(1.0) == pytest.approx(BAND + 0.005)
+    assert joints.bound(-1.0) == pytest.approx(-BAND - 0.005)
+    assert joints.bound(0.01) == 0.01
+    assert isnan(joints.bound(nan))
+
+
+def test_bound_unanswered_joint_grows_for_a_wider_dead_band(joints: Joints) -> None:
+    for _ in range(12):
+        joints.tick(0.2, 1.0)
+    joints.tick(0.0, 1.0)  # the reference waits
+    assert joints.bound(1.0) == pytest.approx(BAND + 0.005 + 13 * 0.002)
+    assert joints.bound(1.0, joint=0) == pytest.approx(BAND + 0.005)
+    assert joints.answered == [0, 0, 0]
+
+
+def test_answer_motion_along_with_the_reference_frees_the_valve_gently(joints: Joints) -> None:
+    joints.pid["integral"][0] = 0.3
+    joints.tick(-0.2, 1.0)
+    joints.tick(-0.2, 0.96)
+    assert joints.answered == [0, 0, 0]
+    joints.tick(-0.2, 0.94)
+    assert joints.answered == [0, 1, 0]
+    assert joints.pid["integral"][0].tolist() == [0.3, 0.0, 0.3]
+    assert joints.bound(1.0) < 0.05
+    while joints.state["first_motion"]["bound"][0, 1] < OPENING:
+        joints.tick(-0.2, 0.9)
+    assert joints.bound(1.0) == 1.0
+
+
+def test_answer_motion_against_the_reference_is_none(joints: Joints) -> None:
+    for angle in (1.0, 1.1, 1.5):
+        joints.tick(-0.2, angle)
+    assert joints.answered == [0, 0, 0]
+    joints.tick(0.2, 1.5)  # turned round: counted from here
+    joints.tick(0.2, 1.54)
+    assert joints.answered == [0, 0, 0]
+    joints.tick(0.2, 1.56)
+    assert joints.answered == [0, 1, 0]
+
+
+def test_answer_zero_set_by_the_index_is_no_motion(joints: Joints) -> None:
+    joints.tick(0.2, 1.0)
+    joints.state["homing"]["zero_shift"][0, 1] = 2.0
+    joints.tick(0.2, 3.01)
+    assert joints.answered == [0, 0, 0]
+
+
+def test_bound_clock_that_stands_still_does_not_grow(joints: Joints) -> None:
+    joints.state["measured_step"] = -1.0
+    joints.tick(0.2, 1.0)
+    assert joints.state["first_motion"]["bound"][0, 1] == 0.0
+
+
+def test_bound_outside_of_slow_moves_is_none(joints: Joints) -> None:
+    joints.state["phase"] = Phase.HOLD
+    assert joints.bound(1.0) == 1.0
+    joints.state["moving"] = True
+    assert joints.bound(1.0) == pytest.approx(BAND + 0.005)
+
+
+def test_opened_guard_has_all_joints_answer_again(joints: Joints) -> None:
+    for name in ("answered", "way", "bound"):
+        joints.state["first_motion"][name] = 1
+    forget_answers(joints.state[0])
+    assert joints.answered == [0, 0, 0]
+    assert joints.bound(1.0) == pytest.approx(BAND + 0.005)
+
+
+@pytest.mark.parametrize("speed", [1.51, -1.51, nan, inf])
+def test_fast_joint_that_has_not_answered_ends_the_motion(joints: Joints, speed: float) -> None:
+    velocity = np.array([1.4, 0.0, speed])
+    cause: Any = first_motion_cause(joints.state[0], joints.parameters[0], velocity)
+    assert cause == Cause.WRIST_FOLLOWING
+    joints.state["first_motion"]["answered"][0, 2] = 1
+    assert first_motion_cause(joints.state[0], joints.parameters[0], velocity) == 0
