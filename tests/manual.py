@@ -42,7 +42,7 @@ def message_tables() -> dict[str, str]:
 def plan_key_tables() -> dict[str, str]:
     """Return the list of a plan's sections, each with the table of its keys."""
     parts = []
-    for heading, about, rows in _sections((ROOT / "bench/campaign/defaults.toml").read_text()):
+    for heading, about, rows in _sections((ROOT / "bench/campaign/plan/defaults.toml").read_text()):
         parts.append(f"## {heading}\n" + (f"\n{about}\n" if about else ""))
         if rows:
             parts.append(table(("key", "default", "meaning"), rows) + "\n")

@@ -245,7 +245,7 @@ class BenchClient:
             queryable.undeclare()
 
     def campaigns(self) -> list[dict[str, Any]]:
-        """Return the state of each campaign that a runner publishes now, see `bench.campaign.progress`.
+        """Return the state of each campaign that a runner publishes now, see `bench.campaign.run.progress`.
 
         Raises:
             BenchError: one of them is no JSON object.

@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.campaign.analysis import interim_analysis
-from bench.campaign.campaign_control import answer, ask, is_running, standing_now
-from bench.campaign.campaign_record import with_exclusions
-from bench.campaign.control_chart import control_charts, dispersion_ellipses
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.plan_file import plan_from_record
-from bench.campaign.prompts import balls_of, places
-from bench.campaign.shot_sequence import Role, sections
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import plan_from_record
+from bench.campaign.plan.prompts import balls_of, places
+from bench.campaign.plan.shot_sequence import Role, sections
+from bench.campaign.report.campaign_record import with_exclusions
+from bench.campaign.run.campaign_control import answer, ask, is_running, standing_now
+from bench.campaign.statistics.analysis import interim_analysis
+from bench.campaign.statistics.control_chart import control_charts, dispersion_ellipses
 from bench.config import Configuration, database_url
 from bench.page.answers import Asked, InvalidBody, UnknownName
 from bench.page.command_line import BackgroundCommand, CommandLine

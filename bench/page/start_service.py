@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import parse_toml, read_text
-from bench.campaign.plan_file import EXAMPLES, campaign_names
+from bench.campaign.plan.plan_file import EXAMPLES, campaign_names
 from bench.page.answers import Asked, InvalidBody, UnknownName, json_answer, text_in
 from bench.page.campaign_service import STARTED
 from bench.page.command_line import BackgroundCommand, CommandLine, ViewerProcess

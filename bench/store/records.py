@@ -13,7 +13,8 @@ class CampaignState(StrEnum):
     """State of a campaign."""
 
     RUNNING = "running"
-    """Stored until its runner ends it; `bench.campaign.campaign_control.standing_now` finds a dead one."""
+    """Stored until its runner ends it; `bench.campaign.run.campaign_control.standing_now` finds a dead
+    one."""
     WAITING = "waiting"
     """Waiting for the answer to a prompt."""
     PAUSED = "paused"

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.campaign.analysis import analyse
-from bench.campaign.plan import CampaignPlan, levels
-from bench.campaign.plan_file import load_plan
-from bench.campaign.sample_size import foreseen
-from bench.campaign.shot_sequence import Role, block_trials, sections
+from bench.campaign.plan.plan import CampaignPlan, levels
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.shot_sequence import Role, block_trials, sections
+from bench.campaign.statistics.analysis import analyse
+from bench.campaign.statistics.sample_size import foreseen
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row

@@ -22,12 +22,12 @@ from bench.commands.common.session import Session, exit_unless, show_json, user_
 
 if TYPE_CHECKING:
     from bench.base.address import BenchSettings
-    from bench.campaign.carry import Measured
-    from bench.campaign.findings import Findings
-    from bench.campaign.plan import CampaignPlan
-    from bench.campaign.plan_requirements import Profiles
-    from bench.campaign.report_format import UnitSystem
-    from bench.campaign.runner import RunOutcome
+    from bench.campaign.plan.carry import Measured
+    from bench.campaign.plan.plan import CampaignPlan
+    from bench.campaign.report.findings import Findings
+    from bench.campaign.report.report_format import UnitSystem
+    from bench.campaign.run.plan_requirements import Profiles
+    from bench.campaign.run.runner import RunOutcome
     from bench.commands.campaign.campaign_baseline import Band, Checked
     from bench.config import Configuration
     from bench.store.campaigns import CampaignStore
@@ -39,7 +39,7 @@ app.command()(new)
 
 def _known_plans() -> list[str]:
     """Return the names of the shipped plans."""
-    from bench.campaign.plan_file import campaign_names
+    from bench.campaign.plan.plan_file import campaign_names
 
     return campaign_names()
 
@@ -87,7 +87,7 @@ class Outputs(NamedTuple):
 def _outputs(
     json_: bool, junit: Path | None, report_to: Path | None, check: Path | None, units: Literal["us", "si"]
 ) -> Outputs:
-    from bench.campaign.report_format import UnitSystem
+    from bench.campaign.report.report_format import UnitSystem
     from bench.commands.campaign.campaign_baseline import read_baseline
 
     return Outputs(json_, junit, report_to, read_baseline(check) if check else [], UnitSystem(units))
@@ -104,7 +104,7 @@ def check(
 
     Exits with 2 and lists all mistakes; with 1 if a calibration blocks arming.
     """
-    from bench.campaign.plan_requirements import (
+    from bench.campaign.run.plan_requirements import (
         START_SERIES,
         arming_problems,
         free_space,
@@ -112,7 +112,7 @@ def check(
         needs_series,
         needs_words,
     )
-    from bench.campaign.preview import preview_record, show_preview
+    from bench.campaign.statistics.preview import preview_record, show_preview
 
     plan, configuration, profiles = _checked(context, file)
     free, series = free_space(configuration.bench.data_dir), ""
@@ -141,8 +141,8 @@ def check(
 
 def _checked(context: typer.Context, file: Path) -> tuple[CampaignPlan, Configuration, Profiles]:
     """Return the plan in `file`, whose swings fit its clubs, the configuration and the plan's profiles."""
-    from bench.campaign.plan_file import load_plan
-    from bench.campaign.plan_requirements import require_swings
+    from bench.campaign.plan.plan_file import load_plan
+    from bench.campaign.run.plan_requirements import require_swings
 
     configuration = context.ensure_object(Session).configuration()
     plan = load_plan(file, configuration)
@@ -163,7 +163,7 @@ def _store(settings: BenchSettings) -> Iterator[CampaignStore]:
 @contextmanager
 def _found(context: typer.Context, campaign: str) -> Iterator[tuple[CampaignStore, CampaignEntry]]:
     """Open the campaigns of the configured bench; yield them with the entry of `campaign`."""
-    from bench.campaign.campaign_control import find_campaign
+    from bench.campaign.run.campaign_control import find_campaign
 
     with _store(context.ensure_object(Session).address().bench) as store:
         yield store, find_campaign(store, campaign)
@@ -200,7 +200,7 @@ def run(
     Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C,
     143 after SIGTERM.
     """
-    from bench.campaign.runner_control import measured_balls, new_entry
+    from bench.campaign.run.runner_control import measured_balls, new_entry
 
     plan, configuration, profiles = _checked(context, file)
     if expect not in ("", plan.digest):
@@ -233,7 +233,7 @@ def _calibrations(
     plan: CampaignPlan, configuration: Configuration, store: CampaignStore, now: datetime, *, sim: bool
 ) -> dict[str, Any] | None:
     """Return the bench's calibrations in force `now`; None for a simulation without any."""
-    from bench.campaign.runner_control import bench_calibrations
+    from bench.campaign.run.runner_control import bench_calibrations
 
     found = bench_calibrations(plan, configuration, store, now)
     return None if sim and not found["in_force"] else found
@@ -257,10 +257,10 @@ def resume(
     Exits with 1 if it was not completed or a figure left its band, with 130 after Ctrl-C,
     143 after SIGTERM.
     """
-    from bench.campaign.campaign_control import ask, is_running
-    from bench.campaign.carry import measured_of
-    from bench.campaign.plan_file import plan_from_record
-    from bench.campaign.runner_control import require_resumable
+    from bench.campaign.plan.carry import measured_of
+    from bench.campaign.plan.plan_file import plan_from_record
+    from bench.campaign.run.campaign_control import ask, is_running
+    from bench.campaign.run.runner_control import require_resumable
 
     configuration = context.ensure_object(Session).configuration()
     plan = _checked(context, file)[0] if file else None
@@ -281,9 +281,9 @@ def _bench_facts(
     plan: CampaignPlan, configuration: Configuration, measured: Measured, store: CampaignStore
 ) -> dict[str, Any]:
     """Return the facts to record about the running bench; it can swing `plan`."""
-    from bench.campaign.plan_requirements import calibration_versions
-    from bench.campaign.progress import read_services
-    from bench.campaign.runner_control import bench_facts
+    from bench.campaign.run.plan_requirements import calibration_versions
+    from bench.campaign.run.progress import read_services
+    from bench.campaign.run.runner_control import bench_facts
     from bench.network.client import BenchClient
 
     if configuration.notifications.file:
@@ -306,10 +306,10 @@ def _run(
     by: str,
 ) -> None:
     """Run `entry` and print the outcome."""
-    from bench.campaign.campaign_record import load_record, note_look
-    from bench.campaign.campaign_report import write_campaign_report
-    from bench.campaign.findings import findings, findings_record
-    from bench.campaign.plan_file import plan_from_record
+    from bench.campaign.plan.plan_file import plan_from_record
+    from bench.campaign.report.campaign_record import load_record, note_look
+    from bench.campaign.report.campaign_report import write_campaign_report
+    from bench.campaign.report.findings import findings, findings_record
     from bench.commands.campaign.campaign_baseline import check_baseline, junit_xml
     from bench.records.telemetry.whole_file import whole_file
     from bench.store.records import CampaignState
@@ -344,9 +344,9 @@ def _take(
     by: str,
 ) -> RunOutcome:
     """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
-    from bench.campaign.progress import Together, notifying
-    from bench.campaign.prompts import PromptKind
-    from bench.campaign.runner_control import run_campaign, run_start
+    from bench.campaign.plan.prompts import PromptKind
+    from bench.campaign.run.progress import Together, notifying
+    from bench.campaign.run.runner_control import run_campaign, run_start
     from bench.commands.campaign.campaign_runner_screen import CampaignScreen
     from bench.commands.campaign.campaign_screen import campaign_bar
     from bench.commands.campaign.campaign_terminal import TerminalOperator, mark_keys
@@ -406,12 +406,12 @@ def report(
 
     With --issue the report of a finished campaign gets a number, also each amendment.
     """
-    from bench.campaign.campaign_control import standing_now
-    from bench.campaign.campaign_record import load_record, note_look
-    from bench.campaign.campaign_report import write_campaign_report
-    from bench.campaign.findings import findings, findings_record
-    from bench.campaign.report_format import UnitSystem
-    from bench.campaign.report_tables import issue_report
+    from bench.campaign.report.campaign_record import load_record, note_look
+    from bench.campaign.report.campaign_report import write_campaign_report
+    from bench.campaign.report.findings import findings, findings_record
+    from bench.campaign.report.report_format import UnitSystem
+    from bench.campaign.report.report_tables import issue_report
+    from bench.campaign.run.campaign_control import standing_now
 
     with _found(context, campaign) as (store, entry):
         record = load_record(store, entry)
@@ -444,8 +444,8 @@ def verify(
 
     Exits with 1 and names what differs.
     """
-    from bench.campaign.campaign_record import load_record
-    from bench.campaign.verification import missing_records, verify_page
+    from bench.campaign.report.campaign_record import load_record
+    from bench.campaign.report.verification import missing_records, verify_page
 
     data_dir = context.ensure_object(Session).address().bench.data_dir
     with _found(context, campaign) as (store, entry):
@@ -478,7 +478,7 @@ def verify(
 
 
 def _request(context: typer.Context, campaign: str, request: str) -> None:
-    from bench.campaign.campaign_control import ask
+    from bench.campaign.run.campaign_control import ask
 
     data_dir = context.ensure_object(Session).address().bench.data_dir
     with _found(context, campaign) as (store, entry):
@@ -583,7 +583,7 @@ def exclude(
 
     A running campaign does not repeat it.
     """
-    from bench.campaign.campaign_record import exclude_shot
+    from bench.campaign.report.campaign_record import exclude_shot
 
     with _found(context, campaign) as (store, entry):
         exclude_shot(store, entry.id, shot, reason, by or user_name(), datetime.now(UTC), undo=undo)
@@ -600,7 +600,7 @@ def answer(
     ] = None,
 ) -> None:
     """Confirm a campaign's prompt: the club is mounted, the feeder is filled."""
-    from bench.campaign.campaign_control import answer
+    from bench.campaign.run.campaign_control import answer
 
     data_dir, now = context.ensure_object(Session).address().bench.data_dir, datetime.now(UTC)
     with _found(context, campaign) as (store, entry):
@@ -705,7 +705,7 @@ def list_campaigns(
 
     Excluded: hit outside the delivery's bounds, or excluded by hand.
     """
-    from bench.campaign.campaign_control import standing_now
+    from bench.campaign.run.campaign_control import standing_now
     from bench.commands.campaign.campaign_list import listing, listing_record
 
     address = context.ensure_object(Session).address()
@@ -732,7 +732,7 @@ def export(
     output: Annotated[Path | None, option("File to write.", "FILE", shown="standard output")] = None,
 ) -> None:
     """Export a campaign's shots, one row each."""
-    from bench.campaign.campaign_record import with_exclusions
+    from bench.campaign.report.campaign_record import with_exclusions
     from bench.records.shot.shot_table import shot_table_text, write_shot_table
 
     with _found(context, campaign) as (store, entry):

@@ -17,8 +17,8 @@ from xml.etree import ElementTree
 
 from bench.base.errors import BenchError
 from bench.base.from_toml import format_value, read_toml
-from bench.campaign.runner import RunOutcome
-from bench.campaign.shot_sequence import Role
+from bench.campaign.plan.shot_sequence import Role
+from bench.campaign.run.runner import RunOutcome
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignEntry, CampaignState
 

@@ -15,7 +15,7 @@ from bench.commands.common.options import argument, option
 from bench.commands.common.session import Session, at_terminal
 
 if TYPE_CHECKING:
-    from bench.campaign.plan import CampaignPlan
+    from bench.campaign.plan.plan import CampaignPlan
     from bench.config import Configuration
 
 T = TypeVar("T")
@@ -98,7 +98,7 @@ def _plan_name(file: Path) -> str:
     Raises:
         BenchError: the file exists, or its name makes no campaign's name.
     """
-    from bench.campaign.plan_file import CAMPAIGN_NAME
+    from bench.campaign.plan.plan_file import CAMPAIGN_NAME
 
     if file.suffix != ".toml" or not CAMPAIGN_NAME.fullmatch(file.stem):
         expected = "at most 41 small letters, digits and -, with .toml"
@@ -163,8 +163,8 @@ def _write(
     Raises:
         ExceptionGroup: of BenchErrors, one for each mistake in it.
     """
-    from bench.campaign.plan_file import load_plan
-    from bench.campaign.preview import outlook
+    from bench.campaign.plan.plan_file import load_plan
+    from bench.campaign.statistics.preview import outlook
 
     def written() -> CampaignPlan:
         file.write_text(_plan_text(sections), encoding="utf-8")
@@ -181,7 +181,7 @@ def _write(
 
 def _plan_text(sections: Mapping[str, Mapping[str, Any]]) -> str:
     """Return a plan; each key has the comment of the plan's defaults."""
-    from bench.campaign.plan_file import DEFAULTS
+    from bench.campaign.plan.plan_file import DEFAULTS
 
     comments, section = {}, ""
     for line in DEFAULTS.read_text(encoding="utf-8").splitlines():
@@ -201,9 +201,9 @@ def _plan_text(sections: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _outlook(plan: CampaignPlan) -> list[str]:
     """Return shots, duration and resolution in words."""
-    from bench.campaign.plan_requirements import needs
-    from bench.campaign.preview import outlook_words
-    from bench.campaign.shot_sequence import all_trials
+    from bench.campaign.plan.shot_sequence import all_trials
+    from bench.campaign.run.plan_requirements import needs
+    from bench.campaign.statistics.preview import outlook_words
 
     shots = len(all_trials(plan))
     minutes = (shots * plan.design.seconds_per_shot + needs(plan).hand_work) / 60.0

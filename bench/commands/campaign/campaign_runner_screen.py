@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.progress import CampaignProgress
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.run.progress import CampaignProgress
 from bench.commands.campaign.campaign_screen import CampaignBar, ProgressScreen
 from bench.records.shot.shot import Shot
 from bench.store.records import CampaignEntry, CampaignState

@@ -28,7 +28,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.base.errors import BenchError, Refused
-from bench.campaign.prompts import Numbered, PromptKind, balls_of, places, require_count
+from bench.campaign.plan.prompts import Numbered, PromptKind, balls_of, places, require_count
 from bench.commands.campaign.campaign_screen import CampaignBar
 from bench.commands.common.session import user_name
 from bench.store.records import Prompt, ShotNote

@@ -115,7 +115,7 @@ def _number(value: float) -> str:
 
 def _keys(configuration: Configuration) -> dict[str, str]:
     """Return all keys of `configuration` with their values as texts; not the files it was read from."""
-    from bench.campaign.report_format import flat
+    from bench.campaign.report.report_format import flat
 
     groups = flat(configuration.effective())
     return {f"{group}.{key}": text for group, keys in groups if group for key, text in keys}

@@ -89,7 +89,7 @@ class Shot:
     flight_source: str = ""
     """Source of total, apex, landing angle and side; empty: that of `carry_m`."""
     gate_figure: str = ""
-    """First figure outside a campaign's gate: a field of `bench.campaign.gate.Centre`; "" if none is."""
+    """First figure outside a campaign's gate: a field of `bench.campaign.plan.gate.Centre`; "" if none is."""
 
     @classmethod
     def from_measurements(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from bench.campaign.corrections import Arm, Drift, Robot
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.plan_requirements import Profiles
-from bench.campaign.simulated_shots import SimulatedShots
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.run.corrections import Arm, Drift, Robot
+from bench.campaign.run.plan_requirements import Profiles
+from bench.campaign.run.simulated_shots import SimulatedShots
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 

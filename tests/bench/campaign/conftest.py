@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-import bench.campaign.campaign_plots
+import bench.campaign.report.campaign_plots
 
 
 @contextmanager
@@ -17,7 +17,7 @@ def _undrawn() -> Iterator[None]:
         return f'<svg aria-hidden="true" focusable="false" id="{name}"><path d="M 0.0 0.0"/></svg>'
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bench.campaign.campaign_plots, "to_svg", placed)
+        patch.setattr(bench.campaign.report.campaign_plots, "to_svg", placed)
         yield
 
 

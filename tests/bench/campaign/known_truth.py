@@ -18,12 +18,12 @@ from zlib import crc32
 
 import numpy as np
 
-from bench.campaign.analysis import Pair, SectionAnalysis, analyse, decide
-from bench.campaign.bench_setup import sample_for
-from bench.campaign.plan import CampaignPlan, levels
-from bench.campaign.plan_file import load_plan
-from bench.campaign.sample_size import foreseen
-from bench.campaign.shot_sequence import Role, block_trials, looks_after, sections
+from bench.campaign.plan.bench_setup import sample_for
+from bench.campaign.plan.plan import CampaignPlan, levels
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.shot_sequence import Role, block_trials, looks_after, sections
+from bench.campaign.statistics.analysis import Pair, SectionAnalysis, analyse, decide
+from bench.campaign.statistics.sample_size import foreseen
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row

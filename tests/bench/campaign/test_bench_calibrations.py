@@ -12,15 +12,15 @@ import pytest
 from bench.calibration.archive import add_calibration
 from bench.calibration.calibration import ClubInMount, EncoderZeros
 from bench.campaign.interruptions import changed
-from bench.campaign.plan_file import load_plan
-from bench.campaign.plan_requirements import (
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.run.plan_requirements import (
     calibration_versions,
     calibration_warnings,
     calibrations_in_force,
     require_swings,
     speed_sensitivities,
 )
-from bench.campaign.runner_control import bench_calibrations, new_entry, run_start
+from bench.campaign.run.runner_control import bench_calibrations, new_entry, run_start
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database

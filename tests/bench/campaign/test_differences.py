@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from bench.campaign.analysis import SectionAnalysis, analyse
-from bench.campaign.findings import difference_tables, difference_to, not_compared, section_labels
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.plan_file import load_plan
-from bench.campaign.shot_sequence import sections
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.shot_sequence import sections
+from bench.campaign.report.findings import difference_tables, difference_to, not_compared, section_labels
+from bench.campaign.statistics.analysis import SectionAnalysis, analyse
 from bench.config import load_configuration
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 

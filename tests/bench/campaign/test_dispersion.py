@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.campaign.control_chart import _ellipse, total_covariance
+from bench.campaign.statistics.control_chart import _ellipse, total_covariance
 
 TRUTH = np.array([[9.0, 2.4], [2.4, 4.0]])
 AREA = pi * stats.chi2.ppf(0.95, 2) * np.sqrt(np.linalg.det(TRUTH))

@@ -7,11 +7,11 @@ from math import inf, nan
 
 import pytest
 
-from bench.campaign.campaign_record import CampaignRecord
-from bench.campaign.campaign_report import render_campaign_report
-from bench.campaign.findings import QUANTITIES, QUANTITY_NAMES, findings
-from bench.campaign.report_format import BALL, CLUB, UnitSystem, display_unit, number_text, two_digits
-from tests.bench.campaign.test_campaign_report import _record, _words
+from bench.campaign.report.campaign_record import CampaignRecord
+from bench.campaign.report.campaign_report import render_campaign_report
+from bench.campaign.report.findings import QUANTITIES, QUANTITY_NAMES, findings
+from bench.campaign.report.report_format import BALL, CLUB, UnitSystem, display_unit, number_text, two_digits
+from tests.bench.campaign.report.test_campaign_report import _record, _words
 from tests.benchmarks.campaign_statistics import Truth
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -11,22 +11,22 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import Refused
-from bench.campaign.campaign_record import (
+from bench.campaign.report.campaign_record import (
     LONGEST_REASON,
     CampaignRecord,
     exclude_shot,
     load_record,
     with_exclusions,
 )
-from bench.campaign.campaign_report import render_campaign_report
-from bench.campaign.findings import findings
-from bench.campaign.verification import verify_page
+from bench.campaign.report.campaign_report import render_campaign_report
+from bench.campaign.report.findings import findings
+from bench.campaign.report.verification import verify_page
 from bench.config import database_url
 from bench.records.shot.shot import ShotStatus
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.records import CampaignState, Event, ShotExclusion
-from tests.bench.campaign.test_campaign_report import NOW, _record
+from tests.bench.campaign.report.test_campaign_report import NOW, _record
 from tests.benchmarks.campaign_statistics import Truth
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.campaign.campaign_record import load_record, note_look
-from bench.campaign.findings import findings
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.plan_file import load_plan
-from bench.campaign.runner_control import new_entry
-from bench.campaign.sample_size import look_level, look_now, share_done, spent
-from bench.campaign.verdicts import confidence_words
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.report.campaign_record import load_record, note_look
+from bench.campaign.report.findings import findings
+from bench.campaign.report.verdicts import confidence_words
+from bench.campaign.run.runner_control import new_entry
+from bench.campaign.statistics.sample_size import look_level, look_now, share_done, spent
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database

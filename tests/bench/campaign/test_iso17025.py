@@ -9,18 +9,18 @@ from pathlib import Path
 import pytest
 
 from bench.base.errors import BenchError, Refused
-from bench.campaign.campaign_record import CampaignRecord, load_record
-from bench.campaign.campaign_report import render_campaign_report
-from bench.campaign.findings import findings
-from bench.campaign.plan import ItemParticulars, StatedCalibration
-from bench.campaign.plan_file import load_plan, plan_from_record
-from bench.campaign.report_tables import calibration_table, issue_report, item_table, particulars
-from bench.campaign.runner_control import new_entry
+from bench.campaign.plan.plan import ItemParticulars, StatedCalibration
+from bench.campaign.plan.plan_file import load_plan, plan_from_record
+from bench.campaign.report.campaign_record import CampaignRecord, load_record
+from bench.campaign.report.campaign_report import render_campaign_report
+from bench.campaign.report.findings import findings
+from bench.campaign.report.report_tables import calibration_table, issue_report, item_table, particulars
+from bench.campaign.run.runner_control import new_entry
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.records import CampaignRun, CampaignState, Event
-from tests.bench.campaign.test_campaign_report import NOW, _record, _words
+from tests.bench.campaign.report.test_campaign_report import NOW, _record, _words
 from tests.benchmarks.campaign_statistics import Truth
 
 pytestmark = pytest.mark.usefixtures("undrawn")

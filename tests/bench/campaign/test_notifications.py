@@ -13,7 +13,7 @@ from threading import Event, Thread
 import pytest
 
 from bench.base.errors import BenchError
-from bench.campaign.progress import Notifier, Service, notifying, read_services
+from bench.campaign.run.progress import Notifier, Service, notifying, read_services
 from bench.store.records import CampaignEntry, CampaignState
 from tests.bench.store.test_campaigns import ENTRY
 

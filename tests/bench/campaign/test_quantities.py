@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.campaign.analysis import spread, values_of
-from bench.campaign.findings import QUANTITIES, level_quantities
-from bench.campaign.plan_file import load_plan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.report.findings import QUANTITIES, level_quantities
+from bench.campaign.statistics.analysis import spread, values_of
 from bench.config import load_configuration
 from bench.records.shot.shot import ShotStatus
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.campaign.analysis import analyse
-from bench.campaign.findings import compact_letters, ranking
-from bench.campaign.plan_file import load_plan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.report.findings import compact_letters, ranking
+from bench.campaign.statistics.analysis import analyse
 from bench.config import load_configuration
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.campaign.corrections import Drift, Drifts
-from bench.campaign.gate import Centre
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.plan_file import load_plan
-from bench.campaign.shot_sequence import Arm, PlannedShot, Role, Step
+from bench.campaign.plan.gate import Centre
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
+from bench.campaign.run.corrections import Drift, Drifts
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 

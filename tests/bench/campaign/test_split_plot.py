@@ -15,21 +15,21 @@ import pytest
 from rich.console import Console
 from scipy import stats
 
-from bench.campaign.analysis import SectionAnalysis, analyse
-from bench.campaign.bench_setup import Fitting, missing, sample_for
-from bench.campaign.block_model import as_split_plot, fully_randomised
-from bench.campaign.campaign_record import CampaignRecord
-from bench.campaign.campaign_report import render_campaign_report
-from bench.campaign.findings import findings, findings_record
-from bench.campaign.gate import Centre
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.plan_file import load_plan
-from bench.campaign.plan_requirements import needs, needs_words
-from bench.campaign.preview import outlook, outlook_words, show_preview
-from bench.campaign.progress import CampaignProgress
-from bench.campaign.prompts import PromptKind
-from bench.campaign.runner_control import new_entry
-from bench.campaign.shot_sequence import PlannedShot, Step, all_trials, sections
+from bench.campaign.plan.bench_setup import Fitting, missing, sample_for
+from bench.campaign.plan.gate import Centre
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.prompts import PromptKind
+from bench.campaign.plan.shot_sequence import PlannedShot, Step, all_trials, sections
+from bench.campaign.report.campaign_record import CampaignRecord
+from bench.campaign.report.campaign_report import render_campaign_report
+from bench.campaign.report.findings import findings, findings_record
+from bench.campaign.run.plan_requirements import needs, needs_words
+from bench.campaign.run.progress import CampaignProgress
+from bench.campaign.run.runner_control import new_entry
+from bench.campaign.statistics.analysis import SectionAnalysis, analyse
+from bench.campaign.statistics.block_model import as_split_plot, fully_randomised
+from bench.campaign.statistics.preview import outlook, outlook_words, show_preview
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.records import CampaignState, Standing

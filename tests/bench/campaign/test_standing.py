@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.campaign.campaign_control import standing_now
+from bench.campaign.run.campaign_control import standing_now
 from bench.store.records import CampaignState, Standing
 from bench.supervisor.ownership import try_lock
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.campaign.analysis import analyse
-from bench.campaign.block_model import scatter_ratios, successive_scatter
-from bench.campaign.findings import findings
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.plan_file import load_plan
-from bench.campaign.sample_size import foreseen, series_needed
-from bench.campaign.verdicts import Verdict
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.report.findings import findings
+from bench.campaign.report.verdicts import Verdict
+from bench.campaign.statistics.analysis import analyse
+from bench.campaign.statistics.block_model import scatter_ratios, successive_scatter
+from bench.campaign.statistics.sample_size import foreseen, series_needed
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot
 from tests.bench.campaign.known_truth import Case, Known, cases, drawn

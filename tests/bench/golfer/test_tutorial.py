@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.campaign.plan_file import load_plan
+from bench.campaign.plan.plan_file import load_plan
 from bench.config import load_configuration
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "bench/manual/test_engineer/golfer_tutorial.md"

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from bench.base.errors import BenchError
-from bench.campaign.plan_file import load_plan
-from bench.campaign.progress import CampaignProgress
-from bench.campaign.runner_control import new_entry
-from bench.campaign.shot_sequence import all_trials
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.shot_sequence import all_trials
+from bench.campaign.run.progress import CampaignProgress
+from bench.campaign.run.runner_control import new_entry
 from bench.config import load_configuration
 from bench.network.client import BenchClient
 from bench.network.command import FORMS, Verb, encode_command, encode_error, form_schema, parse_command

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import State
-from bench.campaign.campaign_control import runner_lock
+from bench.campaign.run.campaign_control import runner_lock
 from bench.config import Configuration, database_url
 from bench.page.campaign_service import CampaignArchive, RunningCampaigns
 from bench.page.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
@@ -24,7 +24,7 @@ from bench.records.telemetry.ring import RingWriter
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.records import CampaignState, Prompt
-from tests.bench.campaign.test_campaign_report import NOW, _record
+from tests.bench.campaign.report.test_campaign_report import NOW, _record
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
 from tests.bench.page.conftest import publishing
 from tests.bench.page.running_page import HURRY, RunningPage, running_page

@@ -23,16 +23,16 @@ from rich.text import Text
 
 from bench.base.errors import BenchError, Refused
 from bench.base.interrupt import deferred_interrupt
-from bench.campaign.campaign_record import load_record
-from bench.campaign.campaign_report import write_campaign_report
-from bench.campaign.findings import Findings, findings
-from bench.campaign.plan import CampaignPlan
-from bench.campaign.plan_file import load_plan
-from bench.campaign.plan_requirements import require_swings
-from bench.campaign.report_format import MPH, YARD
-from bench.campaign.runner import RunOutcome
-from bench.campaign.runner_control import bench_facts, new_entry, run_campaign
-from bench.campaign.verdicts import robot_words
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.report.campaign_record import load_record
+from bench.campaign.report.campaign_report import write_campaign_report
+from bench.campaign.report.findings import Findings, findings
+from bench.campaign.report.report_format import MPH, YARD
+from bench.campaign.report.verdicts import robot_words
+from bench.campaign.run.plan_requirements import require_swings
+from bench.campaign.run.runner import RunOutcome
+from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
 from bench.commands.campaign.campaign_runner_screen import CampaignScreen
 from bench.commands.campaign.campaign_screen import campaign_bar
 from bench.commands.campaign.demo.bench_process import BenchPlan

@@ -17,15 +17,15 @@ from markupsafe import escape
 from typer.testing import CliRunner, Result
 
 from bench.base.errors import BenchError, ExitCode, Refused
-from bench.campaign.campaign_control import bench_lock, require_free, runner_lock
-from bench.campaign.campaign_record import load_record
-from bench.campaign.campaign_report import render_campaign_report
-from bench.campaign.findings import findings
-from bench.campaign.plan_file import campaign_names, load_plan
-from bench.campaign.runner import Watcher
-from bench.campaign.runner_control import new_entry, run_campaign
-from bench.campaign.shot_sequence import all_trials
-from bench.campaign.simulated_shots import BEGIN
+from bench.campaign.plan.plan_file import campaign_names, load_plan
+from bench.campaign.plan.shot_sequence import all_trials
+from bench.campaign.report.campaign_record import load_record
+from bench.campaign.report.campaign_report import render_campaign_report
+from bench.campaign.report.findings import findings
+from bench.campaign.run.campaign_control import bench_lock, require_free, runner_lock
+from bench.campaign.run.runner import Watcher
+from bench.campaign.run.runner_control import new_entry, run_campaign
+from bench.campaign.run.simulated_shots import BEGIN
 from bench.commands.cli import app, main
 from bench.config import database_url, load_configuration
 from bench.records.telemetry.whole_file import NotStored
@@ -254,7 +254,7 @@ def test_a_plan_changed_between_a_stop_and_resume_is_refused(
         raise NotStored(str(path), "No space left on device", "space for a swing", "Free some.")
 
     with monkeypatch.context() as patched:
-        patched.setattr("bench.campaign.runner.write_swing", full)
+        patched.setattr("bench.campaign.run.runner.write_swing", full)
         code, text = user("run", tmp_path / "short.toml", "--sim")
         assert (code, "No space left on device" in text) == (ExitCode.FILE, True)
         assert "nothing was stored" not in text

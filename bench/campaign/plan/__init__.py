@@ -1,0 +1,1 @@
+"""The plan of a campaign: its file, shot order, bench set-up, validity, carry."""

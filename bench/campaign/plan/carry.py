@@ -1,0 +1,127 @@
+"""The carry of a shot: three quantities that are never mixed, and the one that the plan compares.
+
+Reference: flown from the launch with the reference ball's aerodynamics, all balls alike. Monitor: as the
+launch monitor reported it. Measured: flown with the coefficients that were measured on this ball. A simulated
+ball also has the flight of its own model, "simulated"; a report of hardware never shows that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import degrees
+from typing import Any
+
+from bench.base.errors import Refused
+from bench.calibration.ball_aerodynamics import AerodynamicsEntry, aerodynamics_from_record
+from bench.campaign.plan.plan import FLOWN, CampaignPlan
+from bench.records.shot.recorded_shot import FlightConditions
+from drivers.base import Launch
+from sim.ball import REFERENCE_BALL, Ball
+from sim.flight import Flight, fly
+
+Measured = Mapping[str, AerodynamicsEntry]
+"""Measured aerodynamics by ball."""
+
+
+def measured_of(calibrations: Mapping[str, Any], place: str) -> dict[str, AerodynamicsEntry]:
+    """Return the measured aerodynamics that a campaign was begun with, from its `calibrations`."""
+    stored = calibrations.get("aerodynamics", {})
+    return {ball: aerodynamics_from_record(entry, f"{place}: aerodynamics") for ball, entry in stored.items()}
+
+
+def require_carry(plan: CampaignPlan, measured: Measured) -> None:
+    """Refuse a plan whose carry cannot be known on hardware.
+
+    Raises:
+        Refused: it compares a carry without saying which, or a ball's aerodynamics were not measured.
+    """
+    place, a = f"plan {plan.campaign.name}: analysis.carry", plan.analysis
+    if a.quantity in FLOWN and not a.carry:
+        raise Refused(
+            place,
+            f"empty, while {a.quantity} is compared",
+            '"reference", "monitor" or "measured"',
+            'Name the carry: "monitor" as the launch monitor reports it, "measured" flown with coefficients '
+            'of golfbench calibrate aerodynamics, "reference" flown with one ball\'s coefficients for all, '
+            "which compares launches only.",
+        )
+    missing = [name for name in plan.ball_names if name not in measured]
+    if a.carry == "measured" and missing:
+        found = f'"measured", but no aerodynamics of {", ".join(missing)}'
+        action = f"golfbench calibrate aerodynamics {missing[0]} FLIGHTS.csv --source TEXT"
+        raise Refused(place, found, "measured coefficients of each ball", action)
+
+
+class ShotCarry:
+    """Carries of a plan's shots."""
+
+    def __init__(self, plan: CampaignPlan, measured: Measured) -> None:
+        self._plan, self._measured = plan, measured
+
+    def columns(
+        self,
+        ball: str,
+        launch: Launch,
+        around: FlightConditions,
+        reported: float | None,
+        simulated: Ball | None,
+    ) -> tuple[dict[str, Any], str]:
+        """Return the carry columns of the shot table, and why there is no `carry_m` although it is compared.
+
+        `launch` is that of `ball`, as measured; `reported` the monitor's carry (m), `simulated` the simulated
+        ball, None on hardware.
+        """
+        entry, error, outside = self._measured.get(ball), None, ""
+        try:
+            flights: dict[str, Flight | None] = {"reference": _flown(launch, around, REFERENCE_BALL)}
+            flights["simulated"] = None if simulated is None else _flown(launch, around, simulated)
+            if entry is not None and not (outside := entry.values.outside(launch)):
+                flights["measured"] = fly(
+                    launch,
+                    around.air,
+                    entry.values.as_flown,
+                    around.wind,
+                    around.turf,
+                    entry.values.aerodynamics,
+                )
+                error = entry.values.carry_error(launch, around.air, around.wind, around.turf)
+        except ValueError as fault:
+            return {}, f"no flight: {fault}"
+        source = self._source(ball, simulated is not None)
+        flight = flights.get("simulated" if source == "monitor" else source)
+        carry = reported if source == "monitor" else None if flight is None else flight.carry
+        columns: dict[str, Any] = {
+            f"carry_{name}_m": None if (flown := flights.get(name)) is None else flown.carry
+            for name in ("reference", "measured")
+        }
+        columns |= {"carry_monitor_m": reported, "carry_measured_error_m": error}
+        if carry is not None:
+            columns |= {"carry_m": carry, "carry_source": source}
+        if flight is not None:
+            columns |= {
+                "total_m": flight.total,
+                "apex_m": flight.apex,
+                "landing_angle_deg": degrees(flight.landing_angle),
+                "carry_side_m": flight.carry_side,
+                "flight_source": "simulated" if source == "monitor" else source,
+            }
+        if carry is None and self._plan.analysis.quantity in FLOWN:
+            return columns, outside or f"no carry: {_NONE[source]}"
+        return columns, ""
+
+    def _source(self, ball: str, simulated: bool) -> str:
+        """Return which carry is `carry_m`; a simulated ball without measurement has its model's."""
+        named = self._plan.analysis.carry
+        if simulated and (not named or (named == "measured" and ball not in self._measured)):
+            return "simulated"
+        return named or "reference"
+
+
+_NONE = {
+    "monitor": "the launch monitor reported none",
+    "measured": "the aerodynamics of the ball were not measured",
+}
+
+
+def _flown(launch: Launch, around: FlightConditions, ball: Ball) -> Flight:
+    return fly(launch, around.air, ball, around.wind, around.turf)

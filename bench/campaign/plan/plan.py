@@ -1,0 +1,407 @@
+"""The plan of a campaign as values: what is swung at what, in which order, and what it is to answer.
+
+Its file, TOML, is read and checked by `bench.campaign.plan.plan_file`; every key, its unit and its meaning
+stand in `defaults.toml` beside it.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from hashlib import sha256
+from math import hypot, pi
+from typing import Annotated, Any, Literal, get_args
+
+from drivers.base.ranges import Range
+from sim.ball import Ball
+from sim.robot import Club
+
+Quantity = Literal[
+    "carry_m", "total_m", "ball_speed_mps", "launch_angle", "spin_rpm", "club_speed_mps", "landing_angle"
+]
+"""Quantities that can be compared; angles in degrees."""
+Factor = Literal["ball", "club", "swing"]
+FLOWN = frozenset({"carry_m", "total_m", "landing_angle"})
+"""Quantities of the flight: which carry they belong to must be named on hardware."""
+Delivered = Literal[
+    "club_speed_mps",
+    "attack_angle_deg",
+    "club_path_deg",
+    "face_angle_deg",
+    "dynamic_loft_deg",
+    "strike_x_mm",
+    "strike_y_mm",
+]
+"""Figures of the delivery that can be covariates."""
+
+
+@dataclass(frozen=True)
+class Heading:
+    """Name and title of the campaign."""
+
+    name: str
+    title: str
+
+
+@dataclass(frozen=True)
+class ExperimentDesign:
+    """Levels, blocks and order of the shots."""
+
+    compare: Factor
+    """Its levels take turns within a block; the other two factors make sections, one after the other."""
+    balls: tuple[str, ...]
+    clubs: tuple[str, ...]
+    swings: tuple[str, ...]
+    blocks: Annotated[int, Range(1, 100000, "")]
+    """Complete blocks in each section."""
+    hits_per_mounting: Annotated[int, Range(0, 1000, "")]
+    """Hits of each ball before the next club is mounted (split-plot); 0: clubs in any order."""
+    seed: Annotated[int, Range(0, 2**31 - 1, "")]
+    """Seed of the shot order."""
+    seconds_per_shot: Annotated[float, Range(1.0, 3600.0, "s")]
+    repeats: Annotated[int, Range(0, 20, "")]
+    """Max number of repeats of a shot that was not valid."""
+    failures_in_a_row: Annotated[int, Range(1, 100, "")]
+    """Number of consecutive shots not valid after which the campaign is suspended."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """The control ball, which separates drift from differences."""
+
+    ball: str
+    """Hit at start, middle and end of each block; empty: none."""
+
+
+@dataclass(frozen=True)
+class WarmUp:
+    """Swings before each section, until the club speed is stable."""
+
+    window: Annotated[int, Range(2, 50, "")]
+    """Number of last shots that are checked."""
+    tolerance: Annotated[float, Range(0.0, 50.0, "m/s")]
+    """Max range of their club speeds, m/s."""
+    at_most: Annotated[int, Range(0, 200, "")]
+    """Shots after which the campaign is refused; 0: no warm-up."""
+    practice: bool
+    """A swing without a ball after each arming of a bench that stays armed between shots."""
+
+
+@dataclass(frozen=True)
+class BallHandling:
+    """Physical balls of each model, and how they are kept."""
+
+    samples: Annotated[int, Range(1, 1000, "")]
+    """Number of balls of each model, numbered from `first_sample`, used in turn."""
+    first_sample: Annotated[int, Range(1, 100000, "")]
+    hits: Annotated[int, Range(1, 10000, "")]
+    """Max hits of a ball in all campaigns of this bench together."""
+    temperature: Annotated[float, Range(250.0, 330.0, "K")]
+    temperature_tolerance: Annotated[float, Range(0.0, 20.0, "K")]
+    conditioning_time: Annotated[float, Range(0.0, 1e6, "s")]
+    identify: bool
+    """The feeder's reading of a ball's number must be the expected one."""
+    magazine: Annotated[int, Range(0, 1000, "")]
+    """Balls that a person fills into the feeder at a time, in the order asked for; 0: it finds each."""
+
+
+@dataclass(frozen=True)
+class Learning:
+    """Corrections of the swings, see `golfbench learn`."""
+
+    refresh: bool
+    """Relearn a swing between blocks if its delivery has drifted."""
+    swings: Annotated[int, Range(1, 100, "")]
+    """Max number of swings for relearning."""
+
+
+@dataclass(frozen=True)
+class SupplyRequirement:
+    """The air that a running bench must have before each swing."""
+
+    least: Annotated[float, Range(0.0, 1.5, "")]
+    """Share of the pressure that the swing was designed for; 0: not checked."""
+    patience: Annotated[float, Range(0.0, 86400.0, "s")]
+    """Held at its address until the pressure is back; then the robot is vented and a person is needed."""
+
+
+@dataclass(frozen=True)
+class AirSettings:
+    """The air at a running bench; a simulated one has the configured air."""
+
+    valid_for: Annotated[float, Range(0.0, 1e6, "s")]
+    """Validity of a reading (`golfbench campaign air`), s; shots without one have no air."""
+
+
+@dataclass(frozen=True)
+class HandWork:
+    """Time that work by hand takes, for the expected duration."""
+
+    club_change: Annotated[float, Range(0.0, 36000.0, "s")]
+    """From the prompt until the guard is locked again."""
+    feeder_fill: Annotated[float, Range(0.0, 36000.0, "s")]
+
+
+@dataclass(frozen=True)
+class InterruptionSettings:
+    """Reaction to a time without shots."""
+
+    restart_after: Annotated[float, Range(0.0, 1e6, "s")]
+    """Time without a shot, s, after which the robot is warmed up again and its block restarted; 0: never."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Tolerances (half widths) of the delivery; 0: not checked. Never the ball's result."""
+
+    centre: Literal["warm-up", "planned"]
+    """Centre: the median of the warm-up's last shots, or the designed delivery."""
+    club_speed: Annotated[float, Range(0.0, 50.0, "m/s")]
+    attack_angle: Annotated[float, Range(0.0, pi / 4, "rad")]
+    shaft_lean: Annotated[float, Range(0.0, pi / 4, "rad")]
+    """Of the dynamic loft, which follows it."""
+    strike_x: Annotated[float, Range(0.0, 0.05, "m")]
+    strike_y: Annotated[float, Range(0.0, 0.05, "m")]
+    sources: tuple[str, ...]
+    """Sources whose delivery counts."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """When a section has enough shots before all its blocks are done."""
+
+    rule: Literal["fixed", "width", "equivalence"]
+    """All blocks; or every interval of a difference narrow enough; or every pair shown to be the same."""
+    width: Annotated[float, Range(0.0, 1e6, "")]
+    """Max half width of a difference's interval, in the unit of the compared quantity."""
+    blocks_at_least: Annotated[int, Range(2, 100000, "")]
+    looks: Annotated[int, Range(1, 50, "")]
+    """Number of looks at the data, evenly from blocks_at_least to blocks, the end included."""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Question of the campaign, fixed before its first shot."""
+
+    quantity: Quantity
+    carry: Literal["", "reference", "monitor", "measured"]
+    """Which carry `carry_m` is, see `bench.campaign.plan.carry`; empty: the simulated ball's, none on
+    hardware."""
+    deviation: Annotated[float, Range(0.0, 1e6, "")]
+    """Expected standard deviation of one shot, unit of the quantity; 0: unknown, no power is predicted."""
+    ball_deviation: Annotated[float, Range(0.0, 1e6, "")]
+    """Expected standard deviation between balls of one model, in the same unit; 0: one ball is as another."""
+    mounting_deviation: Annotated[float, Range(0.0, 1e6, "")]
+    """Expected standard deviation between mountings of one club, in the same unit."""
+    covariates: tuple[Delivered, ...]
+    """Figures of the delivery by which a ball's result is corrected, fixed before the first shot."""
+    explained: Annotated[float, Range(0.0, 0.9999, "")]
+    """Expected share of `deviation` squared that the covariates explain."""
+    difference: Annotated[float, Range(1e-9, 1e6, "")]
+    """Difference worth finding."""
+    margin: Annotated[float, Range(0.0, 1e6, "")]
+    """Differences below it count as the same (TOST); 0: not asked."""
+    confidence: Annotated[float, Range(0.5, 0.9999, "")]
+    power: Annotated[float, Range(0.5, 0.9999, "")]
+    drift: Literal["linear", "none"]
+    """Whether drift within blocks is removed by the control ball; the other analysis is reported, too."""
+    reference: str = field(default="", metadata={"optional": True})
+    """Level that the report compares the others with; empty: the first one."""
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """The machine is set by the control ball's speed; the club's is a reference only (2025 practice)."""
+
+    control_ball_speed: Annotated[float, Range(0.0, 120.0, "m/s")]
+    """0: not checked."""
+    tolerance: Annotated[float, Range(0.0, 20.0, "m/s")]
+    control_restitution: Annotated[float, Range(0.0, 1.0, "")]
+    """Of the control ball at 143.8 ft/s: with its contact time it sets a rule's ball speed; 0: unknown."""
+    control_contact_time: Annotated[float, Range(0.0, 0.002, "s")]
+    """Its contact time there."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Dated rules for the figures."""
+
+    apply: tuple[str, ...]
+    """Names of rule sets, or of families of which the date chooses, see `bench/campaign/plan/rules.toml`."""
+    uncertainty: dict[str, Annotated[float, Range(0.0, 1e3, "")]] = field(default_factory=dict)
+    """Quantity -> standard uncertainty of its measurement besides the scatter, SI; rules need it."""
+
+
+@dataclass(frozen=True)
+class ReportParticulars:
+    """What a report states of laboratory, customer and method (ISO/IEC 17025:2017, 7.8); may be empty."""
+
+    laboratory: str
+    address: str
+    location: str
+    """Place of the tests if it is not the laboratory's address."""
+    customer: str
+    customer_contact: str
+    operator: str
+    """Who does the tests; empty: who starts the runs."""
+    method: str
+    """Identification of the method besides this plan."""
+    sampling: str
+    """How and by whom the items were taken from what they stand for."""
+    deviations: tuple[str, ...]
+    """Additions to, deviations and exclusions from the method that no event of the campaign shows."""
+
+
+@dataclass(frozen=True)
+class ItemParticulars:
+    """A tested item, a ball model or a club, as received."""
+
+    identity: str = field(default="", metadata={"optional": True})
+    """Maker, model, lot, marking."""
+    condition: str = field(default="", metadata={"optional": True})
+    received: str = field(default="", metadata={"optional": True})
+    """Date of receipt, YYYY-MM-DD."""
+
+
+@dataclass(frozen=True)
+class StatedCalibration:
+    """A calibration of an instrument that the bench itself does not know."""
+
+    instrument: str
+    identity: str = field(default="", metadata={"optional": True})
+    """Type and serial number."""
+    source: str = field(default="", metadata={"optional": True})
+    """Laboratory and certificate."""
+    date: str = field(default="", metadata={"optional": True})
+    """YYYY-MM-DD."""
+    due: str = field(default="", metadata={"optional": True})
+    """Date of the next one, YYYY-MM-DD."""
+    uncertainty: dict[str, Annotated[float, Range(0.0, 1e6, "")]] = field(
+        default_factory=dict, metadata={"optional": True}
+    )
+    """Quantity -> standard uncertainty, one of `STATED`; SI, angles in degrees."""
+    freedom: Annotated[float, Range(0.0, 1e6, "")] = field(default=0.0, metadata={"optional": True})
+    """Its degrees of freedom; 0: infinite."""
+
+
+STATED = (*get_args(Quantity), "air_temperature_k", "air_pressure_pa", "relative_humidity")
+"""Quantities whose uncertainty a calibration may state."""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Scatter from shot to shot in `--sim` (standard deviations), and injected faults by shot."""
+
+    supply: Annotated[float, Range(0.0, 0.2, "")]
+    restitution: Annotated[float, Range(0.0, 0.2, "")]
+    sample: Annotated[float, Range(0.0, 0.2, "")]
+    encoders: Annotated[float, Range(0.0, 0.01, "rad")]
+    ball_speed: Annotated[float, Range(0.0, 10.0, "m/s")]
+    launch_angle: Annotated[float, Range(0.0, 0.2, "rad")]
+    direction: Annotated[float, Range(0.0, 0.2, "rad")]
+    spin_rpm: Annotated[float, Range(0.0, 5000.0, "1/min")]
+    carry: Annotated[float, Range(0.0, 50.0, "m")]
+    """Of the launch monitor's carry, about the flight of the true launch."""
+    drift: Annotated[float, Range(-0.1, 0.1, "")]
+    wear: Annotated[float, Range(0.0, 10.0, "")]
+    launch_missing: Annotated[float, Range(0.0, 1.0, "")]
+    launch_misread: Annotated[float, Range(0.0, 1.0, "")]
+    launch_double: Annotated[float, Range(0.0, 1.0, "")]
+    missing_launch: tuple[int, ...]
+    missed_ball: tuple[int, ...]
+    feeder_jam: tuple[int, ...]
+    feeder_empty: tuple[int, ...]
+    wrong_ball: tuple[int, ...]
+    door_opened: tuple[int, ...]
+    low_supply: tuple[int, ...]
+    monitor_away: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class CampaignPlan:
+    """A campaign as its file plans it, with the balls and clubs it names."""
+
+    campaign: Heading
+    design: ExperimentDesign
+    control: Control
+    warm_up: WarmUp
+    ball_handling: BallHandling
+    learning: Learning
+    supply: SupplyRequirement
+    air: AirSettings
+    interruption: InterruptionSettings
+    hand_work: HandWork
+    gate: Gate
+    stop: Stop
+    analysis: Analysis
+    set_up: SetUp
+    rules: Rules
+    report: ReportParticulars
+    simulation: Simulation
+    swings: dict[str, dict[str, str]] = field(default_factory=dict)
+    """Swing -> club -> profile, where a swing's name is not its profile's."""
+    preparation: dict[str, str] = field(default_factory=dict)
+    """Work besides mounting it that a club needs, by club: its site, its tee."""
+    items: dict[str, ItemParticulars] = field(default_factory=dict)
+    """Balls and clubs as received."""
+    calibrations: dict[str, StatedCalibration] = field(default_factory=dict)
+    balls: dict[str, Ball] = field(default_factory=dict)
+    clubs: dict[str, Club] = field(default_factory=dict)
+
+    @property
+    def ball_names(self) -> tuple[str, ...]:
+        """All balls that are hit, the control ball last when it is not compared."""
+        return tuple(dict.fromkeys((*self.design.balls, *filter(None, (self.control.ball,)))))
+
+    def profile(self, swing: str, club: str) -> str:
+        """Return the profile, a name or a path, that `club` swings as `swing`."""
+        return self.swings.get(swing, {}).get(club, swing)
+
+    @property
+    def split(self) -> bool:
+        """Whether it is a split-plot: a club stays mounted while the balls take turns."""
+        return self.design.compare == "club" and self.design.hits_per_mounting > 0
+
+    @property
+    def shots_per_mounting(self) -> int:
+        """Number of shots with a club in each block, repeats left out."""
+        return self.design.hits_per_mounting * len(self.design.balls) if self.split else 1
+
+    def record(self) -> dict[str, Any]:
+        """Return the plan for JSON; `plan_from_record` reads it back. An empty reference is left out."""
+        plain: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        if not self.analysis.reference:
+            del plain["analysis"]["reference"]
+        return plain
+
+    @property
+    def digest(self) -> str:
+        """16 hex digits that differ between different plans."""
+        return sha256(json.dumps(self.record(), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def levels(plan: CampaignPlan) -> tuple[str, ...]:
+    """Return the levels of the compared factor."""
+    found: tuple[str, ...] = getattr(plan.design, f"{plan.design.compare}s")
+    return found
+
+
+def reference_level(plan: CampaignPlan) -> str:
+    """Return the level that the report compares the others with."""
+    return plan.analysis.reference or levels(plan)[0]
+
+
+def stated_uncertainty(plan: CampaignPlan, quantity: str) -> float | None:
+    """Return the standard uncertainty of a quantity besides its scatter, as the plan states it; None: not.
+
+    `rules.uncertainty` names it as a whole; else the plan's calibrations together.
+    """
+    if quantity in plan.rules.uncertainty:
+        return plan.rules.uncertainty[quantity]
+    stated = [c.uncertainty[quantity] for c in plan.calibrations.values() if quantity in c.uncertainty]
+    return hypot(*stated) if stated else None
+
+
+def controls_per_block(plan: CampaignPlan) -> int:
+    """Return how often a block hits the control ball: at start and end, and between where there is one."""
+    return 0 if not plan.control.ball else 2 + (len(levels(plan)) > 1)

@@ -1,0 +1,1 @@
+"""The report of a campaign: findings, verdicts, budgets, pictures, its record."""

@@ -1,0 +1,588 @@
+"""The plots of a campaign's report, as inline SVG; clouds of many points are pictures inside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+from matplotlib.ticker import MaxNLocator
+
+from bench.campaign.plan.plan import CampaignPlan, levels
+from bench.campaign.plan.shot_sequence import Role
+from bench.campaign.report.findings import (
+    QUANTITY_NAMES,
+    DifferenceTable,
+    Findings,
+    SectionViews,
+    difference_tables,
+    section_labels,
+)
+from bench.campaign.report.report_format import DisplayUnit, UnitSystem, display_unit
+from bench.campaign.report.verdicts import NAMES
+from bench.campaign.statistics.analysis import SectionAnalysis, values_of
+from bench.campaign.statistics.block_model import FIGURES, Array
+from bench.campaign.statistics.control_chart import ControlChart, DispersionEllipse
+from bench.records.shot.plot_style import STYLE, colour_of, marker_of, styled, to_svg
+from bench.records.shot.shot import Shot, ShotStatus
+
+_INK, _GREY, _RED = "#1a1a1a", "#6b7280", "#b91c1c"
+_MANY = 1500
+"""Number of points from which a cloud is drawn as a bitmap."""
+_DELIVERY = ("club_speed_mps", "attack_angle_deg", "dynamic_loft_deg", "strike_x_mm")
+
+
+class Picture(NamedTuple):
+    """A drawn figure with the text that belongs to it."""
+
+    svg: str
+    label: str
+    """Text in place of the picture."""
+    caption: str
+
+
+class Landing(NamedTuple):
+    """Landing points of a section."""
+
+    name: str
+    levels: Sequence[tuple[str, Array, Array]]
+    """(level, valid points, other points), each (n, 2) offline and carry, m."""
+    views: SectionViews
+
+
+def campaign_figures(
+    plan: CampaignPlan, shots: Sequence[Shot], found: Findings, units: UnitSystem = UnitSystem.SI
+) -> Mapping[str, Any]:
+    """Return the pictures "overview" and "delivery", and per section "results", "control" and "drift".
+
+    The overview shows the differences from three levels on, else the landing points; None without any.
+    """
+    tables = difference_tables(plan, found.sections)
+    forest = next((table for table in tables if len(table.columns[0].compared) > 2), None)
+    with mpl.rc_context(STYLE):
+        drawn, landings = [], []
+        every = zip(section_labels(plan), found.sections, found.views, strict=True)
+        for name, analysis, views in every:
+            mine = [shot for shot in shots if shot.section == analysis.number and shot.role != Role.WARM_UP]
+            landings.append(Landing(name, _landing_points(plan, mine), views))
+            drawn.append(_section_pictures(plan, mine, analysis, landings[-1], units))
+        overview = None
+        if forest is not None:
+            overview = _forest(plan, forest, units)
+        elif len(landings) == 1 and any(len(points) for _, points, _ in landings[0].levels):
+            overview = drawn[0]["results"].pop(1)
+        elif len(landings) > 1:
+            overview = _dispersion(plan, landings, shots, units, "overview")
+        return {"overview": overview, "sections": drawn, "delivery": _delivery(shots, units)}
+
+
+def _picture(figure: Figure, name: str, label: str, *captions: str) -> Picture:
+    return Picture(to_svg(figure, name), label, " ".join(filter(None, captions)))
+
+
+def _section_pictures(
+    plan: CampaignPlan, mine: Sequence[Shot], analysis: SectionAnalysis, landing: Landing, units: UnitSystem
+) -> dict[str, Any]:
+    name, views = f"s{analysis.number}", landing.views
+    results = [
+        _levels(plan, mine, analysis, units, f"{name}l"),
+        _dispersion(plan, [landing], mine, units, f"{name}d"),
+    ]
+    if len(landing.levels) > _FEW:
+        results.append(_each(landing.levels, views, units, f"{name}e"))
+    if flights := [(level, found) for level, some in _by_level(plan, mine) if (found := mean_flight(some))]:
+        results.append(_trajectories(flights, levels(plan), units, f"{name}f"))
+    return {
+        "results": results,
+        "drift": _drift(plan, mine, analysis, units, f"{name}t"),
+        "control": _control(views, units, f"{name}c") if views.control_charts else None,
+    }
+
+
+def _look(index: int, many: bool) -> dict[str, Any]:
+    return {
+        "color": colour_of(index),
+        "marker": marker_of(index),
+        "markersize": 2.0 if many else 4.0,
+        "linestyle": "none",
+        "alpha": 0.35 if many else 0.8,
+        "rasterized": many,
+        "markeredgewidth": 0.6,
+    }
+
+
+def _by_level(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, list[Shot]]]:
+    tests = [shot for shot in shots if shot.role == Role.TEST]
+    return [(name, [s for s in tests if getattr(s, plan.design.compare) == name]) for name in levels(plan)]
+
+
+_FEW = 4
+"""Max number of levels that one picture of landing points keeps apart."""
+_COLUMNS = 5
+"""Panels side by side."""
+_PANELS = 3
+"""Panels of differences side by side."""
+_PAIRED = (
+    {"ball_speed_mps": "ball speed", "carry_m": "carry"},
+    {"launch_angle_deg": "launch angle", "spin_rpm": "spin"},
+)
+"""Columns of shots that are drawn against each other, across and up, and their names."""
+_FLIGHT = ("launch_angle_deg", "direction_deg", "carry_m", "carry_side_m", "apex_m", "landing_angle_deg")
+
+
+def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, Array, Array]]:
+    """Return (level, valid points, other points) as (n, 2) offline and carry, m."""
+    found = []
+    for name, mine in _by_level(plan, shots):
+        flown = [s for s in mine if s.carry_m is not None and s.carry_side_m is not None]
+        points = [
+            np.array(
+                [(s.carry_side_m, s.carry_m) for s in flown if (s.status is ShotStatus.VALID) is valid],
+                dtype=float,
+            ).reshape(-1, 2)
+            for valid in (True, False)
+        ]
+        found.append((name, points[0], points[1]))
+    return found
+
+
+def _dispersion(
+    plan: CampaignPlan, landings: Sequence[Landing], shots: Sequence[Shot], units: UnitSystem, name: str
+) -> Picture:
+    """Landing points of each section from above; of a single one also two pairs of figures."""
+    alone, many = len(landings) == 1, len(shots) > _MANY
+    width = 1 + len(_PAIRED) if alone else min(len(landings), _COLUMNS)
+    rows = -(-len(landings) // width)
+    figure = styled(0.4 + (2.3 if width < 4 else 1.9) * rows)
+    grid: np.ndarray[Any, Any] = figure.subplots(rows, width, squeeze=False)
+    distance = display_unit("carry_m", units)
+    for axes in grid.ravel()[1 if alone else len(landings) :]:
+        axes.set_visible(alone)
+    for axes, landing in zip(grid.ravel(), landings, strict=False):
+        _draw_landing(axes, landing, distance, many)
+    if alone:
+        for axes, columns in zip(grid[0, 1:], _PAIRED, strict=True):
+            _draw_pairs(axes, _by_level(plan, shots), columns, units, many)
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
+    return _picture(
+        figure,
+        name,
+        "Landing points from above"
+        + (", carry against ball speed, and spin against launch angle." if alone else "."),
+        "Dashed: target line.",
+        "Filled: valid shots; open: not valid."
+        if any(len(others) for one in landings for _, _, others in one.levels)
+        else "",
+        "Ellipse: holds 95 % of a normal scatter with the mean and covariance seen."
+        if any(one.views.dispersion for one in landings)
+        else "",
+    )
+
+
+def _draw_pairs(
+    axes: Axes,
+    by_level: Sequence[tuple[str, Sequence[Shot]]],
+    columns: Mapping[str, str],
+    units: UnitSystem,
+    many: bool,
+) -> None:
+    """Draw two `columns` of the valid shots of each level against each other."""
+    shown = {column: display_unit(column, units) for column in columns}
+    for index, (_, mine) in enumerate(by_level):
+        valid = [shot for shot in mine if shot.status is ShotStatus.VALID]
+        rows = [row for shot in valid if None not in (row := [getattr(shot, column) for column in columns])]
+        points = np.array(rows, dtype=float).reshape(-1, len(columns)).T
+        axes.plot(
+            *(unit.of(values) for unit, values in zip(shown.values(), points, strict=True)),
+            **_look(index, many),
+        )
+    (across, x_unit), (up, y_unit) = ((columns[column], unit.unit) for column, unit in shown.items())
+    axes.set(title=f"{up} against {across}".capitalize())
+    axes.set(xlabel=f"{across}, {x_unit}", ylabel=f"{up}, {y_unit}")
+
+
+def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: bool) -> None:
+    ellipses = {ellipse.name: ellipse for ellipse in landing.views.dispersion}
+    extent: list[Array] = []
+    for index, (name, points, others) in enumerate(landing.levels):
+        style = _look(index, many)
+        if len(landing.levels) > _FEW:
+            style |= {"markersize": 2.5, "alpha": 0.5}
+        axes.plot(*distance.of(points).T, **style, label=name)
+        axes.plot(*distance.of(others).T, **{**style, "markerfacecolor": "none"})
+        extent += [points, others]
+        if name in ellipses:
+            extent.append(_draw_ellipse(axes, ellipses[name], style["color"], distance.size))
+    _from_above(axes, np.concatenate(extent) / distance.size)
+    title = landing.name or "Landing points from above"
+    axes.set(title=title, xlabel=f"left  ←  offline, {distance.unit}  →  right")
+    axes.set_ylabel(f"carry, {distance.unit}")
+
+
+class MeanFlight(NamedTuple):
+    """Means of the valid shots of a level, with what a flight is drawn from; m and rad."""
+
+    launch_angle: float
+    direction: float
+    carry: float
+    side: float
+    apex: float
+    landing_angle: float
+
+    def side_view(self, x: Array) -> Array:
+        """Return the heights (n,) m at the distances `x` (n,) m, by a curve of fifth degree.
+
+        It begins and ends with the launch and landing angle, and its top is as high as the apex.
+        """
+        share = x / self.carry
+        rise, fall = self.carry * np.tan(self.launch_angle), self.carry * np.tan(self.landing_angle)
+        plain = share * (1.0 - share) * (rise + (fall - rise) * share)
+        # Neither end's slope knows of this part, which is largest where the ball is high.
+        swell = (share * (1.0 - share)) ** 2 * share
+        low, high = -64.0 * self.apex, 64.0 * self.apex
+        for _ in range(60):
+            middle = (low + high) / 2
+            low, high = (middle, high) if (plain + middle * swell).max() < self.apex else (low, middle)
+        return np.asarray(plain + low * swell)
+
+    def top_view(self, x: Array) -> Array:
+        """Return how far right (n,) m the ball is at the distances `x` (n,) m: a parabola."""
+        start, share = self.carry * np.tan(self.direction), x / self.carry
+        return np.asarray(start * share + (self.side - start) * share**2)
+
+
+def mean_flight(shots: Sequence[Shot]) -> MeanFlight | None:
+    """Return the mean flight of the valid ones of `shots`; None if a figure is missing."""
+    valid = [shot for shot in shots if shot.status is ShotStatus.VALID]
+    rows = [[getattr(shot, column) for column in _FLIGHT] for shot in valid]
+    if not (whole := [row for row in rows if None not in row]):
+        return None
+    mean = np.mean(np.array(whole, dtype=float), axis=0)
+    launch, direction, landing = np.radians(mean[[0, 1, 5]]).tolist()
+    carry, side, apex = mean[2:5].tolist()
+    return MeanFlight(launch, direction, carry, side, apex, landing)
+
+
+def _trajectories(
+    flights: Sequence[tuple[str, MeanFlight]], names: Sequence[str], units: UnitSystem, picture: str
+) -> Picture:
+    """The mean flights from the side and from above."""
+    figure, distance = styled(3.0), display_unit("carry_m", units)
+    side, above = figure.subplots(2, 1, sharex=True)
+    for name, flight in flights:
+        x, style = np.linspace(0.0, flight.carry, 200), {"color": colour_of(names.index(name)), "label": name}
+        side.plot(distance.of(x), distance.of(flight.side_view(x)), **style)
+        above.plot(distance.of(x), distance.of(flight.top_view(x)), **style)
+    side.set(title="Mean flight from the side", ylabel=f"height, {distance.unit}")
+    above.set(title="and from above", xlabel=f"distance, {distance.unit}", ylabel=f"right, {distance.unit}")
+    figure.legend(*side.get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
+    return _picture(
+        figure,
+        picture,
+        "Mean flight of each level, from the side and from above.",
+        "Means of the valid shots, drawn through launch angle, apex, landing angle and carry.",
+    )
+
+
+def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Picture:
+    """Each level's difference to the reference with its interval, a panel per column of the table."""
+    unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
+    places = [n for n, one in enumerate(table.columns[0].compared) if one.level.name != table.reference]
+    rows = -(-len(table.columns) // _PANELS)
+    figure = styled((0.75 + 0.19 * len(places)) * rows)
+    grid: np.ndarray[Any, Any] = figure.subplots(
+        rows, min(len(table.columns), _PANELS), sharex=True, sharey=True, squeeze=False
+    )
+    for axes in grid.ravel()[len(table.columns) :]:
+        axes.set_visible(False)
+    for axes, column in zip(grid.ravel(), table.columns, strict=False):
+        axes.axvline(0, color=_INK, linewidth=0.8)
+        if plan.analysis.margin:
+            margin = plan.analysis.margin / unit.size
+            axes.axvspan(-margin, margin, color=_GREY, alpha=0.12, linewidth=0)
+        for row, place in enumerate(places):
+            pair = column.compared[place].pair
+            if pair is None:
+                continue
+            middle = pair.difference / unit.size
+            low, high = pair.low_together / unit.size, pair.high_together / unit.size
+            filled = {} if pair.verdict in {"different", "both"} else {"markerfacecolor": "white"}
+            reach = [[middle - low], [high - middle]]
+            style = {"color": colour_of(place), "marker": marker_of(place), "markersize": 5, "capsize": 3}
+            axes.errorbar([middle], [row], xerr=reach, **style, **filled)
+        axes.set_yticks(range(len(places)), [column.compared[place].level.name for place in places])
+        axes.set_ylim(len(places) - 0.4, -0.6)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        axes.set_title(column.name or f"Difference to {table.reference} in {name}, {unit.unit}")
+    if table.across:
+        figure.supxlabel(f"difference to {table.reference} in {name}, {unit.unit}", fontsize=8)
+    return _picture(
+        figure,
+        "overview",
+        f"Differences of all {table.factor}s to {table.reference} with their intervals.",
+        f"Difference to {table.reference} with its interval, all pairs of a panel simultaneously.",
+        "Filled: declared different; open: not.",
+        "Grey band: the margin within which they count as the same." if plan.analysis.margin else "",
+    )
+
+
+def _from_above(axes: Axes, points: Array) -> None:
+    """Show all `points` (n, 2) at one scale in both directions, with the target line."""
+    axes.axvline(0, color=_GREY, linewidth=0.8, linestyle=(0, (5, 3)))
+    if len(points):
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle, half = (low + high) / 2, max(float((high - low).max()) * 0.56, 3.0)
+        axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+        axes.set_aspect("equal")
+
+
+def _each(
+    flown: Sequence[tuple[str, Array, Array]], views: SectionViews, units: UnitSystem, picture: str
+) -> Picture:
+    """A panel for each level: its landing points and ellipse before those of all others."""
+    distance = display_unit("carry_m", units)
+    rows = -(-len(flown) // _COLUMNS)
+    figure = styled(0.35 + 1.55 * rows)
+    grid: np.ndarray[Any, Any] = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
+    ellipses = {ellipse.name: ellipse for ellipse in views.dispersion}
+    every = np.concatenate([points for _, points, _ in flown]) / distance.size
+    corners = [_corners(ellipse) / distance.size for ellipse in views.dispersion]
+    for index, axes in enumerate(grid.ravel()):
+        if index >= len(flown):
+            axes.set_visible(False)
+            continue
+        name, points, _ = flown[index]
+        style = _look(index, len(every) > _MANY) | {"markersize": 3.0}
+        axes.plot(*every.T, ".", color="#d1d5db", markersize=1.5, rasterized=True)
+        axes.plot(*distance.of(points).T, **style)
+        title = name
+        if name in ellipses:
+            _draw_ellipse(axes, ellipses[name], style["color"], distance.size)
+            title += f": {ellipses[name].area / distance.size**2:.0f} {distance.unit}²"
+        _from_above(axes, np.concatenate([every, *corners]))
+        axes.set_title(title, fontsize=7.5)
+        axes.tick_params(labelsize=6.5)
+    figure.supxlabel(f"offline, {distance.unit}", fontsize=7.5)
+    figure.supylabel(f"carry, {distance.unit}", fontsize=7.5)
+    area = ", with the area of its ellipse" if ellipses else ""
+    caption = f"Each level before all others (grey){area}. The dashed line is the target line."
+    return _picture(figure, picture, "Landing points of each level before those of all others.", caption)
+
+
+def _levels(
+    plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis, units: UnitSystem, picture: str
+) -> Picture:
+    """Each level's shots with mean and interval, its scatter with interval, and the club speed delivered."""
+    unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
+    fast, found = display_unit("club_speed_mps", units), _by_level(plan, shots)
+    figure = styled(0.8 + 0.24 * max(len(found), 2))
+    result, scatter, club = figure.subplots(1, 3, sharey=True, width_ratios=[1.6, 0.9, 1])
+    many = len(shots) > _MANY
+    bar = {"color": _INK, "marker": "|", "markersize": 12, "capsize": 4, "linewidth": 1.4}
+    for index, (_, mine) in enumerate(found):
+        style = _look(index, many) | {"markersize": 2.5}
+        _, values = values_of(plan, mine)
+        result.plot(unit.of(values), np.full(len(values), index) + _spread_out(len(values)), **style)
+        s = analysis.levels[index].spread
+        if s.n >= 2:
+            reach = [[unit.of(s.mean) - unit.of(s.low)], [unit.of(s.high) - unit.of(s.mean)]]
+            result.errorbar([unit.of(s.mean)], [index], xerr=reach, **bar)
+            sides = [[s.deviation - s.deviation_low], [s.deviation_high - s.deviation]]
+            scatter.errorbar(
+                [s.deviation / unit.size],
+                [index],
+                xerr=np.array(sides) / unit.size,
+                **bar | {"marker": style["marker"], "markersize": 4, "color": style["color"]},
+            )
+        speeds = [
+            fast.of(s.club_speed_mps) for s in mine if s.club_speed_mps and s.status is ShotStatus.VALID
+        ]
+        club.plot(speeds, np.full(len(speeds), index) + _spread_out(len(speeds)), **style)
+    result.set_yticks(range(len(found)), [level for level, _ in found])
+    result.set_ylim(len(found) - 0.4, -0.6)
+    level = f"{100 * plan.analysis.confidence:g} % interval"
+    result.set(title=f"{name.capitalize()}: mean and {level}", xlabel=f"{name}, {unit.unit}")
+    scatter.set(title="SD of one shot", xlabel=unit.unit)
+    scatter.set_xlim(left=0)
+    club.set(title="Club speed delivered", xlabel=fast.unit)
+    for axes, ticks in ((result, 6), (scatter, 4), (club, 4)):
+        axes.xaxis.set_major_locator(MaxNLocator(ticks))
+    bars = any(one.spread.n > 1 for one in analysis.levels)
+    return _picture(
+        figure,
+        picture,
+        "Each level's shots, its standard deviation, and the club speed delivered.",
+        "Every valid shot.",
+        "Bars: mean and standard deviation of one shot, each with its interval." if bars else "",
+    )
+
+
+def _spread_out(count: int) -> np.ndarray:
+    """Return offsets that keep like points apart, the same each time."""
+    steps = (np.arange(count) * 0.6180339887) % 1.0
+    return 0.5 * (steps - 0.5)
+
+
+def _drift(
+    plan: CampaignPlan, shots: Sequence[Shot], analysis: SectionAnalysis, units: UnitSystem, picture: str
+) -> Picture:
+    """The compared quantity over the shots less its level's mean, and the control ball's drift."""
+    unit, name = display_unit(plan.analysis.quantity, units), NAMES[plan.analysis.quantity]
+    figure = styled(1.4)
+    axes = figure.subplots()
+    many = len(shots) > _MANY
+    for index, (_, mine) in enumerate(_by_level(plan, shots)):
+        kept, values = values_of(plan, mine)
+        if len(values):
+            axes.plot([s.shot for s in kept], (values - values.mean()) / unit.size, **_look(index, many))
+    kept, values = values_of(plan, [shot for shot in shots if shot.role == Role.CONTROL])
+    if len(values) > 1:
+        number, off = np.array([s.shot for s in kept], dtype=float), (values - values.mean()) / unit.size
+        axes.plot(
+            number,
+            off,
+            color=_INK,
+            marker="x",
+            markersize=2.5 if many else 4,
+            linestyle="none",
+            rasterized=many,
+            label="control ball",
+        )
+        if (fit := analysis.confirmatory) is not None and fit.drift is not None:
+            line = fit.drift * (number - number.mean()) / unit.size
+            axes.plot(number, line, color=_INK, label="drift as removed")
+        axes.legend(loc="upper right", ncols=2)
+    for shot, _ in analysis.outliers:
+        axes.axvline(shot, color=_RED, linewidth=0.6, alpha=0.5)
+    axes.axhline(0, color=_GREY, linewidth=0.8)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set(
+        title=f"Drift: {name} less the level's mean, in the order played", xlabel="shot", ylabel=unit.unit
+    )
+    return _picture(
+        figure,
+        picture,
+        "The compared quantity over the campaign.",
+        "Level means taken off.",
+        "Crosses: control ball." if len(values) > 1 else "",
+        "Red lines: outliers (robust z above 3.5), which stay in the analysis." if analysis.outliers else "",
+    )
+
+
+def _delivery(shots: Sequence[Shot], units: UnitSystem) -> Picture:
+    """The delivery over the campaign: valid and other shots."""
+    figure = styled(2.4)
+    grid: np.ndarray[Any, Any] = figure.subplots(2, 2, sharex=True)
+    names = {column: text for column, text, _, _ in FIGURES}
+    keys = list(dict.fromkeys((s.swing, s.club) for s in shots))
+    many = len(shots) > _MANY
+    for axes, column in zip(grid.ravel(), _DELIVERY, strict=True):
+        unit = display_unit(column, units)
+        for index, key in enumerate(keys):
+            mine = [s for s in shots if (s.swing, s.club) == key and getattr(s, column) is not None]
+            for valid in (True, False):
+                some = [s for s in mine if (s.status is ShotStatus.VALID) is valid]
+                _points(axes, some, column, _look(index, many), unit, filled=valid)
+        axes.set(title=names[column], ylabel=unit.unit)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for axes in grid[1]:
+        axes.set_xlabel("shot")
+    label = "Club speed, attack angle, dynamic loft and strike point of every shot."
+    every = all(shot.status is ShotStatus.VALID for shot in shots)
+    caption = "Valid shots." if every else "Filled: valid shots; red and open: not valid."
+    return _picture(figure, "delivery", label, caption)
+
+
+def _points(
+    axes: Axes, shots: Sequence[Shot], column: str, style: dict[str, Any], unit: DisplayUnit, *, filled: bool
+) -> None:
+    look = style | {"markersize": 2.0} if filled else style | {"markerfacecolor": "none", "color": _RED}
+    axes.plot([s.shot for s in shots], [unit.of(getattr(s, column)) for s in shots], **look)
+
+
+def _control(views: SectionViews, units: UnitSystem, picture: str) -> Picture:
+    """The control charts: values in order with one, two and three standard deviations, signals marked."""
+    charts = views.control_charts
+    figure = styled(1.5 * len(charts) + 0.2)
+    grid: np.ndarray[Any, Any] = figure.subplots(len(charts), 1, sharex=True, squeeze=False)
+    for axes, chart in zip(grid.ravel(), charts, strict=True):
+        unit, many = display_unit(chart.column, units), len(chart.values) > _MANY
+        values = unit.of(np.array(chart.values))
+        centre, step = unit.of(chart.centre), chart.deviation / unit.size
+        for times, line in ((1, (0, (1, 3))), (2, (0, (4, 3))), (3, "solid")):
+            for sign in (-1, 1):
+                colour = _RED if times == 3 else _GREY
+                axes.axhline(centre + sign * times * step, color=colour, linewidth=0.7, linestyle=line)
+        axes.axhline(centre, color=_GREY, linewidth=0.8)
+        joined = "none" if many else "-"
+        axes.plot(
+            chart.shots,
+            values,
+            color=_INK,
+            marker="x",
+            markersize=2.0 if many else 3.5,
+            linestyle=joined,
+            linewidth=0.6,
+            rasterized=many,
+        )
+        _mark_signals(axes, chart, dict(zip(chart.shots, values, strict=True)))
+        axes.set(title=f"Control ball: {QUANTITY_NAMES[chart.column]}", ylabel=unit.unit)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    grid[-1, 0].set_xlabel("shot")
+    return _picture(
+        figure,
+        picture,
+        "Control charts of the control ball.",
+        "Values in order; lines: mean and one, two and three standard deviations by the moving range.",
+        "Ringed: the last shot of a pattern, with the number of its rule."
+        if any(chart.signals for chart in charts)
+        else "",
+    )
+
+
+def _mark_signals(axes: Axes, chart: ControlChart, values: Mapping[int, float]) -> None:
+    """Ring the shots that end a pattern and number their rules."""
+    rules: dict[int, list[str]] = {}
+    for signal in chart.signals:
+        for shot in signal.shots:
+            rules.setdefault(shot, []).append(str(signal.rule))
+    shots = sorted(rules)
+    axes.plot(
+        shots,
+        [values[shot] for shot in shots],
+        color=_RED,
+        marker="o",
+        markersize=6,
+        markerfacecolor="none",
+        linestyle="none",
+        rasterized=len(shots) > _MANY // 10,
+    )
+    for shot in shots[:_NAMED]:
+        at, words = (shot, values[shot]), ",".join(rules[shot])
+        axes.annotate(words, at, (0, 5), textcoords="offset points", ha="center", fontsize=6, color=_RED)
+
+
+_NAMED = 40
+"""Max number of signals whose rules are written into a chart; all are in the list beside it."""
+
+
+def _draw_ellipse(axes: Axes, ellipse: DispersionEllipse, colour: str, size: float) -> Array:
+    """Draw the ellipse in units of `size` (m); return the corners of its box, m."""
+    centre = ellipse.centre[0] / size, ellipse.centre[1] / size
+    width, height = ellipse.short_axis / size, ellipse.long_axis / size
+    turn = -float(np.degrees(ellipse.tilt))
+    for style in ({"fill": False, "edgecolor": colour}, {"color": colour, "alpha": 0.07}):
+        line = 1.0 if "edgecolor" in style else 0.0
+        axes.add_patch(Ellipse(centre, width, height, angle=turn, linewidth=line, **style))
+    return _corners(ellipse)
+
+
+def _corners(ellipse: DispersionEllipse) -> Array:
+    """Return two opposite corners, (2, 2), of the box around an ellipse, m."""
+    factor = 5.991464547107979  # 95 % quantile of chi-square with two degrees of freedom
+    reach = np.sqrt(factor * np.array([ellipse.covariance[0], ellipse.covariance[2]]))
+    return np.array([ellipse.centre - reach, ellipse.centre + reach])

@@ -1,0 +1,494 @@
+"""The report of a campaign from its stored shots: one self-contained HTML file."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
+from itertools import zip_longest
+from math import inf
+from pathlib import Path
+from typing import Any
+
+from bench.campaign.interruptions import software_versions
+from bench.campaign.plan.carry import measured_of
+from bench.campaign.plan.plan import levels
+from bench.campaign.plan.prompts import PromptKind
+from bench.campaign.report.budget import BudgetLine, UncertaintyBudget, uncertainty_budgets
+from bench.campaign.report.campaign_plots import campaign_figures
+from bench.campaign.report.campaign_record import (
+    ISSUE,
+    NO_DATA,
+    SHOT_DIGITS,
+    CampaignRecord,
+    parts_digests,
+    reasons_by_hand,
+    shot_digests,
+    whole_digest,
+)
+from bench.campaign.report.conformity import DECISION_RULE
+from bench.campaign.report.findings import (
+    QUANTITIES,
+    QUANTITY_NAMES,
+    Findings,
+    RankedLevel,
+    SectionViews,
+    as_flown,
+    difference_tables,
+    findings,
+    findings_record,
+    not_compared,
+    section_labels,
+)
+from bench.campaign.report.report_format import (
+    BALL,
+    CLUB,
+    DisplayUnit,
+    UnitSystem,
+    display_unit,
+    flat,
+    number_text,
+    page_template,
+    shot_figures,
+    two_digits,
+)
+from bench.campaign.report.report_tables import (
+    STATEMENT,
+    EquipmentTable,
+    ball_table,
+    calibration_table,
+    carry_words,
+    club_table,
+    golfer_table,
+    item_table,
+    particulars,
+    without_simulated_balls,
+)
+from bench.campaign.report.verdicts import confidence_words, quantity_name
+from bench.campaign.statistics.analysis import Level, SectionAnalysis
+from bench.campaign.statistics.control_chart import LEAST_VALUES, NELSON
+from bench.records.shot.plot_style import marker_svg
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.telemetry.whole_file import whole_file
+from bench.store.records import CampaignEntry, CampaignState, Hit, Prompt, ShotExclusion, ShotNote, Standing
+
+_ALL_ROWS = 1000
+"""Max number of shots with a row each; of more, only those not valid or flagged."""
+_MAX_ROWS = 1000
+"""Max number of shots in the table."""
+_MAX_LINES = 200
+"""Max number of events, and of lines of manual work."""
+
+LIMITS = (
+    "Comparisons use valid shots only. The bench excludes a shot for its delivery or a fault, never for "
+    "where its ball went; a person only with name and reason.",
+    "Intervals are for normal scatter, of each level its own; a ball's hits belong together, so that a model "
+    "is judged by its balls, blocks are fixed. The plan fixed quantity, margin and analysis before the first "
+    "shot.",
+    "The drift correction is linear within a block, from the control ball and all others together; what "
+    "differs between blocks is taken out by the blocks.",
+    "In a tilted swing plane attack angle and club path are coupled, and the two strike figures are "
+    "projections of one in-plane number; they are not independent measurements.",
+)
+
+
+def write_campaign_report(
+    path: Path, record: CampaignRecord, found: Findings, units: UnitSystem = UnitSystem.SI
+) -> None:
+    """Write the report to `path`, whole or not at all; the same record gives the same bytes.
+
+    `units` are those of the sentences of `found`, too.
+
+    Raises:
+        BenchError: it cannot be stored.
+        ValueError: there are no shots.
+    """
+    text = render_campaign_report(record, found, units)
+    with whole_file(path) as stream:
+        stream.write(text.encode())
+
+
+def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitSystem = UnitSystem.SI) -> str:
+    """Return the report as HTML, all figures in `units`, as the sentences of `found` are."""
+    if not record.shots:
+        raise ValueError("a report needs at least one shot")
+    plan, entry, shots = record.plan, record.entry, record.shots
+    template = page_template("campaign.html.j2", _filters(display_unit(plan.analysis.quantity, units), units))
+    times = [shot.time_utc for shot in shots]
+    tables, compared = difference_tables(plan, found.sections), quantity_name(as_flown(plan, shots))
+    return template.render(
+        **_signed_part(record, found, units),
+        **_lists(record, found, units),
+        title=entry.title,
+        entry=entry,
+        plan=plan,
+        found=found,
+        first=min(times),
+        last=max(times),
+        time_format="%H:%M:%S" if _one_day(record) else "%Y-%m-%d %H:%M:%S",
+        facts=_facts(record, units),
+        standing_words=_standing_words(record.standing),
+        figures=campaign_figures(plan, shots, found, units),
+        marker=marker_svg,
+        quantities=QUANTITIES,
+        quantity_names=QUANTITY_NAMES,
+        places={name: place for place, name in enumerate(levels(plan))},
+        ranked=[_ranked(*each) for each in zip(found.sections, found.views, strict=True)],
+        labels=section_labels(plan),
+        tables=tables,
+        open_questions=list(not_compared(plan, tables, compared)),
+        alone=sum(map(len, found.verdicts)) == 1,
+        units=units,
+        column_unit=lambda column: display_unit(column, units).unit,
+        nelson=NELSON,
+        least_controls=LEAST_VALUES,
+        quantity=compared,
+        unit=display_unit(plan.analysis.quantity, units).unit,
+        confidence=f"{100 * plan.analysis.confidence:g}",
+        decision_rule=DECISION_RULE,
+        reasons=_reasons(found),
+        many_clubs=len(plan.design.clubs) > 1,
+        many_swings=len(plan.design.swings) > 1,
+        sources=_sources(shots),
+        limits=_limits(record, units),
+        wear=_wear(record.hits),
+        plan_entries=flat({"plan": _plan_shown(entry)}),
+        configuration=flat(
+            entry.configuration if entry.simulated else without_simulated_balls(entry.configuration)
+        ),
+        equipment=_equipment(record, units),
+    )
+
+
+def _signed_part(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[str, Any]:
+    """Return the variables of the part that is signed."""
+    shots, calibrations = shot_digests(record.shots), calibration_table(record)
+    parts = record_parts(record, shots)
+    budgets = uncertainty_budgets(
+        record.plan, record.shots, record.entry.calibrations, simulated=record.entry.simulated
+    )
+    return {
+        "number": record.number,
+        "issued": bool(record.issues),
+        "particulars": particulars(record, whole_digest(parts)),
+        "particular_tables": (item_table(record), calibrations),
+        "overdue": calibrations.overdue,
+        "statement": STATEMENT,
+        "budgets": budgets,
+        "contributions": _contributions(budgets),
+        "data": _page_data(record, found, units, parts, shots),
+    }
+
+
+def _lists(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[str, Any]:
+    """Return the variables of long lists, with their number where they are cut."""
+    listed, handwork = _listed(record, found), _handwork(record.prompts)
+    events = [event for event in record.events if event.kind != ISSUE]
+    return {
+        "notes": _notes(record.notes),
+        "by_hand": len(reasons_by_hand(record.exclusions)),
+        "exclusions": _exclusions(record),
+        "counted": _counted(record, found, units),
+        "events": events[:_MAX_LINES],
+        "more_events": max(0, len(events) - _MAX_LINES),
+        "handwork": handwork[:_MAX_LINES],
+        "more_handwork": max(0, len(handwork) - _MAX_LINES),
+        "table": list(zip_longest(CLUB, BALL)),
+        "all_rows": len(record.shots) <= _ALL_ROWS,
+        "listed": len(listed),
+        "rows": [
+            (shot, list(zip_longest(shot_figures(shot, CLUB, units), shot_figures(shot, BALL, units))))
+            for shot in listed[:_MAX_ROWS]
+        ],
+    }
+
+
+def _filters(compared: DisplayUnit, units: UnitSystem) -> dict[str, Callable[..., Any]]:
+    """Return the filters of the page; those of figures take the record's values."""
+
+    def number(value: float, digits: int = 2) -> str:
+        return number_text(compared.of(value), digits)
+
+    def signed(value: float, digits: int = 2) -> str:
+        return number_text(compared.of(value), digits, signed=True)
+
+    def column(value: float, name: str, more: int = 1) -> str:
+        return display_unit(name, units).text(value, more)
+
+    return {
+        "number": number,
+        "signed": signed,
+        "plan_size": lambda value: f"{compared.of(value):.4g}",
+        "column": column,
+        "width": lambda value, name, more=1: number_text(
+            value / display_unit(name, units).size, display_unit(name, units).digits + more
+        ),
+        "two": lambda value, name: two_digits(value / display_unit(name, units).size),
+        "derivative": lambda line, name: two_digits(
+            line.sensitivity * display_unit(line.input, units).size / display_unit(name, units).size
+        ),
+        "area": lambda value: number_text(value / display_unit("carry_m", units).size ** 2, 1),
+        "level": confidence_words,
+        "chance": _chance,
+        "plain": lambda value: number_text(value, 2),
+        "zip": zip,
+    }
+
+
+def record_parts(record: CampaignRecord, shots: Sequence[str]) -> dict[str, str]:
+    """Return the digests of the parts of `record`; `shots` are those of its shots."""
+    return parts_digests(record.entry, shots, record.events, record.prompts, record.notes, record.exclusions)
+
+
+def _page_data(
+    record: CampaignRecord, found: Findings, units: UnitSystem, parts: dict[str, str], shots: Sequence[str]
+) -> str:
+    """Return what a page carries to be verified, as JSON that is safe within it."""
+    data = {
+        "schema": 1,
+        "campaign": record.entry.id,
+        "number": record.number,
+        "issue": len(record.issues),
+        "units": str(units),
+        "looks": found.looks,
+        "software": software_versions()["source"],
+        "digest": whole_digest(parts),
+        "parts": parts,
+        "shots": "".join(digest[:SHOT_DIGITS] for digest in shots),
+        "figures": findings_record(found),
+    }
+    return json.dumps(data, separators=(",", ":")).replace("&", "\\u0026").replace("<", "\\u003c")
+
+
+def _contributions(budgets: Sequence[UncertaintyBudget]) -> list[tuple[UncertaintyBudget, BudgetLine]]:
+    """Return the contributions of type B of each section's first level that has them, by quantity."""
+    seen: set[tuple[int, str]] = set()
+    found = []
+    for budget in budgets:
+        lines = [line for line in budget.lines if line.kind == "B"]
+        if lines and (budget.section, budget.column) not in seen:
+            seen.add((budget.section, budget.column))
+            found += [(budget, line) for line in lines]
+    return found
+
+
+def _listed(record: CampaignRecord, found: Findings) -> list[Shot]:
+    """Return all shots of a short campaign; of a long one those that are invalid, outliers or noted."""
+    if len(record.shots) <= _ALL_ROWS:
+        return list(record.shots)
+    flagged = {shot for section in found.sections for shot, _ in section.outliers}
+    flagged |= {note.shot for note in record.notes}
+    return [s for s in record.shots if s.status is not ShotStatus.VALID or s.shot in flagged]
+
+
+def _notes(notes: Sequence[ShotNote]) -> dict[int, str]:
+    """Return the marks and comments by shot."""
+    found: dict[int, list[str]] = {}
+    for note in notes:
+        found.setdefault(note.shot, []).append(f"{note.text or 'marked'} ({note.by})")
+    return {shot: "; ".join(texts) for shot, texts in found.items()}
+
+
+def _exclusions(record: CampaignRecord) -> list[tuple[ShotExclusion, str, bool]]:
+    """Return the exclusions by hand with the shot's ball, and whether results had been looked at before."""
+    balls = {shot.shot: f"{shot.ball} #{shot.sample}" if shot.sample else shot.ball for shot in record.shots}
+    looks = [event.date for event in record.events if event.kind in NO_DATA]
+    end = len(record.shots) if record.standing.state is CampaignState.FINISHED else None  # a run ends with it
+    return [
+        (one, balls.get(one.shot, ""), one.after_shot == end or any(date <= one.date for date in looks))
+        for one in record.exclusions
+    ]
+
+
+def _counted(record: CampaignRecord, found: Findings, units: UnitSystem) -> list[str]:
+    """Return the headlines that differ if what was excluded by hand counts, with those headlines."""
+    if not reasons_by_hand(record.exclusions):
+        return []
+    taken = findings(record.plan, record.shots_as_taken, found.looks, units)
+    pairs = [
+        (one, two)
+        for mine, other in zip(found.verdicts, taken.verdicts, strict=True)
+        for one, two in zip(mine, other, strict=True)
+    ]
+    return [two.headline for one, two in pairs if one.headline != two.headline]
+
+
+def _one_day(record: CampaignRecord) -> bool:
+    """Return whether all its shots and events are of one day; those of a simulation have their own."""
+    days = {shot.time_utc.date() for shot in record.shots} | {
+        event.date.date() for event in record.events if event.kind != ISSUE
+    }
+    return len(days) == 1
+
+
+def _ranked(section: SectionAnalysis, views: SectionViews) -> list[tuple[Level, RankedLevel | None]]:
+    """Return the levels in the order of their ranking, then those without one, then the control ball."""
+    ranks = {one.name: one for one in views.ranking}
+    order = sorted(section.levels, key=lambda level: ranks[level.name].rank if level.name in ranks else inf)
+    control = [(section.control, None)] if section.control else []
+    return [*((level, ranks.get(level.name)) for level in order), *control]
+
+
+def _facts(record: CampaignRecord, units: UnitSystem) -> list[tuple[str, str]]:
+    entry, plan, air = record.entry, record.plan, air_words(record.shots, units)
+    handling = plan.ball_handling
+    warm = display_unit("air_temperature_k", units)
+    tolerance = handling.temperature_tolerance / warm.size
+    golfers = dict.fromkeys(one["golfer"] for one in entry.golfers.values())
+    return [
+        ("Campaign", entry.id),
+        ("Bench", f"{entry.bench}{', simulated' if entry.simulated else ''}"),
+        ("Begun", f"{entry.date:%Y-%m-%d %H:%M} UTC"),
+        ("Seed", str(entry.seed)),
+        ("Plan", entry.digest),
+        ("Carry", carry_words(record.shots) or "none"),
+        ("Clubs", ", ".join(plan.design.clubs)),
+        ("Swings", ", ".join(plan.design.swings)),
+        *([("Golfer", ", ".join(golfers))] if golfers else []),
+        ("Air", air or "not measured"),
+        (
+            "Balls",
+            f"{handling.samples} of each from no. {handling.first_sample}, at most {handling.hits} hits; "
+            f"{warm.of(handling.temperature):.0f} ± {tolerance:.2g} {warm.unit} for "
+            f"{handling.conditioning_time / 3600:g} h ({_conditioned(record)})",
+        ),
+    ]
+
+
+def _plan_shown(entry: CampaignEntry) -> dict[str, Any]:
+    """Return the plan without balls and clubs, which have tables; on hardware without the simulation."""
+    left_out = {"balls", "clubs"} if entry.simulated else {"balls", "clubs", "simulation"}
+    return {key: value for key, value in entry.plan.items() if key not in left_out}
+
+
+def _equipment(record: CampaignRecord, units: UnitSystem) -> list[EquipmentTable]:
+    entry = record.entry
+    measured = measured_of(entry.calibrations, f"campaign {entry.id}")
+    return [
+        ball_table(record.plan, measured, simulated=entry.simulated, units=units),
+        club_table(record.plan, units),
+        *([golfer_table(entry.golfers, units)] if entry.golfers else []),
+    ]
+
+
+def air_words(shots: Sequence[Shot], units: UnitSystem) -> str:
+    """Return the ranges of the air's figures over the `shots`; empty if none was measured."""
+    words = []
+    for column in ("air_temperature_k", "air_pressure_pa", "relative_humidity"):
+        values, unit = (
+            [v for s in shots if (v := getattr(s, column)) is not None],
+            display_unit(column, units),
+        )
+        if values:
+            low, high = unit.text(min(values)), unit.text(max(values))
+            words.append(f"{low}{'' if low == high else f' to {high}'} {unit.unit}")
+    return ", ".join(words)
+
+
+def _conditioned(record: CampaignRecord) -> str:
+    """Return who confirmed the conditioning of the balls."""
+    people = dict.fromkeys(p.by for p in record.prompts if p.kind == PromptKind.BALLS and p.by)
+    if record.entry.simulated:
+        return "as planned; simulated balls have no temperature"
+    return f"confirmed by {', '.join(people)}" if people else "as planned, not confirmed"
+
+
+def _handwork(prompts: Sequence[Prompt]) -> list[str]:
+    """Return the manual work; that done by the simulation as a number only."""
+    by_itself = Counter(prompt.kind for prompt in prompts if prompt.by == "simulation")
+    words = [f"{number} times {kind}: done by the simulation itself" for kind, number in by_itself.items()]
+    for prompt in prompts:
+        if prompt.by != "simulation":
+            done = f"{prompt.by}, {prompt.answered:%H:%M:%S}" if prompt.answered else "not done yet"
+            words.append(f"before shot {prompt.before_shot}, {prompt.asked:%H:%M:%S}: {prompt.text} {done}")
+    return words
+
+
+def _standing_words(standing: Standing) -> str:
+    """Return a notice if the campaign is incomplete."""
+    if standing.state is CampaignState.FINISHED:
+        return f"Ended early by its own rule: {standing.reason}." if standing.reason else ""
+    reason = f" ({standing.reason})" if standing.reason else ""
+    return f"This campaign is not finished: {standing.state}{reason}. What follows is what was found so far."
+
+
+def _reasons(found: Findings) -> list[tuple[str, int]]:
+    total: Counter[str] = Counter()
+    for section in found.sections:
+        for level in (*section.levels, *((section.control,) if section.control else ())):
+            total.update(level.reasons)
+    return total.most_common()
+
+
+def _limits(record: CampaignRecord, units: UnitSystem) -> list[str]:
+    limits = list(LIMITS)
+    s, fast, far = (
+        record.plan.simulation,
+        display_unit("ball_speed_mps", units),
+        display_unit("carry_m", units),
+    )
+    monitor = (
+        f"launch monitor {fast.of(s.ball_speed):.2g} {fast.unit}, spin {s.spin_rpm:g} rpm, carry "
+        f"{far.of(s.carry):.2g} {far.unit}"
+    )
+    if record.entry.simulated and record.entry.real_time:
+        limits[:0] = [
+            "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
+            "what the models do, not what balls do.",
+            "The robot swung in real time and its scatter is its own. What the ball does was computed from "
+            "the delivery measured by the encoders; on the robot acted its own configuration's ball. From "
+            f"shot to shot differ (standard deviations, assumptions): restitution {100 * s.restitution:g} % "
+            f"from hit to hit and {100 * s.sample:g} % from ball to ball, {monitor}.",
+        ]
+    elif record.entry.simulated:
+        limits[:0] = [
+            "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
+            "what the models do, not what balls do.",
+            f"From shot to shot differ (standard deviations, assumptions): supply pressure "
+            f"{100 * s.supply:g} %, restitution {100 * s.restitution:g} % from hit to hit and "
+            f"{100 * s.sample:g} % from ball to ball, {monitor}. Each swing begins from the same "
+            "armed instant: the robot's own scatter from swing to swing is not in it.",
+        ]
+    if errors := [e for shot in record.shots if (e := shot.carry_measured_error_m) is not None]:
+        limits.append(
+            "Measured carry has a standard uncertainty from its coefficients, common to all shots of a ball: "
+            f"{far.of(min(errors)):.2f} to {far.of(max(errors)):.2f} {far.unit}. It is in the "
+            "differences of balls and in the rules' decisions, not in the intervals of means; more shots do "
+            "not reduce it."
+        )
+    if record.plan.stop.rule != "fixed":
+        limits.append(
+            f"The plan's rule looks at the data up to {record.plan.stop.looks} times. Each look, of the rule "
+            "or of a person, has its share of the error (alpha spending like O'Brien and Fleming's), so that "
+            "all together keep the confidence."
+        )
+    return limits
+
+
+def _wear(hits: Counter[Hit]) -> list[tuple[str, str]]:
+    total: dict[tuple[str, str], list[int]] = {}
+    for hit, number in sorted(hits.items()):
+        total.setdefault((hit.kind, hit.name), []).append(number)
+    return [
+        (
+            f"{kind} {name}",
+            f"{sum(n)} hits" + (f", a ball at most {max(n)}" if kind == "ball" else "")
+            if kind != "valve"
+            else f"{sum(n)} swings",
+        )
+        for (kind, name), n in total.items()
+    ]
+
+
+def _sources(shots: Sequence[Shot]) -> list[tuple[str, str]]:
+    return [
+        (
+            what,
+            ", ".join(dict.fromkeys(s for shot in shots if (s := getattr(shot, f"{what}_source")))) or "none",
+        )
+        for what in ("delivery", "launch", "carry", "flight")
+    ]
+
+
+def _chance(p: float) -> str:
+    return "< 0.0001" if p < 0.0001 else f"{p:.4f}" if p < 0.01 else f"{p:.2f}"

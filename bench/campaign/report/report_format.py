@@ -1,0 +1,200 @@
+"""Format of a report: units by the reader's choice, template, table of shots, configurations as text."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib.resources import files
+from math import floor, isfinite, log10
+from typing import Any, NamedTuple, overload
+
+import jinja2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.records.shot.shot import Shot
+
+MPH = 0.44704
+YARD = 0.9144
+_INCH_MM = 25.4
+_OUNCE = 28.349523125e-3
+
+
+class UnitSystem(StrEnum):
+    """System of units of a report."""
+
+    SI = "si"
+    US = "us"
+
+
+@dataclass(frozen=True)
+class DisplayUnit:
+    """Unit of one quantity on a page."""
+
+    unit: str
+    digits: int
+    """Decimals of one shot's figure."""
+    size: float = 1.0
+    """Size of the unit in that of the record."""
+    offset: float = 0.0
+    """Zero of the unit in that of the record."""
+
+    @overload
+    def of(self, value: float) -> float: ...
+    @overload
+    def of(self, value: NDArray[np.float64]) -> NDArray[np.float64]: ...
+    def of(self, value: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+        """Return a `value` of the record, or an array of them, in this unit."""
+        return (value - self.offset) / self.size
+
+    def text(self, value: float | None, more: int = 0) -> str:
+        """Return a `value` of the record as text with `more` decimals than one shot has; "–" if unknown."""
+        return "–" if value is None else number_text(self.of(value), max(self.digits + more, 0))
+
+
+def number_text(value: float, digits: int, *, signed: bool = False) -> str:
+    """Return `value` with so many decimals and a real minus sign; "–" for NaN, "∞" for infinity."""
+    if value != value:  # noqa: PLR0124 - NaN
+        return "–"
+    if abs(value) == float("inf"):
+        return "∞" if value > 0 else "−∞"
+    text = f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
+    if float(text) == 0 and not signed:
+        text = text.removeprefix("-")
+    return text.replace("-", "−")
+
+
+def two_digits(value: float) -> str:
+    """Return a width, deviation or uncertainty with two significant digits; "–" for NaN."""
+    if not isfinite(value) or not value:
+        return number_text(value, 0)
+    return number_text(value, max(1 - floor(log10(abs(value))), 0))
+
+
+_DEGREES, _RPM = DisplayUnit("°", 2), DisplayUnit("rpm", 0)
+_METRES, _YARDS = DisplayUnit("m", 1), DisplayUnit("yd", 1, YARD)
+_SPEED, _MILES = DisplayUnit("m/s", 2), DisplayUnit("mph", 1, MPH)
+_LENGTHS = ("carry_m", "total_m", "apex_m", "carry_side_m")
+_SPEEDS = ("club_speed_mps", "ball_speed_mps")
+_ANGLES = (
+    "attack_angle_deg",
+    "club_path_deg",
+    "face_angle_deg",
+    "dynamic_loft_deg",
+    "launch_angle_deg",
+    "direction_deg",
+    "spin_axis_deg",
+    "launch_angle",
+)
+_COMMON: Mapping[str, DisplayUnit] = {
+    **dict.fromkeys(_ANGLES, _DEGREES),
+    **dict.fromkeys(("landing_angle_deg", "landing_angle"), DisplayUnit("°", 1)),
+    "spin_rpm": _RPM,
+    "angle_rad": DisplayUnit("mrad", 2, 1e-3),
+    "relative_humidity": DisplayUnit("%", 0, 0.01),
+}
+_SI: Mapping[str, DisplayUnit] = {
+    **_COMMON,
+    **dict.fromkeys(_LENGTHS, _METRES),
+    **dict.fromkeys(_SPEEDS, _SPEED),
+    **dict.fromkeys(("strike_x_mm", "strike_y_mm"), DisplayUnit("mm", 1)),
+    "air_temperature_k": DisplayUnit("°C", 1, 1.0, 273.15),
+    "air_pressure_pa": DisplayUnit("hPa", 0, 100.0),
+    "temperature_difference_k": DisplayUnit("°C", 1),
+    "mass_kg": DisplayUnit("g", 2, 1e-3),
+    "diameter_m": DisplayUnit("mm", 2, 1e-3),
+    "length_m": DisplayUnit("m", 4),
+    "head_mass_kg": DisplayUnit("g", 1, 1e-3),
+}
+_US: Mapping[str, DisplayUnit] = {
+    **_COMMON,
+    **dict.fromkeys(_LENGTHS, _YARDS),
+    **dict.fromkeys(_SPEEDS, _MILES),
+    **dict.fromkeys(("strike_x_mm", "strike_y_mm"), DisplayUnit("in", 3, _INCH_MM)),
+    "air_temperature_k": DisplayUnit("°F", 1, 5 / 9, 459.67 * 5 / 9),
+    "air_pressure_pa": DisplayUnit("inHg", 2, 3386.389),
+    "temperature_difference_k": DisplayUnit("°F", 1, 5 / 9),
+    "mass_kg": DisplayUnit("oz", 3, _OUNCE),
+    "diameter_m": DisplayUnit("in", 3, _INCH_MM / 1e3),
+    "length_m": DisplayUnit("in", 2, _INCH_MM / 1e3),
+    "head_mass_kg": DisplayUnit("oz", 2, _OUNCE),
+}
+
+
+def display_unit(quantity: str, units: UnitSystem = UnitSystem.SI) -> DisplayUnit:
+    """Return the unit of a column of the shot table, or of a plan's quantity."""
+    return (_US if units is UnitSystem.US else _SI)[quantity]
+
+
+class Quantity(NamedTuple):
+    """One measured figure as reports show it."""
+
+    name: str
+    column: str
+
+
+CLUB = (
+    Quantity("club", "club_speed_mps"),
+    Quantity("attack", "attack_angle_deg"),
+    Quantity("path", "club_path_deg"),
+    Quantity("face", "face_angle_deg"),
+    Quantity("loft", "dynamic_loft_deg"),
+    Quantity("strike x", "strike_x_mm"),
+    Quantity("strike y", "strike_y_mm"),
+)
+"""Delivery of a shot, the upper line in the table of shots."""
+BALL = (
+    Quantity("ball", "ball_speed_mps"),
+    Quantity("launch", "launch_angle_deg"),
+    Quantity("direction", "direction_deg"),
+    Quantity("spin", "spin_rpm"),
+    Quantity("spin axis", "spin_axis_deg"),
+    Quantity("carry", "carry_m"),
+    Quantity("offline", "carry_side_m"),
+    Quantity("total", "total_m"),
+    Quantity("apex", "apex_m"),
+    Quantity("landing", "landing_angle_deg"),
+)
+"""Launch and flight of a shot, the lower line."""
+
+
+def page_template(name: str, filters: Mapping[str, Callable[..., Any]] | None = None) -> jinja2.Template:
+    """Return a template of this package with its own `filters`; undefined variables are errors."""
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(
+            lambda wanted: (files("bench.campaign.report") / wanted).read_text(encoding="utf-8")
+        ),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(filters or {})
+    return environment.get_template(name)
+
+
+def shot_figures(shot: Shot, quantities: Iterable[Quantity], units: UnitSystem) -> list[str]:
+    """Return the `quantities` of a shot as text."""
+    return [display_unit(q.column, units).text(getattr(shot, q.column)) for q in quantities]
+
+
+def flat(configuration: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Return the configuration as titled groups of (key, value as text)."""
+    groups: dict[str, list[tuple[str, str]]] = {}
+
+    def visit(prefix: str, value: object) -> None:
+        if isinstance(value, Mapping) and value:
+            for key, inner in value.items():
+                visit(f"{prefix}.{key}" if prefix else str(key), inner)
+        else:
+            group, _, key = prefix.rpartition(".")
+            groups.setdefault(group, []).append((key, _text(value)))
+
+    visit("", configuration)
+    return list(groups.items())
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)

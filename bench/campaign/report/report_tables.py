@@ -1,0 +1,281 @@
+"""Balls, clubs and the statements of ISO/IEC 17025 as tables of a report.
+
+On hardware a ball is what was measured of it: the plan's factors of restitution, drag and lift say what a
+simulated ball is and do not appear.
+
+What plan and records leave out of ISO/IEC 17025:2017, 7.8, is printed as "not stated": a person who signs
+sees the gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, date, datetime
+from math import degrees
+from typing import Any, NamedTuple
+
+from bench.base.errors import Refused
+from bench.campaign.plan.carry import Measured, measured_of
+from bench.campaign.plan.plan import CampaignPlan, ItemParticulars
+from bench.campaign.report.campaign_record import ISSUE, CampaignRecord
+from bench.campaign.report.conformity import DECISION_RULE
+from bench.campaign.report.report_format import UnitSystem, display_unit
+from bench.golfer.comparison import followed_texts
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.store.campaigns import CampaignStore
+from bench.store.records import ENDED, Event
+from sim.ball import Ball
+
+FLIGHT_OF: Mapping[str, str] = {
+    "reference": "flown from the measured launch with the reference ball's aerodynamics, all balls alike: it "
+    "compares launches, not flights",
+    "monitor": "as the launch monitor reported it",
+    "measured": "flown from the measured launch with the aerodynamics measured on each ball",
+    "simulated": "flown with the simulated ball's own aerodynamics",
+    "model": "flown with the plan's own factors by an older golfbench: it says nothing of a real ball",
+}
+"""Meaning of each source of carry and flight."""
+_DIGITS = 12
+"""Printed digits of the SHA-256 of a golfer's file."""
+
+
+class EquipmentTable(NamedTuple):
+    """A table of the report."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    overdue: tuple[str, ...] = ()
+    """First cells of the rows whose calibration was overdue at the tests."""
+
+
+def ball_table(
+    plan: CampaignPlan, measured: Measured, *, simulated: bool, units: UnitSystem = UnitSystem.SI
+) -> EquipmentTable:
+    """Return the balls that are hit, with their measured aerodynamics."""
+    head = ["ball", "role"]
+    if simulated:
+        mass, width = display_unit("mass_kg", units), display_unit("diameter_m", units)
+        head += [f"mass, {mass.unit}", f"diameter, {width.unit}", "restitution", "friction", "drag", "lift"]
+    head.append("measured aerodynamics")
+    rows = []
+    for name in plan.ball_names:
+        row = [name, "control" if name not in plan.design.balls else "compared"]
+        if simulated:
+            row += _simulated_figures(plan.balls.get(name), units)
+        row.append(measured[name].text if name in measured else "none")
+        rows.append(tuple(row))
+    caption = "Balls" + (
+        "; restitution, drag and lift as factors of the simulation on those of club and flight model"
+        if simulated
+        else "; what they are is measured, nothing of it comes from the plan"
+    )
+    return EquipmentTable(f"{caption}.", tuple(head), tuple(rows))
+
+
+def _simulated_figures(ball: Ball | None, units: UnitSystem) -> list[str]:
+    if ball is None:
+        return ["–"] * 6
+    figures = (ball.restitution_factor, ball.friction, ball.drag_factor, ball.lift_factor)
+    sizes = (
+        display_unit("mass_kg", units).text(ball.mass),
+        display_unit("diameter_m", units).text(2 * ball.radius),
+    )
+    return [*sizes, *(f"{figure:g}" for figure in figures)]
+
+
+def club_table(plan: CampaignPlan, units: UnitSystem = UnitSystem.SI) -> EquipmentTable:
+    """Return the clubs."""
+    length, mass = display_unit("length_m", units), display_unit("head_mass_kg", units)
+    rows = tuple(
+        (
+            name,
+            f"{degrees(club.loft):.2f}",
+            f"{degrees(club.lie):.2f}",
+            f"{degrees(club.face_angle):.2f}",
+            length.text(club.length_to_face),
+            mass.text(club.head_mass),
+        )
+        for name, club in plan.clubs.items()
+    )
+    head = (
+        "club",
+        "loft, °",
+        "lie, °",
+        "face angle, °",
+        f"length to the face, {length.unit}",
+        f"head mass, {mass.unit}",
+    )
+    return EquipmentTable("Clubs, as plan and configuration have them.", head, rows)
+
+
+def golfer_table(golfers: Mapping[str, Any], units: UnitSystem = UnitSystem.SI) -> EquipmentTable:
+    """Return the golfers that the swings follow, as a campaign's entry has them."""
+    speed = display_unit("club_speed_mps", units)
+    rows = tuple(
+        (
+            arm,
+            f"{one['golfer']}, {one['sha256'][:_DIGITS]}…",
+            one["follow"],
+            speed.text(one["head_speed_mps"]),
+            *followed_texts(one),
+        )
+        for arm, one in golfers.items()
+    )
+    head = ("swing, club", "golfer, SHA-256 of the file", "follows", f"golfer's club, {speed.unit}")
+    definitions = "; ".join(dict.fromkeys(one["definition"] for one in golfers.values()))
+    caption = f"Measured golfers, and deviations of the robot's planned motion. {definitions}."
+    return EquipmentTable(caption, (*head, "shoulder", "arm", "wrist", "head"), rows)
+
+
+def carry_words(shots: Sequence[Shot]) -> str:
+    """Return which carry the shots have; empty without one."""
+    sources = dict.fromkeys(shot.carry_source for shot in shots if shot.carry_source)
+    return "; ".join(f"{source} – {FLIGHT_OF.get(source, 'unknown')}" for source in sources)
+
+
+def without_simulated_balls(configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the configuration of a real bench for the report: without the balls of its simulation."""
+    kept = {key: value for key, value in configuration.items() if key != "balls"}
+    if isinstance(plant := kept.get("plant"), Mapping):
+        kept["plant"] = {key: value for key, value in plant.items() if key != "ball"}
+    return kept
+
+
+NOT_STATED = "not stated"
+STATEMENT = (
+    "The results relate only to the items tested, as received. Identity, condition and receipt of the items, "
+    "customer and instruments besides the bench are as the plan states them; they were not tested. The "
+    "verdicts are statistics as planned, not opinions or interpretations. This report may be reproduced in "
+    "full only."
+)
+
+
+def particulars(record: CampaignRecord, digest: str) -> list[tuple[str, str]]:
+    """Return (name, text) of what a report states of itself, laboratory, customer, method and people."""
+    report, entry, plan = record.plan.report, record.entry, record.plan
+    times = [shot.time_utc for shot in record.shots]
+    people = dict.fromkeys(run.by for run in record.runs if run.by)
+    method = f"golfbench campaign, plan {plan.campaign.name} ({entry.digest})"
+    issue = record.issues[-1] if record.issues else None
+    tested = f"{min(times):%Y-%m-%d}"
+    if max(times).date() != min(times).date():
+        tested += f" to {max(times):%Y-%m-%d}"
+    return [
+        ("Report number", record.number),
+        ("Issued", f"{issue.date:%Y-%m-%d}, {issue.text}" if issue else "not issued: a draft"),
+        ("Laboratory", _joined(report.laboratory, report.address)),
+        ("Place of the tests", report.location or report.address or NOT_STATED),
+        ("Customer", _joined(report.customer, report.customer_contact)),
+        ("Method", "; ".join(filter(None, (report.method, method)))),
+        ("Operator", report.operator or ", ".join(people) or NOT_STATED),
+        ("Tested", tested),
+        ("Sampling", report.sampling or NOT_STATED),
+        ("Decision rule", DECISION_RULE if plan.rules.apply else "none: no statement of conformity is made"),
+        ("Deviations", _deviations(record)),
+        ("Digest of plan and data (SHA-256)", digest),
+    ]
+
+
+def _joined(*parts: str) -> str:
+    return ", ".join(filter(None, parts)) or NOT_STATED
+
+
+def _deviations(record: CampaignRecord) -> str:
+    """Return the stated deviations, and where the others stand."""
+    stated = list(record.plan.report.deviations)
+    excluded = sum(shot.status is not ShotStatus.VALID for shot in record.shots)
+    events = sum(event.kind not in {ISSUE, "look"} for event in record.events)
+    if excluded:
+        stated.append(f"{excluded} shots do not count")
+    if events:
+        stated.append(f"{events} events during the campaign")
+    if excluded or events:
+        stated[-1] += ", see Excluded and failed shots"
+    return "; ".join(stated) or "none"
+
+
+def item_table(record: CampaignRecord) -> EquipmentTable:
+    """Return the tested items as received."""
+    plan = record.plan
+    rows = []
+    for kind, names in (("ball", plan.ball_names), ("club", plan.design.clubs)):
+        for name in names:
+            item = plan.items.get(name, ItemParticulars())
+            samples = sorted({s.sample for s in record.shots if s.ball == name and s.sample})
+            number = ""
+            if kind == "ball" and samples:
+                number = f"{len(samples)}, no. {samples[0]} to {samples[-1]}"
+            rows.append(
+                (
+                    name,
+                    kind,
+                    number,
+                    item.identity or NOT_STATED,
+                    item.condition or NOT_STATED,
+                    item.received or NOT_STATED,
+                )
+            )
+    head = ("item", "kind", "hit", "identity", "condition", "received")
+    return EquipmentTable("Items tested, as the plan states them.", head, tuple(rows))
+
+
+def calibration_table(record: CampaignRecord) -> EquipmentTable:
+    """Return the calibrations in force during the tests, and what has none."""
+    rows = tuple(_calibrations(record))
+    last = max(shot.time_utc for shot in record.shots).date()
+    caption = "Calibrations in force when the campaign began."
+    if record.entry.simulated:
+        caption = "Calibrations. Robot, ball and launch monitor are simulated: no instrument measured."
+    head = ("what", "source", "date", "due", "state at the tests")
+    late = tuple(what for what, *_, due in rows if isinstance(due, date) and due < last)
+    states = (_state(due, last) if isinstance(due, date) else due for *_, due in rows)
+    shown = tuple((*row[:-1], state) for row, state in zip(rows, states, strict=True))
+    return EquipmentTable(caption, head, shown, late)
+
+
+def _calibrations(record: CampaignRecord) -> Iterator[tuple[str, str, str, str, date | str]]:
+    """Yield the cells of each row; in place of the last the date due, or the state of what has none."""
+    entry = record.entry
+    bench = entry.calibrations.get("bench", {})
+    for one in bench.get("in_force", ()):
+        what = " ".join(filter(None, ("bench", str(one["kind"]), str(one["subject"]))))
+        source = f"version {one['version']}, {one['method']}, by {one['by']}"
+        due = datetime.fromisoformat(one["expires"])
+        yield what, source, str(one["date"])[:10], f"{due:%Y-%m-%d}", due.date()
+    for name in bench.get("nominal", ()):
+        yield f"bench {name}", "none", "–", "–", "nominal: never calibrated"
+    for stated in record.plan.calibrations.values():
+        until = date.fromisoformat(stated.due) if stated.due else "no date due"
+        words = ", ".join(filter(None, (stated.instrument, stated.identity)))
+        yield words, stated.source or NOT_STATED, stated.date or "–", stated.due or "–", until
+    for ball, found in measured_of(entry.calibrations, f"campaign {entry.id}").items():
+        source = f"version {found.version}, {found.source}, by {found.by}"
+        yield f"aerodynamics of {ball}", source, f"{found.date:%Y-%m-%d}", "–", "used"
+
+
+def _state(due: date, tested: date) -> str:
+    return f"OVERDUE since {due}" if due < tested else "in force"
+
+
+def issue_report(store: CampaignStore, record: CampaignRecord, by: str, reason: str, now: datetime) -> Event:
+    """Store that the report is issued, and return the event.
+
+    Raises:
+        Refused: the campaign is not over, or an amendment has no reason.
+    """
+    place, issues = f"campaign {record.entry.id}", record.issues
+    if record.standing.state not in ENDED:
+        expected = "a finished or aborted campaign"
+        raise Refused(place, f"{record.standing.state}", expected, "Resume it, or issue its report later.")
+    if issues and not reason:
+        expected = "a reason for an amended report"
+        raise Refused(place, f"{record.number} is issued", expected, "Give the reason with --reason TEXT.")
+    text = f"issued by {by}"
+    if issues:
+        text += f"; replaces {record.number}: {reason}"
+    elif reason:
+        text += f"; {reason}"
+    event = Event(now.astimezone(UTC), len(record.shots) + 1, ISSUE, text)
+    store.note_event(record.entry.id, event)
+    return event

@@ -1,0 +1,163 @@
+"""Is a report still what the records say? Digest and every figure are computed again.
+
+A page carries, as data, the digests of what it was made from and its figures with all digits. Verifying
+computes both from the records. A page of this version of golfbench must also be, letter by letter, the one
+that the records give.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import isclose
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError
+from bench.campaign.interruptions import software_versions
+from bench.campaign.report.campaign_record import SHOT_DIGITS, CampaignRecord, shot_digests, whole_digest
+from bench.campaign.report.campaign_report import record_parts, render_campaign_report
+from bench.campaign.report.findings import findings, findings_record
+from bench.campaign.report.report_format import UnitSystem
+from bench.store.campaigns import StoredShot
+
+_MOST = 20
+"""Max number of differences of one kind that are named."""
+_TOLERANCE = 1e-9
+"""Share by which a figure may differ: libraries of another machine round differently."""
+_DATA = re.compile(r'<script type="application/json" id="record">(.*?)</script>', re.DOTALL)
+_TODAY = re.compile(r"<section data-today>.*?</section>", re.DOTALL)
+"""Parts of a page that count on after the campaign, as the wear of the bench's parts."""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Result of comparing a page with the records."""
+
+    digest: str
+    """Of the records."""
+    figures: int
+    """Number of figures that were computed again."""
+    page: bool
+    """Whether the page itself was compared; False if it is of another version of golfbench."""
+    differences: tuple[str, ...]
+
+
+def verify_page(record: CampaignRecord, page: str, place: str) -> Verification:
+    """Return how `page`, the text of a report, differs from the records.
+
+    Raises:
+        BenchError: it is no report of this campaign.
+    """
+    data = _embedded(record, page, place)
+    shots, differences = shot_digests(record.shots), list[str]()
+    parts = record_parts(record, shots)
+    digest = whole_digest(parts)
+    differences += _digests(data, parts, digest, page)
+    differences += _shots(record, shots, str(data["shots"]))
+    units, issued = UnitSystem(data["units"]), int(data["issue"])
+    issues = {id(event) for event in record.issues[issued:]}
+    then = replace(record, events=[event for event in record.events if id(event) not in issues])
+    found = findings(record.plan, record.shots, data["looks"], units)
+    figures = json.loads(json.dumps(findings_record(found)))
+    differences += _first(list(_changed(data["figures"], figures, "")))
+    today = bool(data["software"] == software_versions()["source"])
+    if today and _lasting(page) != _lasting(render_campaign_report(then, found, units)):
+        differences.append("page: not the one that the records give")
+    return Verification(digest, _leaves(figures), today, tuple(differences))
+
+
+def missing_records(stored: Sequence[StoredShot], data_dir: Path) -> list[str]:
+    """Return which records of swings are missing below `data_dir`, or of another size than stored."""
+    found = []
+    for one in stored:
+        if not one.file:
+            continue
+        path = data_dir / one.file
+        if not path.is_file():
+            found.append(f"shot {one.shot.shot}: record {one.file} is missing")
+        elif path.stat().st_size != one.bytes:
+            size = f"{path.stat().st_size} bytes, stored {one.bytes}"
+            found.append(f"shot {one.shot.shot}: record {one.file} has {size}")
+    return _first(found)
+
+
+def _embedded(record: CampaignRecord, page: str, place: str) -> Mapping[str, Any]:
+    """Return the data that `page` carries."""
+    match = _DATA.search(page)
+    action = "Write the report again: golfbench campaign report ID."
+    try:
+        data: Any = json.loads(match[1]) if match else None
+    except ValueError:
+        data = None
+    if not isinstance(data, dict) or not {"campaign", "shots", "figures", "units", "issue"} <= data.keys():
+        raise BenchError(place, "no data of a report", "a report of this version of golfbench", action)
+    if data["campaign"] != record.entry.id:
+        raise BenchError(place, f"the report of {data['campaign']}", f"that of {record.entry.id}", action)
+    return data
+
+
+def _digests(data: Mapping[str, Any], parts: Mapping[str, str], digest: str, page: str) -> Iterator[str]:
+    for name, value in parts.items():
+        if data["parts"].get(name) != value:
+            then = str(data["parts"].get(name, ""))
+            yield f"{name}: not as reported (digest {value[:16]}, in the report {then[:16]})"
+    if data["digest"] != digest and data["parts"] == parts:
+        yield f"digest: {data['digest'][:16]} in the report, {digest[:16]} by the records"
+    if page.count(str(data["digest"])) < 2:
+        yield "digest: the page shows another one than its data"
+
+
+def _shots(record: CampaignRecord, digests: Sequence[str], reported: str) -> list[str]:
+    """Return which shots differ from the reported ones."""
+    then = [reported[at : at + SHOT_DIGITS] for at in range(0, len(reported), SHOT_DIGITS)]
+    found = [
+        f"shot {shot.shot}: not as reported"
+        for shot, digest, before in zip(record.shots, digests, then, strict=False)
+        if not digest.startswith(before)
+    ]
+    if len(then) != len(record.shots):
+        found.insert(0, f"shots: {len(then)} in the report, {len(record.shots)} in the records")
+    return _first(found)
+
+
+def _changed(before: Any, now: Any, path: str) -> Iterator[str]:
+    """Yield the figures that differ, with their path."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in sorted(before.keys() | now.keys()):
+            yield from _changed(before.get(key), now.get(key), f"{path}.{key}" if path else key)
+    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        for place, (one, two) in enumerate(zip(before, now, strict=True)):
+            yield from _changed(one, two, f"{path}.{place}")
+    elif isinstance(before, float | int) and isinstance(now, float | int):
+        if not isclose(before, now, rel_tol=_TOLERANCE, abs_tol=1e-12):
+            yield f"{path}: {before:.10g} in the report, {now:.10g} by the records"
+    elif before != now:
+        yield f"{path}: {_short(before)} in the report, {_short(now)} by the records"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, dict | list):
+        return f"{len(value)} entries"
+    return "nothing" if value is None else str(value)
+
+
+def _leaves(value: Any) -> int:
+    """Return the number of figures in `value`."""
+    if isinstance(value, dict):
+        return sum(map(_leaves, value.values()))
+    if isinstance(value, list):
+        return sum(map(_leaves, value))
+    return int(isinstance(value, float | int) and not isinstance(value, bool))
+
+
+def _lasting(page: str) -> str:
+    """Return `page` without what counts on after the campaign."""
+    return _TODAY.sub("", page)
+
+
+def _first(found: Sequence[str]) -> list[str]:
+    more = len(found) - _MOST
+    return [*found[:_MOST], f"... and {more} more"] if more > 0 else list(found)

@@ -1,0 +1,1 @@
+"""The run of a campaign: runner, shots on the bench or simulated, messages."""

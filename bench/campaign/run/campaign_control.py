@@ -1,0 +1,174 @@
+"""Requests to a campaign from other processes, and its locks: one runner of a campaign, one of a bench."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+
+from bench.base.errors import BenchError, Refused
+from bench.campaign.plan.prompts import require_count
+from bench.store.campaigns import CampaignStore
+from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
+from bench.supervisor.ownership import try_lock
+
+SHORTEST_PREFIX = 4
+"""Min number of characters of an abbreviated campaign id."""
+
+
+def answer(
+    store: CampaignStore, data_dir: Path, campaign: str, by: str, now: datetime, balls: int | None = None
+) -> tuple[str, bool]:
+    """Say that what campaign asks for is done; return what it was, and whether a runner waits for it.
+
+    `balls` is the number of loaded balls, to be checked; None: as listed.
+
+    Raises:
+        Refused: it asks for nothing, or for another number of balls.
+    """
+    prompts = store.prompts(store.entry(campaign).id)
+    if balls is not None and prompts and prompts[-1].answered is None:
+        require_count(prompts[-1], balls)
+    if not prompts or not store.answer(campaign, prompts[-1].number, by, now):
+        place, expected = f"campaign {campaign}", "a prompt that waits for an answer"
+        raise Refused(place, "no open prompt", expected, "See golfbench campaign list.")
+    return prompts[-1].text, is_running(data_dir, campaign)
+
+
+def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: str = "") -> str:
+    """Ask a campaign's runner for "pause", "stop", "abort" or to go on (""); return what will happen.
+
+    `by` is who asks.
+
+    Raises:
+        Refused: it is over, or has no runner.
+    """
+    store.entry(campaign)
+    standing = store.standing(campaign)
+    if standing.state in ENDED:
+        place = f"campaign {campaign}"
+        raise Refused(place, str(standing.state), "an unfinished campaign", "See golfbench campaign list.")
+    if not is_running(data_dir, campaign):
+        if request == "abort":
+            reason = f"aborted by request{f' of {by}' if by else ''}"
+            store.change(campaign, state=CampaignState.ABORTED, reason=reason, requested="")
+            return "aborted; it had no runner"
+        raise Refused(
+            f"campaign {campaign}", "no runner", "a running campaign", f"golfbench campaign resume {campaign}"
+        )
+    store.change(campaign, requested=request, requested_by=by)
+    return {
+        "pause": "pauses after the current shot",
+        "stop": "stops after the current shot",
+        "abort": "is aborted",
+        "": "goes on",
+    }[request]
+
+
+@contextmanager
+def runner_lock(data_dir: Path, name: str) -> Iterator[None]:
+    """Hold the lock as the only runner of `name`.
+
+    Raises:
+        Refused: another process holds it.
+    """
+    with _locked(_lock_file(data_dir, name), f"campaign {name}", name):
+        yield
+
+
+@contextmanager
+def bench_lock(data_dir: Path, entry: CampaignEntry) -> Iterator[None]:
+    """Hold the lock as the only runner on the bench of `entry`; it ends with the process.
+
+    Raises:
+        Refused: another runner holds it.
+    """
+    with _locked(_bench_file(data_dir, entry.bench), f"bench {entry.bench}", entry.id):
+        yield
+
+
+@contextmanager
+def _locked(path: Path, place: str, name: str) -> Iterator[None]:
+    """Hold the lock at `path` as the runner of campaign `name`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+", encoding="ascii") as file:
+        if not try_lock(file.fileno()):
+            file.seek(0)
+            process, _, campaign = file.read().strip().partition(" ")
+            expected, action = (
+                "no other runner",
+                f"Wait for it, or end it: golfbench campaign stop {campaign}",
+            )
+            raise Refused(place, f"process {process}, which runs campaign {campaign}", expected, action)
+        file.truncate(0)
+        file.write(f"{os.getpid()} {name}")
+        file.flush()
+        yield
+
+
+def require_free(data_dir: Path, bench: str) -> None:
+    """Refuse if another campaign uses `bench`.
+
+    Raises:
+        Refused: it is named.
+    """
+    path = _bench_file(data_dir, bench)
+    if path.exists():
+        with _locked(path, f"bench {bench}", ""):
+            pass
+
+
+def is_running(data_dir: Path, name: str) -> bool:
+    """Return whether a process runs `name`."""
+    path = _lock_file(data_dir, name)
+    if not path.exists():
+        return False
+    with path.open("rb") as file:  # the lock needs no right to write
+        return not try_lock(file.fileno())
+
+
+def standing_now(data_dir: Path, campaign: str, stored: Standing) -> Standing:
+    """Return the standing of `campaign`: as `stored`, or interrupted if its runner here has died."""
+    open_states = {CampaignState.RUNNING, CampaignState.WAITING, CampaignState.PAUSED}
+    if stored.state not in open_states or not _lock_file(data_dir, campaign).exists():
+        return stored
+    if is_running(data_dir, campaign):
+        return stored
+    reason = f"its runner ended without closing it; resume it: golfbench campaign resume {campaign}"
+    return Standing(CampaignState.INTERRUPTED, reason, *stored[2:])
+
+
+def _lock_file(data_dir: Path, name: str) -> Path:
+    return data_dir / "campaigns" / name / "runner"
+
+
+def _bench_file(data_dir: Path, bench: str) -> Path:
+    return data_dir / "campaigns" / f".runner-of-{bench}"
+
+
+def find_campaign(store: CampaignStore, wanted: str) -> CampaignEntry:
+    """Return the campaign with id `wanted`, or the only one whose id begins so.
+
+    Raises:
+        BenchError: no campaign, several campaigns, or fewer than `SHORTEST_PREFIX` characters to go by.
+    """
+    place = f"campaign {wanted}"
+    found = [entry for entry, _, _ in store.entries() if entry.id.startswith(wanted)]
+    for entry in found:
+        if entry.id == wanted:
+            return entry
+    if not found:
+        expected = f"an id, or at least its first {SHORTEST_PREFIX} characters"
+        raise BenchError(place, "no such campaign", expected, "See golfbench campaign list.")
+    if len(found) > 1 or len(wanted) < SHORTEST_PREFIX:
+        shown = ", ".join(entry.id for entry in found[:5]) + ", ..." * (len(found) > 5)
+        number = "1 campaign begins" if len(found) == 1 else f"{len(found)} campaigns begin"
+        raise BenchError(
+            place,
+            f"{number} so: {shown}",
+            f"an id, or enough of its beginning to fit one campaign, at least {SHORTEST_PREFIX} characters",
+            f"Give the id: for the newest, {found[0].id}.",
+        )
+    return found[0]

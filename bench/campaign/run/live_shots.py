@@ -1,0 +1,503 @@
+"""Shots of a running bench, over the network and in real time.
+
+A shot is: make the bench ready, raise a ball, swing once it rests at its address, wait for its record and for
+the launch. Club data come from the record, ball data from the bench's launch monitor. A
+simulated bench may do without one: then the ball is computed here from the delivery.
+
+After a stop only a person's reset and arming go on. A simulated bench resets, homes and arms itself, and each
+time is an event of the campaign.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any, NamedTuple, Self
+
+from bench.base.errors import BenchError, Refused
+from bench.base.from_toml import format_value
+from bench.base.lifecycle import Refusal
+from bench.campaign.plan.bench_setup import Preparation
+from bench.campaign.plan.carry import Measured, ShotCarry, require_carry
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.prompts import PromptKind
+from bench.campaign.plan.shot_sequence import Step
+from bench.campaign.run.corrections import CorrectedProfiles, Drift
+from bench.campaign.run.plan_requirements import START_SERIES, Profiles, needs_series, series_words
+from bench.campaign.run.runner import Hindrance, ShotPostponed, Suspended
+from bench.campaign.run.simulated_shots import (
+    Taken,
+    air_columns,
+    ball_as_hit,
+    monitored,
+    random_of,
+    reported_carry,
+    step_columns,
+)
+from bench.learning.learn import LearningProblem
+from bench.learning.live import LiveSwinger
+from bench.network.bench_operator import READY, BenchOperator, NoShot, SwingRecord
+from bench.network.bench_service import BenchStatus
+from bench.network.client import BenchClient, CommandRefused
+from bench.network.status_words import absent_monitor_text
+from bench.records.shot.ball_struck import ball_struck
+from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.shot.shot_matcher import told_figures
+from bench.records.shot.shot_message import ShotPublication, launch_from_json
+from bench.supervisor.ownership import bench_folder
+from bench.supervisor.readiness import felt_alike, with_face_of
+from bench.swing.correction import digest_of
+from bench.swing.profile import Profile
+from drivers.base import Launch
+from drivers.base.shared_record import SharedMemoryError
+from sim.air import Air
+from sim.ball import Ball
+from sim.impact import Delivery, strike
+from sim.live.surroundings import SurroundingsWriter
+from sim.plant import PlantParameters
+from sim.robot import Club
+
+HOLDER = "campaign "
+"""Prefix of a campaign's name as holder of the lease."""
+_AT_THE_ROBOT = {
+    Refusal.GUARD: "Leave the robot and close the guard.",
+    Refusal.LOCAL_RESET: "Press the reset button beside the robot.",
+    Refusal.GAUGE: "Read the gauges, and press the reset button beside them.",
+}
+"""Refusals that a person at the robot can clear, and the actions."""
+NO_WORD = "the launch monitor's process did not report the swing"
+
+
+Events = tuple[tuple[str, str], ...]
+
+
+def require_live(
+    plan: CampaignPlan,
+    profiles: Profiles,
+    clubs: Mapping[str, Club],
+    status: BenchStatus,
+    measured: Measured | None = None,
+) -> None:
+    """Refuse a plan whose shots the running bench cannot take, even with an operator's help.
+
+    Raises:
+        Refused: the bench fits none of the plan's arms, is held, or does not measure the plan's quantity; it
+            is simulated and vents between swings, which the gate excludes without planned air; or the plan
+            does not name the carry it compares, or a ball's aerodynamics were not `measured`.
+    """
+    place, lease = f"plan {plan.campaign.name}", status["lease"]
+    if lease is not None and not lease["holder"].startswith(HOLDER):
+        place = f"bench {status['bench']}"
+        found = f"held by {lease['holder']}, for another {lease['seconds_left']:.0f} s"
+        raise Refused(place, found, "a free bench", "Ask for it, or wait: golfbench status.")
+    if not any(_fits(plan, club, profile, clubs, status) for (_, club), profile in profiles.items()):
+        wanted = dict.fromkeys(f"{profiles[arm].name} with club {arm[1]}" for arm in profiles)
+        raise Refused(
+            f"{place}: design.swings and design.clubs",
+            f"{', '.join(wanted)}",
+            f"among them profile {status['profile']} with club {status['club']}, which bench "
+            f"{status['bench']} swings",
+            "Start the bench with that profile (golfbench run --profile) and club ([swing] club).",
+        )
+    if status["driver"] == "sim":
+        if needs_series(plan, profiles.values()) and not status["series"]:
+            expected = "a bench that holds the address between swings"
+            raise Refused(f"bench {status['bench']}", series_words(plan), expected, START_SERIES)
+        return
+    if plan.analysis.quantity != "club_speed_mps" and status["launch_monitor"] is None:
+        raise Refused(
+            f"{place}: analysis.quantity",
+            plan.analysis.quantity,
+            "club_speed_mps",
+            "This bench measures the club only: ball data need a launch monitor, [launch_monitor] "
+            "enabled = true.",
+        )
+    require_carry(plan, measured or {})
+    if plan.ball_handling.identify or not plan.ball_handling.magazine:
+        raise Refused(
+            f"{place}: ball_handling",
+            f"identify {format_value(plan.ball_handling.identify)}, magazine {plan.ball_handling.magazine}",
+            "identify false and a magazine of at least 1",
+            "A real feeder reads no numbers: a person fills it in the order asked for, and answers for it.",
+        )
+
+
+def _fits(
+    plan: CampaignPlan, club: str, profile: Profile, clubs: Mapping[str, Club], status: BenchStatus
+) -> bool:
+    """Return whether the bench, as started, swings `club` with `profile`."""
+    alike = status["club"] == club or felt_alike(plan.clubs[club], clubs.get(status["club"]))
+    return alike and profile.name == status["profile"]
+
+
+class LiveShots:
+    """The running bench as a campaign sees it; a context, which releases the lease at its end."""
+
+    def __init__(
+        self,
+        plan: CampaignPlan,
+        swings: CorrectedProfiles,
+        clubs: Mapping[str, Club],
+        client: BenchClient,
+        holder: str,
+        *,
+        simulated: bool,
+        interrupted: Callable[[], bool],
+        aborted: Callable[[], bool],
+        monitored: bool = False,
+        measured: Measured | None = None,
+        air: Callable[[], Air | None] = lambda: None,
+    ) -> None:
+        """`monitored`: ball data come from the bench's launch monitor; `measured`: aerodynamics by ball.
+
+        `holder` takes the lease at the first shot; `aborted` stops a swing, `interrupted` does not.
+
+        `clubs` are those of the bench's configuration; `air` returns the reading at a real bench.
+        """
+        self._plan, self._swings, self._clubs = plan, swings, clubs
+        self._client, self.simulated, self._air = client, simulated, air
+        self._operator = BenchOperator(
+            client,
+            holder,
+            simulated=simulated,
+            ask_person=_left_to_person,
+            on_reset=self._note_reset,
+            aborted=aborted,
+            interrupted=interrupted,
+        )
+        self._ordered: tuple[tuple[float, ...], int] = (), 0
+        """Weights requested from the bench, and its number of the correction."""
+        self._monitored = monitored
+        self._carry = ShotCarry(plan, measured or {})
+        self._ball_chosen, self._stays_armed = False, True
+        self._events: list[tuple[str, str]] = []
+        """(kind, text) of what happened on the way to the shot under way."""
+
+    def __enter__(self) -> Self:
+        self._operator.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._operator.__exit__(*error)
+        if self._ball_chosen:
+            self._choose_ball(None)
+
+    def time_of(self, number: int) -> datetime:
+        """Return the clock's time."""
+        return datetime.now(UTC)
+
+    def hindrance(self, step: Step) -> Hindrance | None:
+        """Return the hindrance of a missing launch monitor or of too low a supply pressure, if any."""
+        with _suspending():
+            status = self._client.status()
+        return self._unseen(status) or self._short_of_air(step, status)
+
+    def _unseen(self, status: BenchStatus) -> Hindrance | None:
+        if not self._monitored:
+            return None
+        if (link := status["launch_monitor"]) is None:
+            raise Suspended("the bench restarted without its launch monitor, [launch_monitor] enabled")
+        note = f": {link['note']}" if link["note"] else ""
+        return None if link["present"] else Hindrance(f"{absent_monitor_text(link)}{note}")
+
+    def _short_of_air(self, step: Step, status: BenchStatus) -> Hindrance | None:
+        """Check the supply pressure, at the address only: otherwise its manifold is empty."""
+        supply, pressure = self._plan.supply, status["supply_pressure_pa"]
+        if pressure is None or (status["state"], status["phase"]) != ("ARMED", "HOLD"):
+            return None
+        profile = self._swings.designed((step.trial.arm.swing, step.trial.arm.club))
+        least = supply.least * profile.limits.get("supply_pressure_pa", 0.0)
+        if pressure >= least:
+            return None
+        text = f"supply {pressure / 1e5:.2f} bar absolute, at least {least / 1e5:.2f} for {profile.name}"
+        return Hindrance(text, armed=True, patience=supply.patience)
+
+    def rest(self) -> None:
+        """Disarm: vent the robot."""
+        with suppress(BenchError):  # not armed, or the next shot fails with the reason
+            self._client.disarm()
+
+    def take(self, step: Step, number: int, sample: int) -> Taken:
+        """Take shot `number` with ball `sample`; raises as `ShotSource.take`."""
+        self._events.clear()
+        ball, operator = self._ball_as_hit(step, number, sample), self._operator
+        with _suspending():
+            operator.take_lease()
+            self._ball_chosen = self._monitored and self.simulated and self._choose_ball(ball)
+            try:
+                record = operator.swing(lambda status: self._prepare(step, status), ball=True)
+            except NoShot as none:
+                return self._untaken(step, number, sample, none)
+            message = operator.message_about(record) if self._monitored else None
+        return self._taken(step, number, sample, record, message)
+
+    # A person at the robot -------------------------------------------------------------------------
+
+    def lacks(self, step: Step) -> Preparation | None:
+        """Return what the bench must be restarted with before `step`."""
+        with _suspending():
+            status = self._client.status()
+        arm = step.trial.arm
+        profile = self._swings.designed((arm.swing, arm.club))
+        if _fits(self._plan, arm.club, profile, self._clubs, status):
+            return None
+        wanted = profile.name
+        text = (
+            f"Restart the bench with profile {wanted} and [swing] club = {format_value(arm.club)}: "
+            f"it runs with profile {status['profile']} and club {status['club']}."
+        )
+        return Preparation(PromptKind.BENCH, text, {"profile": wanted, "club": arm.club})
+
+    def hand_over(self, kind: PromptKind) -> None:
+        """Vent the robot and unlock the guard; for `PromptKind.BENCH` release the lease instead."""
+        with _suspending():
+            self.rest()
+            if kind is PromptKind.BENCH:
+                self._operator.release()
+                return
+            self._operator.take_lease()
+            self._until(lambda status: status["state"] == "ACCESS", self._client.access)
+
+    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+        """Lock the guard once it is closed and the button beside the robot, if there is one, was pressed."""
+        if kind is PromptKind.BENCH:
+            return
+        with _suspending():
+            self._operator.take_lease()
+            self._until(lambda status: status["state"] != "ACCESS", self._client.secure, ask)
+
+    def _until(
+        self,
+        holds: Callable[[BenchStatus], bool],
+        request: Callable[[], object],
+        ask: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """Repeat the request until the bench accepts it: chambers must be empty, or the guard closed.
+
+        `ask` shows each new action for which the bench waits.
+        """
+        deadline, shown = time.monotonic() + READY, ""
+        while not holds(self._client.status()):
+            try:
+                request()
+            except CommandRefused as refused:
+                if time.monotonic() > deadline:
+                    raise
+                action = _AT_THE_ROBOT.get(refused.refusal, shown)
+                if action != shown:
+                    shown = action
+                    ask(action)
+            self._operator.pause()
+
+    # Moving the bench ------------------------------------------------------------------------------
+
+    def _prepare(self, step: Step, status: BenchStatus) -> bool:
+        """Prepare the swing at the address; return whether the robot still rests there.
+
+        Raises:
+            ShotPostponed: the supply pressure is too low.
+        """
+        if self._short_of_air(step, status):
+            raise ShotPostponed(*self._events)
+        if self._must_practise(step) and not status["ball_present"]:
+            self._practise()
+            return False
+        self._correct(step, status)
+        return True
+
+    def _note_reset(self, cause: str) -> None:
+        self._events.append(("reset", f"{cause}; a simulated bench resets, homes and arms itself"))
+
+    def _correct(self, step: Step, status: BenchStatus) -> None:
+        """Set the correction learned for `step`, also after a restart of the bench."""
+        arm = step.trial.arm.swing, step.trial.arm.club
+        weights, number = self._swings.weights(arm), status["correction"]
+        if (weights, number) != self._ordered and (weights or number):
+            self._client.correct(digest_of(self._swings.designed(arm)), weights)
+            self._ordered = weights, self._client.status()["correction"]
+
+    def relearn(self, drift: Drift, number: int) -> str:
+        """Relearn a swing on the bench without a ball; the learner holds the lease meanwhile."""
+        self._operator.release()
+        with _suspending():
+            return self._swings.refresh(drift, number, self._learner)
+
+    def _learner(self, problem: LearningProblem) -> LiveSwinger:
+        return LiveSwinger(self._client, problem, "encoders+model", lambda text: None, with_ball=False)
+
+    def _must_practise(self, step: Step) -> bool:
+        """Return whether arming left other air for `step` than a swing would: without planned air."""
+        if not (self._plan.warm_up.practice and self._operator.armed_anew and self._stays_armed):
+            return False
+        return not self._swings.designed((step.trial.arm.swing, step.trial.arm.club)).air
+
+    def _practise(self) -> None:
+        """Swing without a ball; not repeated on a bench that does not stay armed after it."""
+        self._client.swing()
+        self._operator.armed_anew = False
+        self._operator.wait_until_over()
+        self._stays_armed = self._client.status()["state"] == "ARMED"
+        self._events.append(("practice", "a swing without a ball, as the bench was re-armed"))
+
+    def _ball_as_hit(self, step: Step, number: int, sample: int) -> Ball:
+        """Return the ball of the shot as the simulation has it."""
+        draw = float(random_of(self._plan, number).standard_normal(6)[0])
+        return ball_as_hit(self._plan, step.trial.arm.ball, sample, number, draw)
+
+    def _choose_ball(self, ball: Ball | None) -> bool:
+        """Make the simulated tee raise balls like `ball`; return whether it is on this machine and does."""
+        try:
+            with SurroundingsWriter(bench_folder(self._client.bench)) as hands:
+                hands.choose_ball(ball)
+        except SharedMemoryError:
+            return False
+        return True
+
+    # What came of it -------------------------------------------------------------------------------
+
+    def _untaken(self, step: Step, number: int, sample: int, none: NoShot) -> Taken:
+        """Return a failed shot: no swing, or no record of it."""
+        shot = Shot.from_measurements(
+            **step_columns(step, number, sample),
+            delivery=None,
+            launch=None,
+            flight=None,
+            status=ShotStatus.FAILED,
+            reason=none.found,
+            time_utc=datetime.now(UTC),
+        )
+        return Taken(shot, None, {}, none.swung, tuple(self._events))
+
+    def _taken(
+        self,
+        step: Step,
+        number: int,
+        sample: int,
+        record: SwingRecord,
+        message: ShotPublication | None,
+    ) -> Taken:
+        """Return the shot of the swing in `record`."""
+        metadata, cycles = record.metadata, record.cycles
+        plant, around = plant_of(metadata, str(record.path))
+        plant = self._with_planned_club(plant, step.trial.arm.club)
+        delivery, struck = delivery_of_cycles(cycles, plant), ball_struck(cycles)
+        status, reason = _judged(metadata, delivery, struck)
+        ball, more = self._plan.balls[step.trial.arm.ball], dict[str, Any]()
+        if self.simulated:
+            ball = self._ball_as_hit(step, number, sample)
+            more["varied"] = {
+                "restitution_factor": ball.restitution_factor,
+                "struck_in_the_plant": ball.name if self._ball_chosen else plant.ball.name,
+            }
+        air = around.air if self.simulated else self._air()
+        around = around if air is None else replace(around, air=air)
+        if self._monitored:
+            seen = _reported(message)
+            more |= seen.metadata
+        else:
+            hit = delivery if self.simulated and struck else None
+            seen = self._modelled(number, hit, plant.robot.club, ball, around)
+        doubt, carries, told = seen.doubt, dict[str, Any](), seen.figures.get("carry_monitor_m")
+        if seen.launch is not None and not doubt:
+            carries, doubt = self._carry.columns(
+                step.trial.arm.ball, seen.launch, around, told, ball if self.simulated else None
+            )
+        if doubt and not reason:
+            status, reason = ShotStatus.EXCLUDED, doubt
+        shot = Shot.from_measurements(
+            **step_columns(step, number, sample),
+            **air_columns(air),
+            delivery=delivery,
+            launch=seen.launch,
+            flight=None,
+            status=status,
+            reason=reason,
+            time_utc=datetime.fromisoformat(metadata["time_utc"]),
+        )
+        shot = replace(shot, **{**seen.figures, **carries})
+        metadata |= {"record": record.path.name, **more}
+        return Taken(shot, cycles, metadata, struck, tuple(self._events), original=record.path)
+
+    def _with_planned_club(self, plant: PlantParameters, name: str) -> PlantParameters:
+        """Return `plant` with club `name` of the plan; the mounted one may differ in its face only.
+
+        Raises:
+            Suspended: the bench swings another club.
+        """
+        mounted, planned = plant.robot.club, self._plan.clubs[name]
+        if mounted.name == name:
+            return plant
+        if not felt_alike(planned, self._clubs.get(mounted.name)):
+            raise Suspended(f"the bench swings club {mounted.name}, the plan {name}")
+        return replace(plant, robot=replace(plant.robot, club=with_face_of(mounted, planned)))
+
+    def _modelled(
+        self, number: int, delivery: Delivery | None, club: Club, ball: Ball, around: FlightConditions
+    ) -> _SeenLaunch:
+        """Return the launch of `ball` as a simulated launch monitor sees it; none without a `delivery`."""
+        if delivery is None:
+            return _SeenLaunch(None, "", {}, {})
+        draws = random_of(self._plan, number).standard_normal(6)
+        try:
+            true = strike(delivery, club, ball)
+        except ValueError as error:
+            return _SeenLaunch(None, f"no launch: {error}", {}, {})
+        carry = reported_carry(self._plan, number, true, ball, around)
+        figures = {} if carry is None else {"carry_monitor_m": carry}
+        return _SeenLaunch(monitored(self._plan.simulation, true, draws[2:]), "", figures, {})
+
+
+class _SeenLaunch(NamedTuple):
+    """Launch of a shot as the launch monitor has it."""
+
+    launch: Launch | None
+    doubt: str
+    """Reason to exclude the shot; empty without one."""
+    figures: dict[str, Any]
+    """Columns of the shot that the monitor measured."""
+    metadata: dict[str, Any]
+
+
+def _reported(message: ShotPublication | None) -> _SeenLaunch:
+    """Return the launch that the launch monitor's process reported; doubtful without a `message`."""
+    if message is None:
+        return _SeenLaunch(None, NO_WORD, {}, {})
+    if (told := message["launch"]) is None:
+        return _SeenLaunch(None, message["reason"], {}, {})
+    launch = launch_from_json(told)
+    return _SeenLaunch(launch.launch, message["reason"], told_figures(launch), {"launch": told})
+
+
+def _left_to_person(todo: str) -> None:
+    raise Suspended(f"{todo}, then resume")
+
+
+@contextmanager
+def _suspending() -> Iterator[None]:
+    """Turn refusals and missing answers of the bench into `Suspended`."""
+    try:
+        yield
+    except BenchError as error:
+        raise Suspended(f"{error.place}: {error.found}") from error
+
+
+def _judged(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) -> tuple[ShotStatus, str]:
+    """Return the status of a swing's shot by its record, and the reason unless it is valid."""
+    if reason := _failure(metadata, delivery, struck):
+        return ShotStatus.FAILED, reason
+    if not metadata["complete"]:
+        return ShotStatus.EXCLUDED, f"{metadata['lost_records']} cycles of its record are missing"
+    return ShotStatus.VALID, ""
+
+
+def _failure(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) -> str:
+    """Return why a swing was no shot; empty when it was."""
+    if metadata["outcome"]["cause"] != "NONE":
+        return str(metadata["outcome"]["text"])
+    if delivery is None:
+        return "no swing through the ball's place"
+    return "" if struck else "no ball struck"

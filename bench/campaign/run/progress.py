@@ -1,0 +1,385 @@
+"""Progress of a campaign as messages to programs, and as notifications to persons.
+
+A message has the work done, the time left and the next work by hand. It is published as
+`golfbench/<bench>/campaign/<id>`, JSON, at each shot and each change of state, and answered to who asks in
+between.
+
+Notifications go out by mail, webhook or chat when a campaign waits, is suspended or finishes. `apprise` sends
+them from a thread of its own, with retries: no shot waits for it. URLs of services hold passwords and tokens.
+They are in a file that only its owner may read, and in no message, log or record.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+from queue import Empty, Full, Queue
+from statistics import median
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from bench.base.errors import BenchError
+from bench.base.from_toml import read_text
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.shot_sequence import (
+    Arm,
+    PlannedShot,
+    Role,
+    all_trials,
+    is_mounted,
+    is_settled,
+    sections,
+)
+from bench.campaign.run.runner import Watcher
+from bench.network.messages import CAMPAIGN_VERSION, LastShot
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.store.records import CampaignEntry, CampaignState
+
+if TYPE_CHECKING:
+    from apprise import NotifyBase
+
+
+_LAST = 11
+"""Number of last shots whose times give the pace."""
+_FIGURES = tuple(name for name in LastShot.__annotations__ if name != "time_utc")
+
+
+class CampaignProgress(Watcher):
+    """Keeps the state of a campaign up to date in `message`, valid as JSON."""
+
+    def __init__(self, entry: CampaignEntry, plan: CampaignPlan) -> None:
+        self._plan, self._entry = plan, entry
+        trials = all_trials(plan)
+        self._open: dict[tuple[int, int], PlannedShot] = {(t.block, t.position): t for t in trials}
+        self._closed: dict[int, list[PlannedShot]] = {}
+        """By block, until the next one begins."""
+        self._valid: tuple[int, Counter[str]] = 0, Counter()
+        """A block and its valid shots by ball."""
+        self._times: deque[float] = deque(maxlen=_LAST)
+        self._replaying = True
+        self._balls_left: int | None = None
+        self._last: Shot | None = None
+        balls = {name: {"valid": 0, "planned": 0} for name in plan.ball_names}
+        for trial in trials:
+            balls[trial.arm.ball]["planned"] += 1
+        self.message: dict[str, Any] = {
+            "version": CAMPAIGN_VERSION,
+            "campaign": entry.id,
+            "name": entry.name,
+            "state": CampaignState.RUNNING,
+            "reason": "",
+            "shots": 0,
+            "valid": 0,
+            "done": 0,
+            "planned": len(trials),
+            "block": 0,
+            "blocks": len(sections(plan)) * plan.design.blocks,
+            "balls": balls,
+            "seconds_left": None,
+            "last_shot": None,
+            "next_work": None,
+            "event": None,
+        }
+        self._time_left()
+
+    def shot(self, shot: Shot) -> None:
+        """Count a shot."""
+        m = self.message
+        valid = shot.status is ShotStatus.VALID
+        m["shots"] += 1
+        m["valid"] += valid
+        m["block"] = shot.block
+        if shot.role != Role.WARM_UP:
+            m["balls"][shot.ball]["valid"] += valid
+            if self._valid[0] != shot.block:
+                self._valid = shot.block, Counter()
+            self._valid[1][shot.ball] += valid
+        if is_settled(self._plan, shot) and (trial := self._open.pop((shot.block, shot.position), None)):
+            self._closed = {shot.block: [*self._closed.get(shot.block, []), trial]}
+        m["done"] = m["planned"] - len(self._open)
+        m["last_shot"] = {name: getattr(shot, name) for name in _FIGURES} | {
+            "time_utc": shot.time_utc.isoformat()
+        }
+        self._last = shot
+        if not self._replaying:  # the wall's clock may be set; in lock-step the shots have one of their own
+            self._times.append(time.monotonic())
+        elif self._entry.real_time:
+            self._times.append(shot.time_utc.timestamp())
+        self._time_left()
+
+    def set_aside(self, block: int) -> None:
+        """Open a block again; its shots so far do not count."""
+        for trial in self._closed.pop(block, []):
+            self._open[trial.block, trial.position] = trial
+        if self._valid[0] == block:
+            for ball, valid in self._valid[1].items():
+                self.message["balls"][ball]["valid"] -= valid
+                self.message["valid"] -= valid
+            self._valid = 0, Counter()
+        self._open = dict(sorted(self._open.items()))
+        self.message["done"] = self.message["planned"] - len(self._open)
+        self._time_left()
+
+    def feeder(self, balls: int) -> None:
+        """Keep the number of balls in the feeder."""
+        self._balls_left = balls
+        self._time_left()
+
+    def say(self, text: str) -> None:
+        """Keep the newest event."""
+        self.message["event"] = {"text": text, "time_utc": datetime.now(UTC).isoformat(timespec="seconds")}
+
+    def standing(self, state: CampaignState, reason: str) -> None:
+        """Keep the state; while it waits, `reason` is the prompt."""
+        self._replaying = False
+        self.message |= {"state": state, "reason": reason}
+
+    def _time_left(self) -> None:
+        pace, work = self._pace(), self._next_work()
+        if work is not None:
+            work["seconds"] = None if pace is None else round(pace * work["shots"], 1)
+        left = None if pace is None else round(pace * len(self._open) + self._hand_work_left(), 1)
+        self.message |= {"next_work": work, "seconds_left": left}
+
+    def _pace(self) -> float | None:
+        """Return the seconds a shot takes: the median of the last ones, which no interruption moves."""
+        times = list(self._times)
+        steps = [later - earlier for earlier, later in pairwise(times)]
+        if steps := [step for step in steps if step > 0]:
+            return median(steps)
+        return self._plan.design.seconds_per_shot if self._entry.real_time else None
+
+    def _hand_work_left(self) -> float:
+        """Return the time that the club changes to come take, s."""
+        if not self._by_hand:
+            return 0.0
+        coming = list(self._open.values())
+        if self._last and coming:
+            coming.insert(0, _trial_of(self._last))
+        changes = sum(not is_mounted(self._plan, one, two) for one, two in pairwise(coming))
+        return changes * self._plan.hand_work.club_change
+
+    @property
+    def _by_hand(self) -> bool:
+        return bool(self._entry.real_time) and not self._entry.simulated
+
+    def _next_work(self) -> dict[str, Any] | None:
+        """Return the next work by hand, and the number of shots before it."""
+        if not self._by_hand:
+            return None
+        found: list[tuple[int, str]] = []
+        before = _trial_of(self._last) if self._last else None
+        for number, trial in enumerate(self._open.values()):
+            if before is not None and not is_mounted(self._plan, before, trial):
+                found.append((number, f"mount club {trial.arm.club}"))
+                break
+            before = trial
+        if self._balls_left is not None and self._balls_left < len(self._open):
+            found.append((self._balls_left, "fill the feeder"))
+        if not found:
+            return None
+        shots, text = min(found)
+        return {"shots": shots, "text": text, "seconds": None}
+
+
+def _trial_of(shot: Shot) -> PlannedShot:
+    """Return the planned shot that `shot` was."""
+    arm = Arm(shot.swing, shot.club, shot.ball)
+    return PlannedShot(Role(shot.role), shot.section, shot.block, shot.position, arm)
+
+
+class Broadcast(CampaignProgress):
+    """Publishes the progress of a campaign after each shot and change."""
+
+    def __init__(
+        self, entry: CampaignEntry, plan: CampaignPlan, publish: Callable[[dict[str, Any]], None]
+    ) -> None:
+        super().__init__(entry, plan)
+        self._publish = publish
+
+    def shot(self, shot: Shot) -> None:
+        """Publish a shot and the remaining time."""
+        super().shot(shot)
+        self._publish(self.message)
+
+    def say(self, text: str) -> None:
+        """Publish an event."""
+        super().say(text)
+        self._publish(self.message)
+
+    def standing(self, state: CampaignState, reason: str) -> None:
+        """Publish the state; while it waits, `reason` is the prompt."""
+        super().standing(state, reason)
+        self._publish(self.message)
+
+
+class Together(Watcher):
+    """Several watchers as one."""
+
+    def __init__(self, *watchers: Watcher) -> None:
+        self._watchers = watchers
+
+    def shot(self, shot: Shot) -> None:
+        """Pass a shot to all watchers."""
+        for watcher in self._watchers:
+            watcher.shot(shot)
+
+    def set_aside(self, block: int) -> None:
+        """Pass the number of a block that restarts."""
+        for watcher in self._watchers:
+            watcher.set_aside(block)
+
+    def feeder(self, balls: int) -> None:
+        """Pass the number of balls in the feeder."""
+        for watcher in self._watchers:
+            watcher.feeder(balls)
+
+    def say(self, text: str) -> None:
+        """Pass an event to all watchers."""
+        for watcher in self._watchers:
+            watcher.say(text)
+
+    def standing(self, state: CampaignState, reason: str) -> None:
+        """Pass the campaign's state to all watchers."""
+        for watcher in self._watchers:
+            watcher.standing(state, reason)
+
+
+WAITS = (0.0, 3.0, 15.0, 60.0)
+"""Times before the attempts at a notification, s."""
+LAST_PATIENCE = 10.0
+"""Max time for notifications that are still on their way at the end of a run, s."""
+_MOST = 50
+"""Max number of waiting notifications; a newer one is dropped."""
+_WORDS = {
+    CampaignState.WAITING: "waits for a person",
+    CampaignState.SUSPENDED: "is suspended",
+    CampaignState.FINISHED: "is finished",
+}
+
+
+class Service(NamedTuple):
+    """One service that receives notifications."""
+
+    place: str
+    """File and line of its URL, for messages."""
+    send: Callable[[str, str], bool]
+    """Send title and text; return whether it was accepted."""
+
+
+def read_services(file: Path) -> list[Service]:
+    """Return the services in `file`: one URL of apprise a line; empty lines and comments (#) do not count.
+
+    Raises:
+        BenchError: apprise is not installed; the file is missing or others may read it; a URL is unknown.
+    """
+    try:
+        import apprise
+    except ImportError as error:
+        action = 'Run pip install "golfbench[notify]", or leave notifications.file empty.'
+        raise BenchError(
+            "notifications.file", f"package apprise is not installed ({error})", "apprise", action
+        ) from error
+    log = logging.getLogger("apprise")
+    log.propagate = False  # its texts may name a URL
+    log.addHandler(logging.NullHandler())
+    text = read_text(file, "a text file", "Write the URLs of the services to it, one a line.")
+    mode = file.stat().st_mode
+    if mode & 0o077:
+        expected, action = "readable by its owner only: it holds secrets", f"chmod 600 {file}"
+        raise BenchError(f"notifications.file: {file}", f"mode {mode & 0o777:o}", expected, action)
+    services = []
+    for number, line in enumerate(map(str.strip, text.splitlines()), 1):
+        if not line or line.startswith("#"):
+            continue
+        place, one = f"{file}, line {number}", apprise.Apprise.instantiate(line)
+        if one is None:
+            action = "See apprise's list of services. The line is not shown: it may hold a secret."
+            raise BenchError(place, "a URL that apprise does not know", "the URL of a service", action)
+        services.append(Service(place, _sender(one)))
+    return services
+
+
+def _sender(plugin: NotifyBase) -> Callable[[str, str], bool]:
+    """Return what sends by `plugin` in the calling thread: apprise's own pool would outlive the run."""
+
+    def send(title: str, text: str) -> bool:
+        return bool(plugin.notify(title=title, body=text))
+
+    return send
+
+
+class Notifier(Watcher):
+    """Sends each state of a campaign that a person should know, from a thread, to all services."""
+
+    def __init__(
+        self,
+        entry: CampaignEntry,
+        services: Sequence[Service],
+        say: Callable[[str], None],
+        waits: Sequence[float] = WAITS,
+    ) -> None:
+        """`say` shows that a notification could not be sent."""
+        self._entry, self._services, self._say, self._waits = entry, services, say, waits
+        self._queue: Queue[tuple[str, str]] = Queue(_MOST)
+        self._closing = Event()
+        self._thread = Thread(target=self._work, name="notifier", daemon=True)
+        self._thread.start()
+
+    def standing(self, state: CampaignState, reason: str) -> None:
+        """Send a state that a person should know; returns at once."""
+        if word := _WORDS.get(state):
+            title = f"golfbench {self._entry.bench}: {self._entry.name} {word}"
+            with suppress(Full):
+                self._queue.put_nowait((title, f"{reason or self._entry.title}\ncampaign {self._entry.id}"))
+
+    def close(self, patience: float = LAST_PATIENCE) -> None:
+        """Wait up to `patience` (s) for what is on its way, then give it up."""
+        self._closing.set()
+        self._thread.join(patience)
+        if self._thread.is_alive():
+            self._say("Notifications were still on their way at the end; they are given up.")
+
+    def _work(self) -> None:
+        while True:
+            try:
+                title, text = self._queue.get(timeout=0.1)
+            except Empty:
+                if self._closing.is_set():
+                    return
+                continue
+            for service in self._services:
+                self._deliver(service, title, text)
+
+    def _deliver(self, service: Service, title: str, text: str) -> None:
+        for wait in self._waits:
+            time.sleep(wait)
+            with suppress(Exception):  # whatever a service does, the campaign goes on
+                if service.send(title, text):
+                    return
+        self._say(f"A notification was not sent ({service.place}): {title}")
+
+
+@contextmanager
+def notifying(
+    file: str, entry: CampaignEntry, say: Callable[[str], None], waits: Sequence[float] = WAITS
+) -> Iterator[Watcher]:
+    """Notify the services in `file` of the states of `entry`; none if `file` is empty.
+
+    Raises:
+        BenchError: as `read_services`.
+    """
+    if not file:
+        yield Watcher()
+        return
+    notifier = Notifier(entry, read_services(Path(file)), say, waits)
+    try:
+        yield notifier
+    finally:
+        notifier.close()

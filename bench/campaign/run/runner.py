@@ -1,0 +1,694 @@
+"""Run a campaign: take the course's shots, store them in batches, obey pause, stop and abort."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from math import inf
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from bench.base.errors import BenchError
+from bench.campaign.interruptions import RunStart, duration_text, found_at_begin
+from bench.campaign.plan.bench_setup import Fitting, Preparation, fitting_after, missing, sample_for
+from bench.campaign.plan.gate import outside
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.prompts import PromptKind
+from bench.campaign.plan.shot_sequence import RESTART, Course, Ending, Role, Step
+from bench.campaign.run.corrections import Drift, Drifts
+from bench.campaign.run.simulated_shots import Taken
+from bench.records.shot.recorded_shot import shot_to_json
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.telemetry.recorder import write_swing
+from bench.records.telemetry.whole_file import NotStored
+from bench.store.campaigns import CampaignStore, StoredShot
+from bench.store.database import DatabaseLocked
+from bench.store.records import CampaignEntry, CampaignState, Event, Hit, Prompt
+from drivers.base import ACTUATORS
+
+BATCH = 50
+"""Max number of shots per transaction, lost at most in a crash of a simulated campaign."""
+
+_LOOK = 0.2
+"""Polling interval of the database while paused, s."""
+_SETTLED = 3.0
+"""Time without hindrance before a suspended campaign continues by itself, s."""
+_DATABASE_PATIENCE = 120.0
+"""Max time to wait for a database that another process holds, s."""
+_MAX_RESTARTS = 2
+"""Max number of restarts of one block: one whose work by hand always takes long must end, too."""
+
+
+class Suspended(Exception):
+    """No more shots until a person has checked the bench; the text gives the reason."""
+
+
+class Hindrance(NamedTuple):
+    """A hindrance to a shot that passes by itself."""
+
+    text: str
+    armed: bool = False
+    """Whether only an armed bench, resting at its address, sees it pass."""
+    patience: float = inf
+    """Max waiting time, s; then a person is needed."""
+
+
+class ShotPostponed(Exception):
+    """A hindrance was met on the way to the swing; the arguments are the (kind, text) of what happened."""
+
+
+class ShotSource(Protocol):
+    """A bench as a campaign sees it."""
+
+    simulated: bool
+
+    def time_of(self, number: int) -> datetime:
+        """Return the start time of shot `number`: real or virtual."""
+        ...
+
+    def take(self, step: Step, number: int, sample: int) -> Taken:
+        """Take shot `number` with physical ball `sample`.
+
+        Raises:
+            Suspended: it was not taken, and none can be for now.
+            ShotPostponed: it was not taken; `hindrance` returns the reason.
+            KeyboardInterrupt: a stop was requested before the swing.
+        """
+        ...
+
+    def relearn(self, drift: Drift, number: int) -> str:
+        """Relearn a drifted swing before shot `number`; return the text of the event.
+
+        Raises:
+            Suspended: it cannot.
+        """
+        ...
+
+    def hindrance(self, step: Step) -> Hindrance | None:
+        """Return the hindrance to `step`, None if there is none. Raises Suspended."""
+        ...
+
+    def rest(self) -> None:
+        """Disarm: the time of the next shot is unknown."""
+        ...
+
+    def lacks(self, step: Step) -> Preparation | None:
+        """Return what the bench must be restarted with before `step`; None if no restart is needed."""
+        ...
+
+    def hand_over(self, kind: PromptKind) -> None:
+        """Let a person at the robot, or at the whole bench. Raises Suspended as `take`."""
+        ...
+
+    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+        """Go on after the person has said that it is done; also when nothing was handed over. Raises so.
+
+        `ask` shows what else the person has to do, such as to press a button.
+        """
+        ...
+
+
+class Operator(Protocol):
+    """The operator, for work the robot cannot do; answers may also come through the database."""
+
+    name: str
+    kinds: frozenset[PromptKind]
+    """Kinds of prompts to show; others are answered automatically, as in simulation."""
+
+    def show(self, prompt: Prompt) -> None:
+        """Show a prompt."""
+        ...
+
+    def answered(self) -> bool:
+        """Return whether the prompt was answered here; never waits."""
+        ...
+
+    def hide(self) -> None:
+        """Hide the prompt: it is answered or no longer needed."""
+        ...
+
+
+class _Pending(NamedTuple):
+    """A shot on its way to the disk, with its rows for the database."""
+
+    future: Future[StoredShot]
+    hits: tuple[Hit, ...]
+    events: tuple[Event, ...]
+    prompts: tuple[Prompt, ...]
+    original: Path | None
+
+
+class RunOutcome(NamedTuple):
+    """State of a campaign after a run."""
+
+    state: CampaignState
+    reason: str
+    shots: int
+    valid: int
+
+
+@dataclass
+class Watcher:
+    """Receives the progress of a run; this base class ignores it."""
+
+    def shot(self, shot: Shot) -> None:
+        """Receive a shot."""
+
+    def feeder(self, balls: int) -> None:
+        """Receive the number of balls left in a feeder that a person fills."""
+
+    def set_aside(self, block: int) -> None:
+        """Receive the number of a block that restarts: its shots so far do not count."""
+
+    def say(self, text: str) -> None:
+        """Receive an event."""
+
+    def standing(self, state: CampaignState, reason: str) -> None:
+        """Receive the campaign's state; while it waits, `reason` is the prompt."""
+
+
+class Runner:
+    """One run of one campaign, from its first or its next shot to its end or a stop."""
+
+    def __init__(
+        self,
+        entry: CampaignEntry,
+        plan: CampaignPlan,
+        store: CampaignStore,
+        data_dir: Path,
+        source: ShotSource,
+        watcher: Watcher,
+        batch: int = BATCH,
+        operator: Operator | None = None,
+        start: RunStart = RunStart(),  # noqa: B008 - a value
+        cause: Callable[[], str] = lambda: "Ctrl-C",
+    ) -> None:
+        """`operator` None: prompts that the simulation cannot answer wait for the database.
+
+        `cause` names what interrupted the run.
+        """
+        self._start, self._cause = start, cause
+        self._entry, self._plan, self._store, self._source = entry, plan, store, source
+        self._data_dir, self._watcher, self._batch = data_dir, watcher, batch
+        self._folder = data_dir / "campaigns" / entry.id / "swings"
+        self._operator = operator
+        self._drifts = Drifts(plan)
+        self._fitting = Fitting("")
+        self._asked_so_far = 0
+        self._open: Prompt | None = None
+        self._done_by_itself: list[Prompt] = []
+        self._noted: list[tuple[datetime, str, str]] = []
+        """(time, kind, text) of events before the next shot."""
+        self._alive = data_dir / "campaigns" / entry.id / "alive"
+        """Touched at every look: the time of the runner's last sign of life."""
+        self._last: datetime | None = None
+        """Time of the last shot."""
+        self._block: list[Shot] = []
+        """Shots so far of the block in progress."""
+        self._restarts: Counter[tuple[int, int]] = Counter()
+        """By section and block."""
+        self._interrupted: Callable[[], bool] = lambda: False
+        self._locked_for = 0.0
+        """Time waited for the database since the last shot, s."""
+        self._locked_as = ""
+        """State of the database for which it waited."""
+        self._pending: list[_Pending] = []
+        self._hits: Counter[Hit] = Counter()
+        self.taken = self.valid = 0
+
+    def run(self, course: Course, interrupted: Callable[[], bool]) -> RunOutcome:
+        """Continue the campaign; earlier shots go to the watcher first.
+
+        Raises:
+            BenchError: something cannot be stored; what is in the database is whole, and `resume` goes on.
+        """
+        self._folder.mkdir(parents=True, exist_ok=True)
+        for left in self._folder.glob(".*.partial"):
+            left.unlink(missing_ok=True)
+        self._interrupted, self._store.waiting = interrupted, self._wait_for_database
+        try:
+            return self._run(course, interrupted)
+        finally:
+            self._store.waiting = None
+
+    def _run(self, course: Course, interrupted: Callable[[], bool]) -> RunOutcome:
+        step = self._replay(course)
+        self._begin()
+        self._store.change(self._entry.id, requested="")
+        with ThreadPoolExecutor(1, "swing-writer") as writer:
+            try:
+                state, reason = self._go_on(course, step, interrupted, writer)
+            except BenchError as error:
+                self._end(f"the run ended with an error: {error.place}: {error.found}")
+                raise
+            finally:
+                with suppress(BenchError):  # report the first error
+                    self._commit()
+        with suppress(DatabaseLocked):  # then `resume` finds out
+            self._store.change(self._entry.id, requested="")
+            if state is not CampaignState.FINISHED:
+                self._note_event(str(state), reason)
+            self._stand(state, reason)
+        return RunOutcome(state, reason, self.taken, self.valid)
+
+    def _begin(self) -> None:
+        """Store the beginning of this run, and what there is to say about the one before."""
+        campaign, now = self._entry.id, datetime.now(UTC)
+        standing, runs = self._store.standing(campaign), self._store.runs(campaign)
+        seen = (
+            datetime.fromtimestamp(self._alive.stat().st_mtime, UTC) if self._alive.exists() else self._last
+        )
+        for kind, text in found_at_begin(standing, runs, self.taken, seen, self._start, now):
+            self._note_event(kind, text)
+            self._watcher.say(text)
+        self._store.begin_run(campaign, self._start.by, now, self._start.versions, self._start.facts)
+        self._alive.touch()
+
+    def _end(self, reason: str) -> None:
+        """Store that the run ends with an error, if that is possible."""
+        self._store.waiting = None
+        with suppress(BenchError, SQLAlchemyError):
+            self._note_event("error", reason)
+
+    def _note_event(self, kind: str, text: str) -> None:
+        """Store an interruption at once, with its time."""
+        self._store.note_event(self._entry.id, Event(datetime.now(UTC), self.taken + 1, kind, text))
+
+    def _wait_for_database(self, trouble: DatabaseLocked) -> None:
+        """Give up waiting for the database after some time or when interrupted."""
+        if not self._locked_for:
+            self._watcher.say(f"The database is {trouble.state}: waiting for it.")
+        self._locked_for, self._locked_as = trouble.waited, trouble.state
+        if trouble.waited > _DATABASE_PATIENCE or self._interrupted():
+            self._store.waiting = None  # what follows tries once
+            raise trouble
+
+    def _replay(self, course: Course) -> Step | Ending:
+        """Send the stored shots to the course and return what comes next."""
+        self._hits = self._store.hits(self._entry.hit_scope)
+        shots = self._store.shots(self._entry.id)
+        restarts = {e.before_shot for e in self._store.events(self._entry.id) if e.kind == "restart"}
+        self._recall([stored.shot for stored in shots])
+        try:
+            step = next(course)
+            for stored in shots:
+                if stored.shot.shot in restarts:
+                    step = self._restart(course, step)
+                if stored.set_aside:
+                    self._note(stored.shot)
+                    continue
+                self._require_same(step, stored.shot)
+                if drift := self._drifts.before(step):
+                    self._source.relearn(drift, stored.shot.shot)  # reported then
+                self._note(stored.shot)
+                step = course.send(stored.shot)
+            if self.taken + 1 in restarts:
+                step = self._restart(course, step)
+        except StopIteration as stop:
+            ending: Ending = stop.value
+            return ending
+        return step
+
+    def _recall(self, shots: Sequence[Shot]) -> None:
+        """Restore the fitting of the bench and any open prompt."""
+        entry, prompts = self._entry, self._store.prompts(self._entry.id)
+        club = entry.real_time.get("club") or entry.configuration["swing"]["club"]
+        self._fitting = fitting_after(club, shots, prompts)
+        self._asked_so_far = len(prompts)
+        self._open = prompts[-1] if prompts and prompts[-1].answered is None else None
+        if entry.real_time and self._store.standing(entry.id).state is not CampaignState.WAITING:
+            # A ball may have gone into a shot that was cut off.
+            self._fitting = self._fitting._replace(feeder=())
+        if not entry.simulated and (last := self._store.last_answered(entry, PromptKind.CLUB)):
+            campaign, prompt = last
+            if campaign != entry.id:
+                self._fitting = self._fitting.with_done(prompt)
+
+    def _require_same(self, step: Step, shot: Shot) -> None:
+        """Refuse to continue if the stored shot is not the planned one."""
+        trial = step.trial
+        planned = (trial.role, trial.block, trial.position, trial.arm.swing, trial.arm.club, trial.arm.ball)
+        stored = (shot.role, shot.block, shot.position, shot.swing, shot.club, shot.ball)
+        if planned != stored or step.attempt != shot.attempt:
+            place = f"campaign {self._entry.id}, shot {shot.shot}"
+            action = "Its records do not belong to its plan; start a new campaign."
+            raise BenchError(place, f"stored as {stored}", f"{planned} by its plan", action)
+
+    def _go_on(
+        self, course: Course, step: Step | Ending, interrupted: Callable[[], bool], writer: ThreadPoolExecutor
+    ) -> tuple[CampaignState, str]:
+        try:
+            self._go_back_to_work()
+            return self._shots(course, step, interrupted, writer)
+        except KeyboardInterrupt:
+            return CampaignState.STOPPED, f"interrupted by {self._cause()} before the next shot"
+        except DatabaseLocked as error:
+            self._source.rest()
+            lost = "; the last shot is not stored and is taken again" * bool(self._pending)
+            return CampaignState.SUSPENDED, f"the database was {error.found}{lost}"
+        except Suspended as why:
+            if self._requested()[0] == "abort":
+                return CampaignState.ABORTED, self._by_request("aborted")
+            return CampaignState.SUSPENDED, str(why)
+
+    def _shots(
+        self, course: Course, step: Step | Ending, interrupted: Callable[[], bool], writer: ThreadPoolExecutor
+    ) -> tuple[CampaignState, str]:
+        failures = 0
+        while not isinstance(step, Ending):
+            for state, reason in self._asked(interrupted):
+                return state, reason
+            for state, reason in self._hindered(step, interrupted):
+                return state, reason
+            number = self.taken + 1
+            sample = sample_for(self._plan, step.trial, self._hits)
+            if sample is None:
+                return CampaignState.SUSPENDED, (
+                    f"balls used up: every sample of {step.trial.arm.ball!r} has its "
+                    f"{self._plan.ball_handling.hits} hits"
+                )
+            if asked := self._fit(step, number, sample, interrupted):
+                return asked
+            if self._stood_too_long(step, number):
+                step = self._restart(course, step)
+                continue
+            if drift := self._drifts.before(step):
+                self._say("learned", self._source.relearn(drift, number))
+            try:
+                taken = self._source.take(step, number, sample)
+            except ShotPostponed as trouble:
+                for kind, text in trouble.args:
+                    self._say(kind, text)
+                continue
+            if taken.stopped:  # as if it had not been begun
+                return CampaignState.STOPPED, f"interrupted by {self._cause()}; the swing is taken again"
+            shot = self._gated(step, taken)
+            for kind, text in taken.events:
+                self._say(kind, text)
+            noted, self._noted = self._noted, []
+            events = tuple(Event(when, number, kind, text) for when, kind, text in noted)
+            hits = _used(step, taken, sample)
+            self._hits.update(hits)
+            prompts, self._done_by_itself = tuple(self._done_by_itself), []
+            written = writer.submit(self._written, shot, taken)
+            self._pending.append(_Pending(written, hits, events, prompts, taken.original))
+            self._fitting = self._fitting.after(shot)
+            self._locked_for = 0.0
+            self._note(shot)
+            if self._plan.ball_handling.magazine:
+                self._watcher.feeder(len(self._fitting.feeder))
+            if len(self._pending) >= self._batch:
+                self._commit()
+            failures = 0 if shot.status is ShotStatus.VALID else failures + 1
+            try:
+                step = course.send(shot)
+            except StopIteration as stop:
+                step = stop.value
+            if failures >= self._plan.design.failures_in_a_row and not isinstance(step, Ending):
+                return (
+                    CampaignState.SUSPENDED,
+                    f"{failures} shots in a row not valid, the last: {shot.reason}",
+                )
+        self._commit()
+        return (CampaignState.FINISHED if step.complete else CampaignState.SUSPENDED), step.reason
+
+    def _stood_too_long(self, step: Step, number: int) -> bool:
+        """Store a long time without a shot; return whether the block restarts, whose shots are set aside."""
+        bound, before = self._plan.interruption.restart_after, self._last
+        now = self._source.time_of(number)
+        gap = 0.0 if before is None else (now - before).total_seconds()
+        if not bound or 0 <= gap <= bound:
+            return False
+        self._last = now
+        self._commit()
+        words = (
+            f"{duration_text(gap)} without a shot"
+            if gap > 0
+            else "an unknown time without a shot (the clock went back)"
+        )
+        trial, warm_up = step.trial, self._plan.warm_up.at_most
+        place = f"block {trial.block}" if trial.block else f"the warm-up of section {trial.section}"
+        tried = [shot for shot in self._block if shot.block == trial.block]
+        if tried or (warm_up and (trial.role is not Role.WARM_UP or trial.position > 1)):
+            if self._restarts[trial.section, trial.block] < _MAX_RESTARTS:
+                aside = [shot.shot for shot in tried]
+                after = " after a new warm-up" if warm_up and trial.block else ""
+                text = f"{words}: {place} restarts{after}"
+                text += f"; set aside: shots {aside[0]} to {aside[-1]}" if aside else ""
+                event = Event(now, number, "restart", text)
+                self._store.set_aside(self._entry.id, aside, event)
+                self.valid -= sum(shot.status is ShotStatus.VALID for shot in tried)
+                self._watcher.say(text)
+                return True
+            words += f"; {place} was restarted {_MAX_RESTARTS} times already and goes on"
+        self._note_event("gap", words)
+        self._watcher.say(words)
+        return False
+
+    def _restart(self, course: Course, step: Step | Ending) -> Step:
+        """Restart the block of `step`; return its first step, or that of its warm-up."""
+        if isinstance(step, Ending):
+            raise BenchError(
+                f"campaign {self._entry.id}", "a restart after its end", "none", "Start a new campaign."
+            )
+        trial = step.trial
+        self._restarts[trial.section, trial.block] += 1
+        self._block = []
+        self._drifts.set_aside(trial.block)
+        self._watcher.set_aside(trial.block)
+        return course.send(RESTART)
+
+    def _go_back_to_work(self) -> None:
+        """Take the bench back after an answer that came without a runner."""
+        waiting = self._store.standing(self._entry.id).state is CampaignState.WAITING
+        if waiting and self._open is None and (prompts := self._store.prompts(self._entry.id)):
+            self._source.take_back(PromptKind(prompts[-1].kind), self._ask_also)
+        if self._open is None:
+            self._stand(CampaignState.RUNNING, "")
+
+    def _fit(
+        self, step: Step, number: int, sample: int, interrupted: Callable[[], bool]
+    ) -> tuple[CampaignState, str] | None:
+        """Prompt the operator for the work before the shot; return the ending if one is requested instead."""
+        while wish := missing(self._plan, self._fitting, step, sample, self._hits) or self._source.lacks(
+            step
+        ):
+            if wish.kind not in (self._operator.kinds if self._operator else {PromptKind.BENCH}):
+                now = self._source.time_of(number)
+                prompt = self._prompt(wish, number, now)._replace(answered=now, by="simulation")
+                self._source.hand_over(wish.kind)
+                self._source.take_back(wish.kind, self._ask_also)
+                self._done_by_itself.append(prompt)
+                self._watcher.say(f"{wish.text} The simulation has done it by itself.")
+            else:
+                self._commit()
+                prompt = self._opened(wish, number)
+                if ending := self._wait_for_answer(prompt, wish.kind, interrupted):
+                    return ending
+            self._fitting = self._fitting.with_done(prompt)
+        return None
+
+    def _prompt(self, wish: Preparation, number: int, now: datetime) -> Prompt:
+        self._asked_so_far += 1
+        return Prompt(self._asked_so_far, number, wish.kind, wish.text, wish.content, now)
+
+    def _opened(self, wish: Preparation, number: int) -> Prompt:
+        """Return the open prompt if it asks for `wish`, else a new one."""
+        before, self._open = self._open, None
+        if before and (before.kind, before.content) == (wish.kind, wish.content):
+            return before
+        if before:
+            self._store.answer(self._entry.id, before.number, "nobody: no longer needed", datetime.now(UTC))
+        prompt = self._prompt(wish, number, datetime.now(UTC))
+        self._store.ask(self._entry.id, prompt)
+        return prompt
+
+    def _wait_for_answer(
+        self, prompt: Prompt, kind: PromptKind, interrupted: Callable[[], bool]
+    ) -> tuple[CampaignState, str] | None:
+        campaign, operator = self._entry.id, self._operator
+        self._source.hand_over(kind)
+        self._stand(CampaignState.WAITING, prompt.text)
+        if operator:
+            operator.show(prompt)
+        try:
+            while not self._store.prompt(campaign, prompt.number).answered:
+                requested, _ = self._requested()
+                if requested == "abort":
+                    return CampaignState.ABORTED, self._by_request("aborted")
+                if requested == "stop" or interrupted():
+                    how = self._by_request("").strip() if requested else f"by {self._cause()}"
+                    return CampaignState.STOPPED, f"stopped {how} while it waited ({prompt.text.rstrip('.')})"
+                if operator and operator.answered():
+                    self._store.answer(campaign, prompt.number, operator.name, datetime.now(UTC))
+                else:
+                    time.sleep(_LOOK)
+        finally:
+            if operator:
+                operator.hide()
+        self._source.take_back(kind, self._ask_also)
+        self._stand(CampaignState.RUNNING, "")
+        return None
+
+    def _ask_also(self, text: str) -> None:
+        """Show what the person has to do after the answer."""
+        self._stand(CampaignState.WAITING, text)
+
+    def _stand(self, state: CampaignState, reason: str) -> None:
+        self._store.change(self._entry.id, state=state, reason=reason)
+        self._watcher.standing(state, reason)
+
+    def _hindered(self, step: Step, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
+        """Suspend during a hindrance that passes by itself; yield as `_asked`."""
+        if (first := self._source.hindrance(step)) is None:
+            return
+        self._commit()
+        if not first.armed:
+            self._source.rest()
+        began = free_since = time.monotonic()
+        self._stand(CampaignState.SUSPENDED, first.text)
+        self._watcher.say(f"suspended: {first.text}")
+        while (now := time.monotonic()) - free_since < _SETTLED:
+            for ending in self._asked(interrupted):
+                yield ending
+                return
+            if found := self._source.hindrance(step):
+                free_since = now
+                if now - began > found.patience:
+                    self._source.rest()
+                    yield CampaignState.SUSPENDED, f"{found.text}, for {now - began:.0f} s now"
+                    return
+                if self._store.standing(self._entry.id).state is not CampaignState.SUSPENDED:
+                    self._stand(CampaignState.SUSPENDED, found.text)  # it was paused meanwhile
+            time.sleep(_LOOK)
+        self._stand(CampaignState.RUNNING, "")
+        text = f"{first.text}; it went on by itself after {now - began:.0f} s"
+        self._say("suspended", text)
+
+    def _say(self, kind: str, text: str) -> None:
+        """Report an event now, and store it with the next shot."""
+        self._watcher.say(text)
+        self._noted.append((self._source.time_of(self.taken + 1), kind, text))
+
+    def _requested(self) -> tuple[str, str]:
+        """Return the pending request and who made it; a sign of life."""
+        with suppress(OSError):
+            self._alive.touch()
+        standing = self._store.standing(self._entry.id)
+        return standing.requested, standing.requested_by
+
+    def _by_request(self, done: str) -> str:
+        _, by = self._requested()
+        return f"{done} by request{f' of {by}' if by else ''}"
+
+    def _asked(self, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
+        """Yield the ending if one is requested; waits while paused."""
+        paused: float | None = None
+        while True:
+            if interrupted():
+                yield CampaignState.STOPPED, f"interrupted by {self._cause()}"
+                return
+            match self._requested()[0]:
+                case "stop":
+                    yield CampaignState.STOPPED, self._by_request("stopped")
+                    return
+                case "abort":
+                    yield CampaignState.ABORTED, self._by_request("aborted")
+                    return
+                case "pause":
+                    if paused is None:
+                        paused, text = time.monotonic(), self._by_request("paused")
+                        self._commit()
+                        self._source.rest()
+                        self._note_event("paused", text)
+                        self._stand(CampaignState.PAUSED, text)
+                        self._watcher.say(text)
+                    time.sleep(_LOOK)
+                case _:
+                    if paused is not None:
+                        text = f"went on after a pause of {duration_text(time.monotonic() - paused)}"
+                        self._note_event("resumed", text)
+                        self._stand(CampaignState.RUNNING, "")
+                        self._watcher.say(text)
+                    return
+
+    def _gated(self, step: Step, taken: Taken) -> Shot:
+        """Return the shot, excluded if its delivery is not valid."""
+        shot = taken.shot
+        if shot.status is ShotStatus.VALID:
+            club = self._plan.clubs[step.trial.arm.club]
+            figure, reason = outside(shot, club, step.centre, self._plan.gate)
+            if reason:
+                return replace(shot, status=ShotStatus.EXCLUDED, reason=reason, gate_figure=figure)
+        return shot
+
+    def _written(self, shot: Shot, taken: Taken) -> StoredShot:
+        """Write the shot's cycles to a complete file and return the row for the database."""
+        if taken.cycles is None:
+            return StoredShot(shot)
+        path = self._folder / f"{shot.shot:06d}.parquet"
+        facts = {"campaign": self._entry.id, "shot": shot_to_json(shot)}
+        write_swing(path, taken.cycles, {**taken.metadata, **facts})
+        return StoredShot(shot, str(path.relative_to(self._data_dir)), path.stat().st_size)
+
+    def _note(self, shot: Shot) -> None:
+        self.taken += 1
+        self.valid += shot.status is ShotStatus.VALID
+        self._last = shot.time_utc
+        if self._block and self._block[-1].block != shot.block:
+            self._block = []
+        if shot.block:
+            self._block.append(shot)
+        self._drifts.note(shot)
+        self._watcher.shot(shot)
+
+    def _commit(self) -> None:
+        """Add the pending shots in one transaction, once all their files are complete.
+
+        Raises:
+            BenchError: a file cannot be stored; the shots before it are still added.
+        """
+        pending, self._pending = self._pending, []
+        shots, events, hits, prompts = list[StoredShot](), list[Event](), Counter[Hit](), list[Prompt]()
+        try:
+            for one in pending:
+                shots.append(one.future.result())
+                events += one.events
+                hits.update(one.hits)
+                prompts += one.prompts
+        except NotStored as error:
+            stored = self.taken - len(pending) + len(shots)
+            resume = f"golfbench campaign resume {self._entry.id}"
+            action = f"Free some space, then {resume}: {stored} shots are stored."
+            raise NotStored(error.place, error.found, error.expected, action) from error
+        finally:
+            if shots:
+                try:
+                    self._store.add(self._entry, shots, events, hits, prompts)
+                except DatabaseLocked:
+                    self._pending = pending
+                    raise
+                if self._locked_for:
+                    waited = duration_text(self._locked_for)
+                    text = f"the database was {self._locked_as} for {waited}; waited for it"
+                    self._note_event("database", text)
+                    self._locked_for = 0.0
+                for one in pending[: len(shots)]:
+                    if one.original is not None:
+                        with suppress(OSError):  # not ours to remove: kept twice
+                            one.original.unlink(missing_ok=True)
+
+
+def _used(step: Step, taken: Taken, sample: int) -> tuple[Hit, ...]:
+    """Return the uses of the shot's ball, club and valves."""
+    arm = step.trial.arm
+    valves = tuple(Hit("valve", name) for name in ACTUATORS) if taken.cycles is not None else ()
+    struck = (Hit("ball", arm.ball, sample), Hit("club", arm.club)) if taken.struck else ()
+    return (*valves, *struck)

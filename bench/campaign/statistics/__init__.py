@@ -1,0 +1,1 @@
+"""Statistics of a campaign: comparisons, power, control chart, preview."""

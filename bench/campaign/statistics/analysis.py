@@ -1,0 +1,554 @@
+"""Analysis of a campaign, fixed by its plan beforehand: levels described and compared.
+
+Confirmatory: block effects fixed (`bench.campaign.statistics.block_model`), the drift taken out by the
+control ball when the plan says so, and the delivery by the plan's covariates. Balls are random where a model
+had more than one, and each level has its own variance (`bench.campaign.statistics.unequal_variances`): a
+statement on a difference holds for balls that were not hit, or for "this ball" where there was one only. All
+pairs of a section err together with the plan's level (the distribution of the largest |t|, single step: a
+pair differs exactly if its joint interval leaves out 0); two one-sided tests (TOST), adjusted by Holm, say
+"the same". Before the plan's end an interim analysis spends its share of the error rate
+(`bench.campaign.statistics.sample_size`). In a split-plot the unit for clubs is the mounting and, within each
+club, for balls the shot (`bench.campaign.statistics.block_model`).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from bench.campaign.plan.gate import OUTSIDE
+from bench.campaign.plan.plan import CampaignPlan, controls_per_block, levels
+from bench.campaign.plan.shot_sequence import Role, looks_after
+from bench.campaign.statistics.block_model import (
+    Array,
+    BlockFit,
+    Codes,
+    Contrast,
+    ScatterRatio,
+    are_pooled,
+    ball_columns,
+    enough_mountings,
+    fit_blocks,
+    holm,
+    independent_codes,
+    scatter_ratios,
+    set_codes,
+    shots_within,
+    variance_components,
+    within_club,
+)
+from bench.campaign.statistics.sample_size import Look, look_now, power_of_shift, same_power_of_error
+from bench.campaign.statistics.unequal_variances import (
+    JointErrors,
+    UnitErrors,
+    UnitLayout,
+    common_errors,
+    together,
+    units_of,
+)
+from bench.records.shot.shot import Shot, ShotStatus
+
+COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}
+"""Columns whose quantity is named without its unit."""
+
+OUTLIER = 3.5
+"""Robust z (Iglewicz and Hoaglin 1993) from which a shot is flagged; it stays in the analysis."""
+
+
+class Spread(NamedTuple):
+    """Mean and standard deviation of one shot, with intervals that hold for other balls; NaN with too few."""
+
+    n: int
+    """Number of shots."""
+    balls: int
+    """Number of balls; with one only, the figures are those of this ball. In a split-plot: of mountings."""
+    mean: float
+    low: float
+    high: float
+    deviation: float
+    deviation_low: float
+    deviation_high: float
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of the compared factor in one section."""
+
+    name: str
+    hit: int
+    valid: int
+    excluded: int
+    failed: int
+    reasons: dict[str, int]
+    """Number of shots by reason that they are not valid."""
+    spread: Spread
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two levels compared: `first` less `second`, in the quantity's unit."""
+
+    first: str
+    second: str
+    difference: float
+    error: float
+    freedom: float
+    low: float
+    high: float
+    """Interval of this pair alone, at the comparison's `confidence`."""
+    low_together: float
+    high_together: float
+    """Interval that holds together with all pairs'; without 0 exactly if they are called different."""
+    p: float
+    p_adjusted: float
+    """Of all pairs together."""
+    p_same: float | None
+    """TOST, Holm-adjusted; None without a margin."""
+    shots: int
+    """Valid shots of the level with fewer."""
+    balls: int
+    """Balls of the level with fewer; mountings in a split-plot; 0 where neither is known."""
+    models: bool
+    """Whether it holds for the models; else for these specimens only: one ball of a level, or clubs."""
+    power: float
+    """Power to find the difference worth finding, with the measured scatter."""
+    verdict: str
+    """"different", "same", "both" (different, but by less than the margin), "not enough shots" or "open"."""
+
+    def reversed(self) -> Pair:
+        """Return it as `second` less `first`."""
+        return replace(
+            self,
+            first=self.second,
+            second=self.first,
+            difference=-self.difference,
+            low=-self.high,
+            high=-self.low,
+            low_together=-self.high_together,
+            high_together=-self.low_together,
+        )
+
+
+class Covariates(NamedTuple):
+    """What the plan's covariates, the delivery of the club, explain."""
+
+    names: tuple[str, ...]
+    slopes: tuple[float, ...]
+    """Effect of one unit of each."""
+    share: float
+    """Share of the variance of one shot within blocks that they explain."""
+    missing: int
+    """Valid shots left out because one of them was not measured."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Result of one model for one section."""
+
+    method: str
+    confidence: float
+    """True level of each pair's interval: that of this look."""
+    deviation: float
+    """Standard deviation of one shot, other effects and that between balls removed."""
+    ball_deviation: float | None
+    """Between balls of one model, the levels' mean; None if no ball was hit twice. In a split-plot: between
+    mountings of one club."""
+    freedom: float
+    """Of the residuals; each pair has its own."""
+    single: float
+    """Error level of one pair."""
+    pairs: tuple[Pair, ...]
+    drift: float | None
+    """Drift of the quantity per shot, from the control ball; None if it is not in the model."""
+    drift_error: float | None
+    covariates: Covariates | None
+    scatter: tuple[ScatterRatio, ...]
+    """Ratios of the levels' standard deviations."""
+
+
+@dataclass(frozen=True)
+class SectionAnalysis:
+    """Results of one section."""
+
+    number: int
+    name: str
+    levels: tuple[Level, ...]
+    control: Level | None
+    confirmatory: Comparison | None
+    look: Look
+    """How much of the plan is done, and the error level it leaves."""
+    values: tuple[float, ...]
+    """Valid values of a section's only level, in order; empty where levels are compared."""
+    outliers: tuple[tuple[int, float], ...]
+    """(shot, robust z) of outliers among valid shots; never removed."""
+    within: tuple[SectionAnalysis, ...] = ()
+    """Of a split-plot: balls compared within each club, named after the club."""
+
+
+def analyse(
+    plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str, looks: Sequence[int] | None = None
+) -> SectionAnalysis:
+    """Return the analysis of one section's `shots`; `looks` as `look_now` takes them."""
+    return _analysed(plan, shots, number, name, look_now(plan, shots, looks))
+
+
+def _analysed(
+    plan: CampaignPlan, shots: Sequence[Shot], number: int, name: str, look: Look
+) -> SectionAnalysis:
+    mine = [shot for shot in shots if shot.role != Role.WARM_UP]
+    tests = [shot for shot in mine if shot.role == Role.TEST]
+    controls = [shot for shot in mine if shot.role == Role.CONTROL]
+    names, factor = levels(plan), plan.design.compare
+    confirmatory, fit = None, None
+    if controls_per_block(plan) and plan.analysis.drift == "linear":
+        method = "drift removed by the control ball"
+        confirmatory, fit = _compared(plan, tests, controls, method, look.alpha)
+    if confirmatory is None:
+        method = "mountings of a club random" if plan.split else "raw"
+        confirmatory, without = _compared(plan, tests, [], method, look.alpha)
+        fit = fit or without
+    return SectionAnalysis(
+        number,
+        name,
+        tuple(_level(plan, level, [s for s in tests if getattr(s, factor) == level]) for level in names),
+        _level(plan, f"{plan.control.ball} (control)", controls) if controls else None,
+        confirmatory,
+        look,
+        tuple(map(float, values_of(plan, tests)[1])) if len(names) < 2 else (),
+        _outliers(fit),
+        _within(plan, tests, number, look),
+    )
+
+
+def _within(
+    plan: CampaignPlan, tests: Sequence[Shot], number: int, look: Look
+) -> tuple[SectionAnalysis, ...]:
+    """Return the balls compared within each club of a split-plot."""
+    if not plan.split or len(plan.design.balls) < 2:
+        return ()
+    return tuple(
+        _analysed(within_club(plan, club), shots_within(plan, club, tests), number, club, look)
+        for club in plan.design.clubs
+    )
+
+
+def values_of(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[list[Shot], Array]:
+    """Return the valid shots that have the plan's quantity, and its values."""
+    column = COLUMN.get(plan.analysis.quantity, plan.analysis.quantity)
+    kept = [shot for shot in shots if shot.status is ShotStatus.VALID and getattr(shot, column) is not None]
+    return kept, np.array([getattr(shot, column) for shot in kept], dtype=float)
+
+
+class _Fit(NamedTuple):
+    fit: BlockFit
+    shots: list[Shot]
+
+
+class _Data(NamedTuple):
+    """Shots of one model as arrays."""
+
+    shots: list[Shot]
+    y: Array
+    level: Codes
+    block: Codes
+    ball: Codes
+    time: Array | None
+    delivery: Array | None
+    """(n, covariates)"""
+    beside: Array | None
+    """(n, m): other factors that are taken out; the balls of a split-plot."""
+    missing: int
+
+    def fit(self, levels: int) -> BlockFit:
+        """Fit all of it."""
+        columns = [each for each in (self.beside, self.delivery) if each is not None]
+        more = np.hstack(columns) if columns else None
+        return fit_blocks(self.y, self.level, self.block, levels, self.time, more)
+
+
+def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -> _Data:
+    """Return the shots of a model; `controls` are a level of their own, after the others."""
+    names, wanted = levels(plan), plan.analysis.covariates
+    every, values = values_of(plan, [*tests, *controls])
+    delivered = [[getattr(s, name) for name in wanted] for s in every]
+    chosen = [index for index, row in enumerate(delivered) if None not in row]
+    kept = [every[index] for index in chosen]
+    index = {name: code for code, name in enumerate(names)}
+    factor = plan.design.compare
+    level = np.array([len(names) if s.role == Role.CONTROL else index[getattr(s, factor)] for s in kept], int)
+    # The compared balls, and mountings, are nested in their levels. Else clubs and swings share balls in an
+    # order drawn by lot, which spreads them like shots.
+    nested = factor == "ball" or plan.split
+    ball = independent_codes(plan, kept) if nested else np.arange(len(kept))
+    return _Data(
+        kept,
+        values[chosen],
+        level,
+        np.array([s.block for s in kept], int),
+        ball,
+        np.array([s.shot for s in kept], dtype=float) if controls else None,
+        np.array([delivered[index] for index in chosen], dtype=float) if wanted else None,
+        ball_columns(plan, kept),
+        len(every) - len(kept),
+    )
+
+
+def _described(
+    plan: CampaignPlan, names: Sequence[str], pair: tuple[int, int, Contrast], hits: Codes, balls: Codes
+) -> _Described:
+    """Return a `pair` of levels with the fewest hits and balls of the two."""
+    one, two, contrast = pair
+    models = plan.design.compare == "ball"
+    fewest = int(min(balls[one], balls[two])) if models or plan.split else 0
+    return _Described(
+        names[one], names[two], contrast, int(min(hits[one], hits[two])), fewest, models and fewest > 1
+    )
+
+
+def _compared(
+    plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot], method: str, alpha: float
+) -> tuple[Comparison | None, _Fit | None]:
+    """Return all pairs by one model; with `controls` they are a level of their own, and time is in it."""
+    names, data = levels(plan), _data(plan, tests, controls)
+    if len(data.shots) < 3:
+        return None, None
+    count = len(names) + bool(controls)
+    fit = data.fit(count)
+    kept = _Fit(fit, data.shots)
+    units = units_of(data.level, data.ball, count)
+    if fit.freedom < 1 or (plan.split and not enough_mountings(data.level, data.block, count)):
+        return None, kept
+    pooled = plan.split and are_pooled(units.balls)
+    errors = UnitLayout(fit, units, pooled=pooled).estimate(fit.residuals)
+    hits = np.bincount(data.level, minlength=count)
+    found, common = [], common_errors(plan, data.shots)
+    for one, two in combinations(range(len(names)), 2):
+        enough = min(hits[one], hits[two]) if not plan.split else min(units.balls[[one, two]]) - 1
+        contrast = errors.contrast(fit, one, two) if enough > 0 else None
+        if contrast is not None:
+            found.append((one, two, contrast.widened(*(common.get(names[n], 0.0) for n in (one, two)))))
+    if not found and len(names) > 1:
+        return None, kept
+    joint = together(errors, [(one, two) for one, two, _ in found], fit.freedom)
+    described = [_described(plan, names, pair, hits, units.balls) for pair in found]
+    slope = slope_error = None
+    if controls:
+        slope = float(fit.effects[count])
+        slope_error = fit.deviation * sqrt(max(float(fit.inverse[count - 1, count - 1]), 0.0))
+    deviation, between = _deviations(errors, units.balls, hits, fit, len(names))
+    return (
+        Comparison(
+            method,
+            1 - alpha,
+            deviation,
+            between,
+            fit.freedom,
+            joint.single(alpha),
+            _judged(plan, described, joint, alpha),
+            slope,
+            slope_error,
+            _explained(plan, data, fit, count),
+            _scatter(plan, data, fit, names),
+        ),
+        kept,
+    )
+
+
+def _deviations(
+    errors: UnitErrors, balls: Codes, hits: Codes, fit: BlockFit, count: int
+) -> tuple[float, float | None]:
+    """Return the standard deviations of one shot and between balls, means of the compared levels."""
+    again = balls[:count] < hits[:count]
+    if not (again & (balls[:count] > 1)).any():
+        return fit.deviation, None
+    if not errors.ratio:  # balls' sums that scatter less than their hits by chance say little of one shot
+        return fit.deviation, 0.0
+    variance = float(np.average(errors.variances[:count], weights=np.maximum(hits[:count], 1e-9)))
+    return sqrt(max(variance, 0.0)), sqrt(max(variance * errors.ratio, 0.0))
+
+
+def _explained(plan: CampaignPlan, data: _Data, fit: BlockFit, count: int) -> Covariates | None:
+    """Return what the covariates explain; None without any."""
+    if data.delivery is None:
+        return None
+    without = fit_blocks(data.y, data.level, data.block, count, data.time)
+    share = 1 - (fit.deviation / without.deviation) ** 2 if without.deviation else 0.0
+    slopes = fit.effects[len(fit.effects) - len(plan.analysis.covariates) :]
+    return Covariates(plan.analysis.covariates, tuple(map(float, slopes)), max(share, 0.0), data.missing)
+
+
+def _scatter(
+    plan: CampaignPlan, data: _Data, fit: BlockFit, names: Sequence[str]
+) -> tuple[ScatterRatio, ...]:
+    """Return the ratios of all levels' scatter, what time and delivery explain taken off."""
+    if len(names) < 2:
+        return ()
+    explained = [column for column in (data.time, data.beside, data.delivery) if column is not None]
+    values, block = data.y, fit.block
+    if explained:
+        columns = np.column_stack(explained)
+        values = values - columns @ fit.effects[len(fit.effects) - columns.shape[1] :]
+    if plan.split:  # shots at the same place in two mountings of a block
+        block = np.unique(set_codes(plan, data.shots), return_inverse=True)[1]
+    return scatter_ratios(block, values, data.level, data.ball, names, plan.analysis.confidence)
+
+
+class _Described(NamedTuple):
+    first: str
+    second: str
+    contrast: Contrast
+    shots: int
+    balls: int
+    models: bool
+
+
+def _judged(
+    plan: CampaignPlan, found: Sequence[_Described], joint: JointErrors, alpha: float
+) -> tuple[Pair, ...]:
+    """Adjust all pairs together and put each into one word."""
+    a, single = plan.analysis, joint.single(alpha)
+    same: Sequence[float | None] = [None] * len(found)
+    if a.margin:
+        same = list[float | None](holm([pair.contrast.p_same(a.margin) for pair in found]))
+    pairs = []
+    for pair, equal in zip(found, same, strict=True):
+        c = pair.contrast
+        adjusted = joint.adjusted(c.p)
+        power = power_of_shift(a.difference / c.error, c.freedom, single) if c.error else 1.0
+        enough = power >= a.power and (
+            not a.margin or same_power_of_error(a.margin, c.error, c.freedom, alpha / len(found)) >= a.power
+        )
+        pairs.append(
+            Pair(
+                pair.first,
+                pair.second,
+                c.estimate,
+                c.error,
+                c.freedom,
+                *c.interval(1 - alpha),
+                *c.interval(1 - single),
+                c.p,
+                adjusted,
+                equal,
+                pair.shots,
+                pair.balls,
+                pair.models,
+                power,
+                _verdict(adjusted < alpha, equal is not None and equal < alpha, enough),
+            )
+        )
+    return tuple(pairs)
+
+
+def _verdict(different: bool, same: bool, enough: bool) -> str:
+    if different:
+        return "both" if same else "different"
+    if same:
+        return "same"
+    return "open" if enough else "not enough shots"
+
+
+def spread(values: Array, ball: Codes | None = None, confidence: float = 0.95) -> Spread:
+    """Return mean and standard deviation of one shot of (n,) values, balls being random where known.
+
+    With more than one ball the mean's interval is that of the balls' means (Student), the standard deviation
+    holds scatter between and within balls (Satterthwaite); else shots count for themselves.
+    """
+    n, nan = len(values), float("nan")
+    codes = np.zeros(n, int) if ball is None else np.unique(ball, return_inverse=True)[1]
+    balls = int(codes.max()) + 1 if n else 0
+    if n < 2:
+        return Spread(n, balls, float(values[0]) if n else nan, nan, nan, nan, nan, nan)
+    mean, error = float(values.mean()), mean_error(values, codes)
+    grouped = codes if 1 < balls < n else np.zeros(n, int)
+    whole = variance_components(values, grouped, confidence)[1]
+    half = float(special.stdtrit(error.freedom, (1 + confidence) / 2)) * error.error
+    return Spread(n, balls, mean, mean - half, mean + half, whole.deviation, whole.low, whole.high)
+
+
+class MeanError(NamedTuple):
+    """Standard uncertainty of a mean from the scatter of its series."""
+
+    error: float
+    freedom: float
+
+
+def mean_error(values: Array, codes: Codes) -> MeanError:
+    """Return the standard uncertainty of the mean of (n,) values, n at least 2, of balls `codes` (from 0)."""
+    n, balls, mean = len(values), int(codes.max()) + 1, float(values.mean())
+    if 1 < balls < n:
+        hits = np.bincount(codes)
+        sums = np.bincount(codes, values - mean)
+        # Unbiased for the mean's variance whatever each ball's hits, if balls scatter alike.
+        variance, freedom = float((sums**2).sum()) / n**2 * balls / (balls - 1), float(balls - 1)
+        freedom = min(freedom, float(n**2 / (hits**2).sum()) - 1) if hits.max() > hits.min() else freedom
+        return MeanError(sqrt(variance), max(freedom, 1.0))
+    return MeanError(float(values.std(ddof=1)) / sqrt(n), float(n - 1))
+
+
+def _level(plan: CampaignPlan, name: str, shots: Sequence[Shot]) -> Level:
+    by = Counter(shot.status for shot in shots)
+    reasons = Counter(OUTSIDE.get(shot.gate_figure, shot.reason) for shot in shots if shot.reason)
+    kept, values = values_of(plan, shots)
+    return Level(
+        name,
+        by[ShotStatus.VALID] + by[ShotStatus.EXCLUDED],
+        by[ShotStatus.VALID],
+        by[ShotStatus.EXCLUDED],
+        by[ShotStatus.FAILED],
+        dict(reasons.most_common()),
+        spread(values, independent_codes(plan, kept), plan.analysis.confidence),
+    )
+
+
+def _outliers(fit: _Fit | None) -> tuple[tuple[int, float], ...]:
+    """Flag residuals by Iglewicz and Hoaglin's robust z."""
+    if fit is None or len(fit.shots) < 5:
+        return ()
+    residuals = fit.fit.residuals
+    off = residuals - np.median(residuals)
+    scale = 1.4826 * float(np.median(np.abs(off)))
+    if not scale:
+        return ()
+    z = off / scale
+    return tuple((fit.shots[i].shot, float(z[i])) for i in np.flatnonzero(np.abs(z) > OUTLIER))
+
+
+def interim_analysis(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[int, Comparison] | None:
+    """Return a section's comparison at the latest look of the plan's stopping rule, and after which block.
+
+    It costs nothing: the rule has looked at the same `shots`. None before its first look, or without a rule.
+    """
+    blocks = [shot.block for shot in shots if shot.block]
+    # The rule looks before the next block begins.
+    looks = [number for number in looks_after(plan) if blocks and number <= max(blocks) - min(blocks)]
+    if not looks:
+        return None
+    number = max(looks)
+    taken = [shot for shot in shots if shot.block - min(blocks) < number]
+    found = analyse(plan, taken, 1, "", ()).confirmatory
+    return None if found is None else (number, found)
+
+
+def decide(plan: CampaignPlan, shots: Sequence[Shot]) -> str:
+    """Return why a section's `shots` are enough by the plan's stopping rule; empty if they are not."""
+    result = analyse(plan, shots, 1, "", ()).confirmatory
+    count = len(levels(plan))
+    if result is None or len(result.pairs) < count * (count - 1) // 2:
+        return ""
+    if plan.stop.rule == "width":
+        widest = max((pair.high - pair.low) / 2 for pair in result.pairs)
+        return f"half widths of all intervals are at most {widest:.3g}" if widest <= plan.stop.width else ""
+    if plan.stop.rule == "equivalence" and all(
+        p.verdict in {"same", "both", "different"} for p in result.pairs
+    ):
+        words = Counter(pair.verdict for pair in result.pairs)
+        return "decided: " + ", ".join(f"{number} {word}" for word, number in words.items())
+    return ""

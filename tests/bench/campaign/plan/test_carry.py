@@ -1,0 +1,265 @@
+"""Carry says what it is: three quantities, never mixed; hardware never shows the plan's ball."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from datetime import UTC, datetime
+from math import pi
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from bench.base.errors import BenchError, Refused
+from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics
+from bench.campaign.plan.carry import ShotCarry, measured_of, require_carry
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.report.campaign_record import CampaignRecord
+from bench.campaign.report.campaign_report import render_campaign_report
+from bench.campaign.report.findings import as_flown, findings
+from bench.campaign.report.report_tables import carry_words
+from bench.campaign.report.verdicts import quantity_name
+from bench.campaign.run.runner_control import new_entry
+from bench.campaign.statistics.analysis import analyse
+from bench.campaign.statistics.block_model import Contrast
+from bench.campaign.statistics.unequal_variances import common_errors
+from bench.config import Configuration
+from bench.records.shot.recorded_shot import FlightConditions
+from bench.store.records import CampaignState, Hit, Standing
+from drivers.base import Launch
+from sim.ball import REFERENCE_BALL, Ball
+from sim.flight import fly
+from tests.benchmarks.campaign_statistics import Truth, campaign_shots
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+AROUND = FlightConditions()
+LAUNCH = Launch(63.0, 0.2, 0.01, 2800 * pi / 30, 0.02)
+NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
+VALUES = BallAerodynamics(
+    "a", 0.04593, 0.021335, "LIBGOLF", 1.05, 0.97, 0.004, 0.006, 0.4, 20, 58.0, 70.0, 230.0, 340.0, 1.1
+)
+
+
+def _ten(configuration: Configuration, carry: str) -> CampaignPlan:
+    plan = load_plan(Path("ten-balls"), configuration)
+    return replace(plan, analysis=replace(plan.analysis, carry=cast(Any, carry)))
+
+
+def _entry(ball: str = "a", values: BallAerodynamics = VALUES) -> AerodynamicsEntry:
+    return AerodynamicsEntry(1, NOW, "radar, range 2", "Ann", replace(values, ball=ball))
+
+
+def _carry(plan: CampaignPlan, ball: str, told: float | None = 190.0, **measured: Any) -> dict[str, Any]:
+    """Return the columns of a shot on hardware."""
+    return ShotCarry(plan, measured).columns(ball, LAUNCH, AROUND, told, None)[0]
+
+
+def test_ten_balls_with_one_launch_have_one_reference_carry(configuration: Configuration) -> None:
+    # Flown with the plan's own drag_factor and lift_factor they were 179.6 to 185.2 m.
+    plan = _ten(configuration, "reference")
+    carries = {_carry(plan, ball)["carry_m"] for ball in plan.design.balls}
+    assert carries == {fly(LAUNCH, AROUND.air, REFERENCE_BALL, AROUND.wind, AROUND.turf).carry}
+
+
+@pytest.mark.parametrize("carry", ["", "reference", "monitor", "measured"])
+def test_what_the_plan_says_of_a_ball_changes_nothing_on_hardware(
+    configuration: Configuration, carry: str
+) -> None:
+    plan = _ten(configuration, carry)
+    other = replace(
+        plan,
+        balls={name: replace(ball, drag_factor=0.5, lift_factor=2.0) for name, ball in plan.balls.items()},
+    )
+    assert _carry(plan, "f", f=_entry("f")) == _carry(other, "f", f=_entry("f"))
+
+
+def test_the_named_carry_is_the_compared_one_and_all_are_kept(configuration: Configuration) -> None:
+    for source, column in (
+        ("reference", "carry_reference_m"),
+        ("monitor", "carry_monitor_m"),
+        ("measured", "carry_measured_m"),
+    ):
+        found = _carry(_ten(configuration, source), "a", a=_entry())
+        assert (found["carry_source"], found["carry_m"]) == (source, found[column])
+        three = [found[f"carry_{name}_m"] for name in ("reference", "monitor", "measured")]
+        assert len(set(three)) == 3
+        assert found["carry_measured_error_m"] == pytest.approx(0.6, abs=0.5)
+    monitor = _carry(_ten(configuration, "monitor"), "a", a=_entry())
+    assert not {"total_m", "apex_m", "landing_angle_deg", "carry_side_m"} & monitor.keys(), (
+        "it reports no more"
+    )
+    measured = _carry(_ten(configuration, "measured"), "a", a=_entry())
+    flown = fly(LAUNCH, AROUND.air, VALUES.as_flown, AROUND.wind, AROUND.turf)
+    assert (measured["total_m"], measured["flight_source"]) == (flown.total, "measured")
+
+
+@pytest.mark.parametrize(
+    ("carry", "launch", "told", "reason"),
+    [
+        ("monitor", LAUNCH, None, "the launch monitor reported none"),
+        (
+            "measured",
+            LAUNCH._replace(speed=80.0),
+            200.0,
+            "ball speed 80.0 m/s, aerodynamics of a measured from",
+        ),
+        ("reference", LAUNCH._replace(speed=500.0), 200.0, "no flight"),
+    ],
+)
+def test_a_carry_that_is_not_known_is_said(
+    configuration: Configuration, carry: str, launch: Launch, told: float | None, reason: str
+) -> None:
+    columns, doubt = ShotCarry(_ten(configuration, carry), {"a": _entry()}).columns(
+        "a", launch, AROUND, told, None
+    )
+    assert reason in doubt
+    assert columns.get("carry_m") is None
+    speed = _ten(configuration, carry)
+    speed = replace(speed, analysis=replace(speed.analysis, quantity="ball_speed_mps"))
+    if carry != "reference":
+        assert ShotCarry(speed, {"a": _entry()}).columns("a", launch, AROUND, told, None)[1] == ""
+
+
+def test_a_simulated_ball_has_its_own_flight_where_nothing_else_is_named(
+    configuration: Configuration,
+) -> None:
+    ball = Ball("a", drag_factor=0.9)
+    for carry, source in (("", "simulated"), ("measured", "simulated"), ("reference", "reference")):
+        found, _ = ShotCarry(_ten(configuration, carry), {}).columns("a", LAUNCH, AROUND, 190.0, ball)
+        assert (found["carry_source"], found["flight_source"]) == (source, source)
+    own, _ = ShotCarry(_ten(configuration, ""), {}).columns("a", LAUNCH, AROUND, 190.0, ball)
+    assert own["carry_m"] == fly(LAUNCH, AROUND.air, ball, AROUND.wind, AROUND.turf).carry
+    monitor, _ = ShotCarry(_ten(configuration, "monitor"), {}).columns("a", LAUNCH, AROUND, 190.0, ball)
+    assert (monitor["carry_m"], monitor["carry_source"], monitor["flight_source"]) == (
+        190.0,
+        "monitor",
+        "simulated",
+    )
+
+
+def test_hardware_needs_to_know_which_carry_is_compared(configuration: Configuration) -> None:
+    with pytest.raises(Refused, match="carry_m is compared"):
+        require_carry(_ten(configuration, ""), {})
+    with pytest.raises(Refused, match="no aerodynamics of b, c"):
+        require_carry(_ten(configuration, "measured"), {"a": _entry()})
+    for carry in ("reference", "monitor"):
+        require_carry(_ten(configuration, carry), {})
+    require_carry(load_plan(Path("repeatability"), configuration), {})
+
+
+def test_pole_and_seam_are_not_compared_by_one_balls_coefficients(
+    tmp_path: Path, configuration: Configuration
+) -> None:
+    text = (Path(__file__).parents[4] / "bench/campaigns/symmetry.toml").read_text()
+    (tmp_path / "plan.toml").write_text(text.replace('carry = "monitor"', 'carry = "reference"'))
+    with pytest.raises(ExceptionGroup) as caught:
+        load_plan(tmp_path / "plan.toml", configuration)
+    (fault,) = caught.value.exceptions
+    assert isinstance(fault, BenchError)
+    assert "pole and seam are the same" in fault.found
+    total = text.replace('quantity = "carry_m"', 'quantity = "total_m"')
+    (tmp_path / "plan.toml").write_text(total)
+    with pytest.raises(ExceptionGroup, match="invalid"):
+        load_plan(tmp_path / "plan.toml", configuration)
+
+
+def test_a_campaign_keeps_the_coefficients_it_was_begun_with(configuration: Configuration) -> None:
+    plan = _ten(configuration, "measured")
+    entry = new_entry(plan, configuration, NOW, simulated=False, measured={"a": _entry()})
+    stored = json.loads(json.dumps(entry.calibrations))
+    assert measured_of(stored, "campaign") == {"a": _entry()}
+    assert new_entry(plan, configuration, NOW, simulated=False).calibrations == {}
+
+
+def test_a_report_of_hardware_does_not_say_what_the_simulation_makes_of_a_ball(
+    configuration: Configuration,
+) -> None:
+    plan = _ten(configuration, "measured")
+    shots = [
+        replace(shot, carry_source="measured", carry_measured_error_m=0.8)
+        for shot in campaign_shots(replace(plan, design=replace(plan.design, blocks=2)), Truth(), 1)
+    ]
+    measured = {"a": _entry()}
+    texts = {}
+    for simulated in (False, True):
+        entry = new_entry(plan, configuration, NOW, simulated=simulated, measured=measured)
+        record = CampaignRecord(
+            entry, Standing(CampaignState.FINISHED, "", ""), plan, shots, [], Counter[Hit]()
+        )
+        texts[simulated] = render_campaign_report(record, findings(plan, shots))
+    for word in ("drag_factor", "lift_factor", "plant.ball", "plan.simulation"):
+        assert word not in texts[False], word
+        assert word in texts[True], word
+    hardware = texts[False]
+    assert "measured – flown from the measured launch with the aerodynamics measured on each ball" in hardware
+    assert "drag 1.0500 ± 0.0040, lift 0.9700 ± 0.0060 times LIBGOLF" in hardware
+    assert "radar, range 2, 2026-11-22, version 1, by Ann" in hardware
+    assert "carry (measured aerodynamics)" in hardware
+    assert "length to the face" in hardware
+    assert "0.80 to 0.80 m" in hardware
+
+
+def test_an_older_campaigns_carry_is_named_as_what_it_was(configuration: Configuration) -> None:
+    plan = _ten(configuration, "")
+    shots = [replace(shot, carry_source="model") for shot in campaign_shots(plan, Truth(), 1)[:40]]
+    assert "it says nothing of a real ball" in carry_words(shots)
+    assert carry_words([]) == ""
+
+
+def test_a_simulated_carry_is_not_called_measured(configuration: Configuration) -> None:
+    plan = _ten(configuration, "measured")
+    shots = [replace(s, carry_source="simulated") for s in campaign_shots(plan, Truth(), 1)[:40]]
+    assert quantity_name(as_flown(plan, shots)) == "carry"
+    assert quantity_name(plan) == "carry (measured aerodynamics)"
+
+
+def test_coefficients_that_are_not_well_known_do_not_make_balls_different(
+    configuration: Configuration,
+) -> None:
+    # Two equal balls, each flown with coefficients that are off by 1 m of carry (standard uncertainty).
+    plan = _ten(configuration, "measured")
+    plan = replace(
+        plan,
+        design=replace(plan.design, balls=("a", "b"), blocks=12, swings=("default",)),
+        control=replace(plan.control, ball=""),
+    )
+    random, called = np.random.default_rng(20261122), {0.0: 0, 1.0: 0}
+    campaigns = 150
+    for number in range(campaigns):
+        off = dict(zip("ab", random.normal(0.0, 1.0, 2), strict=True))
+        drawn = campaign_shots(plan, Truth(deviation=1.0, block=0.5), number)
+        for error in called:
+            shots = [
+                replace(
+                    s,
+                    carry_m=(s.carry_m or 0.0) + off[s.ball],
+                    carry_source="measured",
+                    carry_measured_error_m=error,
+                )
+                for s in drawn
+            ]
+            (pair,) = analyse(plan, shots, 1, "").confirmatory.pairs  # type: ignore[union-attr]
+            called[error] += pair.verdict in {"different", "both"}
+    assert called[0.0] / campaigns > 0.4, "what the scatter alone would say"
+    assert called[1.0] / campaigns < 0.10
+
+
+def test_an_error_that_all_levels_share_widens_nothing(configuration: Configuration) -> None:
+    plan = _ten(configuration, "measured")
+    shots = [
+        replace(s, carry_source="measured", carry_measured_error_m=0.7)
+        for s in campaign_shots(plan, Truth(), 1)
+    ]
+    assert common_errors(plan, shots) == pytest.approx(dict.fromkeys(plan.design.balls, 0.7))
+    clubs = replace(plan, design=replace(plan.design, compare="club"))
+    assert common_errors(clubs, shots) == {}
+    assert common_errors(plan, [replace(s, carry_source="monitor") for s in shots]) == {}
+    plain = Contrast(2.0, 0.5, 10.0)
+    assert plain.widened(0.0, 0.0) == plain
+    assert plain.widened(0.3, 0.4).error == pytest.approx(0.5 * 2**0.5)
+    assert plain.widened(0.3, 0.4).freedom == pytest.approx(40.0)

@@ -1,0 +1,453 @@
+"""What a person must do between shots: asked for, stored, answered from anywhere, and never forgotten."""
+
+from __future__ import annotations
+
+import os
+import pty
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from bench.base.errors import Refused
+from bench.campaign.plan.bench_setup import (
+    Fitting,
+    Preparation,
+    coming_balls,
+    fitting_after,
+    load_lists,
+    missing,
+)
+from bench.campaign.plan.gate import Centre
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.prompts import PromptKind, balls_of, places, require_count
+from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step, all_trials
+from bench.campaign.run.campaign_control import answer
+from bench.campaign.run.plan_requirements import require_swings
+from bench.campaign.run.runner import Runner, RunOutcome, Watcher
+from bench.campaign.run.runner_control import course_of, new_entry
+from bench.campaign.statistics.preview import preview_record, show_preview
+from bench.commands.campaign.campaign_screen import CampaignBar
+from bench.commands.campaign.campaign_terminal import TerminalOperator
+from bench.config import database_url, load_configuration
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.simulation.swing_operator import never
+from bench.store.campaigns import CampaignStore
+from bench.store.database import open_database
+from bench.store.records import CampaignState, Hit, Prompt
+from tests.bench.campaign.run.test_runner import NOW, Scripted
+
+CONFIGURATION = load_configuration(Path("shipped"))
+
+
+class Rig(Scripted):
+    """Notes when a person was let in; `lacking` is what it must be restarted with."""
+
+    def __init__(self, script: Callable[[int], dict[str, Any]] = lambda _: {}) -> None:
+        super().__init__(script)
+        self.doors: list[str] = []
+        self.lacking: Preparation | None = None
+
+    def lacks(self, step: Step) -> Preparation | None:
+        return self.lacking
+
+    def hand_over(self, kind: PromptKind) -> None:
+        self.doors.append(f"{kind} open")
+
+    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+        self.doors.append(f"{kind} shut")
+        self.lacking = None
+
+
+class Person:
+    """Does what is asked for, at once, `times` times; then never."""
+
+    def __init__(self, times: int = 1000, kinds: frozenset[PromptKind] = frozenset(PromptKind)) -> None:
+        self.name, self.kinds, self.times = "Ann", kinds, times
+        self.shown: list[Prompt] = []
+        self.seen = threading.Event()
+
+    def show(self, prompt: Prompt) -> None:
+        self.shown.append(prompt)
+        self.seen.set()
+
+    def answered(self) -> bool:
+        return len(self.shown) <= self.times
+
+    def hide(self) -> None:
+        pass
+
+
+class Series:
+    """A plan with a club to change, in a database of its own."""
+
+    def __init__(self, folder: Path, engine: Any, plan: CampaignPlan, *, real: bool = False) -> None:
+        configuration = replace(CONFIGURATION, bench=replace(CONFIGURATION.bench, data_dir=folder))
+        self.folder, self.plan, self.store = folder, plan, CampaignStore(engine)
+        facts = {"driver": "canopen", "club": "driver"} if real else None
+        self.entry = new_entry(plan, configuration, datetime.now(UTC), simulated=not real, real_time=facts)
+        self.store.begin(self.entry)
+
+    def run(
+        self, source: Rig, person: Person | None = None, interrupted: Callable[[], bool] = never
+    ) -> RunOutcome:
+        profiles = require_swings(self.plan, CONFIGURATION)
+        runner = Runner(
+            self.entry,
+            self.plan,
+            self.store,
+            self.folder,
+            source,
+            Watcher(),
+            4,
+            person or Person(kinds=frozenset({PromptKind.BENCH})),
+        )
+        return runner.run(course_of(self.plan, profiles, CONFIGURATION.plant.robot.lie), interrupted)
+
+    @property
+    def prompts(self) -> list[Prompt]:
+        return self.store.prompts(self.entry.id)
+
+    @property
+    def state(self) -> CampaignState:
+        return self.store.standing(self.entry.id).state
+
+
+def clubs_plan(**handling: Any) -> CampaignPlan:
+    plan = load_plan(Path("clubs"), CONFIGURATION)
+    return replace(
+        plan,
+        design=replace(plan.design, blocks=2, clubs=("driver", "driver-9")),
+        warm_up=replace(plan.warm_up, at_most=0),
+        ball_handling=replace(plan.ball_handling, **handling),
+    )
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Callable[..., Series]]:
+    with open_database(database_url("", tmp_path), NOW) as engine:
+        yield lambda plan=None, **how: Series(tmp_path, engine, plan or clubs_plan(), **how)
+
+
+@contextmanager
+def beside(work: Callable[[], object]) -> Iterator[None]:
+    """Run `work` in a thread for the time of a block."""
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join(30.0)
+
+
+def changes(plan: CampaignPlan) -> list[tuple[int, str]]:
+    """Return before which shots which club is to be mounted."""
+    mounted, found = "driver", []
+    for number, trial in enumerate(all_trials(plan), 1):
+        if trial.arm.club != mounted:
+            found.append((number, trial.arm.club))
+        mounted = trial.arm.club
+    return found
+
+
+def test_a_simulation_changes_clubs_by_itself_and_says_so(make: Callable[..., Series]) -> None:
+    series, rig = make(), Rig()
+    assert series.run(rig).state is CampaignState.FINISHED
+    assert [(p.before_shot, p.content["club"]) for p in series.prompts] == changes(series.plan)
+    assert {p.by for p in series.prompts} == {"simulation"}
+    assert [p.number for p in series.prompts] == list(range(1, len(series.prompts) + 1))
+    assert rig.doors == ["club open", "club shut"] * len(series.prompts)
+
+
+def test_a_person_is_asked_and_the_answer_stored(make: Callable[..., Series]) -> None:
+    series, person = make(), Person()
+    assert series.run(Rig(), person).state is CampaignState.FINISHED
+    assert [(p.before_shot, p.content["club"]) for p in series.prompts] == changes(series.plan)
+    assert all(p.by == "Ann" and p.answered and p.answered >= p.asked for p in series.prompts)
+    assert person.shown[0].text.startswith("Mount club driver")
+
+
+def test_an_answer_from_another_terminal_goes_on(make: Callable[..., Series]) -> None:
+    series, person = make(), Person(times=0)
+    expected = len(changes(series.plan))
+
+    def answers() -> None:
+        for number in range(1, expected + 1):
+            while len(series.prompts) < number or series.state is not CampaignState.WAITING:
+                time.sleep(0.01)
+            text, _ = answer(series.store, series.folder, series.entry.id, "Bob", NOW)
+            assert text == series.store.standing(series.entry.id).reason
+
+    with beside(answers):
+        outcome = series.run(Rig(), person)
+    assert outcome.state is CampaignState.FINISHED
+    assert {p.by for p in series.prompts} == {"Bob"}
+    with pytest.raises(Refused, match="no open prompt"):
+        answer(series.store, series.folder, series.entry.id, "Bob", NOW)
+
+
+@pytest.mark.parametrize("request_", ["stop", "abort"])
+def test_who_waits_can_be_stopped_and_the_prompt_stays(make: Callable[..., Series], request_: str) -> None:
+    series, person = make(), Person(times=0)
+
+    def asks() -> None:
+        person.seen.wait(30.0)
+        series.store.change(series.entry.id, requested=request_)
+
+    with beside(asks):
+        outcome = series.run(Rig(), person)
+    ended = {"stop": CampaignState.STOPPED, "abort": CampaignState.ABORTED}[request_]
+    assert outcome.state is ended
+    assert series.prompts[-1].answered is None
+    if ended is CampaignState.STOPPED:
+        before = len(series.prompts)
+        again = Person(times=1)
+        series.run(Rig(), again, lambda: len(again.shown) > 1)
+        assert again.shown[0].number == before, "the same prompt, not another one"
+        assert series.prompts[before - 1].by == "Ann"
+
+
+def test_a_prompt_outlives_a_crash(make: Callable[..., Series]) -> None:
+    class PowerCut(Person):
+        def answered(self) -> bool:
+            raise RuntimeError("power cut")
+
+    series = make()
+    with pytest.raises(RuntimeError):
+        series.run(Rig(), PowerCut())
+    assert series.state is CampaignState.WAITING
+    (prompt,) = series.prompts
+    text, goes_on = answer(series.store, series.folder, series.entry.id, "Bob", NOW)
+    assert (text, goes_on) == (prompt.text, False)
+    rig, person = Rig(), Person()
+    assert series.run(rig, person).state is CampaignState.FINISHED
+    assert rig.doors[0] == "club shut", "the guard is locked again"
+    assert [(p.before_shot, p.content["club"]) for p in series.prompts] == changes(series.plan)
+    assert [p.by for p in series.prompts] == ["Bob"] + ["Ann"] * (len(series.prompts) - 1)
+
+
+def test_what_another_campaign_mounted_on_a_real_bench_is_known(make: Callable[..., Series]) -> None:
+    def plan_with(name: str, *clubs: str) -> CampaignPlan:
+        plan = clubs_plan()
+        return replace(
+            plan,
+            campaign=replace(plan.campaign, name=name),
+            design=replace(plan.design, clubs=clubs, compare="ball", balls=("tour", "range"), blocks=1),
+            balls={name: CONFIGURATION.balls[name] for name in ("tour", "range")},
+        )
+
+    first = make(plan_with("one", "driver-9"), real=True)
+    assert first.run(Rig(), Person()).state is CampaignState.FINISHED
+    second = make(plan_with("two", "driver"), real=True)
+    second.run(Rig(), Person())
+    assert [p.text for p in second.prompts] == ["Mount club driver in place of driver-9."]
+    third = make(plan_with("three", "driver"), real=True)
+    third.run(Rig(), Person())
+    assert third.prompts == []
+
+
+def test_a_bench_that_must_restart_is_never_done_by_itself(make: Callable[..., Series]) -> None:
+    series, rig, person = make(), Rig(), Person(kinds=frozenset({PromptKind.BENCH}))
+    rig.lacking = Preparation(PromptKind.BENCH, "Restart the bench.", {"profile": "slow"})
+    assert series.run(rig, person).state is CampaignState.FINISHED
+    assert [p.kind for p in person.shown] == [PromptKind.BENCH]
+    assert rig.doors[:2] == ["bench open", "bench shut"]
+
+
+def ten_shots(magazine: int) -> CampaignPlan:
+    """Return the plan of two balls with five blocks, balls filled in by hand."""
+    plan = load_plan(Path("two-balls"), CONFIGURATION)
+    handling = replace(plan.ball_handling, magazine=magazine)
+    return replace(plan, design=replace(plan.design, blocks=5), ball_handling=handling)
+
+
+def test_the_feeder_is_filled_in_order_and_refilled_after_trouble(make: Callable[..., Series]) -> None:
+    jam = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
+    plan = ten_shots(magazine=4)
+    series, rig = make(plan), Rig(lambda n: jam if n == 6 else {})
+    assert series.run(rig, Person()).state is CampaignState.FINISHED
+    taken = [(step.trial.arm.ball, sample) for _, step, sample in rig.taken]
+    fills = {p.before_shot: [tuple(ball) for ball in p.content["balls"]] for p in series.prompts}
+    assert sorted(fills) == [1, 5, 7, 11]
+    assert fills[1] == taken[:4]
+    assert fills[5][:2] == taken[4:6]
+    assert fills[7] == taken[6:10], "after a jam nobody knows what is in it"
+    assert "23 ± 1 °C for 3 h" in series.prompts[0].text
+
+
+def test_an_excluded_shot_is_repeated_with_another_ball_asked_for(make: Callable[..., Series]) -> None:
+    plan = ten_shots(magazine=10)
+    series, person = make(plan), Person()
+    series.run(Rig(lambda n: {"club_speed_mps": 50.0} if n == 3 else {}), person)
+    assert [p.before_shot for p in series.prompts] == [1, 4]
+    assert series.prompts[1].text.startswith("Empty the feeder, then fill it")
+
+
+def test_in_real_time_a_ball_may_be_gone_after_a_crash(make: Callable[..., Series]) -> None:
+    def dies(number: int) -> dict[str, Any]:
+        if number == 3:
+            raise RuntimeError("power cut")
+        return {}
+
+    plan = ten_shots(magazine=10)
+    for real, asked in ((True, [1, 3]), (False, [1])):
+        series = make(replace(plan, campaign=replace(plan.campaign, name=f"real-{int(real)}")), real=real)
+        with pytest.raises(RuntimeError):
+            series.run(Rig(dies), Person())
+        series.run(Rig(), Person())
+        assert [p.before_shot for p in series.prompts] == asked
+
+
+def test_a_ball_is_asked_for_once_and_a_load_lasts_over_club_changes() -> None:
+    plan = clubs_plan(magazine=50, samples=3)
+    first = all_trials(plan)[0]
+    balls = coming_balls(plan, first, {})
+    assert len(balls) == len(set(balls)) <= 3
+    trials = all_trials(clubs_plan(magazine=4))
+    assert len({trial.arm.club for trial in trials[:4]}) > 1
+    assert coming_balls(clubs_plan(magazine=4), first, {}) == [("tour", n) for n in range(1, 5)]
+    warm = PlannedShot(Role.WARM_UP, 1, 0, 2, Arm("default", "driver", "tour"))
+    assert coming_balls(plan, warm, {}) == [("tour", 1), ("tour", 2)]
+    longer = replace(plan, warm_up=replace(plan.warm_up, at_most=8))
+    assert len(coming_balls(longer, warm._replace(position=4), {})) == 3, "one load for all that may come"
+    used = Counter({Hit("ball", "tour", 1): 20})
+    assert coming_balls(clubs_plan(magazine=1, hits=20), first, used) == [("tour", 2)]
+
+
+def test_the_load_lists_of_a_check_are_those_that_are_asked_for(make: Callable[..., Series]) -> None:
+    plan = ten_shots(magazine=4)
+    series = make(plan)
+    series.run(Rig(), Person())
+    asked = [balls_of(prompt) for prompt in series.prompts]
+    loads = load_lists(plan, {})
+    assert [load.balls for load in loads] == asked
+    assert [load.before.role for load in loads][:2] == [Role.WARM_UP, Role.TEST] or not plan.warm_up.at_most
+    assert sum(len(load.balls) for load in loads) == len(series.store.shots(series.entry.id))
+    used = Counter({Hit("ball", "tour", n): 1 for n in range(1, 5)})
+    assert ("tour", 5) in load_lists(plan, used)[0].balls
+    assert load_lists(ten_shots(magazine=0), {}) == []
+
+
+def test_check_prints_the_load_lists() -> None:
+    plan, text = ten_shots(magazine=4), StringIO()
+    loads = load_lists(plan, {})
+    show_preview(plan, {}, Console(file=text, width=100))
+    assert "Load lists: a magazine of 4" in text.getvalue()
+    assert "  ".join(places(loads[0].balls)) in text.getvalue()
+    assert [load["balls"] for load in preview_record(plan, {})["loads"]] == [load.balls for load in loads]
+    show_preview(ten_shots(magazine=0), {}, Console(file=text, width=100))
+    assert text.getvalue().count("Load lists") == 1
+
+
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [(3, r"3 balls loaded, expected 4, as listed. Load the rest from 4\. "), (5, "Empty the")],
+)
+def test_another_number_of_balls_than_listed_is_refused(
+    make: Callable[..., Series], count: int, words: str
+) -> None:
+    series = make(ten_shots(magazine=4))
+    series.run(Rig(), person := Person(times=0), lambda: bool(person.shown))
+    (prompt,) = series.prompts
+    assert prompt.text.startswith("Fill the feeder with 4 balls in this order: 1. ")
+    with pytest.raises(Refused, match=words):
+        answer(series.store, series.folder, series.entry.id, "Bob", NOW, count)
+    assert series.prompts[0].answered is None
+    answer(series.store, series.folder, series.entry.id, "Bob", NOW, 4)
+    assert series.prompts[0].by == "Bob"
+    with pytest.raises(Refused, match="no open prompt"):
+        answer(series.store, series.folder, series.entry.id, "Bob", NOW, 4)
+
+
+def test_a_count_answers_no_other_prompt() -> None:
+    with pytest.raises(Refused, match="Answer without a number"):
+        require_count(Prompt(1, 2, "club", "Mount club iron.", {"club": "iron"}, NOW), 1)
+
+
+def test_what_is_in_the_bench_follows_from_prompts_and_shots() -> None:
+    def prompt(number: int, before: int, content: dict[str, Any], *, done: bool = True) -> Prompt:
+        return Prompt(number, before, "x", "x", content, NOW, NOW if done else None)
+
+    shots = [Shot(n, 1, n, "driver", "tour", ShotStatus.VALID, time_utc=NOW) for n in (1, 2)]
+    balls = prompt(2, 2, {"balls": [["tour", 2], ["range", 1], ["tour", 3]]})
+    prompts = [prompt(1, 2, {"club": "iron"}), balls, prompt(3, 3, {"club": "wood"}, done=False)]
+    assert fitting_after("driver", shots, prompts) == Fitting("iron", (("range", 1), ("tour", 3)), 1)
+    failed = replace(shots[1], status=ShotStatus.FAILED, reason="jam")
+    assert fitting_after("driver", [shots[0], failed], prompts).feeder == ()
+    step = Step(PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
+    assert missing(clubs_plan(), Fitting("driver"), step, 1, {}) is None
+
+
+def test_enter_at_the_terminal_answers_but_nothing_typed_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, slave = pty.openpty()
+    out = StringIO()
+    with os.fdopen(slave, "r") as terminal, CampaignBar(console=Console(file=out), disable=True) as bar:
+        monkeypatch.setattr("sys.stdin", terminal)
+        person = TerminalOperator(bar, "clubs-1", frozenset(PromptKind))
+        os.write(master, b"\n")
+        person.show(Prompt(1, 7, PromptKind.CLUB, "Mount club driver-9 [sic].", {}, NOW))
+        assert not person.answered()
+        os.write(master, b"\n")
+        deadline = time.monotonic() + 5.0
+        while not person.answered():
+            assert time.monotonic() < deadline
+        person.hide()
+        os.close(master)
+        assert not person.answered()
+    text = out.getvalue()
+    assert "before shot 7" in text
+    assert "Mount club driver-9 [sic]." in text
+    assert "golfbench campaign answer clubs-1" in text
+
+
+def test_a_load_list_is_confirmed_by_its_count_and_a_wrong_one_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    master, slave = pty.openpty()
+    out = StringIO()
+    balls = [["tour", 1], ["range", 1], ["tour", 2], ["range", 2], ["tour", 3]]
+    with os.fdopen(slave, "r") as terminal, CampaignBar(console=Console(file=out), disable=True) as bar:
+        monkeypatch.setattr("sys.stdin", terminal)
+        person = TerminalOperator(bar, "two-1", frozenset(PromptKind))
+        person.show(Prompt(1, 7, PromptKind.BALLS, "Fill it.", {"balls": balls}, NOW))
+
+        def answers(line: str, expected: bool) -> None:
+            os.write(master, f"{line}\n".encode())
+            deadline, before = time.monotonic() + 5.0, out.getvalue()
+            while (found := person.answered()) is False and out.getvalue() == before:
+                assert time.monotonic() < deadline
+            assert found is expected
+
+        answers("4", False)
+        assert "4 balls loaded, expected 5, as listed. Load the rest from 5. tour 3 on" in _line(out)
+        answers("6", False)
+        assert "Empty the feeder and load it by the list" in _line(out)
+        answers("maybe", False)
+        assert "'maybe' is no answer" in _line(out)
+        answers("5", True)
+        os.close(master)
+    assert "1. tour 1   2. range 1   3. tour 2   4. range 2" in out.getvalue()
+    assert "5. tour 3" in out.getvalue()
+
+
+def _line(out: StringIO) -> str:
+    return " ".join(out.getvalue().split())
+
+
+def test_the_course_of_a_plan_with_prompts_is_that_without(make: Callable[..., Series]) -> None:
+    plan = clubs_plan()
+    by_itself, by_person = make(), make(replace(plan, campaign=replace(plan.campaign, name="b")))
+    by_itself.run(Rig())
+    by_person.run(Rig(), Person())
+    shots = [[stored.shot for stored in s.store.shots(s.entry.id)] for s in (by_itself, by_person)]
+    assert shots[0] == shots[1]

@@ -1,0 +1,894 @@
+"""Campaigns on a running bench: the real daemon with its robot in step, and what is left to a person."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from itertools import chain, repeat
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.base.errors import ExitCode, Refused
+from bench.base.lifecycle import REFUSAL_WORDS, Block, Phase, Refusal, State
+from bench.calibration.archive import add_calibration
+from bench.calibration.calibration import ClubInMount, EncoderZeros
+from bench.campaign.plan.gate import Centre
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.prompts import PromptKind
+from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
+from bench.campaign.report.budget import uncertainty_budgets
+from bench.campaign.report.campaign_record import load_record
+from bench.campaign.report.campaign_report import render_campaign_report
+from bench.campaign.report.findings import findings
+from bench.campaign.run.campaign_control import ask
+from bench.campaign.run.corrections import Drift
+from bench.campaign.run.live_shots import LiveShots, require_live
+from bench.campaign.run.plan_requirements import Profiles, require_swings
+from bench.campaign.run.runner import Hindrance, Suspended, Watcher
+from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
+from bench.config import database_url, load_configuration
+from bench.learning.store import learned_swings
+from bench.network.bench_operator import SwingRecord
+from bench.network.bench_service import ArmingBlock
+from bench.network.client import CommandRefused
+from bench.network.command import CommandAnswer, Verb
+from bench.records.shot.shot import ShotStatus
+from bench.records.shot.shot_message import ShotPublication, launch_to_json, shot_publication
+from bench.records.telemetry.recorder import read_swing
+from bench.simulation.simulated_bench import SimulatedBench, simulate_swing
+from bench.simulation.swing_operator import never
+from bench.store.campaigns import CampaignStore
+from bench.store.database import open_database
+from bench.store.records import CampaignState
+from bench.supervisor.status import NO_LAUNCH_MONITOR
+from drivers.base import Launch
+from drivers.launch_monitor.matching import MatchOutcome
+from drivers.launch_monitor.record import LaunchRecord
+from sim.air import Air
+from sim.ball import Ball
+from tests.bench.campaign.as_designed import AsDesigned
+from tests.bench.campaign.test_notifications import webhook
+from tests.running_bench import BenchProcess, running_bench, write_configuration
+
+PLAN = """
+[campaign]
+name = "live"
+[design]
+balls = ["tour", "range"]
+blocks = 1
+[warm_up]
+at_most = 0
+practice = false
+[gate]
+centre = "planned"
+club_speed = 4.0
+strike_x = 0.03
+strike_y = 0.03
+"""
+"""The first swing after arming differs from the others; here it counts."""
+
+
+@contextmanager
+def campaign(file: Path, *arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
+    """Run `golfbench campaign ...` beside the test."""
+    command = [sys.executable, "-m", "bench", "--config", str(file), "campaign", *map(str, arguments)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def in_swing(bench: BenchProcess, swings: int) -> None:
+    """Wait until the robot is in its `swings`-th swing since the bench's start."""
+    while bench.client.status()["swings"] < swings:
+        time.sleep(0.02)
+        assert bench.process.poll() is None
+    bench.wait_phase(Phase.BACKSWING)
+
+
+@pytest.mark.live
+@pytest.mark.paced
+@pytest.mark.timeout(400)
+def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "live")
+    (tmp_path / "plan.toml").write_text(PLAN)
+    data_dir = load_configuration(file).bench.data_dir
+    with running_bench(file, "--series") as bench, open_database(database_url("", data_dir)) as engine:
+        store = CampaignStore(engine)
+        with campaign(file, "run", tmp_path / "plan.toml") as process:
+            in_swing(bench, 1)
+            bench.client.stop()  # shot 1 fails; the simulated bench goes on by itself
+            in_swing(bench, 2)
+            in_swing(bench, 3)
+            process.kill()
+        ((entry, standing, counts),) = store.entries()
+        assert (standing.state, counts) == (CampaignState.RUNNING, {"failed": 1, "valid": 1})
+        with campaign(file, "resume", entry.id) as process:
+            output, _ = process.communicate(timeout=120)
+            assert process.returncode == ExitCode.OK, output
+        shots = [stored.shot for stored in store.shots(entry.id)]
+        assert [(s.shot, s.status, s.attempt) for s in shots] == [
+            (1, ShotStatus.FAILED, 1),
+            (2, ShotStatus.VALID, 2),
+            (3, ShotStatus.VALID, 1),
+        ]
+        assert shots[0].reason == "stopped by the operator"
+        assert {shots[1].ball, shots[2].ball} == {"tour", "range"}
+        assert shots[0].time_utc < shots[1].time_utc < shots[2].time_utc
+        for shot, stored in zip(shots[1:], store.shots(entry.id)[1:], strict=True):
+            assert (shot.delivery_source, shot.carry_source) == ("encoders+model", "simulated")
+            assert (shot.club_speed_mps or 0.0) > 40.0
+            cycles, metadata = read_swing(data_dir / stored.file)
+            assert len(cycles) > 1000
+            assert metadata["shot"]["ball"] == shot.ball
+            assert metadata["record"] not in {path.name for path in bench.records}, "kept once"
+        assert bench.client.status()["swings"] == 4  # the one that was cut off is taken again
+        assert [event.kind for event in store.events(entry.id)] == ["reset", "reset", "killed"]
+        assert (entry.simulated, entry.real_time["driver"]) == (True, "sim")
+
+        with campaign(file, "run", tmp_path / "plan.toml") as process:  # the bench goes away
+            in_swing(bench, 5)
+            bench.end()
+            output, _ = process.communicate(timeout=120)
+            assert process.returncode == ExitCode.REFUSED, output
+        assert "no answer" in store.entries()[0][1].reason
+        assert store.entries()[0][1].state is CampaignState.SUSPENDED
+
+
+@pytest.mark.release
+@pytest.mark.live
+@pytest.mark.paced
+@pytest.mark.timeout(400)
+def test_calibrations_are_kept_and_sigterm_leaves_the_bench_vented(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "live")
+    (tmp_path / "plan.toml").write_text(PLAN.replace("blocks = 1", "blocks = 2"))
+    configuration = load_configuration(file)
+    encoders, club = configuration.plant.encoders, configuration.clubs["driver"]
+    zeros = EncoderZeros(encoders.zero_count, encoders.sign, encoders.counts_per_revolution, 1e-3)
+    mount = ClubInMount("driver", club.length_to_face, club.loft, club.lie, 5e-4, 1e-3)
+    now = datetime.now(UTC)
+    with open_database(database_url("", configuration.bench.data_dir)) as engine:
+        for values in (zeros, mount):
+            add_calibration(
+                engine,
+                configuration.bench.id,
+                values,
+                date=now,
+                expires=now + timedelta(days=2),
+                by="Ann",
+                method="jig",
+            )
+        with running_bench(file, "--series") as bench:
+            with campaign(file, "run", tmp_path / "plan.toml") as process:
+                in_swing(bench, 1)
+                process.terminate()
+                output, _ = process.communicate(timeout=120)
+            assert process.returncode == ExitCode.TERMINATED, output
+            assert "interrupted by SIGTERM" in output
+            assert bench.client.wait_for("READY")["lease"] is None
+            bench.wait_until(lambda record: record["vented"])
+            store = CampaignStore(engine)
+            ((entry, standing, counts),) = store.entries()
+            assert (standing.state, counts) == (CampaignState.STOPPED, {"valid": 1}), (
+                "the swing was completed"
+            )
+            assert store.events(entry.id)[-1].text == "interrupted by SIGTERM"
+            with campaign(file, "resume", entry.id) as process:
+                output, _ = process.communicate(timeout=120)
+                assert process.returncode == ExitCode.OK, output
+        record = load_record(store, entry)
+    in_force = entry.calibrations["bench"]["in_force"]
+    assert [(one["kind"], one["version"], one["by"]) for one in in_force] == [
+        ("encoders", 1, "Ann"),
+        ("club", 1, "Ann"),
+    ]
+    assert len(record.shots) == 4
+    page = render_campaign_report(record, findings(record.plan, record.shots))
+    assert page.count("version 1, jig, by Ann") >= 2
+    assert "nominal: never calibrated" in page
+    speeds = {
+        calibrated: next(
+            budget
+            for budget in uncertainty_budgets(
+                record.plan, record.shots, entry.calibrations if calibrated else {}, simulated=False
+            )
+            if budget.column == "club_speed_mps"
+        )
+        for calibrated in (True, False)
+    }
+    assert [line.name for line in speeds[True].lines] == [
+        "scatter of the series",
+        "length of the club",
+        "zeros of the encoders",
+    ]
+    assert (speeds[True].missing, speeds[False].expanded) == ("", None)
+    assert 0.005 < speeds[True].type_b < 0.2
+    assert speeds[False].missing == "length of the club not calibrated, zeros of the encoders not calibrated"
+
+
+class StandingBench:
+    """A bench that stays as it is; notes what it is asked."""
+
+    def __init__(self, **status: Any) -> None:
+        self.asked: list[str] = []
+        self._status = {
+            "state": "READY",
+            "phase": "STANDING",
+            "cause": None,
+            "lease": {"holder": "me"},
+            "tick": 1,
+            "supply_pressure_pa": 8.0e5,
+            "correction": 0,
+            **status,
+        }
+
+    def status(self) -> dict[str, Any]:
+        return self._status
+
+    @contextmanager
+    def lease(self, holder: str, seconds: float) -> Iterator[None]:
+        yield
+
+    @contextmanager
+    def shots(self) -> Iterator[Any]:
+        yield lambda: None
+
+    def __getattr__(self, verb: str) -> Any:
+        return lambda *_: self.asked.append(verb)
+
+
+def a_step() -> Step:
+    """Return a shot with the tour ball."""
+    return Step(PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "tour")), 1, Centre())
+
+
+@pytest.fixture
+def plan() -> CampaignPlan:
+    return load_plan(Path("two-balls"), load_configuration(Path("shipped")))
+
+
+def with_free_air(profiles: Profiles) -> Profiles:
+    """Return `profiles` without planned air at their addresses."""
+    return {arm: replace(profile, air=(), air_supply=0.0) for arm, profile in profiles.items()}
+
+
+def shots_of(
+    plan: CampaignPlan,
+    bench: Any,
+    *,
+    simulated: bool = True,
+    interrupted: Any = never,
+    monitored: bool = False,
+    air: Air | None = None,
+    planned: bool = True,
+) -> LiveShots:
+    """Return shots of `bench`; if not `planned`, its profiles leave the air at the address as it comes."""
+    configuration = load_configuration(Path("shipped"))
+    profiles = require_swings(plan, configuration)
+    if not planned:
+        profiles = with_free_air(profiles)
+    return LiveShots(
+        plan,
+        AsDesigned(profiles),
+        configuration.clubs,
+        bench,
+        "me",
+        simulated=simulated,
+        interrupted=interrupted,
+        aborted=never,
+        monitored=monitored,
+        air=lambda: air,
+    )
+
+
+def take(plan: CampaignPlan, bench: Any, *, simulated: bool, interrupted: Any = never) -> Any:
+    step = a_step()
+    with shots_of(plan, bench, simulated=simulated, interrupted=interrupted) as source:
+        return source.take(step, 1, 1)
+
+
+@pytest.mark.parametrize("state", ["ESTOP", "FAULT", "SAFE", "ACCESS"])
+def test_after_a_stop_only_a_person_goes_on_with_a_real_bench(plan: CampaignPlan, state: str) -> None:
+    bench = StandingBench(state=state, cause={"name": "GUARD", "text": "guard open"})
+    with pytest.raises(Suspended, match=r"resume"):
+        take(plan, bench, simulated=False)
+    assert bench.asked == []
+
+
+def test_a_simulated_bench_that_comes_back_in_a_stop_is_left_to_a_person(plan: CampaignPlan) -> None:
+    bench = StandingBench(state="FAULT", cause={"name": "GUARD", "text": "guard open"})
+    with pytest.raises(Suspended, match=r"guard open.*3 times"):
+        take(plan, bench, simulated=True)
+    assert bench.asked == ["reset"] * 3
+
+
+def test_a_lease_that_is_somebody_elses_suspends(plan: CampaignPlan) -> None:
+    bench = StandingBench(lease={"holder": "Ann"})
+    with pytest.raises(Suspended, match=r"lease"):
+        take(plan, bench, simulated=True)
+    assert bench.asked == []
+
+
+def test_who_asks_to_stop_before_the_swing_gets_none(plan: CampaignPlan) -> None:
+    bench = StandingBench()
+    with pytest.raises(KeyboardInterrupt):
+        take(plan, bench, simulated=True, interrupted=lambda: True)
+    assert bench.asked == ["arm"]
+
+
+def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: CampaignPlan) -> None:
+    configuration = load_configuration(Path("shipped"))
+    profiles = require_swings(plan, configuration)
+
+    def require(plan: CampaignPlan = plan, **status: Any) -> None:
+        given: Any = {
+            "driver": "sim",
+            "profile": "default",
+            "club": "driver",
+            "bench": "b",
+            "series": True,
+            "lease": None,
+            "launch_monitor": None,
+        }
+        require_live(plan, profiles, configuration.clubs, given | status)
+
+    require()
+    require(series=False)
+    with pytest.raises(Refused, match=r"profile thesis"):
+        require(profile="thesis")
+    with pytest.raises(Refused, match=r"club thesis"):
+        require(club="thesis")
+    profiles = with_free_air(profiles)
+    with pytest.raises(Refused, match=r"vents after each swing.*golfbench run --series"):
+        require(series=False)
+    require(replace(plan, gate=replace(plan.gate, club_speed=4.0)), series=False)
+    with pytest.raises(Refused, match=r"held by Ann"):
+        require(lease={"holder": "Ann", "seconds_left": 12.0})
+    require(lease={"holder": "campaign two-balls-2026", "seconds_left": 12.0})  # of a runner that died
+    with pytest.raises(Refused, match=r"launch monitor"):
+        require(driver="canopen")
+    with pytest.raises(Refused, match=r"magazine 0"):  # its launch monitor tells of the balls
+        require(driver="canopen", launch_monitor={"present": True})
+    with pytest.raises(Refused, match=r"carry_m is compared"):
+        require(of_carry(plan, ""), driver="canopen", launch_monitor={"present": True})
+    with pytest.raises(Refused, match=r"no aerodynamics of tour, range"):
+        require(of_carry(plan, "measured"), driver="canopen", launch_monitor={"present": True})
+    by_hand = replace(plan, analysis=replace(plan.analysis, quantity="club_speed_mps"))
+    with pytest.raises(Refused, match=r"magazine 0"):
+        require(by_hand, driver="canopen")
+    by_hand = replace(by_hand, ball_handling=replace(plan.ball_handling, magazine=6))
+    require(by_hand, driver="canopen")
+    with pytest.raises(Refused, match=r"identify true"):
+        require(
+            replace(by_hand, ball_handling=replace(by_hand.ball_handling, identify=True)), driver="canopen"
+        )
+
+
+def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
+    plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.network.bench_operator._FEED", 0.1)
+    monkeypatch.setattr("bench.network.bench_operator.REST", 0.0)
+    bench = StandingBench(state="ARMED", phase="HOLD", time=5.0, ball_present=False)
+    taken = take(plan, bench, simulated=True)
+    assert (taken.shot.status, taken.shot.reason) == (
+        ShotStatus.FAILED,
+        "feeder empty or jammed: no ball came",
+    )
+    assert (taken.struck, taken.cycles, bench.asked) == (False, None, ["tee"])
+
+
+def answer_of(refusal: Refusal, state: str = "READY") -> CommandAnswer:
+    fact, action = REFUSAL_WORDS[refusal]
+    return CommandAnswer(False, state, refusal.name, reason=fact, action=action)
+
+
+def refused(verb: Verb, state: str, refusal: Refusal) -> CommandRefused:
+    return CommandRefused("b", verb, answer_of(refusal, state))
+
+
+BLOCK = ArmingBlock(
+    code=Block.CALIBRATION_MISSING,
+    place="club driver of bench b",
+    found="never calibrated",
+    expected="a calibration in force",
+    action="golfbench calibrate club",
+)
+
+
+@pytest.mark.parametrize(
+    ("answer", "text"),
+    [
+        (
+            CommandAnswer(False, "READY", "BLOCKED", content={"arming_blocks": [BLOCK]}),
+            "club driver of bench b never calibrated",
+        ),
+        (answer_of(Refusal.READ_ONLY), REFUSAL_WORDS[Refusal.READ_ONLY][0]),
+        (answer_of(Refusal.CORRECTION), REFUSAL_WORDS[Refusal.CORRECTION][0]),
+    ],
+    ids=["blocked", "read only", "correction"],
+)
+def test_a_bench_that_will_not_arm_suspends_at_once(
+    plan: CampaignPlan, answer: CommandAnswer, text: str
+) -> None:
+    class Unarmed(StandingBench):
+        """Refuses to arm."""
+
+        def arm(self) -> None:
+            self.asked.append("arm")
+            raise CommandRefused("b", Verb.ARM, answer)
+
+    bench = Unarmed()
+    with pytest.raises(Suspended, match=re.escape(text)):
+        take(plan, bench, simulated=True)
+    assert bench.asked == ["arm"]
+
+
+def test_a_refusal_that_passes_is_waited_for(plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.network.bench_operator.READY", 0.2)
+
+    class Venting(StandingBench):
+        """Its chambers never empty."""
+
+        def arm(self) -> None:
+            self.asked.append("arm")
+            raise refused(Verb.ARM, "READY", Refusal.NOT_VENTED)
+
+    bench = Venting()
+    with pytest.raises(Suspended, match="not verified empty"):
+        take(plan, bench, simulated=True)
+    assert len(bench.asked) > 1
+
+
+def test_another_profile_or_club_is_asked_for_by_a_prompt(plan: CampaignPlan) -> None:
+    bench = StandingBench(profile="thesis", club="driver")
+    step = a_step()
+    wish = shots_of(plan, bench).lacks(step)
+    assert wish is not None
+    assert wish.kind is PromptKind.BENCH
+    assert "profile default" in wish.text
+    assert shots_of(plan, StandingBench(profile="default", club="driver")).lacks(step) is None
+
+
+def test_a_person_gets_in_through_access_only(plan: CampaignPlan) -> None:
+    class Doors(StandingBench):
+        """Refuses once, as its chambers are not empty yet."""
+
+        def access(self) -> None:
+            self.asked.append("access")
+            if self.asked.count("access") == 1:
+                raise refused(Verb.ACCESS, "READY", Refusal.NOT_VENTED)
+            self._status["state"] = "ACCESS"
+
+        def secure(self) -> None:
+            self.asked.append("secure")
+            self._status["state"] = "READY"
+
+    bench = Doors()
+    with shots_of(plan, bench) as source:
+        source.hand_over(PromptKind.CLUB)
+        assert bench.asked == ["disarm", "access", "access"]
+        source.take_back(PromptKind.CLUB, print)
+        assert bench.asked[3:] == ["secure"]
+        source.take_back(PromptKind.CLUB, print)
+        assert bench.asked[4:] == []
+
+
+def test_who_comes_out_is_asked_to_close_the_guard_and_to_press_the_button(plan: CampaignPlan) -> None:
+    refusals = [Refusal.GUARD, Refusal.GUARD, Refusal.LOCAL_RESET, Refusal.LOCAL_RESET]
+
+    class Doors(StandingBench):
+        """Locks once the guard is closed and the button was pressed."""
+
+        def secure(self) -> None:
+            if refusals:
+                raise refused(Verb.SECURE, "ACCESS", refusals.pop(0))
+            self._status["state"] = "READY"
+
+    bench = Doors(state="ACCESS")
+    asked: list[str] = []
+    with shots_of(plan, bench) as source:
+        source.take_back(PromptKind.CLUB, asked.append)
+    assert asked == ["Leave the robot and close the guard.", "Press the reset button beside the robot."]
+
+
+def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_off_takes_a_person(
+    plan: CampaignPlan,
+) -> None:
+    step = a_step()
+    bench = StandingBench(
+        launch_monitor={**NO_LAUNCH_MONITOR, "note": "not listening"}, supply_pressure_pa=None
+    )
+    assert shots_of(plan, bench).hindrance(step) is None  # begun without one
+    assert shots_of(plan, bench, monitored=True).hindrance(step) == Hindrance(
+        "no launch monitor is connected: not listening"
+    )
+    bench._status["launch_monitor"] = {"present": True, "note": ""}
+    assert shots_of(plan, bench, monitored=True).hindrance(step) is None
+    bench._status["launch_monitor"] = None
+    with pytest.raises(Suspended, match="without its launch monitor"):
+        shots_of(plan, bench, monitored=True).hindrance(step)
+
+
+@pytest.mark.parametrize(
+    ("state", "phase", "pressure", "least", "hindered"),
+    [
+        ("ARMED", "HOLD", 7.7e5, 0.97, True),
+        ("ARMED", "HOLD", 7.8e5, 0.97, False),
+        ("ARMED", "HOLD", 7.7e5, 0.0, False),
+        ("ARMED", "HOLD", None, 0.97, False),  # no such sensor
+        ("ARMED", "STANDING", 1.0e5, 0.97, False),  # the manifold still fills
+        ("READY", "STANDING", 1.0e5, 0.97, False),
+    ],
+)
+def test_the_supply_is_judged_at_the_address_by_what_the_swing_was_designed_for(
+    plan: CampaignPlan, state: str, phase: str, pressure: float | None, least: float, hindered: bool
+) -> None:
+    plan = replace(plan, supply=replace(plan.supply, least=least))
+    bench = StandingBench(state=state, phase=phase, supply_pressure_pa=pressure)
+    found = shots_of(plan, bench).hindrance(a_step())
+    assert (found is not None) == hindered
+    if found:
+        assert found == Hindrance("supply 7.70 bar absolute, at least 7.76 for default", True, 600.0)
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[SwingRecord, Launch]:
+    """Return the record of a swing that struck the ball, and the launch."""
+    c = load_configuration(Path("shipped"))
+    profile = require_swings(load_plan(Path("two-balls"), c), c)["default", "driver"]
+    robot = SimulatedBench(profile, c.plant, c.control, c.envelope, c.estimator)
+    swing = simulate_swing(robot, Ball())
+    assert swing.launch is not None
+    metadata = {
+        **robot.metadata(),
+        "outcome": {"cause": "NONE"},
+        "complete": True,
+        "lost_records": 0,
+        "time_utc": "2026-11-21T12:00:00+00:00",
+    }
+    path = tmp_path_factory.mktemp("record") / "swing.parquet"
+    return SwingRecord(path, swing.cycles, json.loads(json.dumps(metadata))), swing.launch
+
+
+def reported(launch: Launch, carry: float | None) -> ShotPublication:
+    """Return what the bench's launch monitor says of a ball."""
+    told = LaunchRecord(1.0, "monitor", 1, **launch._asdict(), carry=carry)
+    return shot_publication(shot_id="1", outcome=MatchOutcome.MATCHED, launch=launch_to_json(told))
+
+
+def of_carry(plan: CampaignPlan, carry: Any) -> CampaignPlan:
+    """Return `plan` that compares this carry."""
+    return replace(plan, analysis=replace(plan.analysis, carry=carry))
+
+
+def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(
+    plan: CampaignPlan, record: tuple[SwingRecord, Launch]
+) -> None:
+    c, (swing, launch) = load_configuration(Path("shipped")), record
+    carries, temperatures = [], []
+    for air in (None, c.air, Air(263.15)):
+        bench = StandingBench()
+        source = shots_of(of_carry(plan, "reference"), bench, simulated=False, monitored=True, air=air)
+        shot = source._taken(a_step(), 1, 1, swing, reported(launch, None)).shot
+        assert shot.carry_m is not None
+        carries.append(shot.carry_m)
+        temperatures.append(shot.air_temperature_k)
+    assert temperatures == [None, c.air.temperature, 263.15]
+    assert carries[0] == carries[1]
+    assert carries[2] < carries[1]  # cold air is dense
+
+
+def test_a_real_shot_has_no_carry_of_the_plans_ball(
+    plan: CampaignPlan, record: tuple[SwingRecord, Launch]
+) -> None:
+    swing, launch = record
+    shots = []
+    for drag in (1.0, 0.5):
+        balls = {name: replace(ball, drag_factor=drag) for name, ball in plan.balls.items()}
+        source = shots_of(replace(plan, balls=balls), StandingBench(), simulated=False, monitored=True)
+        shots.append(source._taken(a_step(), 1, 1, swing, reported(launch, 187.5)).shot)
+    assert shots[0] == shots[1]
+    (shot, _) = shots
+    assert (shot.carry_m, shot.carry_monitor_m, shot.carry_source) == (187.5, 187.5, "monitor")
+    assert shot.carry_reference_m is not None
+    assert (shot.carry_measured_m, shot.total_m, shot.flight_source) == (None, None, "")
+    source = shots_of(plan, StandingBench(), simulated=False, monitored=True)
+    silent = source._taken(a_step(), 1, 1, swing, reported(launch, None)).shot
+    assert (silent.status, silent.reason) == (
+        ShotStatus.EXCLUDED,
+        "no carry: the launch monitor reported none",
+    )
+
+
+LOW_SUPPLY = """
+[lifecycle]
+series = true
+[faults.compressor]
+signal = "supply"
+kind = "scale"
+value = 0.9
+duration = 45.0
+"""
+
+
+@pytest.mark.release
+@pytest.mark.live
+@pytest.mark.paced
+@pytest.mark.timeout(400)
+def test_a_running_campaign_waits_for_its_compressor(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "live", LOW_SUPPLY)
+    (tmp_path / "plan.toml").write_text(PLAN)
+    configuration = load_configuration(file)
+    plan = load_plan(tmp_path / "plan.toml", configuration)
+    stood = []
+    with (
+        running_bench(file) as bench,
+        open_database(database_url("", configuration.bench.data_dir)) as engine,
+    ):
+
+        class Noting(Watcher):
+            def standing(self, state: CampaignState, reason: str) -> None:
+                stood.append((state, reason[:9], bench.client.status()["state"]))
+
+        store, facts = CampaignStore(engine), bench_facts(plan, configuration, bench.client.status())
+        entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True, real_time=facts)
+        store.begin(entry)
+        outcome = run_campaign(entry, configuration, store, Noting(), never)
+        assert (outcome.state, outcome.shots, outcome.valid) == (CampaignState.FINISHED, 2, 2)
+        assert stood[:3] == [
+            (CampaignState.RUNNING, "", "ESTOP"),
+            (CampaignState.SUSPENDED, "supply 7.", "ARMED"),
+            (CampaignState.RUNNING, "", "ARMED"),
+        ]
+        assert bench.client.status()["swings"] == 2
+        assert [event.kind for event in store.events(entry.id)] == ["reset", "suspended"]
+
+
+TWO_CLUBS = """
+[campaign]
+name = "two-clubs"
+[design]
+compare = "club"
+balls = ["tour"]
+clubs = ["driver-9", "driver"]
+blocks = 1
+seed = 1                          # driver first
+[warm_up]
+at_most = 0
+practice = false
+[gate]
+centre = "planned"
+club_speed = 4.0
+shaft_lean_deg = 0.0
+strike_x = 0.03
+strike_y = 0.03
+[analysis]
+drift = "none"
+[clubs.driver-9]
+like = "driver"
+loft_deg = 13.5
+"""
+
+
+def call(file: Path, *arguments: str | Path) -> tuple[int, str]:
+    """Run `golfbench campaign ...` to its end."""
+    with campaign(file, *arguments) as process:
+        output, _ = process.communicate(timeout=120)
+        return process.returncode, output
+
+
+@pytest.mark.release
+@pytest.mark.live
+@pytest.mark.paced
+@pytest.mark.timeout(400)
+def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_refused(
+    tmp_path: Path,
+) -> None:
+    urls = tmp_path / "notify.urls"
+    file = write_configuration(
+        tmp_path, "clubs", f'[lifecycle]\nseries = true\n[notifications]\nfile = "{urls}"\n'
+    )
+    (tmp_path / "plan.toml").write_text(TWO_CLUBS)
+    data_dir = load_configuration(file).bench.data_dir
+    with (
+        webhook() as (url, notified, _),
+        running_bench(file) as bench,
+        open_database(database_url("", data_dir)) as engine,
+    ):
+        urls.write_text(url)
+        urls.chmod(0o600)
+        store = CampaignStore(engine)
+        with campaign(file, "run", tmp_path / "plan.toml", "--ask") as process:
+            while not (entries := store.entries()) or entries[0][1].state is not CampaignState.WAITING:
+                time.sleep(0.1)
+                assert process.poll() is None
+            name = entries[0][0].id
+            (told,) = bench.client._session.get(f"golfbench/{bench.configuration.bench.id}/campaign/{name}")
+            assert told.ok is not None
+            heard = json.loads(told.ok.payload.to_bytes())
+            assert (heard["state"], heard["shots"], heard["planned"]) == ("waiting", 1, 2)
+            assert heard["reason"] == "Mount club driver-9 in place of driver."
+            assert bench.client.status()["state"] == "ACCESS"
+            code, output = call(file, "run", tmp_path / "plan.toml")
+            assert code == ExitCode.REFUSED, output
+            assert f"campaign {name}" in " ".join(output.split())
+            assert len(store.entries()) == 1
+            process.kill()
+        assert call(file, "answer", name, "--by", "Ann")[0] == ExitCode.OK
+        assert call(file, "answer", name)[0] == ExitCode.REFUSED
+        code, output = call(file, "resume", name, "--ask")
+        assert code == ExitCode.OK, output
+        (prompt,) = store.prompts(name)
+        assert (prompt.before_shot, prompt.by) == (2, "Ann")
+        titles = [body["title"].partition(": ")[2].partition(" ")[2] for body in notified]
+        assert titles == ["waits for a person", "is finished"]
+        first, second = (stored.shot for stored in store.shots(name))
+        assert [(s.club, s.status) for s in (first, second)] == [
+            ("driver", ShotStatus.VALID),
+            ("driver-9", ShotStatus.VALID),
+        ]
+        assert (second.dynamic_loft_deg or 0.0) == pytest.approx(
+            (first.dynamic_loft_deg or 0.0) - 1.5, abs=0.5
+        )
+
+
+def wait_for(store: CampaignStore, name: str, state: CampaignState, process: subprocess.Popen[str]) -> None:
+    """Wait until a campaign stands at `state`."""
+    while store.standing(name).state is not state:
+        time.sleep(0.05)
+        assert process.poll() is None
+
+
+@pytest.mark.live
+@pytest.mark.paced
+@pytest.mark.timeout(600)
+def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "obeys", "[lifecycle]\nseries = true\n")
+    (tmp_path / "plan.toml").write_text(PLAN.replace("blocks = 1", "blocks = 3"))
+    data_dir = load_configuration(file).bench.data_dir
+
+    def numbers() -> list[int]:
+        return [stored.shot.shot for stored in store.shots(name)]
+
+    with open_database(database_url("", data_dir)) as engine:
+        store = CampaignStore(engine)
+        with running_bench(file) as bench:
+            with campaign(file, "run", tmp_path / "plan.toml") as process:
+                in_swing(bench, 1)
+                name = store.entries()[0][0].id
+                ask(store, data_dir, name, "pause")  # at once: a command takes seconds to start
+                wait_for(store, name, CampaignState.PAUSED, process)
+                assert numbers() == [1], "the shot under way is completed and stored"
+                bench.wait_until(lambda record: record["state"] == State.READY)
+                assert call(file, "resume", name)[0] == ExitCode.OK
+                in_swing(bench, 2)
+                ask(store, data_dir, name, "stop")
+                assert process.wait(60) == ExitCode.REFUSED
+            assert store.standing(name).state is CampaignState.STOPPED
+            assert numbers() == [1, 2]
+            with campaign(file, "resume", name) as process:
+                in_swing(bench, 3)
+                bench.process.kill()  # the loop stops by itself, the runner hears nothing more
+                output, _ = process.communicate(timeout=120)
+                assert process.returncode == ExitCode.REFUSED, output
+            assert store.standing(name).state is CampaignState.SUSPENDED
+            assert numbers() == [1, 2]
+        with running_bench(file) as bench, campaign(file, "resume", name) as process:
+            in_swing(bench, 2)
+            assert numbers() == [1, 2, 3]
+            ask(store, data_dir, name, "abort")
+            assert process.wait(60) == ExitCode.REFUSED
+            assert bench.wait_until(lambda record: record["state"] == State.FAULT)["trip"]
+            assert bench.cause == "OPERATOR_STOP"
+        assert store.standing(name).state is CampaignState.ABORTED
+        assert [stored.shot.status for stored in store.shots(name)][:3] == [ShotStatus.VALID] * 3
+        events = store.events(name)
+        stops = ["stopped", "look", "resumed", "suspended", "resumed", "reset"]
+        assert [event.kind for event in events] == ["reset", "paused", "resumed", *stops, "aborted", "look"]
+        assert "previous shutdown was unclean" in events[-3].text
+
+
+class ArmableBench(StandingBench):
+    """Arms, swings and stays armed, or not (`series`), at once."""
+
+    def __init__(self, *, series: bool) -> None:
+        super().__init__(time=0.0, ball_present=False)
+        self._series = series
+
+    def status(self) -> dict[str, Any]:
+        self._status["time"] += 2.0
+        return self._status
+
+    def arm(self) -> None:
+        self.asked.append("arm")
+        self._status |= {"state": "ARMED", "phase": "HOLD"}
+
+    def tee(self) -> None:
+        self.asked.append("tee")
+        self._status["ball_present"] = True
+
+    def swing(self) -> None:
+        self.asked.append("swing")
+        self._status |= {"ball_present": False, "state": "ARMED" if self._series else "READY"}
+
+
+@pytest.mark.parametrize(
+    ("series", "practice", "planned", "asked"),
+    [
+        (True, True, False, ["arm", "swing", "tee", "swing", "tee", "swing"]),
+        (False, True, False, ["arm", "swing", "arm", "tee", "swing", "arm", "tee", "swing"]),
+        (True, False, False, ["arm", "tee", "swing", "tee", "swing"]),
+        (True, True, True, ["arm", "tee", "swing", "tee", "swing"]),
+        (False, True, True, ["arm", "tee", "swing", "arm", "tee", "swing"]),
+    ],
+)
+def test_a_swing_without_a_ball_follows_each_arming_that_brings_no_planned_air(
+    plan: CampaignPlan, series: bool, practice: bool, planned: bool, asked: list[str]
+) -> None:
+    plan = replace(plan, warm_up=replace(plan.warm_up, practice=practice))
+    bench = ArmableBench(series=series)
+    with shots_of(plan, bench, planned=planned) as source:
+        for _ in range(2):
+            source._operator.begin_swing(lambda status: source._prepare(a_step(), status), ball=True)
+    assert bench.asked == asked
+    assert [kind for kind, _ in source._events] == ["practice"] * (practice and not planned)
+
+
+class Listening(Watcher):
+    """Keeps what was said."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.texts.append(text)
+
+
+@pytest.mark.live
+@pytest.mark.paced
+@pytest.mark.release
+@pytest.mark.timeout(400)
+def test_a_swing_is_relearned_on_the_bench_without_a_ball(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That it drifts is said here; a simulated robot of a running bench does not."""
+    file = write_configuration(tmp_path, "relearned", "[lifecycle]\nseries = true\n")
+    (tmp_path / "plan.toml").write_text(PLAN + "[learning]\nrefresh = true\nswings = 1\n")
+    configuration = load_configuration(file)
+    plan = load_plan(tmp_path / "plan.toml", configuration)
+    arm = ("default", "driver")
+    asked = chain([None, Drift(arm, "drifted")], repeat(None))
+    monkeypatch.setattr("bench.campaign.run.corrections.Drifts.before", lambda self, step: next(asked))
+    monkeypatch.setattr("bench.learning.learn.LearningResult.within", True)
+    url = database_url("", configuration.bench.data_dir)
+    with running_bench(file) as bench, open_database(url) as engine:
+        store, said = CampaignStore(engine), Listening()
+        facts = bench_facts(plan, configuration, bench.client.status())
+        entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True, real_time=facts)
+        store.begin(entry)
+        outcome = run_campaign(entry, configuration, store, said, never)
+        shots = [stored.shot for stored in store.shots(entry.id)]
+        assert [shot.reason for shot in shots] == ["", ""], (outcome, said.texts)
+        assert outcome.state is CampaignState.FINISHED
+        assert bench.client.status()["swings"] == 4
+        assert any("drifted; relearned in 1 learning swings, version 1" in text for text in said.texts)
+        files = [configuration.bench.data_dir / stored.file for stored in store.shots(entry.id)]
+        first, second = (read_swing(file)[1] for file in files)
+        assert "correction" not in first["profile"]
+        (learned,) = learned_swings(engine, configuration.bench.id, arm[0])
+        assert second["profile"]["correction"]["weights"] == list(learned.weights)
+        for record in bench.records:  # those of the learner stay with the bench
+            assert not read_swing(record)[0]["ball_present"].any()

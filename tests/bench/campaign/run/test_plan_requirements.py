@@ -1,0 +1,68 @@
+"""Needs of a plan on a running bench, and what in its configuration does not suit the plan."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.run.plan_requirements import START_SERIES, free_space, needs, needs_series, needs_words
+from bench.commands.cli import app
+from bench.config import load_configuration
+from bench.swing.library import find_profile
+from bench.swing.profile import Profile, load_profile, save_profile
+
+SHIPPED = load_configuration(Path("shipped"))
+
+
+def test_disk_and_work_by_hand_are_known_before_anything_moves(tmp_path: Path) -> None:
+    plan = load_plan(Path("clubs"), SHIPPED)
+    plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=10))
+    found = needs(plan)
+    assert found.bytes == 36 * 1_400_000
+    fills = 3 + 4  # one for the warm-up of each club, then 36 shots
+    assert (found.feeder_fills, found.hand_work) == (fills, 180.0 * found.club_changes + 120.0 * fills)
+    assert found.club_changes > 20
+    assert "Not enough" in needs_words(plan, 1_000_000)[0]
+    assert "Not enough" not in needs_words(plan, 10**9)[0]
+    assert free_space(tmp_path / "not" / "there") > 0
+
+
+def test_a_bench_that_vents_between_swings_does_not_suit_a_narrow_gate() -> None:
+    plan = load_plan(Path("two-balls"), SHIPPED)
+    planned = load_profile(find_profile("default"))
+    free = replace(planned, air=(), air_supply=0.0)
+
+    def needed(gate: float, *profiles: Profile) -> bool:
+        return needs_series(replace(plan, gate=replace(plan.gate, club_speed=gate)), profiles)
+
+    assert (needed(1.0, free), needed(2.5, free), needed(0.0, free)) == (True, False, False)
+    assert (needed(1.0, planned), needed(1.0, planned, free)) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("series", "profile", "warned"),
+    [(False, "free.toml", True), (True, "free.toml", False), (False, "default", False)],
+)
+def test_check_says_with_which_option_the_bench_is_to_be_started(
+    tmp_path: Path, series: bool, profile: str, warned: bool
+) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(f'base = "shipped"\n[lifecycle]\nseries = {str(series).lower()}\n')
+    shipped = (resources.files("bench") / "campaigns" / "two-balls.toml").read_text()
+    free = replace(load_profile(find_profile("default")), name="free", air=(), air_supply=0.0)
+    save_profile(tmp_path / "free.toml", free)
+    swing = tmp_path / profile if profile.endswith(".toml") else profile
+    plan = tmp_path / "plan.toml"
+    plan.write_text(shipped.replace("[design]", f'[design]\nswings = ["{swing}"]'))
+    arguments = ["--config", str(file), "campaign", "check", str(plan), "--json"]
+    said = json.loads(CliRunner().invoke(app, arguments).stdout)
+    assert [START_SERIES in text for text in said["warnings"]] == [True] * warned
+    assert said["warnings"] == ([said["series_warning"]] if warned else [])
+    assert bool(said["series_warning"]) is warned
+    assert "golfbench run --series" in START_SERIES

@@ -1,0 +1,835 @@
+"""The runner obeys, stores batches, judges deliveries, and goes on where it was cut off."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from functools import reduce
+from operator import getitem
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sqlalchemy import make_url
+
+from bench.base.errors import BenchError, Refused
+from bench.campaign.interruptions import RunStart, changed
+from bench.campaign.plan.bench_setup import Preparation, sample_for
+from bench.campaign.plan.gate import Centre
+from bench.campaign.plan.plan import CampaignPlan
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.prompts import PromptKind
+from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
+from bench.campaign.run.campaign_control import ask, is_running, runner_lock
+from bench.campaign.run.corrections import Drift
+from bench.campaign.run.plan_requirements import require_swings
+from bench.campaign.run.runner import Hindrance, Runner, RunOutcome, ShotPostponed, Watcher
+from bench.campaign.run.runner_control import (
+    CANNOT_CHANGE_A_SHOT,
+    course_of,
+    new_entry,
+    require_resumable,
+    run_start,
+)
+from bench.campaign.run.simulated_shots import Taken
+from bench.config import Configuration, database_url, load_configuration
+from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.telemetry.recorder import read_swing, write_swing
+from bench.records.telemetry.whole_file import NotStored
+from bench.simulation.swing_operator import never
+from bench.store.campaigns import CampaignStore
+from bench.store.database import open_database
+from bench.store.records import CampaignEntry, CampaignState, Hit
+from drivers.base import ACTUATORS
+from drivers.base.compiled import new_record
+from tests.bench.running_postgres import running_postgres
+from tests.sampling import release_except
+
+NOW = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
+
+
+class Scripted:
+    """Shots without a robot; `script` gives columns of single shots by number, or raises."""
+
+    simulated = True
+
+    def __init__(self, script: Callable[[int], dict[str, Any]] = lambda _: {}) -> None:
+        self.script = script
+        self.taken: list[tuple[int, Step, int]] = []
+
+    def time_of(self, number: int) -> datetime:
+        return NOW + timedelta(seconds=48 * number)
+
+    def relearn(self, drift: Drift, number: int) -> str:
+        return f"learned {drift.arm} before {number}"
+
+    def hindrance(self, step: Step) -> Hindrance | None:
+        return None
+
+    def rest(self) -> None:
+        pass
+
+    def lacks(self, step: Step) -> Preparation | None:
+        return None
+
+    def hand_over(self, kind: PromptKind) -> None:
+        pass
+
+    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+        pass
+
+    def take(self, step: Step, number: int, sample: int) -> Taken:
+        self.taken.append((number, step, sample))
+        arm, trial = step.trial.arm, step.trial
+        values: dict[str, Any] = {
+            "club_speed_mps": 42.9,
+            "attack_angle_deg": 2.0,
+            "dynamic_loft_deg": 11.1,
+            "strike_x_mm": 0.0,
+            "strike_y_mm": 0.0,
+            "carry_m": 180.0 + 0.1 * (number * 7 % 11),
+            "ball_speed_mps": 62.0,
+            "delivery_source": "simulated",
+            "status": ShotStatus.VALID,
+            "reason": "",
+        } | self.script(number)
+        shot = Shot(
+            number,
+            trial.block,
+            trial.position,
+            arm.club,
+            arm.ball,
+            time_utc=self.time_of(number),
+            swing=arm.swing,
+            role=str(trial.role),
+            section=trial.section,
+            attempt=step.attempt,
+            sample=sample,
+            **values,
+        )
+        from bench.records.telemetry.cycle_record import CYCLE
+
+        cycles = None if "jam" in shot.reason else new_record(CYCLE, 3)
+        return Taken(shot, cycles, {"seed": 1}, shot.ball_speed_mps is not None)
+
+
+class Bench:
+    """A plan, a database and a runner a call."""
+
+    def __init__(self, folder: Path, engine: Any, plan: CampaignPlan, configuration: Configuration) -> None:
+        self.folder, self.plan, self.configuration = folder, plan, configuration
+        self.store = CampaignStore(engine)
+        begun = NOW + timedelta(seconds=len(self.store.entries()))
+        self.entry: CampaignEntry = new_entry(plan, configuration, begun, simulated=True)
+        self.store.begin(self.entry)
+        self.watcher = Watcher()
+
+    def run(
+        self,
+        source: Scripted,
+        interrupted: Callable[[], bool] = never,
+        batch: int = 4,
+        start: RunStart = RunStart(),  # noqa: B008 - a value
+    ) -> RunOutcome:
+        runner = Runner(
+            self.entry, self.plan, self.store, self.folder, source, self.watcher, batch, start=start
+        )
+        profiles = require_swings(self.plan, self.configuration)
+        return runner.run(course_of(self.plan, profiles, self.configuration.plant.robot.lie), interrupted)
+
+    @property
+    def shots(self) -> list[Shot]:
+        return [stored.shot for stored in self.store.shots(self.entry.id)]
+
+
+@pytest.fixture
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Bench]]:
+    configuration = load_configuration(Path("shipped"))
+    configuration = replace(configuration, bench=replace(configuration.bench, data_dir=tmp_path))
+    base = load_plan(Path("symmetry"), configuration)
+
+    monkeypatch.setattr("bench.store.database.BUSY_TIMEOUT", 0.1)
+    with open_database(database_url("", tmp_path), NOW) as engine:
+
+        def build(**changes: Any) -> Bench:
+            plan = replace(base, design=replace(base.design, blocks=3), stop=replace(base.stop, rule="fixed"))
+            for name, values in changes.items():
+                plan = replace(plan, **{name: replace(getattr(plan, name), **values)})
+            return Bench(tmp_path, engine, plan, configuration)
+
+        yield build
+
+
+def test_a_campaign_comes_to_its_end_with_every_shot_and_file(make: Callable[..., Bench]) -> None:
+    bench = make()
+    outcome = bench.run(Scripted())
+    assert outcome == (CampaignState.FINISHED, "", 18, 18)
+    assert [shot.role for shot in bench.shots][:3] == ["warm-up"] * 3
+    assert [shot.shot for shot in bench.shots] == list(range(1, 19))
+    for stored in bench.store.shots(bench.entry.id):
+        cycles, metadata = read_swing(bench.folder / stored.file)
+        assert len(cycles) == 3
+        assert metadata["shot"]["shot"] == stored.shot.shot
+        assert metadata["campaign"] == bench.entry.id
+    hits = bench.store.hits(bench.entry.id)
+    assert hits[Hit("club", "driver")] == hits[Hit("valve", ACTUATORS[0])] == 18
+    assert sum(n for hit, n in hits.items() if hit.kind == "ball") == 18
+
+
+def test_an_invalid_shot_is_repeated_within_its_bound(make: Callable[..., Bench]) -> None:
+    bench = make()
+    lost = {"status": ShotStatus.EXCLUDED, "reason": "the launch monitor saw no ball", "ball_speed_mps": None}
+    outcome = bench.run(Scripted(lambda n: lost if n in {5, 8, 9, 10} else {}))
+    assert outcome.state is CampaignState.FINISHED
+    attempts = [(s.shot, s.block, s.position, s.attempt) for s in bench.shots if s.block == 1]
+    assert attempts == [
+        (4, 1, 1, 1),
+        (5, 1, 2, 1),
+        (6, 1, 2, 2),
+        (7, 1, 3, 1),
+        (8, 1, 4, 1),
+        (9, 1, 4, 2),
+        (10, 1, 4, 3),
+        (11, 1, 5, 1),
+    ]
+
+
+def test_a_delivery_outside_the_gate_is_excluded_with_its_source(make: Callable[..., Bench]) -> None:
+    bench = make()
+    bench.run(Scripted(lambda n: {"club_speed_mps": 44.0} if n == 6 else {}))
+    excluded = [shot for shot in bench.shots if shot.status is ShotStatus.EXCLUDED]
+    assert [shot.shot for shot in excluded] == [6]
+    assert excluded[0].reason == "club speed 44.00 m/s, outside 42.90 ± 1.00 m/s (simulated)"
+
+
+def test_where_the_ball_goes_excludes_nothing(make: Callable[..., Bench]) -> None:
+    bench = make()
+    assert bench.run(Scripted(lambda n: {"carry_m": 10.0 * n, "ball_speed_mps": 1.0 + n})).valid == 18
+
+
+def test_a_source_that_the_plan_does_not_accept_is_excluded(make: Callable[..., Bench]) -> None:
+    bench = make(
+        gate={"sources": ("launch monitor",), "centre": "planned"},
+        warm_up={"at_most": 0},
+        design={"blocks": 1, "failures_in_a_row": 100},
+    )
+    bench.run(Scripted())
+    assert {s.status for s in bench.shots if s.block} == {ShotStatus.EXCLUDED}
+    assert "does not accept" in bench.shots[-1].reason
+
+
+def test_the_warm_up_ends_when_the_speed_is_stable_or_the_campaign_does(make: Callable[..., Bench]) -> None:
+    bench = make()
+    outcome = bench.run(Scripted(lambda n: {"club_speed_mps": 40.0 + n} if n < 4 else {}))
+    assert outcome.state is CampaignState.FINISHED
+    assert sum(shot.role == "warm-up" for shot in bench.shots) == 5
+    other = make(campaign={"name": "cold"})
+    refused = other.run(Scripted(lambda n: {"club_speed_mps": 40.0 + n}))
+    assert refused.state is CampaignState.SUSPENDED
+    assert "did not warm up" in refused.reason
+    assert refused.shots == 10
+
+
+def test_the_set_up_is_by_the_control_balls_speed(make: Callable[..., Bench]) -> None:
+    bench = make(set_up={"control_ball_speed": 60.0, "tolerance": 1.0})
+    outcome = bench.run(Scripted())
+    assert outcome.state is CampaignState.SUSPENDED
+    assert "62.00 m/s, wanted 60 ± 1 m/s" in outcome.reason
+
+
+def test_too_many_failures_in_a_row_suspend_and_resume_goes_on(make: Callable[..., Bench]) -> None:
+    bench = make()
+    jam = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
+    outcome = bench.run(Scripted(lambda n: jam if n >= 7 else {}))
+    assert outcome.state is CampaignState.SUSPENDED
+    assert outcome.reason == "5 shots in a row not valid, the last: feeder jam: no ball came"
+    assert bench.store.shots(bench.entry.id)[-1].file == ""
+    assert bench.run(Scripted()).state is CampaignState.FINISHED
+
+
+def test_balls_take_turns_and_are_never_hit_too_often(make: Callable[..., Bench]) -> None:
+    bench = make(ball_handling={"samples": 2, "hits": 3})
+    source = Scripted()
+    outcome = bench.run(source)
+    assert outcome.state is CampaignState.SUSPENDED
+    assert "balls used up: every sample of 'tour' has its 3 hits" in outcome.reason
+    assert max(bench.store.hits(bench.entry.id)[Hit("ball", "tour", n)] for n in (1, 2)) == 3
+    samples = [sample for _, step, sample in source.taken if step.trial.arm.ball == "tour"]
+    assert samples == [1, 2, 1, 2, 1, 2]
+
+
+def test_the_stopping_rule_ends_a_section_early(make: Callable[..., Bench]) -> None:
+    bench = make(
+        design={"blocks": 12}, stop={"rule": "width", "width": 5.0, "blocks_at_least": 3, "looks": 4}
+    )
+    outcome = bench.run(Scripted())
+    assert outcome.state is CampaignState.FINISHED
+    assert "section 1 after 3 of 12 blocks" in outcome.reason
+    assert max(shot.block for shot in bench.shots) == 3
+
+
+def test_stop_pause_and_abort_are_obeyed(make: Callable[..., Bench]) -> None:
+    bench = make()
+
+    def asked(request: str, at: int) -> Callable[[int], dict[str, Any]]:
+        def script(number: int) -> dict[str, Any]:
+            if number == at:
+                bench.store.change(bench.entry.id, requested=request)
+            return {}
+
+        return script
+
+    stopped = bench.run(Scripted(asked("stop", 6)))
+    assert (stopped.state, stopped.shots) == (CampaignState.STOPPED, 6)
+    assert len(bench.shots) == 6
+
+    def let_go() -> None:
+        while bench.store.standing(bench.entry.id).state is not CampaignState.PAUSED:
+            time.sleep(0.02)
+        assert len(bench.shots) == 9
+        bench.store.change(bench.entry.id, requested="")
+
+    friend = threading.Thread(target=let_go)
+    friend.start()
+    paused = bench.run(Scripted(asked("pause", 9)))
+    friend.join()
+    assert paused == (CampaignState.FINISHED, "", 18, 18)
+    other = make(campaign={"name": "other"})
+    bench = other
+    aborted = other.run(Scripted(asked("abort", 5)))
+    assert (aborted.state, aborted.shots) == (CampaignState.ABORTED, 5)
+
+
+def test_ctrl_c_keeps_the_shots_so_far(make: Callable[..., Bench]) -> None:
+    bench = make()
+    source = Scripted()
+    outcome = bench.run(source, lambda: len(source.taken) >= 7)
+    assert (outcome.state, len(bench.shots)) == (CampaignState.STOPPED, 7)
+    again = Scripted()
+    assert bench.run(again) == (CampaignState.FINISHED, "", 18, 18)
+    assert again.taken[0][0] == 8
+
+
+@pytest.mark.parametrize("at", [1, 5, 6, 13, 18])
+def test_after_any_shot_resume_gives_what_one_run_gives(make: Callable[..., Bench], at: int) -> None:
+    def dies(number: int) -> dict[str, Any]:
+        if number == at:
+            raise RuntimeError("power cut")
+        return {}
+
+    whole, broken = make(), make(campaign={"name": "broken"})
+    whole.run(Scripted())
+    with pytest.raises(RuntimeError):
+        broken.run(Scripted(dies))
+    assert len(broken.shots) == at - 1
+    broken.run(Scripted())
+    assert broken.shots == whole.shots
+    assert broken.store.hits(broken.entry.id) == whole.store.hits(whole.entry.id)
+
+
+def test_a_full_disk_keeps_what_was_stored_and_resume_goes_on(
+    make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = make()
+    real = write_swing
+
+    def full(path: Path, *arguments: Any) -> None:
+        if path.stem == "000007":
+            raise NotStored(str(path), "No space left on device", "space", "Free some.")
+        real(path, *arguments)
+
+    monkeypatch.setattr("bench.campaign.run.runner.write_swing", full)
+    with pytest.raises(NotStored):
+        bench.run(Scripted())
+    assert [shot.shot for shot in bench.shots] == list(range(1, 7))
+    monkeypatch.setattr("bench.campaign.run.runner.write_swing", real)
+    assert bench.run(Scripted()) == (CampaignState.FINISHED, "", 18, 18)
+
+
+def test_a_stored_shot_that_the_plan_did_not_have_is_refused(make: Callable[..., Bench]) -> None:
+    bench = make()
+    bench.run(Scripted(), batch=4)
+    bench.plan = replace(bench.plan, design=replace(bench.plan.design, seed=99))
+    with pytest.raises(BenchError, match="do not belong to its plan"):
+        bench.run(Scripted())
+
+
+def test_only_the_own_plan_and_configuration_go_on(make: Callable[..., Bench]) -> None:
+    bench = make()
+    state, configuration = CampaignState.STOPPED, bench.configuration
+    require_resumable(bench.entry, state, configuration, bench.plan)
+    other = replace(bench.plan, design=replace(bench.plan.design, blocks=4))
+    with pytest.raises(Refused, match="another plan"):
+        require_resumable(bench.entry, state, configuration, other)
+    before = json.loads(json.dumps(bench.entry.configuration))
+    del before["plant"]["robot"]["club"]["restitution_slope"]
+    with pytest.raises(Refused, match="restitution_slope"):
+        require_resumable(replace(bench.entry, configuration=before), state, configuration, bench.plan)
+    warmer = replace(configuration, air=replace(configuration.air, temperature=300.0))
+    with pytest.raises(Refused, match=r"air\.temperature"):
+        require_resumable(bench.entry, state, warmer, None)
+    with pytest.raises(Refused, match="finished"):
+        require_resumable(bench.entry, CampaignState.FINISHED, configuration, None)
+
+
+@pytest.mark.parametrize("key", CANNOT_CHANGE_A_SHOT)
+def test_campaign_is_resumed_after_a_change_that_cannot_change_a_shot(
+    make: Callable[..., Bench], key: str
+) -> None:
+    bench = make()
+    stored = json.loads(json.dumps(bench.entry.configuration))
+    *tables, last = key.split(".")
+    table = reduce(getitem, tables, stored)
+    assert last in table
+    table[last] = "as it was"
+    before = replace(bench.entry, configuration=stored)
+    require_resumable(before, CampaignState.SUSPENDED, bench.configuration, None)
+
+
+def test_campaign_resumed_after_a_move_of_its_data_notes_an_event(make: Callable[..., Bench]) -> None:
+    bench = make()
+    c = bench.configuration
+    moved = replace(c, network=replace(c.network, endpoint="tcp/127.0.0.1:9"))
+    changes = changed(run_start("", c, {}).facts, run_start("", moved, {}).facts)
+    assert changes == [f"network.endpoint {c.network.endpoint} → tcp/127.0.0.1:9"]
+
+
+def test_one_runner_a_campaign(make: Callable[..., Bench]) -> None:
+    bench = make()
+    name = bench.entry.id
+    with pytest.raises(Refused, match="no runner"):
+        ask(bench.store, bench.folder, name, "pause")
+    with runner_lock(bench.folder, name):
+        assert is_running(bench.folder, name)
+        with pytest.raises(Refused, match=f"which runs campaign {name}"), runner_lock(bench.folder, name):
+            pass
+        assert "pauses" in ask(bench.store, bench.folder, name, "pause")
+        assert bench.store.standing(name).requested == "pause"
+    assert not is_running(bench.folder, name)
+    assert "aborted" in ask(bench.store, bench.folder, name, "abort")
+    with pytest.raises(Refused, match="unfinished"):
+        ask(bench.store, bench.folder, name, "stop")
+
+
+def test_the_next_ball_is_the_least_used(make: Callable[..., Bench]) -> None:
+    from collections import Counter
+
+    plan = make(ball_handling={"samples": 3, "first_sample": 5, "hits": 2}).plan
+    hits = Counter({Hit("ball", "pole", 5): 1, Hit("ball", "pole", 7): 2})
+    trial = PlannedShot(Role.TEST, 1, 1, 1, Arm("default", "driver", "pole"))
+    assert sample_for(plan, trial, hits) == 6
+    assert sample_for(plan, trial, Counter({Hit("ball", "pole", n): 2 for n in (5, 6, 7)})) is None
+
+
+def test_a_figure_that_is_not_known_is_not_looked_at_unless_the_centre_is(make: Callable[..., Bench]) -> None:
+    from bench.campaign.plan.gate import outside
+
+    bench = make()
+    source = Scripted(lambda _: {"club_speed_mps": None})
+    shot = source.take(Step(next(iter(_trials(bench.plan))), 1, Centre()), 1, 1).shot
+    club = bench.plan.clubs["driver"]
+    assert outside(shot, club, Centre(), bench.plan.gate) == ("", "")
+    found = outside(shot, club, Centre(club_speed=43.0), bench.plan.gate)
+    assert found == ("club_speed", "club speed not measured")
+
+
+def _trials(plan: CampaignPlan) -> Any:
+    from bench.campaign.plan.shot_sequence import all_trials
+
+    return all_trials(plan)
+
+
+@pytest.mark.release
+@pytest.mark.live
+@pytest.mark.paced
+def test_killed_at_random_instants_the_simulated_campaign_comes_out_the_same() -> None:
+    """Two hundred kills: `python -m tests.benchmarks campaign_kills`."""
+    command = [sys.executable, "-m", "tests.benchmarks", "campaign_kills"]
+    # A process of its own: it forks its runners, and must not have started threads before.
+    options = ["--kills", "3", "--batch", "3", "--blocks", "24"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=110, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+class Clock(Scripted):
+    """Shots every 48 s of a clock that jumps by `jumps` (s) before some of them, at some other `speeds`."""
+
+    def __init__(self, jumps: dict[int, float], speeds: dict[int, float] | None = None) -> None:
+        speeds = speeds or {}
+        super().__init__(lambda n: {"club_speed_mps": speeds[n]} if n in speeds else {})
+        self.jumps = jumps
+
+    def time_of(self, number: int) -> datetime:
+        late = sum(jump for at, jump in self.jumps.items() if at <= number)
+        return super().time_of(number) + timedelta(seconds=late)
+
+
+def _events(bench: Bench) -> list[tuple[int, str, str]]:
+    return [(event.before_shot, event.kind, event.text) for event in bench.store.events(bench.entry.id)]
+
+
+def test_a_long_gap_warms_up_again_and_restarts_the_block_with_a_new_gate(make: Callable[..., Bench]) -> None:
+    """The robot is 1.5 m/s slower the next day: by the centre of the day before no shot would be valid."""
+    bench = make()
+    slower = dict.fromkeys(range(8, 60), 41.4)
+    clock = Clock({8: 9.3 * 3600}, slower)
+    outcome = bench.run(clock, lambda: len(clock.taken) == 7)
+    assert outcome.state is CampaignState.STOPPED
+    assert bench.run(Clock({8: 9.3 * 3600}, slower)) == (CampaignState.FINISHED, "", 25, 21)
+    stored = bench.store.shots(bench.entry.id)
+    assert [one.shot.shot for one in stored if one.set_aside] == [4, 5, 6, 7]
+    assert {one.shot.status for one in stored if one.set_aside} == {ShotStatus.EXCLUDED}
+    assert [(one.shot.role, one.shot.block, one.shot.position) for one in stored[7:12]] == [
+        ("warm-up", 0, 1),
+        ("warm-up", 0, 2),
+        ("warm-up", 0, 3),
+        ("control", 1, 1),
+        ("test", 1, 2),
+    ]
+    assert not [s.reason for s in bench.shots if s.status is ShotStatus.EXCLUDED and s.shot > 7]
+    (restart,) = [event for event in _events(bench) if event[1] == "restart"]
+    assert restart[0] == 8
+    assert restart[2] == "9.3 h without a shot: block 1 restarts after a new warm-up; set aside: shots 4 to 7"
+    assert all(stored[n].shot.reason == restart[2] for n in range(3, 7))
+
+
+@pytest.mark.parametrize("at", release_except({1, 7, 9, 17}, range(1, 24, 2)))
+def test_after_a_restart_resume_still_gives_what_one_run_gives(make: Callable[..., Bench], at: int) -> None:
+    jumps = {8: 5000.0, 17: 2000.0}
+    whole, cut = make(), make()
+    whole.run(Clock(jumps))
+    clock = Clock(jumps)
+    cut.run(clock, lambda: len(clock.taken) == at, batch=1)
+    cut.run(Clock(jumps))
+    assert cut.store.shots(cut.entry.id)[-1].shot == whole.store.shots(whole.entry.id)[-1].shot
+    assert cut.shots == whole.shots
+    marks = [[one.set_aside for one in each.store.shots(each.entry.id)] for each in (cut, whole)]
+    assert marks[0] == marks[1]
+    assert any(marks[0])
+
+
+def test_a_gap_within_the_bound_or_before_a_warm_up_restarts_nothing(make: Callable[..., Bench]) -> None:
+    bench = make()
+    assert bench.run(Clock({7: 1700.0})).shots == 18
+    never_restarted = make(interruption={"restart_after": 0.0})
+    assert never_restarted.run(Clock({7: 1e6})).shots == 18
+    between = make(warm_up={"at_most": 0}, gate={"centre": "planned"})
+    assert between.run(Clock({1: 1e6, 6: 1e6})).shots == 15
+    assert [(at, kind) for at, kind, _ in _events(between)] == [(6, "gap")]
+
+
+def test_a_block_that_always_takes_long_ends_nevertheless(make: Callable[..., Bench]) -> None:
+    bench = make(warm_up={"at_most": 0}, gate={"centre": "planned"})
+    outcome = bench.run(Clock(dict.fromkeys(range(3, 200), 4000.0)))
+    assert outcome.state is CampaignState.FINISHED
+    kinds = Counter(kind for _, kind, _ in _events(bench))
+    assert kinds["restart"] == 6
+    assert "was restarted 2 times already and goes on" in _events(bench)[-1][2]
+
+
+def test_a_clock_that_goes_back_is_an_unknown_gap(make: Callable[..., Bench]) -> None:
+    bench = make()
+    assert bench.run(Clock({7: -3600.0})).state is CampaignState.FINISHED
+    (restart,) = [text for _, kind, text in _events(bench) if kind == "restart"]
+    assert restart.startswith("an unknown time without a shot (the clock went back): block 1 restarts")
+
+
+def test_every_interruption_is_an_event_with_its_time(make: Callable[..., Bench]) -> None:
+    class Killed(BaseException):
+        pass
+
+    def dies(number: int) -> dict[str, Any]:
+        if number == 5:
+            raise Killed
+        return {}
+
+    bench = make()
+    before = datetime.now(UTC)
+    for _ in range(2):
+        with pytest.raises(Killed):
+            bench.run(Scripted(dies), batch=1)
+    source = Scripted()
+    bench.run(source, lambda: len(source.taken) == 2, batch=1)
+    lost = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
+    bench.run(Scripted(lambda _: lost), batch=1)
+    assert bench.run(Scripted()).state is CampaignState.FINISHED
+    assert [(at, kind) for at, kind, _ in _events(bench)] == [
+        (5, "killed"),
+        (5, "killed"),
+        (7, "stopped"),
+        (7, "resumed"),
+        (12, "suspended"),
+        (12, "resumed"),
+    ]
+    events = bench.store.events(bench.entry.id)
+    assert all(before <= event.date <= datetime.now(UTC) for event in events)
+    assert "the runner had ended without closing the campaign; resumed, " in events[0].text
+    assert events[2].text == "interrupted by Ctrl-C"
+    assert "feeder jam" in events[4].text
+    assert "it was suspended (5 shots in a row not valid" in events[5].text
+
+
+def test_who_paused_and_stopped_is_stored(make: Callable[..., Bench]) -> None:
+    bench = make()
+    pausing = threading.Event()
+
+    def script(number: int) -> dict[str, Any]:
+        if number == 4:
+            ask(bench.store, bench.folder, bench.entry.id, "pause", "ann@lab")
+            pausing.set()
+        if number == 9:
+            ask(bench.store, bench.folder, bench.entry.id, "stop", "bob@office")
+        return {}
+
+    def go_on() -> None:
+        pausing.wait(20)
+        while bench.store.standing(bench.entry.id).state is not CampaignState.PAUSED:
+            time.sleep(0.01)
+        ask(bench.store, bench.folder, bench.entry.id, "")
+
+    helper = threading.Thread(target=go_on)
+    helper.start()
+    with runner_lock(bench.folder, bench.entry.id):
+        outcome = bench.run(Scripted(script), batch=1)
+    helper.join()
+    assert outcome.reason == "stopped by request of bob@office"
+    words = [text for _, _, text in _events(bench)]
+    assert words[0] == "paused by request of ann@lab"
+    assert words[1].startswith("went on after a pause of ")
+    assert words[2] == "stopped by request of bob@office"
+
+
+def test_software_and_bench_that_changed_between_runs_are_named(make: Callable[..., Bench]) -> None:
+    bench = make()
+    first = RunStart("ann", {"numpy": "2.4.5", "source": "aaa"}, {"club": "driver", "loop": {"cpu": 1}})
+    second = RunStart("bob", {"numpy": "2.4.6", "source": "bbb"}, {"club": "driver", "loop": {"cpu": 2}})
+    source = Scripted()
+    bench.run(source, lambda: len(source.taken) == 5, start=first)
+    bench.run(source, lambda: len(source.taken) == 8, start=first)
+    bench.run(source, start=second)
+    assert [
+        (at, kind, text) for at, kind, text in _events(bench) if kind in {"software", "configuration"}
+    ] == [
+        (9, "software", "software changed since run 2: numpy 2.4.5 → 2.4.6, source aaa → bbb"),
+        (9, "configuration", "bench changed since run 2: loop.cpu 1 → 2"),
+    ]
+    assert [run.by for run in bench.store.runs(bench.entry.id)] == ["ann", "ann", "bob"]
+
+
+def _hold(bench: Bench) -> sqlite3.Connection:
+    """Take the database's write lock as another program does."""
+    other = sqlite3.connect(bench.folder / "golfbench.sqlite", isolation_level=None, check_same_thread=False)
+    other.execute("BEGIN IMMEDIATE")
+    return other
+
+
+def test_a_locked_database_is_waited_for_and_no_shot_is_lost(
+    make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = make()
+    heard: list[str] = []
+    monkeypatch.setattr(bench.watcher, "say", heard.append)
+
+    def script(number: int) -> dict[str, Any]:
+        if number == 5:
+            threading.Timer(0.4, _hold(bench).close).start()
+        return {}
+
+    assert bench.run(Scripted(script), batch=1) == (CampaignState.FINISHED, "", 18, 18)
+    assert any("database is locked" in text for text in heard)
+    assert [kind for _, kind, _ in _events(bench)] == ["database"]
+
+
+def test_a_database_that_stays_locked_suspends_and_resume_goes_on(
+    make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.campaign.run.runner._DATABASE_PATIENCE", 0.2)
+    bench = make()
+    held = list[sqlite3.Connection]()
+
+    def script(number: int) -> dict[str, Any]:
+        if number == 5:
+            held.append(_hold(bench))
+        return {}
+
+    outcome = bench.run(Scripted(script), batch=1)
+    held[0].close()
+    assert outcome.state is CampaignState.SUSPENDED
+    assert "the database was locked by another process for" in outcome.reason
+    assert "the last shot is not stored and is taken again" in outcome.reason
+    assert len(bench.shots) == 4
+    assert bench.run(Scripted()) == (CampaignState.FINISHED, "", 18, 18)
+    assert [kind for _, kind, _ in _events(bench)] == ["killed"]
+
+
+@pytest.mark.live
+@pytest.mark.requires("postgres")
+def test_a_server_that_restarts_is_waited_for_and_no_shot_is_lost(
+    make: Callable[..., Bench], tool: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = make()
+    heard: list[str] = []
+    monkeypatch.setattr(bench.watcher, "say", heard.append)
+    with (
+        running_postgres(Path(tool("postgres"))) as server,
+        open_database(make_url(server.url), NOW) as engine,
+    ):
+        bench.store = CampaignStore(engine)
+        bench.store.begin(bench.entry)
+
+        def script(number: int) -> dict[str, Any]:
+            if number == 5:
+                server.stop()
+                threading.Timer(1.0, server.start).start()
+            return {}
+
+        assert bench.run(Scripted(script), batch=1) == (CampaignState.FINISHED, "", 18, 18)
+        assert [shot.shot for shot in bench.shots] == list(range(1, 19))
+        assert [kind for _, kind, _ in _events(bench)] == ["database"]
+    assert any("out of reach" in text for text in heard)
+
+
+class Unseen(Scripted):
+    """A bench whose launch monitor goes before shot 3 and is back for good at the fifth look after it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.looks, self.rests = 0, 0
+
+    def hindrance(self, step: Step) -> Hindrance | None:
+        if len(self.taken) != 2:
+            return None
+        self.looks += 1
+        away = self.looks < 5 and self.looks != 3
+        return Hindrance("no launch monitor is connected") if away else None
+
+    def rest(self) -> None:
+        self.rests += 1
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.campaign.run.runner._LOOK", 0.01)
+    monkeypatch.setattr("bench.campaign.run.runner._SETTLED", 0.05)
+
+
+@pytest.mark.usefixtures("quick")
+def test_what_passes_by_itself_suspends_and_the_campaign_goes_on_by_itself(
+    make: Callable[..., Bench],
+) -> None:
+    bench, source, stood = make(), Unseen(), []
+
+    class Noting(Watcher):
+        def standing(self, state: CampaignState, reason: str) -> None:
+            stood.append((state, reason, len(source.taken)))
+
+    bench.watcher = Noting()
+    outcome = bench.run(source)
+    assert outcome.state is CampaignState.FINISHED
+    assert stood[:3] == [
+        (CampaignState.RUNNING, "", 0),
+        (CampaignState.SUSPENDED, "no launch monitor is connected", 2),
+        (CampaignState.RUNNING, "", 2),
+    ]
+    assert source.looks >= 6  # it must stay away: back for one look is not back
+    assert source.rests == 1
+    (event,) = bench.store.events(bench.entry.id)
+    assert (event.kind, event.before_shot) == ("suspended", 3)
+    assert "no launch monitor is connected; it went on by itself after" in event.text
+
+
+@pytest.mark.parametrize(("request_", "state"), [("stop", "STOPPED"), ("abort", "ABORTED")])
+@pytest.mark.usefixtures("quick")
+def test_who_asks_while_it_is_suspended_is_heard(
+    make: Callable[..., Bench], request_: str, state: str
+) -> None:
+    bench = make()
+
+    class Away(Unseen):
+        def hindrance(self, step: Step) -> Hindrance | None:
+            if len(self.taken) == 2:
+                bench.store.change(bench.entry.id, requested=request_)
+            return super().hindrance(step)
+
+    assert bench.run(Away()).state is CampaignState[state]
+    assert len(bench.shots) == 2
+
+
+class ShortOfAir(Scripted):
+    """A bench whose supply is low when it comes to shot 3, for `long` looks."""
+
+    def __init__(self, long: float, patience: float) -> None:
+        super().__init__()
+        self.left, self.patience, self.armed, self.log = long, patience, False, list[str]()
+
+    def hindrance(self, step: Step) -> Hindrance | None:
+        if len(self.taken) != 2 or not self.armed or self.left <= 0:
+            return None
+        self.left -= 1
+        return Hindrance("supply 7.0 bar", armed=True, patience=self.patience)
+
+    def rest(self) -> None:
+        self.log.append("rest")
+        self.armed = False
+
+    def take(self, step: Step, number: int, sample: int) -> Taken:
+        self.armed = number == 3
+        if number == 3 and self.left > 0:
+            self.log.append("not now")
+            raise ShotPostponed(("practice", "a swing without a ball"))
+        return super().take(step, number, sample)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_low_supply_is_waited_for_with_the_robot_held_and_no_shot_is_lost(
+    make: Callable[..., Bench],
+) -> None:
+    bench, source = make(), ShortOfAir(5, 60.0)
+    assert bench.run(source).state is CampaignState.FINISHED
+    assert source.log == ["not now"]  # never vented: a vented bench does not see its supply
+    assert [shot.shot for shot in bench.shots] == list(range(1, len(bench.shots) + 1))
+    events = [(event.kind, event.before_shot) for event in bench.store.events(bench.entry.id)]
+    assert events == [("practice", 3), ("suspended", 3)]
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_supply_that_stays_low_is_left_to_a_person_with_the_robot_vented(
+    make: Callable[..., Bench],
+) -> None:
+    bench, source = make(), ShortOfAir(1e9, 0.1)
+    outcome = bench.run(source)
+    assert outcome.state is CampaignState.SUSPENDED
+    assert "supply 7.0 bar, for 0 s now" in outcome.reason
+    assert source.log == ["not now", "rest"]
+    source.left = 0
+    assert bench.run(source).state is CampaignState.FINISHED
+
+
+def drifting(number: int) -> dict[str, Any]:
+    """Return a club that gets faster in the third block."""
+    return {"club_speed_mps": 42.9 + (0.5 if 14 <= number <= 18 else 0.0)}
+
+
+def test_a_swing_that_drifts_is_learned_between_blocks_also_after_a_crash(make: Callable[..., Bench]) -> None:
+    learned: list[int] = []
+
+    class Learner(Scripted):
+        def relearn(self, drift: Drift, number: int) -> str:
+            learned.append(number)
+            return super().relearn(drift, number)
+
+    bench, learner = make(learning={"refresh": True}, design={"blocks": 5}), Learner(drifting)
+    assert bench.run(learner, interrupted=lambda: len(learner.taken) >= 20).state is CampaignState.STOPPED
+    assert learned == [19]
+    assert bench.run(Learner(drifting)).state is CampaignState.FINISHED
+    assert learned == [19, 19]  # it is asked again, and answers with what it learned then
+    (event,) = [event for event in bench.store.events(bench.entry.id) if event.kind == "learned"]
+    assert (event.before_shot, event.text) == (19, "learned ('default', 'driver') before 19")

@@ -1,0 +1,174 @@
+"""A simulated shot depends on plan and number only; what goes wrong is told as what it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import degrees
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.campaign.plan.gate import Centre
+from bench.campaign.plan.plan import CampaignPlan, Simulation
+from bench.campaign.plan.plan_file import load_plan
+from bench.campaign.plan.shot_sequence import Step, all_trials
+from bench.campaign.run.plan_requirements import require_swings
+from bench.campaign.run.simulated_shots import MonitorResult, SimulatedShots, Taken, hear
+from bench.config import Configuration
+from bench.records.shot.shot import ShotStatus
+from bench.records.shot.shot_matcher import NOT_TOLD
+from bench.records.telemetry.cycle_record import CYCLE
+from bench.simulation.swing_operator import never
+from drivers.base import Launch
+from drivers.launch_monitor.matching import MatchWindow
+from sim.launch_monitor import MonitorParameters
+from tests.bench.campaign.as_designed import AsDesigned
+
+
+@pytest.fixture(scope="module")
+def plan(configuration: Configuration) -> CampaignPlan:
+    plan = load_plan(Path("clubs"), configuration)
+    faulty = replace(
+        plan.simulation, missing_launch=(2,), missed_ball=(3,), feeder_jam=(4,), door_opened=(5,)
+    )
+    return replace(plan, simulation=faulty)
+
+
+@pytest.fixture(scope="module")
+def source(plan: CampaignPlan, configuration: Configuration) -> SimulatedShots:
+    return SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never)
+
+
+def _take(source: SimulatedShots, plan: CampaignPlan, number: int, sample: int = 1) -> Taken:
+    return source.take(Step(all_trials(plan)[number], 1, Centre()), number, sample)
+
+
+def test_a_shot_is_the_same_whatever_was_swung_before(
+    source: SimulatedShots, plan: CampaignPlan, configuration: Configuration
+) -> None:
+    for number in (1, 3, 7):
+        _take(source, plan, number)
+    again = _take(source, plan, 6)
+    fresh = _take(
+        SimulatedShots(plan, configuration, AsDesigned(require_swings(plan, configuration)), never), plan, 6
+    )
+    assert again.shot == fresh.shot
+    assert again.cycles is not None
+    assert fresh.cycles is not None
+    for name in CYCLE.names or ():
+        np.testing.assert_array_equal(again.cycles[name], fresh.cycles[name], err_msg=name)
+
+
+def test_shots_differ_by_number_and_by_ball(source: SimulatedShots, plan: CampaignPlan) -> None:
+    speeds = {_take(source, plan, number, sample).shot.ball_speed_mps for number, sample in ((8, 1), (8, 2))}
+    assert len(speeds) == 2
+    assert _take(source, plan, 9).shot.club_speed_mps != _take(source, plan, 10).shot.club_speed_mps
+
+
+def test_what_goes_wrong_is_an_outcome_of_its_own(source: SimulatedShots, plan: CampaignPlan) -> None:
+    unseen, missed, jam = (_take(source, plan, number) for number in (2, 3, 4))
+    assert (unseen.shot.status, unseen.shot.reason) == (ShotStatus.EXCLUDED, "the launch monitor saw no ball")
+    assert unseen.shot.club_speed_mps is not None
+    assert unseen.shot.ball_speed_mps is None
+    assert unseen.struck
+    assert (missed.shot.status, missed.shot.reason) == (ShotStatus.FAILED, "no ball on the tee")
+    assert missed.cycles is not None
+    assert not missed.struck
+    assert (jam.shot.status, jam.cycles, jam.struck) == (ShotStatus.FAILED, None, False)
+    assert ("guard", "guard opened; a simulated bench resets and arms itself") in _take(
+        source, plan, 5
+    ).events
+
+
+def test_the_simulated_monitor_misreads_doubles_and_goes_away_as_planned(
+    plan: CampaignPlan, configuration: Configuration
+) -> None:
+    faulty = replace(plan.simulation, launch_misread=1.0, missing_launch=(), monitor_away=(6,))
+    source = SimulatedShots(
+        replace(plan, simulation=faulty),
+        configuration,
+        AsDesigned(require_swings(plan, configuration)),
+        never,
+    )
+    misread = _take(source, plan, 6)
+    assert misread.shot.status is ShotStatus.EXCLUDED
+    assert misread.shot.reason
+    assert misread.shot.ball_speed_mps is not None  # kept, and not counted
+    assert (misread.shot.carry_m, misread.shot.launch_source) == (None, "simulated")
+    assert [kind for kind, _ in misread.events if kind == "suspended"] == ["suspended"]
+    source._monitor = replace(source._monitor, misread=0.0, double=1.0)
+    assert "2 different launches" in _take(source, plan, 7).shot.reason
+    source._monitor = replace(source._monitor, double=0.0)
+    clean = _take(source, plan, 7).shot
+    assert (clean.status, clean.reason) == (ShotStatus.VALID, "")
+    assert (clean.carry_m or 0.0) > 100.0
+
+
+def test_a_loft_is_seen(source: SimulatedShots, plan: CampaignPlan) -> None:
+    taken = [_take(source, plan, number) for number in (6, 7, 8, 9, 10, 11)]
+    lofts = {one.shot.club: one.shot.dynamic_loft_deg or 0.0 for one in taken}
+    assert lofts["driver"] - lofts["driver-9"] == pytest.approx(1.5, abs=0.2)
+    assert lofts["driver-12"] - lofts["driver"] == pytest.approx(1.5, abs=0.2)
+
+
+def test_a_feeder_that_is_empty_or_brings_another_ball(
+    plan: CampaignPlan, configuration: Configuration
+) -> None:
+    s = replace(plan.simulation, missed_ball=(), feeder_empty=(2,), wrong_ball=(3,))
+
+    def take(number: int, simulation: Simulation, *, identify: bool) -> Taken:
+        handling = replace(plan.ball_handling, identify=identify)
+        changed = replace(plan, simulation=simulation, ball_handling=handling)
+        profiles = require_swings(changed, configuration)
+        return _take(SimulatedShots(changed, configuration, AsDesigned(profiles), never), changed, number)
+
+    empty = take(2, s, identify=False)
+    assert (empty.shot.reason, empty.cycles) == ("feeder empty: no ball came", None)
+    noticed = take(3, s, identify=True)
+    assert noticed.shot.reason == "feeder: ball tour 2 came, tour 1 was to come"
+    assert not noticed.struck
+    unnoticed = take(3, s, identify=False)
+    right = take(3, replace(s, wrong_ball=()), identify=False)
+    assert unnoticed.shot.status is ShotStatus.VALID
+    assert unnoticed.shot.sample == right.shot.sample
+    assert unnoticed.shot.ball_speed_mps != right.shot.ball_speed_mps, "another ball was struck"
+
+
+LAUNCH = Launch(62.0, 0.2, 0.01, 300.0, 0.02)
+QUIET = MonitorParameters(speed_noise=0.0, angle_noise=0.0, spin_noise=0.0, axis_noise=0.0)
+
+
+def heard(parameters: MonitorParameters, number: int = 1) -> MonitorResult:
+    return hear(LAUNCH, number, 43.0, parameters, MatchWindow())
+
+
+def test_without_faults_the_figures_are_the_balls_as_the_protocol_rounds_them() -> None:
+    launch, reason = heard(QUIET)
+    assert reason == ""
+    assert launch is not None
+    assert launch.launch == pytest.approx(LAUNCH, rel=1e-4, abs=1e-4)
+    assert launch.source == "launch monitor"
+
+
+def test_what_goes_wrong_has_its_reason() -> None:
+    assert heard(replace(QUIET, dropped=(3,)), 3) == (None, NOT_TOLD)
+    assert heard(replace(QUIET, dropped=(3,)), 4).reason == ""
+    assert heard(replace(QUIET, missing=1.0)) == (None, NOT_TOLD)
+    assert "2 different launches" in heard(replace(QUIET, double=1.0)).reason
+    assert heard(replace(QUIET, repeated=1.0)).reason == ""  # sent again, not measured again
+    assert heard(replace(QUIET, ghost=1.0)).reason == ""  # half a minute later: nobody's
+    no_spin = heard(replace(QUIET, no_spin=1.0))
+    assert "no spin" in no_spin.reason
+    assert no_spin.launch is not None
+    assert no_spin.launch.speed == pytest.approx(62.0, rel=1e-4)
+    misread = [heard(replace(QUIET, misread=1.0), number) for number in range(1, 20)]
+    assert all(each.reason and each.launch is not None for each in misread)
+    assert degrees(min(each.launch.launch_angle or 0.0 for each in misread if each.launch)) == 0.0
+
+
+def test_a_seed_gives_the_same_faults_in_about_their_share() -> None:
+    parameters = replace(QUIET, missing=0.2, seed=7)
+    missing = [heard(parameters, number).launch is None for number in range(1, 301)]
+    assert missing == [heard(parameters, number).launch is None for number in range(1, 301)]
+    assert 30 < sum(missing) < 90
