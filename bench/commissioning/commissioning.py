@@ -15,21 +15,10 @@ import numpy as np
 
 from bench.base.errors import BenchError, Refused
 from bench.calibration.calibration import SeenInputs
-from bench.commissioning.driver_machine import Stalled
-from bench.commissioning.inputs_check import (
-    InputHands,
-    InputsStep,
-    WatchedMachine,
-    check_inputs,
-    raise_findings,
-)
-from bench.commissioning.known_robot import FoundValue, KnownRobot
-from bench.commissioning.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
-from bench.commissioning.response_times import ResponseTimes
-from bench.commissioning.rising_swings import LearnedSwing, RisingSwings
-from bench.commissioning.robot_swings import HealthyLimits, with_following_limits
-from bench.commissioning.slow_moves import Leakage, SlowMoves
-from bench.commissioning.steps import (
+from bench.commissioning.machine.driver_machine import Stalled
+from bench.commissioning.machine.known_robot import FoundValue, KnownRobot
+from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
+from bench.commissioning.machine.step import (
     SWING_FILE,
     CommissioningStep,
     NamedStep,
@@ -39,8 +28,19 @@ from bench.commissioning.steps import (
     Traces,
     WrongMachine,
 )
-from bench.commissioning.swing_diagnosis import DiagnosedRobot
-from bench.commissioning.wiring import ValveEdges, Wiring
+from bench.commissioning.steps.inputs_check import (
+    InputHands,
+    InputsStep,
+    WatchedMachine,
+    check_inputs,
+    raise_findings,
+)
+from bench.commissioning.steps.response_times import ResponseTimes
+from bench.commissioning.steps.slow_moves import Leakage, SlowMoves
+from bench.commissioning.steps.wiring import ValveEdges, Wiring
+from bench.commissioning.swings.rising_swings import LearnedSwing, RisingSwings
+from bench.commissioning.swings.robot_swings import HealthyLimits, with_following_limits
+from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot
 from bench.config import Configuration
 from bench.records.telemetry.whole_file import whole_file
 from bench.swing.profile import load_profile

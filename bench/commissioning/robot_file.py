@@ -11,8 +11,8 @@ from textwrap import wrap
 import jinja2
 
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning
-from bench.commissioning.known_robot import FoundValue, KnownRobot
-from bench.commissioning.steps import NamedStep
+from bench.commissioning.machine.known_robot import FoundValue, KnownRobot
+from bench.commissioning.machine.step import NamedStep
 from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
 from sim.plant import PlantParameters

@@ -16,9 +16,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bench.base.errors import BenchError
-from bench.commissioning.known_robot import ACTUATOR_KEYS
-from bench.commissioning.machine import Array
-from bench.commissioning.short_predictions import Cycles, RecordedSwing, explained
+from bench.commissioning.machine.known_robot import ACTUATOR_KEYS
+from bench.commissioning.machine.machine import Array
+from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained
 from bench.control.measured_plant import value_at, with_values
 from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
 from bench.simulation.replay import FEW, growth_of, settings_of

@@ -13,11 +13,11 @@ import pytest
 
 from bench.base.errors import ExitCode, Refused
 from bench.base.lifecycle import Cause, Phase, State
-from bench.commissioning.inputs import of_simulation
-from bench.commissioning.live_robot import Hands, live_robot
-from bench.commissioning.machine import MotionBounds, Segment
-from bench.commissioning.rising_swings import bench_of
-from bench.commissioning.robot_swings import slowed
+from bench.commissioning.machine.inputs import of_simulation
+from bench.commissioning.machine.live_robot import Hands, live_robot
+from bench.commissioning.machine.machine import MotionBounds, Segment
+from bench.commissioning.swings.rising_swings import bench_of
+from bench.commissioning.swings.robot_swings import slowed
 from bench.config import load_configuration
 from bench.network.bench_service import DeviceStatus
 from bench.network.client import BenchClient, CommandRefused

@@ -25,12 +25,12 @@ from rich.table import Table
 
 from bench.base.errors import Refused
 from bench.commissioning.commissioning import begin, commission
-from bench.commissioning.driver_machine import SimulatedMachine
-from bench.commissioning.known_robot import KnownRobot
-from bench.commissioning.rising_swings import bench_of
-from bench.commissioning.robot_swings import fastest_swing
-from bench.commissioning.steps import LEARNED_FILE, SWING_FILE, SimulatedRobot
-from bench.commissioning.swing_diagnosis import diagnose
+from bench.commissioning.machine.driver_machine import SimulatedMachine
+from bench.commissioning.machine.known_robot import KnownRobot
+from bench.commissioning.machine.step import LEARNED_FILE, SWING_FILE, SimulatedRobot
+from bench.commissioning.swings.rising_swings import bench_of
+from bench.commissioning.swings.robot_swings import fastest_swing
+from bench.commissioning.swings.swing_diagnosis import diagnose
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.measured_plant import value_at
 from bench.learning.delivery import figures_of

@@ -135,7 +135,7 @@ def turn_regulator(folder: Path | None, bar: str) -> None:
     Raises:
         Refused: no nodes are there, or `bar` is neither a pressure nor `service`.
     """
-    from bench.commissioning.inputs import SERVICE, of_simulation
+    from bench.commissioning.machine.inputs import SERVICE, of_simulation
 
     place = f"nodes --turn-regulator {bar}"
     try:
@@ -153,7 +153,7 @@ def act_at(folder: Path | None, key: str) -> None:
     Raises:
         Refused: no nodes are there, or nothing is called `key`.
     """
-    from bench.commissioning.inputs import ACTS, act_in_simulation
+    from bench.commissioning.machine.inputs import ACTS, act_in_simulation
 
     place = f"nodes --act {key}"
     if key not in ACTS:

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from bench.calibration.aerodynamics_fit import FlightUncertainty
     from bench.calibration.ball_aerodynamics import BallAerodynamics
     from bench.calibration.calibration import Entry, SeenInputs
-    from bench.commissioning.driver_machine import SimulatedMachine
-    from bench.commissioning.inputs_check import WatchedMachine
-    from bench.commissioning.live_robot import Hands
+    from bench.commissioning.machine.driver_machine import SimulatedMachine
+    from bench.commissioning.machine.live_robot import Hands
+    from bench.commissioning.steps.inputs_check import WatchedMachine
     from bench.config import Configuration
 
 
@@ -221,7 +221,7 @@ def inputs(
     Takes the place of golfbench run for about five minutes, and says what to do by hand. On a machine it is
     due each day: ARM is refused without it, and after one that found something wrong.
     """
-    from bench.commissioning.inputs_check import check_inputs, raise_findings
+    from bench.commissioning.steps.inputs_check import check_inputs, raise_findings
 
     configuration = context.ensure_object(Session).configuration()
     simulated = sim or configuration.driver.name == "sim"
@@ -262,7 +262,7 @@ def keep_inputs(configuration: Configuration, seen: SeenInputs, by: str) -> Entr
 
 def simulated_hands(machine: SimulatedMachine) -> Hands:
     """Return the hands at a robot simulated in lock-step."""
-    from bench.commissioning.live_robot import Hands
+    from bench.commissioning.machine.live_robot import Hands
 
     return Hands(
         machine.set_supply,
@@ -293,7 +293,7 @@ def ask_person(text: str) -> None:
 
 @contextmanager
 def _simulated(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]]:
-    from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.machine.driver_machine import SimulatedMachine
 
     c = configuration
     with SimulatedMachine(c.plant, c.plant, tuple(c.faults.values()), inputs_only=True) as machine:
@@ -303,8 +303,8 @@ def _simulated(configuration: Configuration) -> Iterator[tuple[WatchedMachine, H
 @contextmanager
 def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]]:
     """Take the bench's place."""
-    from bench.commissioning.inputs import by_person, turned_once
-    from bench.commissioning.live_robot import Hands, live_robot
+    from bench.commissioning.machine.inputs import by_person, turned_once
+    from bench.commissioning.machine.live_robot import Hands, live_robot
     from bench.supervisor.ownership import take_bench
 
     if not at_terminal():

@@ -21,12 +21,12 @@ from bench.commands.common.session import Session, at_terminal, show_json
 if TYPE_CHECKING:
     from bench.calibration.calibration import SeenInputs
     from bench.commissioning.commissioning import Commissioning
-    from bench.commissioning.driver_machine import SimulatedMachine
-    from bench.commissioning.inputs_check import WatchedMachine
-    from bench.commissioning.known_robot import KnownRobot
-    from bench.commissioning.live_robot import Hands
-    from bench.commissioning.machine import CommissionedMachine
-    from bench.commissioning.steps import NamedStep, SwungRobot
+    from bench.commissioning.machine.driver_machine import SimulatedMachine
+    from bench.commissioning.machine.known_robot import KnownRobot
+    from bench.commissioning.machine.live_robot import Hands
+    from bench.commissioning.machine.machine import CommissionedMachine
+    from bench.commissioning.machine.step import NamedStep, SwungRobot
+    from bench.commissioning.steps.inputs_check import WatchedMachine
     from bench.config import Configuration
     from bench.control.settings import EnvelopeSettings
     from sim.live.contact_watch import ContactWatch
@@ -71,7 +71,7 @@ def commission(
     wrong it says what to do. Exits with 0 once the swing is learned within the tolerances.
     """
     from bench.commissioning.commissioning import begin
-    from bench.commissioning.driver_machine import SimulatedMachine
+    from bench.commissioning.machine.driver_machine import SimulatedMachine
     from bench.config import load_configuration
     from bench.design.requirements import load_casadi
 
@@ -239,8 +239,8 @@ class _Machine(NamedTuple):
 def _simulated(configuration: Configuration, truth: Configuration) -> Iterator[_Machine]:
     """Yield the robot of `truth`, simulated in lock-step."""
     from bench.commands.machine.calibrate_measured import simulated_hands
-    from bench.commissioning.driver_machine import SimulatedMachine
-    from bench.commissioning.steps import SimulatedRobot
+    from bench.commissioning.machine.driver_machine import SimulatedMachine
+    from bench.commissioning.machine.step import SimulatedRobot
 
     faults = tuple(truth.faults.values())
     with SimulatedMachine(truth.plant, configuration.plant, faults) as machine:
@@ -254,8 +254,8 @@ def _live(
 ) -> Iterator[_Machine]:
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
     from bench.commands.machine.calibrate_measured import SIMULATED_PATIENCE
-    from bench.commissioning.inputs import in_simulation
-    from bench.commissioning.live_robot import Hands, live_robot
+    from bench.commissioning.machine.inputs import in_simulation
+    from bench.commissioning.machine.live_robot import Hands, live_robot
     from bench.supervisor.ownership import take_bench
     from sim.live.contact_watch import ContactWatch
 
@@ -289,8 +289,8 @@ def _hands_of_person(
     """Return the hands of the person at the terminal, `regulator` being the program that turns it, if any."""
     from bench.commands.machine.calibrate_measured import ask_person, gauge_from_person, saying
     from bench.commands.swing.learn import mark_from_person
-    from bench.commissioning.inputs import by_person, by_program, turned_once
-    from bench.commissioning.live_robot import Hands
+    from bench.commissioning.machine.inputs import by_person, by_program, turned_once
+    from bench.commissioning.machine.live_robot import Hands
 
     def ask(text: str) -> None:
         with paused(bar):
@@ -317,7 +317,7 @@ def _hands_of_person(
 
 def _mark_in(contacts: ContactWatch, truth: PlantParameters) -> tuple[float, float] | None:
     """Return the mark of the newest of the simulated `contacts` on the club of `truth`."""
-    from bench.commissioning.steps import read_mark
+    from bench.commissioning.machine.step import read_mark
 
     contacts.attach()
     contact, site = contacts.look(), truth.site

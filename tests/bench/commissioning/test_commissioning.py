@@ -26,14 +26,14 @@ from bench.commissioning.commissioning import (
     commission,
     read_state,
 )
-from bench.commissioning.driver_machine import SimulatedMachine, Stalled
 from bench.commissioning.folder_lock import commissioning_process, folder_lock
-from bench.commissioning.known_robot import FoundValue, KnownRobot
-from bench.commissioning.machine import CommissionedMachine, MotionBounds, Segment
-from bench.commissioning.rising_swings import bench_of
+from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
+from bench.commissioning.machine.known_robot import FoundValue, KnownRobot
+from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, Segment
+from bench.commissioning.machine.step import StepResult, Traces, WrongMachine
 from bench.commissioning.robot_file import commissioning_report, robot_file
-from bench.commissioning.steps import StepResult, Traces, WrongMachine
-from bench.commissioning.wiring import Wiring
+from bench.commissioning.steps.wiring import Wiring
+from bench.commissioning.swings.rising_swings import bench_of
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.config.text import configuration_text
 from bench.control.measured_plant import value_at, with_values

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from bench.commissioning import robot_swings
-from bench.commissioning.robot_swings import design_at
+from bench.commissioning.swings import robot_swings
+from bench.commissioning.swings.robot_swings import design_at
 from bench.config import load_configuration, shipped_configuration
 from bench.design.designer import DesignFailed, SwingDemand
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Cause
-from bench.commissioning.robot_swings import with_following_limits
+from bench.commissioning.swings.robot_swings import with_following_limits
 from bench.config import Configuration
 from bench.simulation.series import Bench, Series
 from bench.simulation.variation import Variation

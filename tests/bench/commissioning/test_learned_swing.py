@@ -8,8 +8,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from bench.commissioning.rising_swings import LearnedSwing, bench_of
-from bench.commissioning.steps import (
+from bench.commissioning.machine.step import (
     LEARNED_FILE,
     SWING_FILE,
     SimulatedRobot,
@@ -17,6 +16,7 @@ from bench.commissioning.steps import (
     SwingSeries,
     read_mark,
 )
+from bench.commissioning.swings.rising_swings import LearnedSwing, bench_of
 from bench.config import Configuration
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile

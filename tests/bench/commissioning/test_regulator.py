@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.commissioning.inputs import RegulatorNotTurned, by_person, by_program, turned_once
+from bench.commissioning.machine.inputs import RegulatorNotTurned, by_person, by_program, turned_once
 
 
 def test_a_person_is_told_gauge_and_absolute_pressure() -> None:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue
-from bench.commissioning.swing_diagnosis import Diagnosis
+from bench.commissioning.machine.known_robot import ACTUATOR_KEYS, FoundValue
+from bench.commissioning.swings.swing_diagnosis import Diagnosis
 from bench.control.measured_plant import value_at, with_values
 from sim.faults import Fault
 from sim.plant import PlantParameters

@@ -7,8 +7,8 @@ import re
 import pytest
 
 from bench.base.errors import Refused
-from bench.commissioning.driver_machine import DriverMachine, Stalled
-from bench.commissioning.machine import MotionBounds, Segment
+from bench.commissioning.machine.driver_machine import DriverMachine, Stalled
+from bench.commissioning.machine.machine import MotionBounds, Segment
 from sim.driver import SimDriver
 from sim.plant import PlantParameters, build_plant
 

@@ -14,10 +14,11 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bench.base.errors import Refused
-from bench.commissioning.known_robot import FoundValue
-from bench.commissioning.machine import Array
-from bench.commissioning.rising_swings import exceeded
-from bench.commissioning.short_predictions import (
+from bench.commissioning.machine.known_robot import FoundValue
+from bench.commissioning.machine.machine import Array
+from bench.commissioning.machine.step import Mark, PredictionFails, SwingSeries, SwungRobot, WrongMachine
+from bench.commissioning.swings.rising_swings import exceeded
+from bench.commissioning.swings.short_predictions import (
     PRESSURE,
     QUANTITIES,
     SCATTER,
@@ -27,8 +28,7 @@ from bench.commissioning.short_predictions import (
     explained,
     robust_squares,
 )
-from bench.commissioning.steps import Mark, PredictionFails, SwingSeries, SwungRobot, WrongMachine
-from bench.commissioning.swing_causes import SwingCause, swing_causes
+from bench.commissioning.swings.swing_causes import SwingCause, swing_causes
 from bench.control.measured_plant import value_at, with_values
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, NotReturned, SeriesSwing

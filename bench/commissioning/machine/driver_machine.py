@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from bench.base.clock import Clock, FreeClock
 from bench.base.errors import Refused
-from bench.commissioning.inputs import Act, levels
-from bench.commissioning.machine import (
+from bench.commissioning.machine.inputs import Act, levels
+from bench.commissioning.machine.machine import (
     ADRIFT,
     Array,
     MotionBounds,
@@ -28,7 +28,7 @@ from bench.commissioning.machine import (
     Until,
     bound_passed,
 )
-from bench.commissioning.steps import WrongMachine
+from bench.commissioning.machine.step import WrongMachine
 from bench.loop.loop import record_reading
 from bench.simulation.loads import Loads, loads_of
 from bench.simulation.swing_operator import never

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Cause
-from bench.commissioning import rising_swings
-from bench.commissioning.rising_swings import (
+from bench.commissioning.machine.step import SimulatedRobot, SimulatedSeries, WrongMachine
+from bench.commissioning.swings import rising_swings
+from bench.commissioning.swings.rising_swings import (
     PredictionSpread,
     RisingSwings,
     SwingDeviation,
@@ -23,8 +24,7 @@ from bench.commissioning.rising_swings import (
     slow_swing,
     widest,
 )
-from bench.commissioning.robot_swings import FastestSwing, slowed
-from bench.commissioning.steps import SimulatedRobot, SimulatedSeries, WrongMachine
+from bench.commissioning.swings.robot_swings import FastestSwing, slowed
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.settings import ModelSettings
 from bench.design.designer import DesignFailed

@@ -22,21 +22,9 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
-from bench.commissioning.air_fit import (
-    NAMES,
-    UNITS,
-    VENT_TOLERANCE,
-    AirFit,
-    AirTrace,
-    fit_air,
-    joint_angles,
-    nominal_values,
-    robust_errors,
-    way_per_angle,
-)
-from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
-from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
-from bench.commissioning.steps import (
+from bench.commissioning.machine.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
+from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
+from bench.commissioning.machine.step import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
@@ -51,6 +39,18 @@ from bench.commissioning.steps import (
     openings,
     require_within,
     slow_bounds,
+)
+from bench.commissioning.steps.air_fit import (
+    NAMES,
+    UNITS,
+    VENT_TOLERANCE,
+    AirFit,
+    AirTrace,
+    fit_air,
+    joint_angles,
+    nominal_values,
+    robust_errors,
+    way_per_angle,
 )
 from bench.control.measured_plant import value_at, with_values
 from drivers.base import JOINTS, Triple

@@ -17,8 +17,8 @@ import numpy as np
 from bench.base.clock import Clock
 from bench.base.errors import Refused
 from bench.base.lifecycle import REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
-from bench.commissioning.driver_machine import DriverMachine, stopped_by_operator
-from bench.commissioning.machine import MotionBounds, Segment
+from bench.commissioning.machine.driver_machine import DriverMachine, stopped_by_operator
+from bench.commissioning.machine.machine import MotionBounds, Segment
 from bench.config import Configuration
 from bench.control.settings import (
     HomingSettings,

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.commissioning.known_robot import ACTUATOR_KEYS
-from bench.commissioning.machine import Array
-from bench.commissioning.short_predictions import RecordedSwing
+from bench.commissioning.machine.known_robot import ACTUATOR_KEYS
+from bench.commissioning.machine.machine import Array
+from bench.commissioning.swings.short_predictions import RecordedSwing
 from bench.control.measured_plant import value_at, with_values
 from drivers.base import CHAMBERS, JOINTS
 from drivers.base.compiled import compiled

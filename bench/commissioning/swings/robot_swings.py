@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.lifecycle import Phase
-from bench.commissioning.steps import LEARNED_FILE, StepResult, SwungRobot
+from bench.commissioning.machine.step import LEARNED_FILE, StepResult, SwungRobot
 from bench.config import Configuration
 from bench.control.law.gain_table import MOVE, gains_along
 from bench.control.model_limits import limits_path, save_limits

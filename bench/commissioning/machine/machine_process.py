@@ -1,8 +1,8 @@
 """The process that has the machine while it is commissioned: driver and ticks, and orders from a pipe.
 
-`python -m bench.commissioning.machine_process` takes a pickled MachinePlan on stdin. Orders come numbered on
-the plan's connection, and each is answered with its number, whether it was done, and its answer or exception.
-JSON lines on stdout:
+`python -m bench.commissioning.machine.machine_process` takes a pickled MachinePlan on stdin. Orders come
+numbered on the plan's connection, and each is answered with its number, whether it was done, and its answer
+or exception. JSON lines on stdout:
 
 `ready`   `real_time`
 `failed`  `place`, `found`, `expected`, `action`, `exit_code`: it cannot work
@@ -23,7 +23,7 @@ from typing import Any
 
 from bench.base.clock import GridClock, PacedClock
 from bench.base.errors import BenchError, Refused
-from bench.commissioning.machine_server import MachineServer, Order
+from bench.commissioning.machine.machine_server import MachineServer, Order
 from bench.config import Configuration
 from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure
 from bench.supervisor.loop_process import configured_driver

@@ -21,10 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.calibration.calibration import zero_counts
-from bench.commissioning.air_fit import NAMES, fit_air, way_per_angle
-from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
-from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment
-from bench.commissioning.steps import (
+from bench.commissioning.machine.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
+from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment
+from bench.commissioning.machine.step import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
@@ -43,6 +42,7 @@ from bench.commissioning.steps import (
     slow_bounds,
     swapped_encoders,
 )
+from bench.commissioning.steps.air_fit import NAMES, fit_air, way_per_angle
 from drivers.base import CHAMBERS, JOINTS, Triple
 from sim.driver import joint_travel
 from sim.kane import bias_forces

@@ -15,17 +15,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
-from bench.commissioning.air_fit import (
-    AirTrace,
-    joint_angles,
-    nominal_values,
-    robust_errors,
-    spool_path,
-    way_per_angle,
-)
-from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
-from bench.commissioning.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
-from bench.commissioning.steps import (
+from bench.commissioning.machine.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
+from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
+from bench.commissioning.machine.step import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
@@ -39,6 +31,14 @@ from bench.commissioning.steps import (
     openings,
     require_within,
     slow_bounds,
+)
+from bench.commissioning.steps.air_fit import (
+    AirTrace,
+    joint_angles,
+    nominal_values,
+    robust_errors,
+    spool_path,
+    way_per_angle,
 )
 from bench.control.measured_plant import with_values
 from drivers.base import JOINTS, Triple

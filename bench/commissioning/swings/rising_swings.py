@@ -22,14 +22,7 @@ from numpy.typing import NDArray
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, Cause
-from bench.commissioning.robot_swings import (
-    design_at,
-    fastest_swing,
-    make_healthy_limits,
-    slowed,
-    with_following_limits,
-)
-from bench.commissioning.steps import (
+from bench.commissioning.machine.step import (
     LEARNED_FILE,
     SWING_FILE,
     PredictionFails,
@@ -39,6 +32,13 @@ from bench.commissioning.steps import (
     SwingStopped,
     SwungRobot,
     WrongMachine,
+)
+from bench.commissioning.swings.robot_swings import (
+    design_at,
+    fastest_swing,
+    make_healthy_limits,
+    slowed,
+    with_following_limits,
 )
 from bench.config import Configuration
 from bench.control.law.feed_forward import FeedForward

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from bench.commissioning.air_fit import count_angles
-from bench.commissioning.machine import Array
+from bench.commissioning.machine.machine import Array
+from bench.commissioning.steps.air_fit import count_angles
 from drivers.base.compiled import compiled, new_record
 from drivers.base.records import COMMAND
 from sim.plant import PlantParameters, advance, build_plant, initial_state

@@ -19,10 +19,10 @@ from bench.calibration.calibration import CalibrationKind, SeenInputs, wiring_di
 from bench.commands.cli import main
 from bench.commands.machine.calibrate_measured import simulated_hands
 from bench.commissioning.commissioning import begin, read_state, see_inputs
-from bench.commissioning.driver_machine import SimulatedMachine
-from bench.commissioning.inputs import INPUTS, InputFinding, fitted, judged, stages
-from bench.commissioning.inputs_check import PRESSURES, check_inputs
-from bench.commissioning.steps import WrongMachine
+from bench.commissioning.machine.driver_machine import SimulatedMachine
+from bench.commissioning.machine.inputs import INPUTS, InputFinding, fitted, judged, stages
+from bench.commissioning.machine.step import WrongMachine
+from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs
 from bench.config import Configuration
 from bench.store.database import open_database
 from drivers.base import Readings

@@ -13,9 +13,18 @@ from typing import Protocol
 
 from bench.base.errors import Refused
 from bench.calibration.calibration import SeenInputs, wiring_digest
-from bench.commissioning.inputs import ACTS, Act, InputFinding, Regulator, Stage, fitted, judged, stages
-from bench.commissioning.machine import DRIFT
-from bench.commissioning.steps import WrongMachine
+from bench.commissioning.machine.inputs import (
+    ACTS,
+    Act,
+    InputFinding,
+    Regulator,
+    Stage,
+    fitted,
+    judged,
+    stages,
+)
+from bench.commissioning.machine.machine import DRIFT
+from bench.commissioning.machine.step import WrongMachine
 from bench.config import Configuration
 from drivers.base import CHAMBERS, Command, Readings
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.commissioning.driver_machine import SimulatedMachine
-from bench.commissioning.known_robot import KnownRobot
-from bench.commissioning.machine import MotionTrace
-from bench.commissioning.response_times import _pulses, fit_spool
-from bench.commissioning.steps import MOVING, PRESSING, fold, slow_bounds
+from bench.commissioning.machine.driver_machine import SimulatedMachine
+from bench.commissioning.machine.known_robot import KnownRobot
+from bench.commissioning.machine.machine import MotionTrace
+from bench.commissioning.machine.step import MOVING, PRESSING, fold, slow_bounds
+from bench.commissioning.steps.response_times import _pulses, fit_spool
 from sim.plant import PlantParameters
 
 WRIST = 2

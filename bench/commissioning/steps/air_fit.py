@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from bench.commissioning.known_robot import ACTUATOR_KEYS, KnownRobot
-from bench.commissioning.machine import Array, MotionTrace
+from bench.commissioning.machine.known_robot import ACTUATOR_KEYS, KnownRobot
+from bench.commissioning.machine.machine import Array, MotionTrace
 from drivers.base.compiled import compiled
 from sim.driver import joint_travel
 from sim.kinematics import right_arm_length

@@ -10,10 +10,10 @@ import pytest
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import Phase
-from bench.commissioning.rising_swings import bench_of
-from bench.commissioning.short_predictions import RecordedSwing
-from bench.commissioning.steps import PredictionFails, SimulatedRobot, SimulatedSeries, WrongMachine
-from bench.commissioning.swing_diagnosis import DiagnosedRobot, Diagnosis, diagnose
+from bench.commissioning.machine.step import PredictionFails, SimulatedRobot, SimulatedSeries, WrongMachine
+from bench.commissioning.swings.rising_swings import bench_of
+from bench.commissioning.swings.short_predictions import RecordedSwing
+from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot, Diagnosis, diagnose
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.simulation.safety import RunEnd, SafetyLimits, dangers
 from bench.simulation.series import Bench, NotReturned

@@ -20,12 +20,12 @@ import pytest
 from bench.base.clock import FreeClock
 from bench.base.errors import Refused
 from bench.base.lifecycle import Cause
-from bench.commissioning.driver_machine import _Log
-from bench.commissioning.inputs import of_simulation
-from bench.commissioning.live_robot import Hands, LiveRobot, MachineLost, live_robot
-from bench.commissioning.machine import MotionBounds, Segment
-from bench.commissioning.machine_process import with_quick_pressures
-from bench.commissioning.machine_server import (
+from bench.commissioning.machine.driver_machine import _Log
+from bench.commissioning.machine.inputs import of_simulation
+from bench.commissioning.machine.live_robot import Hands, LiveRobot, MachineLost, live_robot
+from bench.commissioning.machine.machine import MotionBounds, Segment
+from bench.commissioning.machine.machine_process import with_quick_pressures
+from bench.commissioning.machine.machine_server import (
     ArmFor,
     BePassive,
     LetIn,
@@ -35,8 +35,8 @@ from bench.commissioning.machine_server import (
     Swing,
     Vent,
 )
-from bench.commissioning.rising_swings import bench_of
-from bench.commissioning.robot_swings import slowed
+from bench.commissioning.swings.rising_swings import bench_of
+from bench.commissioning.swings.robot_swings import slowed
 from bench.config import Configuration
 from bench.simulation.swing_operator import SwingOperator
 from bench.supervisor.ownership import take_bench
@@ -224,7 +224,7 @@ def test_a_person_is_let_in_to_read_the_mark(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("bench.commissioning.machine_server._PERSON", 2.0)
+    monkeypatch.setattr("bench.commissioning.machine.machine_server._PERSON", 2.0)
     server.obey(ArmFor(bench_of(configuration, slow)))
     server.obey(Swing(slow, ball=True))
     server.obey(LetIn())
@@ -296,7 +296,9 @@ def test_no_ball_is_said(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server.obey(ArmFor(bench_of(configuration, slow)))
-    monkeypatch.setattr("bench.commissioning.machine_server.LiveSeries._sees_ball", lambda self: False)
+    monkeypatch.setattr(
+        "bench.commissioning.machine.machine_server.LiveSeries._sees_ball", lambda self: False
+    )
     with pytest.raises(Refused, match="Fill the feeder"):
         server.obey(Swing(slow, ball=True))
 

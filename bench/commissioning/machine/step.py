@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 
 from bench.base.errors import Refused
-from bench.commissioning.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
-from bench.commissioning.machine import (
+from bench.commissioning.machine.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
+from bench.commissioning.machine.machine import (
     CommissionedMachine,
     MotionBounds,
     MotionTrace,

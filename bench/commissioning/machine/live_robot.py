@@ -10,10 +10,10 @@ from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, cast
 
 from bench.base.errors import BenchError, ExitCode
-from bench.commissioning.inputs import Act, Regulator
-from bench.commissioning.machine import MotionBounds, MotionTrace, Segment
-from bench.commissioning.machine_process import MachinePlan
-from bench.commissioning.machine_server import (
+from bench.commissioning.machine.inputs import Act, Regulator
+from bench.commissioning.machine.machine import MotionBounds, MotionTrace, Segment
+from bench.commissioning.machine.machine_process import MachinePlan
+from bench.commissioning.machine.machine_server import (
     ArmFor,
     BePassive,
     LetIn,
@@ -24,7 +24,7 @@ from bench.commissioning.machine_server import (
     Vent,
     WatchInputs,
 )
-from bench.commissioning.steps import Mark
+from bench.commissioning.machine.step import Mark
 from bench.config import Configuration
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, SeriesSwing
@@ -196,7 +196,10 @@ def live_robot(
             configuration, owner.folder, owner.descriptor, its.fileno(), truth or configuration, inputs_only
         )
         child = Child.start(
-            "machine", "bench.commissioning.machine_process", plan, pass_fds=(owner.descriptor, its.fileno())
+            "machine",
+            "bench.commissioning.machine.machine_process",
+            plan,
+            pass_fds=(owner.descriptor, its.fileno()),
         )
         its.close()
         try:

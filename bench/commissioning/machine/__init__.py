@@ -1,0 +1,1 @@
+"""The path to the robot: bounded sequences, their process, a step's moves."""

@@ -1,0 +1,1 @@
+"""Steps 0 to 5: inputs, wiring, slow moves, response times."""

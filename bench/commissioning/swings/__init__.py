@@ -1,0 +1,1 @@
+"""Steps 6 to 8: rising and learned swings, limits, causes of deviations."""
