@@ -17,7 +17,7 @@ from bench.commands.common.progress import progress_of
 from bench.commands.common.session import exit_unless, show_json
 
 if TYPE_CHECKING:
-    from bench.commissioning.wear import PartWear
+    from bench.commissioning.swings.wear import PartWear
     from bench.simulation.replay import Margin
 
 Records = Annotated[list[Path], argument("RECORD...", "Parquet files of swings, or folders of them.")]
@@ -107,7 +107,7 @@ def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
     """Return the parts' wear over records, oldest first, and draw it; none without chamber sensors."""
     import numpy as np
 
-    from bench.commissioning.wear import swing_wear, wear_plot, wearing_values, worn_parts
+    from bench.commissioning.swings.wear import swing_wear, wear_plot, wearing_values, worn_parts
     from bench.records.telemetry.recorder import read_swing
     from bench.simulation.replay import settings_of
 

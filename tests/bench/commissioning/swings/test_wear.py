@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.base.errors import Refused
-from bench.commissioning.wear import (
+from bench.commissioning.swings.wear import (
     PartWear,
     SwingWear,
     fitted_wear,

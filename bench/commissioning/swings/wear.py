@@ -49,7 +49,7 @@ class WearingValue(NamedTuple):
     prior: float
     """Standard deviation of the change before anything was recorded."""
     most: float
-    """Change from which the part is worn; of a leak a growth."""
+    """Change from which the part is worn, for a leak its growth."""
     unit: str
     scale: float
     """Units of one change."""
