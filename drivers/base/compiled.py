@@ -13,6 +13,7 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 from numba.core import event
+from numba.core.caching import IndexDataCacheFile
 
 from drivers.base.compile_report import progress
 from drivers.base.machine_code import (
@@ -58,6 +59,26 @@ if not numba.config.DISABLE_JIT:
     event.register("numba:compile", _Watch())
 
 
+class _KeptCode(IndexDataCacheFile):  # type: ignore[misc]  # numba has no types
+    """Machine code on disk; what cannot be read is compiled again.
+
+    An index names the types of arguments: those of a module that has moved since are not there any more. A
+    loss of power may leave a file cut short.
+    """
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except Exception:
+            return {}
+
+    def _load_data(self, name: str) -> Any:
+        try:
+            return super()._load_data(name)
+        except Exception as error:
+            raise OSError(f"{name}: {error}") from error  # which numba takes for a missing one
+
+
 def compiled(function: _Function) -> _Function:
     """Compile `function` at its first call, cached on disk, IEEE arithmetic, no GIL.
 
@@ -68,7 +89,11 @@ def compiled(function: _Function) -> _Function:
     if not numba.config.DISABLE_JIT:
         numba.config.CACHE_DIR = _use_cache(function.__module__)  # read when a function is decorated
     decorate = numba.njit(cache=True, nogil=True, error_model="numpy")
-    return cast(_Function, decorate(function))
+    made = decorate(function)
+    kept = getattr(getattr(made, "_cache", None), "_cache_file", None)
+    if kept is not None:
+        kept.__class__ = _KeptCode
+    return cast(_Function, made)
 
 
 def new_record(dtype: np.dtype[Any], count: int = 1) -> np.ndarray[Any, Any]:

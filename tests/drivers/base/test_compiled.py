@@ -60,3 +60,13 @@ def test_a_changed_enum_in_a_file_without_compiled_functions_is_compiled_again(c
     lifecycle.write_text(lifecycle.read_text().replace("    SUPPORT = 8\n", "    SUPPORT = 88\n"))
     assert run(copy) == (88, 2)
     assert kept.exists()
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_machine_code_that_cannot_be_read_is_compiled_again(copy: Path, suffix: str) -> None:
+    assert run(copy) == (8, 1)
+    (kept,) = (copy / "cache").rglob(f"*.{suffix}")
+    for broken in (kept.read_bytes()[:-20], kept.read_bytes().replace(b"numba", b"gonea"), b""):
+        kept.write_bytes(broken)
+        assert run(copy) == (8, 1)
