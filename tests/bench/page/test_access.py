@@ -205,6 +205,7 @@ FILLED = {
     "form": "air",
     "commissioning": "x-1",
     "kind": "report",
+    "search": "x",
 }
 OPEN = {"/", "/static/{name}", "/api/you"}
 """Paths that tell nothing of the bench."""
