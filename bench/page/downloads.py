@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -46,6 +47,7 @@ REPORT: tuple[str, dict[str, str]] = (
 
 _RECORD = re.compile(r"[0-9TZ]{8,40}-[0-9]{1,12}\.parquet")
 _CAMPAIGN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,120}")
+_SHOT = re.compile(r"(?P<campaign>[A-Za-z0-9][A-Za-z0-9._-]{0,120})\.(?P<file>[0-9]{1,12}\.parquet)")
 
 
 class Download(NamedTuple):
@@ -69,27 +71,48 @@ class Downloads:
         self._records, self._campaigns = data_dir / "swings" / bench, data_dir / "campaigns"
 
     def records(self, search: str = "") -> list[dict[str, Any]]:
-        """Return name and size (bytes) of the newest records whose names have `search`."""
-        try:
-            names = sorted((path.name for path in self._records.iterdir()), reverse=True)
-        except OSError:
-            return []
-        found = []
+        """Return name and size (bytes) of the newest records, campaigns' too, whose names have `search`."""
+        listed = [*self._own(search), *self._of_campaigns(search)]
+        listed.sort(key=lambda one: one[1].st_mtime_ns, reverse=True)
+        return [{"name": name, "bytes": about.st_size} for name, about in listed[:MAX_RECORDS]]
+
+    def _own(self, search: str) -> list[tuple[str, os.stat_result]]:
+        """Return the newest swings outside of campaigns; names begin with their times."""
+        return self._listed(_names(self._records), search)
+
+    def _of_campaigns(self, search: str) -> list[tuple[str, os.stat_result]]:
+        """Return the newest swings of campaigns: those of the latest ones, named after them."""
+        found = list[tuple[str, os.stat_result]]()
+        folders = [self._campaigns / name / "swings" for name in _names(self._campaigns)]
+        for folder in sorted(filter(Path.is_dir, folders), key=lambda one: -one.stat().st_mtime_ns):
+            named = [f"{folder.parent.name}.{name}" for name in _names(folder)]
+            found += self._listed(named, search)
+            if len(found) >= MAX_RECORDS:
+                break
+        return found
+
+    def _listed(self, names: list[str], search: str) -> list[tuple[str, os.stat_result]]:
+        found = list[tuple[str, os.stat_result]]()
         for name in names:
             if search in name.casefold() and (path := self.record(name)) is not None:
-                found.append({"name": name, "bytes": path.stat().st_size})
+                found.append((name, path.stat()))
             if len(found) == MAX_RECORDS:
                 break
         return found
 
     def newest(self) -> Path | None:
-        """Return the newest record; None without one. Names begin with their times."""
+        """Return the newest record; None without one."""
         listed = self.records()
         return self.record(listed[0]["name"]) if listed else None
 
     def record(self, name: str) -> Path | None:
-        """Return the record called `name`; None if it does not exist."""
-        return plain_file(self._records / name) if _RECORD.fullmatch(name) else None
+        """Return the record called `name`, of a campaign CAMPAIGN.FILE; None if it does not exist."""
+        if _RECORD.fullmatch(name):
+            return plain_file(self._records / name)
+        if (parts := _SHOT.fullmatch(name)) is None:
+            return None
+        folder = self._campaigns / parts["campaign"]
+        return None if folder.is_symlink() else plain_file(folder / "swings" / parts["file"])
 
     def report(self, campaign: str) -> Path | None:
         """Return the report of `campaign`; None if it does not exist."""
@@ -97,6 +120,14 @@ class Downloads:
             return None
         folder = self._campaigns / campaign
         return None if folder.is_symlink() else plain_file(folder / "report.html")
+
+
+def _names(folder: Path) -> list[str]:
+    """Return the names in `folder`, the last ones first; none where it cannot be read."""
+    try:
+        return sorted((path.name for path in folder.iterdir()), reverse=True)
+    except OSError:
+        return []
 
 
 def plain_file(path: Path) -> Path | None:

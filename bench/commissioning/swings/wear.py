@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bench.base.errors import BenchError
+from bench.base.lifecycle import Phase
 from bench.commissioning.machine.known_robot import ACTUATOR_KEYS
 from bench.commissioning.machine.machine import Array
 from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained
@@ -28,7 +29,11 @@ from sim.plant import PlantParameters
 _STEP = 0.3
 """Step of a derivative, as a share of the prior."""
 _ROUNDS = 2
-"""Linearisations: large changes bend their effects."""
+"""Linearisations at most: large changes bend their effects."""
+_SMALL = 0.15
+"""Changes, as shares of the prior, up to which one linearisation will do."""
+_LONGEST = 5.0
+"""s of a record that are fitted: a swing, or the way to a stop."""
 _CERTAIN = 3.0
 """Standard errors by which a change has to exceed zero."""
 _LOWEST = 0.05
@@ -150,8 +155,12 @@ def swing_wear(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> Swing
 
 
 def fitted_wear(cycles: Cycles, plant: PlantParameters) -> SwingWear:
-    """Return what changed against `plant` in the CYCLE records of a swing."""
-    recorded, values = RecordedSwing(cycles, plant), wearing_values(plant)
+    """Return what changed against `plant` in the CYCLE records of a swing: in its last seconds of motion."""
+    moving = np.flatnonzero(cycles["phase"] != Phase.STANDING)
+    end = int(moving[-1]) + 1 if len(moving) else len(cycles)
+    # Also from standing: how far the supply's soft start has come is not measured.
+    used = cycles[max(end - round(_LONGEST / plant.tick), 0) : end]
+    recorded, values = RecordedSwing(used, plant), wearing_values(plant)
     prior, change = np.array([one.prior for one in values]), np.zeros(len(values))
     left, covariance = np.zeros(1), np.eye(len(values))
     for _ in range(_ROUNDS):
@@ -163,6 +172,8 @@ def fitted_wear(cycles: Cycles, plant: PlantParameters) -> SwingWear:
         effects = np.stack([(base - record.errors(other)) / _STEP for record, other in moved], axis=-1)
         shift, left, covariance = explained(base, effects, change / prior)
         change = change + shift * prior
+        if np.abs(shift).max() <= _SMALL:
+            break
     scatter = max(float(np.mean(np.square(left))), 1.0)
     return SwingWear(change, prior * np.sqrt(scatter * np.diag(covariance)))
 

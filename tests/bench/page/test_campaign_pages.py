@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -33,6 +34,7 @@ from tests.benchmarks.campaign_statistics import Truth
 RECORDS = Path(__file__).parents[2] / "replay"
 SCRIPT = "<script>alert(1)</script>"
 OPEN, ENDED = "open-1", "ended-1"
+SHOT = f"{ENDED}.000001.parquet"
 RECORD = "20260101T000000000000Z-7.parquet"
 PROMPT = Prompt(1, 9, "balls", f"Fill the feeder {SCRIPT}", {"balls": [["tour", 1], ["range", 2]]}, NOW)
 
@@ -56,6 +58,11 @@ def configuration(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
     records = folder / "swings" / given.bench.id
     records.mkdir(parents=True)
     (records / RECORD).write_bytes((RECORDS / "swing.parquet").read_bytes())
+    shots = folder / "campaigns" / ENDED / "swings"
+    shots.mkdir()
+    (shots / "000001.parquet").write_bytes((RECORDS / "swing.parquet").read_bytes())
+    (shots / "000002.parquet").symlink_to("/etc/passwd")
+    os.utime(shots / "000001.parquet", (1.0, 1.0))
     (records / "20260101T000000000000Z-8.parquet").symlink_to("/etc/passwd")
     (folder / "secret").write_text("secret")
     return replace(given, bench=replace(given.bench, data_dir=folder))
@@ -84,7 +91,7 @@ def test_campaigns_and_records_are_listed(page: RunningPage) -> None:
     found = page.ask("GET", "/api/archive").content
     listed = [(one["id"], one["state"], one["report"]) for one in found["campaigns"]]
     assert listed == [(ENDED, "finished", True), (OPEN, "waiting", False)]
-    assert [one["name"] for one in found["records"]] == [RECORD]
+    assert [one["name"] for one in found["records"]] == [RECORD, SHOT]
 
 
 def test_archive_search_keeps_what_its_text_names(page: RunningPage) -> None:
@@ -92,19 +99,25 @@ def test_archive_search_keeps_what_its_text_names(page: RunningPage) -> None:
         answer = page.ask("GET", f"/api/archive/{text}").content
         return [one["id"] for one in answer["campaigns"]], [one["name"] for one in answer["records"]]
 
-    assert found("ENDED") == ([ENDED], [])
+    assert found("ENDED") == ([ENDED], [SHOT])
     assert found("campaign") == ([ENDED, OPEN], [])
     assert found("20260101") == ([], [RECORD])
     assert found("nothing-of-it") == ([], [])
 
 
 def test_record_is_shown_as_the_last_swing_is(page: RunningPage) -> None:
+    assert page.ask("GET", f"/api/swing/{SHOT}").status == 200
     found = page.ask("GET", f"/api/swing/{RECORD}")
     assert found.status == 200
     assert found.content["name"] == RECORD
     assert found.content["figures"]["club_speed_mps"] > 30.0
     assert len(found.content["path"]) > 100
-    for name in ("none.parquet", "20260101T000000000000Z-8.parquet", "..%2Fsecret"):
+    for name in (
+        "none.parquet",
+        "20260101T000000000000Z-8.parquet",
+        "..%2Fsecret",
+        f"{ENDED}.000002.parquet",
+    ):
         assert page.ask("GET", f"/api/swing/{name}").status == 404
 
 
