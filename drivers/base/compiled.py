@@ -79,6 +79,15 @@ class _KeptCode(IndexDataCacheFile):  # type: ignore[misc]  # numba has no types
             raise OSError(f"{name}: {error}") from error  # which numba takes for a missing one
 
 
+def keep_code(made: Any, module: str) -> None:
+    """Keep the machine code of a function of `module` that numba has `made`, in the folder of its version."""
+    numba.config.CACHE_DIR = _use_cache(module)  # read when caching is enabled
+    made.enable_caching()
+    kept = getattr(getattr(made, "_cache", None), "_cache_file", None)
+    if kept is not None:
+        kept.__class__ = _KeptCode
+
+
 def compiled(function: _Function) -> _Function:
     """Compile `function` at its first call, cached on disk, IEEE arithmetic, no GIL.
 
@@ -86,13 +95,9 @@ def compiled(function: _Function) -> _Function:
     stay NaN so that the envelope sees it.
     """
     progress.known += 1
+    made = numba.njit(nogil=True, error_model="numpy")(function)
     if not numba.config.DISABLE_JIT:
-        numba.config.CACHE_DIR = _use_cache(function.__module__)  # read when a function is decorated
-    decorate = numba.njit(cache=True, nogil=True, error_model="numpy")
-    made = decorate(function)
-    kept = getattr(getattr(made, "_cache", None), "_cache_file", None)
-    if kept is not None:
-        kept.__class__ = _KeptCode
+        keep_code(made, function.__module__)
     return cast(_Function, made)
 
 

@@ -8,8 +8,10 @@ from typing import Any, cast
 
 import numba
 from numba import types
+from numba.core import sigutils
+from numba.core.ccallback import CFunc
 
-from drivers.base.compiled import compiled
+from drivers.base.compiled import compiled, keep_code
 
 _SIGNATURE = types.int64(types.int64, types.int64, types.int64, types.float64)
 
@@ -27,7 +29,11 @@ class NativeFunction:
         if numba.config.DISABLE_JIT:
             return 0
         if self._made is None:
-            self._made = numba.cfunc(_SIGNATURE, cache=True, error_model="numpy")(self._function)
+            # What `numba.cfunc` does, with the cache of `compiled`: its own is that of the last module.
+            signature = sigutils.normalize_signature(_SIGNATURE)
+            self._made = CFunc(self._function, signature, {}, {"error_model": "numpy"})
+            keep_code(self._made, self._function.__module__)
+            self._made.compile()
         return cast(int, self._made.address)
 
 

@@ -25,6 +25,33 @@ def refusal() -> int:
 '''
 
 
+NATIVE = """'A native function whose constant is that of a function of another module.'
+
+from bench.control.example import refusal
+from drivers.base.native import compiled_call
+
+
+@compiled_call
+def sum_of(block, first, second, time):
+    return first + refusal()
+"""
+CALL = """
+import ctypes
+from bench.control.native_example import sum_of
+import bench.control.other_example  # decorated last
+kind = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_double)
+print(kind(sum_of.address)(0, 100, 0, 0.0))
+"""
+OTHER = """
+from drivers.base.compiled import compiled
+
+
+@compiled
+def one():
+    return 1
+"""
+
+
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
     """Return a copy of the packages in which only compiled files speak of compilation."""
@@ -36,19 +63,24 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(copy: Path) -> tuple[int, int]:
-    """Return what the example returns, and how many versions of its machine code there are then."""
+def printed(copy: Path, code: str) -> str:
+    """Return what `code` prints with the packages of `copy` and its cache."""
     environment = {
         **os.environ,
         "PYTHONPATH": str(copy),
         "NUMBA_CACHE_DIR": str(copy / "cache"),
         "PYTHONDONTWRITEBYTECODE": "1",
     }
-    code = "from bench.control.example import refusal; print(refusal())"
-    done = subprocess.run(
+    return subprocess.run(
         [sys.executable, "-c", code], cwd=copy, env=environment, capture_output=True, text=True, check=True
+    ).stdout
+
+
+def run(copy: Path) -> tuple[int, int]:
+    """Return what the example returns, and how many versions of its machine code there are then."""
+    return int(printed(copy, "from bench.control.example import refusal; print(refusal())")), len(
+        [*(copy / "cache/compiled/bench.control.example").iterdir()]
     )
-    return int(done.stdout), len([*(copy / "cache/compiled/bench.control.example").iterdir()])
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
@@ -70,3 +102,16 @@ def test_machine_code_that_cannot_be_read_is_compiled_again(copy: Path, suffix: 
     for broken in (kept.read_bytes()[:-20], kept.read_bytes().replace(b"numba", b"gonea"), b""):
         kept.write_bytes(broken)
         assert run(copy) == (8, 1)
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+def test_native_function_is_compiled_again_where_its_code_is_old_or_unreadable(copy: Path) -> None:
+    (copy / "bench/control/native_example.py").write_text(NATIVE)
+    (copy / "bench/control/other_example.py").write_text(OTHER)
+    assert printed(copy, CALL) == "108\n"
+    lifecycle = copy / "bench/base/lifecycle.py"
+    lifecycle.write_text(lifecycle.read_text().replace("    SUPPORT = 8\n", "    SUPPORT = 88\n"))
+    assert printed(copy, CALL) == "188\n"
+    for kept in (copy / "cache").rglob("*sum_of*"):
+        kept.write_bytes(b"")
+    assert printed(copy, CALL) == "188\n"
