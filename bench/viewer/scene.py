@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bench.base.lifecycle import Phase
 from bench.viewer.drawing.bodies import DrawnBody
 from bench.viewer.drawing.drawing import body_poses, draw, plane_to_golf
-from bench.viewer.signals import Array, Cycles, Times, head_motion
+from bench.viewer.signals import Array, Cycles, Times
 from sim.plant import PlantParameters, Site
 from sim.robot import RobotParameters
 from sim.vectors import Vector
@@ -157,8 +157,7 @@ def log_motion(
     for name, (translation, quaternion) in body_poses(plant, cycles["angle"]).items():
         poses = rr.Transform3D.columns(translation=translation, quaternion=quaternion)
         recording.send_columns(f"scene/robot/{name}", columns, poses)
-    head, speed = head_motion(plant.robot, cycles)
-    ways = np.column_stack([head, speed])
+    ways = np.column_stack([cycles["head_position"], cycles["head_speed"]])
     if before is not None:
         ways, time = np.vstack([before, ways]), np.append(time[:1], time)
     if len(ways) > 1:

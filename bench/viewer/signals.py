@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 from bench.base.lifecycle import Phase, Reaction, State
 from drivers.base import CHAMBERS, JOINTS
-from sim.kinematics import forward_kinematics
 from sim.plant import PlantParameters
-from sim.robot import RobotParameters
 
 Cycles = np.ndarray[Any, Any]
 Array = NDArray[np.float64]
@@ -99,7 +97,7 @@ def signals_of(cycles: Cycles, plant: PlantParameters) -> dict[str, Array]:
         "valve/wanted": cycles["desired_valve"],
         "valve/applied": cycles["applied_valve"],
         "pressure_bar": np.column_stack([pressure, cycles["supply_pressure"]]) / _BAR,
-        "head_speed_mps": head_motion(plant.robot, cycles)[1][:, None],
+        "head_speed_mps": cycles["head_speed"][:, None],
         "tick_us": np.column_stack([cycles["wake_latency"], cycles["work_time"]]) / _MICRO,
     }
 
@@ -143,15 +141,6 @@ def effort_limits(plant: PlantParameters) -> tuple[float, float, float]:
     gauge = plant.supply.pressure - plant.supply.atmosphere
     shoulder, arm, wrist = (max(a.area_a, a.area_b) * gauge for a in plant.actuators)
     return shoulder, arm, wrist * plant.wrist_lever
-
-
-def head_motion(robot: RobotParameters, cycles: Cycles) -> tuple[Array, Array]:
-    """Return the face centre's positions (n, 2) m in the swing plane and speeds (n,) m/s, as estimated."""
-    angle, velocity = cycles["angle"], cycles["velocity"]
-    step = 1e-6
-    ahead = forward_kinematics(robot, angle + step * velocity)[:, :2]
-    behind = forward_kinematics(robot, angle - step * velocity)[:, :2]
-    return forward_kinematics(robot, angle)[:, :2], np.linalg.norm(ahead - behind, axis=1) / (2 * step)
 
 
 def log_signals(
