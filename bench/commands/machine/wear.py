@@ -65,38 +65,36 @@ def wear(records: Records, plot: Plot = None, json_: Json = False) -> None:
     found = margins(np.array([shares for _, _, shares in swings]))
     near = [one for one in found if one.near]
     ahead = min(AHEAD, len(swings))
-    is_worn = any(one.is_worn or one.left <= ahead for one in parts)
+    due = [one for one in parts if one.is_worn or one.left <= ahead]
     if json_:
         rows = [{name: finite(value) for name, value in one._asdict().items()} for one in found]
-        worn = {"parts": [_as_json(one) for one in parts], "worn": is_worn}
+        worn = {"parts": [_as_json(one) for one in parts], "worn": bool(due)}
         show_json({"swings": len(swings), **worn, "margins": rows, "near": bool(near)})
     else:
-        _print(parts, found, len(swings), ahead)
-    exit_unless(not near and not is_worn)
+        _print(parts, due, found, len(swings))
+    exit_unless(not near and not due)
 
 
-def _print(parts: list[PartWear], found: list[Margin], swings: int, ahead: int) -> None:
-    """Print both tables, and what to do about the parts in question."""
+def _print(parts: list[PartWear], due: list[PartWear], found: list[Margin], swings: int) -> None:
+    """Print both tables, and what to do about the parts that are `due` and about residuals near a limit."""
     console = Console()
     if parts:
         console.print(_part_table(parts))
-    for part in parts:
-        if part.is_worn or part.left <= ahead:
-            when = (
-                "worn" if part.is_worn else f"worn within {max(2, ceil(part.left))} more swings at this rate"
-            )
-            said = f"{part.value.part}, {part.value.name}: {when}. {part.value.action}"
-            console.print(said, style="yellow", highlight=False)
+    for part in due:
+        soon = "" if part.is_worn else f" within {max(2, ceil(part.left))} more swings at this rate"
+        said = f"{part.value.part}, {part.value.name}: worn{soon}. {part.value.action}"
+        console.print(said, style="yellow", highlight=False)
     console.print(_margin_table(found, f"{swings} swings: largest residuals, % of their limits"))
     for one in found:
         if one.near:
-            changed = [part for part in parts if part.value.part.startswith(one.joint)][:1]
-            first = (
-                changed[0] if changed and abs(changed[0].latest) >= _CLEAR * changed[0].value.most else None
+            changed = (
+                f"{part.value.part}, {part.value.name}"
+                for part in parts
+                if part.value.part.startswith(one.joint) and abs(part.latest) >= _CLEAR * part.value.most
             )
-            where = f"{first.value.part}, {first.value.name}" if first else _PARTS[one.kind]
+            where = next(changed, _PARTS[one.kind].format(joint=one.joint))
             console.print(
-                f"{one.joint} {one.kind} is near its limit: {where.format(joint=one.joint)}. "
+                f"{one.joint} {one.kind} is near its limit: {where}. "
                 "Look at it; if nothing is broken, measure the robot again with golfbench commission.",
                 style="yellow",
                 highlight=False,
@@ -107,13 +105,10 @@ def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
     """Return the parts' wear over records, oldest first, and draw it; none without chamber sensors."""
     import numpy as np
 
-    from bench.commissioning.swings.wear import swing_wear, wear_plot, wearing_values, worn_parts
+    from bench.commissioning.swings.wear import swing_wear, wear_plot, worn_parts
     from bench.records.telemetry.recorder import read_swing
-    from bench.simulation.replay import settings_of
 
     chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _MOST_FITTED)).round().astype(int))
-    _, first = read_swing(files[0])
-    values = wearing_values(settings_of(first, str(files[0]))[0]["plant"])
     swings = []
     with progress_of("fitting parts", len(chosen)) as show:
         for done, k in enumerate(chosen.tolist()):
@@ -124,8 +119,8 @@ def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
                 return []
             show(done + 1)
     if plot is not None:
-        wear_plot(values, swings, (chosen + 1).tolist()).savefig(plot, dpi=150)
-    return worn_parts(values, swings)
+        wear_plot(swings, (chosen + 1).tolist()).savefig(plot, dpi=150)
+    return worn_parts(swings)
 
 
 def _as_json(one: PartWear) -> dict[str, Any]:

@@ -54,7 +54,7 @@ class WearingValue(NamedTuple):
     prior: float
     """Standard deviation of the change before anything was recorded."""
     most: float
-    """Change from which the part is worn, for a leak its growth."""
+    """Change from which the part is worn; only growth counts for a leak."""
     unit: str
     scale: float
     """Units of one change."""
@@ -130,8 +130,10 @@ def wearing_values(plant: PlantParameters) -> tuple[WearingValue, ...]:
 class SwingWear(NamedTuple):
     """Changes of one swing."""
 
+    values: tuple[WearingValue, ...]
+    """(p,) what may change."""
     change: Array
-    """(p,) in the order of `wearing_values`."""
+    """(p,)"""
     error: Array
     """(p,) standard errors."""
 
@@ -175,7 +177,7 @@ def fitted_wear(cycles: Cycles, plant: PlantParameters) -> SwingWear:
         if np.abs(shift).max() <= _SMALL:
             break
     scatter = max(float(np.mean(np.square(left))), 1.0)
-    return SwingWear(change, prior * np.sqrt(scatter * np.diag(covariance)))
+    return SwingWear(values, change, prior * np.sqrt(scatter * np.diag(covariance)))
 
 
 class PartWear(NamedTuple):
@@ -196,11 +198,11 @@ class PartWear(NamedTuple):
     """Swings until the trend makes it worn; infinite without a trend."""
 
 
-def worn_parts(values: Sequence[WearingValue], swings: Sequence[SwingWear]) -> list[PartWear]:
-    """Return `values` over `swings`, the most worn ones first."""
+def worn_parts(swings: Sequence[SwingWear]) -> list[PartWear]:
+    """Return what may change over `swings` of one robot, the most worn first."""
     found = []
     changes, errors = np.array([one.change for one in swings]), np.array([one.error for one in swings])
-    for k, value in enumerate(values):
+    for k, value in enumerate(swings[0].values):
         column, latest = changes[:, k], changes[-FEW:, k]
         before, now = float(np.median(column[:FEW])), float(np.median(latest))
         apart = float(np.std(latest)) / np.sqrt(len(latest))
@@ -218,18 +220,17 @@ _DRAWN = 6
 """Values in the picture: the most worn ones."""
 
 
-def wear_plot(values: Sequence[WearingValue], swings: Sequence[SwingWear], numbers: Sequence[int]) -> Figure:
-    """Return the chart of the most worn of `values` over `swings` (n,), which have `numbers` (n,).
+def wear_plot(swings: Sequence[SwingWear], numbers: Sequence[int]) -> Figure:
+    """Return the chart of the most worn parts over `swings` (n,), which have `numbers` (n,).
 
     Each has its own axes, with the bound from which it is too much.
     """
     changes, errors = np.array([one.change for one in swings]), np.array([one.error for one in swings])
-    most = np.array([one.most for one in values])
-    order = np.argsort(-np.abs(np.median(changes[-FEW:], axis=0)) / most)[:_DRAWN]
+    drawn = [part.value for part in worn_parts(swings)[:_DRAWN]]
     with mpl.rc_context(STYLE):
-        figure = styled(1.3 * len(order) + 0.4)
-        for axes, k in zip(figure.subplots(len(order), 1, sharex=True), order.tolist(), strict=True):
-            value = values[k]
+        figure = styled(1.3 * len(drawn) + 0.4)
+        for axes, value in zip(figure.subplots(len(drawn), 1, sharex=True), drawn, strict=True):
+            k = swings[0].values.index(value)
             bars = value.scale * changes[:, k], value.scale * errors[:, k]
             axes.errorbar(numbers, *bars, fmt=".", color=COLOURS[0], ecolor=GREY, elinewidth=0.7)
             for bound in (-value.most, value.most):

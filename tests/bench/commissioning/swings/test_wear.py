@@ -12,6 +12,7 @@ from bench.base.errors import Refused
 from bench.commissioning.swings.wear import (
     PartWear,
     SwingWear,
+    WearingValue,
     fitted_wear,
     wear_plot,
     wearing_values,
@@ -23,6 +24,8 @@ from bench.simulation.simulated_bench import PoweredBench, SimulatedBench
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters, build_plant
+
+Values = tuple[WearingValue, ...]
 
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a swing takes a minute without compilation"
@@ -51,7 +54,7 @@ def _swung(bench: SimulatedBench, plant: PlantParameters) -> np.ndarray:
 
 
 def _parts(bench: SimulatedBench, cycles: np.ndarray) -> list[PartWear]:
-    return worn_parts(wearing_values(bench.plant), [fitted_wear(cycles, bench.plant)])
+    return worn_parts([fitted_wear(cycles, bench.plant)])
 
 
 def _changes(parts: Sequence[PartWear]) -> dict[tuple[str, str], float]:
@@ -111,16 +114,16 @@ def test_worn_parts_healthy_robot_none_is_worn(bench: SimulatedBench) -> None:
     assert not [one for one in _parts(bench, _swung(bench, bench.plant)) if one.is_worn]
 
 
-def _drifting(values: int, swings: int, k: int, change: float) -> list[SwingWear]:
-    rows = np.zeros((swings, values))
+def _drifting(values: Values, swings: int, k: int, change: float) -> list[SwingWear]:
+    rows = np.zeros((swings, len(values)))
     rows[:, k] = np.linspace(0.0, change, swings)
-    return [SwingWear(row, np.full(values, 1e-6)) for row in rows]
+    return [SwingWear(values, row, np.full(len(values), 1e-6)) for row in rows]
 
 
 def test_worn_parts_trend_says_how_many_swings_are_left() -> None:
     values = wearing_values(PlantParameters())
     k = next(n for n, one in enumerate(values) if (one.part, one.name) == ("wrist valve", "dead band"))
-    first = worn_parts(values, _drifting(len(values), 20, k, 0.5 * values[k].most))[0]
+    first = worn_parts(_drifting(values, 20, k, 0.5 * values[k].most))[0]
     assert (first.value, first.is_worn) == (values[k], False)
     # Medians of the first and last five: 14 of 20 steps apart.
     assert first.left == pytest.approx((1.0 - 0.5 * 15 / 19) / (0.5 / 19), rel=0.05)
@@ -130,16 +133,16 @@ def test_worn_parts_leak_below_zero_is_not_worn() -> None:
     values = wearing_values(PlantParameters())
     k = next(n for n, one in enumerate(values) if one.name == "leak")
     for sign, worn in ((-1.0, False), (1.0, True)):
-        rows = _drifting(len(values), 3, k, 0.0)
+        rows = _drifting(values, 3, k, 0.0)
         rows = [
             one._replace(change=one.change + sign * 1.5 * values[k].most * (np.arange(len(values)) == k))
             for one in rows
         ]
-        assert worn_parts(values, rows)[0].is_worn is worn
+        assert worn_parts(rows)[0].is_worn is worn
 
 
 def test_wear_plot_has_axes_for_the_most_worn() -> None:
     values = wearing_values(PlantParameters())
-    figure = wear_plot(values, _drifting(len(values), 12, 3, values[3].most), range(1, 13))
+    figure = wear_plot(_drifting(values, 12, 3, values[3].most), range(1, 13))
     assert len(figure.axes) == 6
     assert figure.axes[0].get_title(loc="left") == f"{values[3].part}: {values[3].name}"
