@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
+from scipy import optimize
 
 from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.shot_sequence import Role
@@ -243,11 +244,9 @@ class MeanFlight(NamedTuple):
         plain = share * (1.0 - share) * (rise + (fall - rise) * share)
         # Neither end's slope knows of this part, which is largest where the ball is high.
         swell = (share * (1.0 - share)) ** 2 * share
-        low, high = -64.0 * self.apex, 64.0 * self.apex
-        for _ in range(60):
-            middle = (low + high) / 2
-            low, high = (middle, high) if (plain + middle * swell).max() < self.apex else (low, middle)
-        return np.asarray(plain + low * swell)
+        most = 64.0 * self.apex
+        part = optimize.brentq(lambda part: float((plain + part * swell).max()) - self.apex, -most, most)
+        return np.asarray(plain + part * swell)
 
     def top_view(self, x: Array) -> Array:
         """Return how far right (n,) m the ball is at the distances `x` (n,) m: a parabola."""
