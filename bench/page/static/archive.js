@@ -7,12 +7,10 @@ import { mayOperate, outcome, randomNumber, releaseLease } from "./operate.js";
 import { overlay, wearTable } from "./compare.js";
 import { curve, dot, frame } from "./plot.js";
 import { figure } from "./swing.js";
-import { say, send } from "./send.js";
+import { COMMAND_TIME, say, send } from "./send.js";
 import { onUnits, quantity, scale, unitSystem } from "./units.js";
 
 const POINTS = 60;
-const REPORT_TIME = 200000; // ms
-const WEAR_TIME = 200000; // ms
 const PAUSE = 250; // ms after the last key of a search
 let content = null;
 let opened = null;
@@ -66,7 +64,7 @@ async function resume(id) {
 async function writeReport(id, button) {
   button.disabled = true;
   outcome(`Report of ${id}: being written …`, false);
-  const answer = await send(`/api/campaign/${encodeURIComponent(id)}/report`, { number: randomNumber(), units: unitSystem() }, "", REPORT_TIME);
+  const answer = await send(`/api/campaign/${encodeURIComponent(id)}/report`, { number: randomNumber(), units: unitSystem() }, "", COMMAND_TIME);
   outcome(say(answer, answer.note), !answer.ok);
   loadArchive();
 }
@@ -134,7 +132,7 @@ async function layOver() {
 async function wear(event) {
   event.target.disabled = true;
   outcome("Wear: fitting the parts …", false);
-  const answer = await send("/api/wear", { number: randomNumber(), records: chosen }, "", WEAR_TIME);
+  const answer = await send("/api/wear", { number: randomNumber(), records: chosen }, "", COMMAND_TIME);
   outcome(say(answer, answer.worn ? "A part is worn." : "No part is worn."), !answer.ok || answer.worn);
   if (answer.ok) laid = () => wearTable(answer);
   redraw();

@@ -59,9 +59,11 @@ function one({ progress: p, detail }) {
   return part;
 }
 
+const scaleOf = (column) => (KINDS[column] ? scale(KINDS[column]) : [1, column.split("_").pop(), 2]);
+
 // As the plan's stopping rule saw it: no look is spent.
 function interim({ block, blocks, column, pairs }) {
-  const [factor, unit, digits] = KINDS[column] ? scale(KINDS[column]) : [1, column.split("_").pop(), 2];
+  const [factor, unit, digits] = scaleOf(column);
   const words = (value) => number(factor * value, digits);
   return make("div", { class: "interim" }, make("p", {}, `After ${block} of ${blocks} blocks, at the look of the plan's rule:`),
     make("ul", { class: "words" }, ...pairs.map((one) => make("li", {}, `${one.first} − ${one.second}: ${words(one.difference)} ${unit} (${words(one.low)} to ${words(one.high)}), ${one.verdict}`))));
@@ -111,8 +113,7 @@ export async function request(campaign, name, more) {
 }
 
 export function chart(c) {
-  const kind = KINDS[c.column];
-  const [factor, unit, digits] = kind ? scale(kind) : [1, c.column.split("_").pop(), 2];
+  const [factor, unit, digits] = scaleOf(c.column);
   const points = c.values.map((value, index) => [c.shots[index], factor * value]);
   const limits = [-3, 0, 3].map((n) => factor * (c.centre + n * c.deviation));
   const plot = frame({ x: c.shots, y: [...points.map(([, v]) => v), ...limits], label: `Control chart of ${c.column}`, xName: "shot", yName: unit });

@@ -2,10 +2,9 @@
 
 import { by, make, rows, set } from "./dom.js";
 import { isOperator, outcome, randomNumber } from "./operate.js";
-import { say, send } from "./send.js";
+import { COMMAND_TIME, say, send } from "./send.js";
 import { duration } from "./state.js";
 
-const CHECK_TIME = 200000; // ms
 const CONFIGURED = "as configured";
 const opened = new Set();
 let view = null;
@@ -63,7 +62,7 @@ async function check() {
   refresh();
   tell("Checking …", false);
   const robot = by("robot-file").value;
-  const answer = await send("/api/commissioning/check", { robot, resume: "" }, "", CHECK_TIME);
+  const answer = await send("/api/commissioning/check", { robot, resume: "" }, "", COMMAND_TIME);
   busy = false;
   tell(answer.ok ? "" : say(answer, ""), !answer.ok);
   show(answer.ok && by("robot-file").value === robot ? answer : null);

@@ -2,10 +2,9 @@
 
 import { make } from "./dom.js";
 import { curve, dot, frame } from "./plot.js";
-import { figure } from "./swing.js";
+import { SIZE, figure } from "./swing.js";
 import { degrees, number, quantity, scale } from "./units.js";
 
-const SIZE = { width: 300, height: 210 };
 const FIGURES = [
   ["Club speed", "club_speed_mps", (value) => quantity("speed", value)],
   ["Attack", "attack_angle_deg", (value) => degrees(value, 2)],

@@ -2,9 +2,8 @@
 
 import { by, make, rows, set } from "./dom.js";
 import { mayOperate, operator, outcome, press, randomNumber } from "./operate.js";
-import { say, send } from "./send.js";
+import { COMMAND_TIME, say, send } from "./send.js";
 
-const TIME = 200000; // ms
 let content = null;
 
 // The access: each step with whether it is done, and the one to do now with its button.
@@ -99,7 +98,7 @@ async function enter(one, id, said, button) {
   if (one.lasting) Object.assign(body, { method: by(id("method")).value, note: by(id("note")).value, days: read(id("days")) });
   button.disabled = true;
   tell("Checking …", false);
-  const answer = await send(`/api/values/${one.name}`, body, "", TIME);
+  const answer = await send(`/api/values/${one.name}`, body, "", COMMAND_TIME);
   button.disabled = false;
   tell(say(answer, answer.note), !answer.ok);
   outcome(say(answer, answer.note), !answer.ok);

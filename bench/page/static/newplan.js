@@ -2,9 +2,8 @@
 
 import { by, make } from "./dom.js";
 import { randomNumber } from "./operate.js";
-import { say, send } from "./send.js";
+import { COMMAND_TIME, say, send } from "./send.js";
 
-const CHECK_TIME = 200000; // ms
 
 export function startNewPlan(saved) {
   const form = by("new-plan").querySelector("form");
@@ -34,7 +33,7 @@ async function write(form, button, saved) {
     balls: chosen("balls"), clubs: chosen("clubs"), swings: chosen("swings"),
     difference: form.elements.difference.valueAsNumber, deviation: form.elements.deviation.valueAsNumber,
   };
-  const answer = await send("/api/new-plan", body, "", CHECK_TIME);
+  const answer = await send("/api/new-plan", body, "", COMMAND_TIME);
   button.disabled = false;
   const words = answer.ok ? [...answer.words, ...(answer.saved ? ["Saved: choose it above."] : [])] : [say(answer, "")];
   said.replaceChildren(...words.map((text) => make("li", { class: answer.ok ? "" : "warn" }, text)));

@@ -4,11 +4,10 @@ import { ask } from "./ask.js";
 import { by, make, pair, set } from "./dom.js";
 import { startNewPlan } from "./newplan.js";
 import { mayOperate, operator, outcome, randomNumber, releaseLease } from "./operate.js";
-import { say, send } from "./send.js";
+import { COMMAND_TIME, say, send } from "./send.js";
 import { duration } from "./state.js";
 import { unitSystem } from "./units.js";
 
-const CHECK_TIME = 200000; // ms
 const SHOWN = 6;
 let plans = [];
 let preview = null;
@@ -77,7 +76,7 @@ async function check() {
   refresh();
   set("plan-said", "Checking …");
   by("plan-said").classList.remove("bad");
-  const answer = await send(`/api/plan/${encodeURIComponent(name)}/check`, {}, "", CHECK_TIME);
+  const answer = await send(`/api/plan/${encodeURIComponent(name)}/check`, {}, "", COMMAND_TIME);
   busy = false;
   by("plan-said").classList.toggle("bad", !answer.ok);
   set("plan-said", answer.ok ? "" : say(answer, ""));

@@ -1,6 +1,7 @@
 // Requests that change something: sent once. Nothing is repeated after a lost connection.
 
 const TIME = 8000; // ms
+export const COMMAND_TIME = 200000; // ms, of a command that the server runs
 const UNKNOWN = {
   what: "No answer: it is unknown whether the command arrived.",
   action: "Look at the robot. Nothing is sent again by itself.",

@@ -4,7 +4,7 @@ import { by, make, pair } from "./dom.js";
 import { curve, dot, frame } from "./plot.js";
 import { degrees, number, onUnits, quantity, scale } from "./units.js";
 
-const SIZE = { width: 300, height: 210 };
+export const SIZE = { width: 300, height: 210 };
 let view = null;
 
 export function showSwing(content) {
