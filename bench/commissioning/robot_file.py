@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from datetime import date, datetime
 from importlib.resources import files
@@ -10,6 +9,7 @@ from textwrap import wrap
 
 import jinja2
 
+from bench.base.to_toml import toml_value
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning
 from bench.commissioning.machine.known_robot import FoundValue, KnownRobot
 from bench.commissioning.machine.step import NamedStep
@@ -57,13 +57,12 @@ def robot_file(
     lines = [
         f"# Commissioned on {made.isoformat()}: values with standard errors, and the steps that found them.",
         "# Not measured, as configured: " + "; ".join(GUESSES) + ".",
-        f"base = {json.dumps(base)}",
+        f"base = {toml_value(base)}",
     ]
     tables: dict[str, list[str]] = {}
     for key, found in _keys(known.found.values()).items():
         table, _, name = key.rpartition(".")
-        value = value_at(known.plant, key)
-        text = "[" + ", ".join(map(repr, value)) + "]" if isinstance(value, tuple) else repr(value)
+        text = toml_value(value_at(known.plant, key))
         errors = ", ".join(f"{one.error:.3g}" for one in found)
         unit = f" {found[0].unit}" if found[0].unit else ""
         note = f"± {errors}{unit}; {found[0].step}"
@@ -80,10 +79,12 @@ def robot_file(
         lines += [f"min_supply_pressure = {low:.0f}.0", f"max_supply_pressure = {high:.0f}.0"]
     if following:
         lines += ["", "[envelope.following]"]
-        lines += [f"{phase} = {list(limits)}" for phase, limits in following.items()]
+        lines += [f"{phase} = {toml_value(limits)}" for phase, limits in following.items()]
     lines += ["", "[envelope.model]", 'check = "always"  # this robot was measured']
     lines += ["", "[envelope.model.standard_errors]"]
-    lines += [f'"{found.key}" = {found.error!r}' for found in known.found.values() if found.error > 0.0]
+    lines += [
+        f'"{found.key}" = {toml_value(found.error)}' for found in known.found.values() if found.error > 0.0
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -12,6 +12,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from bench.base.field_docs import field_docs
 from bench.base.from_toml import expected, suffixes
+from bench.base.to_toml import toml_value
 from bench.config.defaults import keys_of, plain
 from bench.config.settings import Configuration
 from drivers.base.ranges import short
@@ -126,14 +127,12 @@ def _commented(line: str, comment: str) -> list[str]:
 
 def _written(value: Any) -> str:
     """Return a value as TOML has it."""
-    if isinstance(value, bool):
-        return str(value).lower()
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_written, value))}]"
     if isinstance(value, float):
         brief = short(value)
-        return brief if "e" in brief and float(brief) == value else repr(value)
-    return json.dumps(str(value), ensure_ascii=False) if isinstance(value, str | Path) else repr(value)
+        return brief if "e" in brief and float(brief) == value else toml_value(value)
+    return toml_value(str(value) if isinstance(value, Path) else value)
 
 
 def _first_line(kind: Any) -> str:

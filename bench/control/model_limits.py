@@ -9,7 +9,6 @@ profile.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from math import isfinite
@@ -18,6 +17,7 @@ from typing import Any, NamedTuple
 
 from bench.base.errors import BenchError, did_you_mean
 from bench.base.from_toml import format_value, read_toml
+from bench.base.to_toml import toml_value
 from bench.control.estimate.model import KINDS
 from bench.control.made_for import MadeFor, Values
 from bench.control.settings import MODEL_PHASES, MODEL_ROWS, ModelSettings, Triple
@@ -165,7 +165,7 @@ def save_limits(path: Path, limits: ModelLimits) -> None:
     lines = [
         f"# Limits of the model-based check of {limits.profile}, made by `golfbench profile limits`.",
         f'schema = "{SCHEMA}"',
-        f"profile = {json.dumps(limits.profile)}",
+        f"profile = {toml_value(limits.profile)}",
         f"draws = {limits.draws}",
         "\n[made_for]",
         f'profile = "{limits.made_for.profile}"',
@@ -176,7 +176,7 @@ def save_limits(path: Path, limits: ModelLimits) -> None:
     ]
     for kind in KINDS:
         lines += [f"\n[{kind}]"]
-        lines += [f"{row} = [{', '.join(_number(v) for v in v3)}]" for row, v3 in limits.tables[kind].items()]
+        lines += [f"{row} = {toml_value(v3)}" for row, v3 in limits.tables[kind].items()]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -185,11 +185,7 @@ def _grouped(values: Values) -> Iterator[str]:
     groups: dict[str, list[str]] = {}
     for name, value in values.items():
         group, _, key = name.rpartition(".")
-        groups.setdefault(group, []).append(f"{key} = {json.dumps(value)}")
+        groups.setdefault(group, []).append(f"{key} = {toml_value(value)}")
     yield from groups.pop("", [])
     for group, items in groups.items():
         yield f'"{group}" = {{ {", ".join(items)} }}'
-
-
-def _number(value: float) -> str:
-    return repr(float(value))

@@ -7,7 +7,6 @@ lead shoulder to lead wrist, theta1 + theta2 + theta3 that of the shaft, each pr
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib.metadata import version
@@ -19,6 +18,7 @@ import numpy as np
 
 from bench.base.errors import BenchError
 from bench.base.from_toml import read_toml
+from bench.base.to_toml import toml_value
 from bench.golfer.roles import Array, Capture, Orientation, Roles
 from bench.records.telemetry.whole_file import whole_file
 
@@ -258,23 +258,18 @@ def save_golfer(folder: Path, name: str, swing: MeasuredSwing, capture: Capture,
         "cutoff_hz": {"body": body, "hands": round(body * HANDS_CUTOFF, 3), "club": head},
         **summary(swing),
     }
-    lines = [f"{key} = {_toml(value)}" for key, value in about.items() if value is not None]
-    lines += ["", "[markers]", *(f"{role} = {_toml(list(names))}" for role, names in roles.markers.items())]
-    lines += ["", "[definitions]", *(f"{key} = {_toml(text)}" for key, text in DEFINITIONS.items())]
+    lines = [f"{key} = {toml_value(value)}" for key, value in about.items() if value is not None]
+    lines += [
+        "",
+        "[markers]",
+        *(f"{role} = {toml_value(list(names))}" for role, names in roles.markers.items()),
+    ]
+    lines += ["", "[definitions]", *(f"{key} = {toml_value(text)}" for key, text in DEFINITIONS.items())]
     with whole_file(table) as stream:
         stream.write(content)
     with whole_file(path) as stream:
         stream.write(("\n".join(lines) + "\n").encode())
     return path
-
-
-def _toml(value: Any) -> str:
-    """Return `value` as TOML; a value that was not measured is nan."""
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_toml(below)}" for key, below in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    return "nan" if value is None else json.dumps(value, ensure_ascii=False)
 
 
 def _table(swing: MeasuredSwing) -> bytes:

@@ -8,7 +8,6 @@ the angles shows in the openings. Openings are smoothed: their quick part is dit
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from bench.base.errors import BenchError, Refused
+from bench.base.to_toml import toml_value
 from bench.config import Configuration
 from bench.simulation.series import Bench, Series, quiet
 from bench.simulation.variation import Variation
@@ -235,29 +235,29 @@ def plant_file(plant: PlantParameters, found: Identified, configuration: Configu
         unit = "ms more" if name == NAMES[-1] else "of the nominal"
         doubt = "" if known else "; NOT identified, a guess"
         lines.append(f"# {name}: {value:.4f} {unit}, {error:.4f}{doubt}")
-    lines += [f"base = {json.dumps(base)}", ""]
+    lines += [f"base = {toml_value(base)}", ""]
     for name, actuator in zip(_ACTUATORS, plant.actuators, strict=True):
         friction = actuator.friction
         lines += [
             f"[plant.{name}]",
-            f"area_a = {actuator.area_a!r}",
-            f"area_b = {actuator.area_b!r}",
-            f"dead_volume = {actuator.dead_volume!r}",
+            f"area_a = {toml_value(actuator.area_a)}",
+            f"area_b = {toml_value(actuator.area_b)}",
+            f"dead_volume = {toml_value(actuator.dead_volume)}",
             f"[plant.{name}.friction]",
-            f"viscous = {friction.viscous!r}",
-            f"coulomb = {friction.coulomb!r}",
-            f"static = {friction.static!r}",
+            f"viscous = {toml_value(friction.viscous)}",
+            f"coulomb = {toml_value(friction.coulomb)}",
+            f"static = {toml_value(friction.static)}",
             f"[plant.{name}.valve]",
-            f"conductance = {actuator.valve.conductance!r}",
+            f"conductance = {toml_value(actuator.valve.conductance)}",
             "",
         ]
     lines += [
         "[plant.supply]",
-        f"pressure = {plant.supply.pressure!r}",
+        f"pressure = {toml_value(plant.supply.pressure)}",
         "[plant.encoders]",
-        f"latency = {plant.encoders.latency!r}",
+        f"latency = {toml_value(plant.encoders.latency)}",
         f"[clubs.{plant.robot.club.name}]",
-        f"head_mass = {plant.robot.club.head_mass!r}",
+        f"head_mass = {toml_value(plant.robot.club.head_mass)}",
     ]
     return "\n".join(lines) + "\n"
 

@@ -9,7 +9,6 @@ the return is the controller's.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
@@ -23,6 +22,7 @@ from bench.base.errors import BenchError, did_you_mean
 from bench.base.from_toml import GREATEST, format_value, read_toml
 from bench.base.json_schema import require_fit
 from bench.base.lifecycle import Phase
+from bench.base.to_toml import toml_value
 from bench.swing.profile_table import DIGITS, decode_table, encode_table
 from drivers.base.ranges import Count
 
@@ -363,7 +363,7 @@ def save_profile(path: Path, profile: Profile) -> Path:
     content = encode_table({key: getattr(profile, key) for key in DIGITS}, profile.blind_spacing)
     beside = (
         "# Angles, velocities, valves, blind brakes; `golfbench profile show PROFILE --table` prints them.",
-        f"table = {_quoted(table.name)}",
+        f"table = {toml_value(table.name)}",
         f'table_sha256 = "{sha256(content).hexdigest()}"',
     )
     table.write_bytes(content)
@@ -387,16 +387,16 @@ def profile_text(profile: Profile) -> str:
 def _head(profile: Profile, schema: str) -> list[str]:
     return [
         f'schema = "{schema}"',
-        f"name = {_quoted(profile.name)}",
-        f"text = {_quoted(profile.text)}",
-        f"golfer = {_quoted(profile.golfer)}",
-        f"club = {_quoted(profile.club)}",
-        f"period_s = {profile.period!r}",
+        f"name = {toml_value(profile.name)}",
+        f"text = {toml_value(profile.text)}",
+        f"golfer = {toml_value(profile.golfer)}",
+        f"club = {toml_value(profile.club)}",
+        f"period_s = {toml_value(profile.period)}",
         "# Sample at which hold, backswing, top, downswing, committed, impact window, follow-through begin.",
-        f"begins = {list(profile.begins)!r}",
+        f"begins = {toml_value(profile.begins)}",
         "# Face centre at the ball in the swing plane (x0, y0).",
-        f"ball_m = [{profile.ball[0]!r}, {profile.ball[1]!r}]",
-        f"impact_time_s = {profile.impact_time!r}",
+        f"ball_m = {toml_value(profile.ball)}",
+        f"impact_time_s = {toml_value(profile.impact_time)}",
         f"blind_spacing = {profile.blind_spacing}",
     ]
 
@@ -404,23 +404,19 @@ def _head(profile: Profile, schema: str) -> list[str]:
 def _tail(profile: Profile) -> Iterator[str]:
     for name, values in (("delivery", profile.delivery), ("limits", profile.limits)):
         yield f"\n[{name}]"
-        yield from (f"{key} = {value!r}" for key, value in values.items())
+        yield from (f"{key} = {toml_value(value)}" for key, value in values.items())
     if profile.air:
         yield "\n# Pressures to which the chambers are brought before a swing, Pa absolute, with that supply:"
         yield "# shoulder A and B, right arm A and B, wrist A and B."
         yield "[address]"
-        yield f"supply_pressure_pa = {profile.air_supply!r}"
-        yield f"chamber_pressures_pa = {list(profile.air)!r}"
+        yield f"supply_pressure_pa = {toml_value(profile.air_supply)}"
+        yield f"chamber_pressures_pa = {toml_value(profile.air)}"
     if profile.followed is not None:
         yield "\n# Measured swing that it follows. Deviations: shoulder, arm, wrist, head."
         yield "[followed]"
         for key, value in profile.followed.items():
-            yield f"{key} = {_quoted(value) if isinstance(value, str) else repr(value)}"
+            yield f"{key} = {toml_value(value)}"
 
 
 def _rows(array: Array, digits: int) -> Iterator[str]:
     return ("  [" + ", ".join(f"{value:.{digits}f}" for value in row) + "]," for row in array)
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

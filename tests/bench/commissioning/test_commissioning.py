@@ -181,11 +181,11 @@ def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configurat
         [
             FoundValue("wrist.valve.centre", 0.0123, 1e-4, "", "valves"),
             FoundValue("encoders.sign.2", -1.0, 0.0, "", "wiring"),
-            FoundValue("shoulder.valve.natural_frequency", 500.0, 5.0, "rad/s", "response"),
+            FoundValue("shoulder.valve.natural_frequency", 500.0, np.float64(5.0), "rad/s", "response"),
         ]
     )
     path = tmp_path / "robot.toml"
-    following = configuration.envelope.following | {"top": (0.25, 0.2, 0.3)}
+    following = configuration.envelope.following | {"top": (0.25, np.float64(0.2), 0.3)}
     base = str(shipped_configuration().resolve())
     path.write_text(robot_file(known, base, DAY.date(), configuration.envelope, following))
     loaded = load_configuration(path)
