@@ -1,22 +1,27 @@
-"""Ctrl-C and SIGTERM as a flag that the work polls, not an exception in the middle of a tick; the exit."""
+"""Ctrl-C, SIGTERM and a closed terminal as a flag that the work polls, no exception in a tick; the exit."""
 
 from __future__ import annotations
 
 import os
 import signal
+import stat
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 CLOSING_THREAD = "golfbench closing"
 """Name of threads that `leave` does not wait for."""
+HANGUP = tuple(number for number in signal.Signals if number.name == "SIGHUP")
+"""What a closed terminal or a lost remote login sends; empty on systems without it."""
+
+_ENDING = (signal.SIGTERM, *HANGUP)
 
 
 class Terminated(BaseException):
-    """SIGTERM ended a block whose work is complete."""
+    """SIGTERM or a closed terminal ended a block whose work is complete."""
 
 
 class StopFlag:
@@ -36,6 +41,8 @@ class StopFlag:
         if not self._made and number != signal.SIGINT:
             self.cause = signal.Signals(number).name
         self._made = True
+        if number in HANGUP:
+            _abandon_terminal()
 
     def is_made(self) -> bool:
         """Return whether a stop was requested."""
@@ -52,8 +59,8 @@ class StopFlag:
 def deferred_interrupt(*, terminate: bool = False) -> Iterator[StopFlag]:
     """Yield a flag that Ctrl-C sets; raise KeyboardInterrupt at the end of the block if it was set.
 
-    With `terminate` SIGTERM sets it, too; the block then ends with Terminated. Child processes of the block
-    that are ended by SIGTERM must not inherit this.
+    With `terminate` SIGTERM and a closed terminal set it, too; the block then ends with Terminated. Child
+    processes of the block that are ended by SIGTERM must not inherit this.
 
     Inside the block the robot is brought to rest and files are written whole; `golfbench` then ends with
     exit code 130, after SIGTERM 143. Outside the main thread, which gets no signals, the flag is never set.
@@ -62,29 +69,43 @@ def deferred_interrupt(*, terminate: bool = False) -> Iterator[StopFlag]:
     if threading.current_thread() is not threading.main_thread():
         yield asked
         return
-    numbers = (signal.SIGINT, signal.SIGTERM) if terminate else (signal.SIGINT,)
-    before = {number: signal.signal(number, asked.make) for number in numbers}
-    try:
+    with _handled(asked, (signal.SIGINT, *_ENDING) if terminate else (signal.SIGINT,)):
         yield asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     if asked.is_made():
-        if asked.cause == "SIGTERM":
-            raise Terminated
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt if asked.cause == "Ctrl-C" else Terminated
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopFlag]:
-    """Yield a flag that SIGTERM and Ctrl-C set."""
+    """Yield a flag that SIGTERM, Ctrl-C and a closed terminal set."""
     flag = StopFlag()
-    kept = {number: signal.signal(number, flag.make) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
+    with _handled(flag, (signal.SIGINT, *_ENDING)):
         yield flag
+
+
+@contextmanager
+def _handled(flag: StopFlag, numbers: Iterable[int]) -> Iterator[None]:
+    """Let signals `numbers` set `flag` inside the block; a hangup that `nohup` ignores stays ignored."""
+    before = {
+        number: signal.signal(number, flag.make)
+        for number in numbers
+        if not (number in HANGUP and signal.getsignal(number) is signal.SIG_IGN)
+    }
+    try:
+        yield
     finally:
-        for number, handler in kept.items():
+        for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _abandon_terminal() -> None:
+    """Send what is printed from now on nowhere: each write to a closed terminal would raise."""
+    with suppress(OSError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for descriptor in (1, 2):
+            if stat.S_ISCHR(os.fstat(descriptor).st_mode):
+                os.dup2(nowhere, descriptor)
+        os.close(nowhere)
 
 
 def leave(code: int) -> NoReturn:

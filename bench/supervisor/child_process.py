@@ -19,13 +19,14 @@ from typing import Any
 import numpy as np
 
 from bench.base.errors import BenchError, ExitCode
+from bench.base.interrupt import HANGUP
 from drivers.base import DriverError
 from drivers.base.compile_report import announce_compilation
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 
-FOR_PARENT = (signal.SIGINT, signal.SIGABRT)
+FOR_PARENT = (signal.SIGINT, signal.SIGABRT, *HANGUP)
 """Signals sent to the whole process group and handled by the parent: SIGINT from a terminal or systemd's
-stop, SIGABRT from systemd's watchdog. A child starts with them blocked."""
+stop, SIGABRT from systemd's watchdog, a closed terminal. A child starts with them blocked."""
 
 
 class Condition(IntEnum):

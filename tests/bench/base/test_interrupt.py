@@ -1,15 +1,18 @@
-"""Ctrl-C and SIGTERM as a wish."""
+"""Ctrl-C, SIGTERM and a closed terminal as a wish."""
 
 from __future__ import annotations
 
+import os
+import pty
 import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
-from bench.base.interrupt import Terminated, deferred_interrupt
+from bench.base.interrupt import Terminated, deferred_interrupt, stop_on_signals
 
 _STRUCK_EVERYWHERE = """
 import signal, sys
@@ -76,6 +79,42 @@ def test_sigterm_is_a_question_only_where_it_is_asked_for() -> None:
     assert signal.getsignal(signal.SIGTERM) is before
     with deferred_interrupt():
         assert signal.getsignal(signal.SIGTERM) is before
+
+
+_ON_A_TERMINAL = """
+import fcntl, sys, termios, time
+from bench.base.interrupt import deferred_interrupt
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+with deferred_interrupt(terminate=True) as asked:
+    print("begun", flush=True)
+    while not asked.is_made():
+        time.sleep(0.01)
+    print("to a terminal that is closed", flush=True)
+    open(sys.argv[1], "w").write(asked.cause)
+"""
+
+
+def test_a_closed_terminal_is_a_request_to_end_and_printing_goes_on(tmp_path: Path) -> None:
+    master, slave = pty.openpty()
+    command = [sys.executable, "-c", _ON_A_TERMINAL, str(tmp_path / "ended")]
+    with subprocess.Popen(
+        command, stdin=slave, stdout=slave, stderr=slave, start_new_session=True
+    ) as process:
+        os.close(slave)
+        assert b"begun" in os.read(master, 100)
+        os.close(master)
+        assert process.wait(60.0) == 1  # Terminated
+    assert (tmp_path / "ended").read_text() == "SIGHUP"
+
+
+def test_a_hangup_that_nohup_ignores_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_on_signals() as asked:
+            signal.raise_signal(signal.SIGHUP)
+            assert not asked.is_made()
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_an_error_inside_the_block_is_not_hidden_by_control_c() -> None:

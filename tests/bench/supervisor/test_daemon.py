@@ -82,6 +82,25 @@ def test_from_power_up_to_a_stored_swing_and_an_end_in_order(tmp_path: Path) -> 
         assert bench.records == [record]
 
 
+def test_a_closed_terminal_lets_the_swing_end_and_the_bench_with_it(tmp_path: Path) -> None:
+    file = write_configuration(tmp_path, "hangup")
+    with running_bench(file) as bench, bench.client.lease("test"):
+        bench.make_ready()
+        bench.take_address()
+        bench.swing()
+        bench.wait_phase(Phase.DOWNSWING)
+        processes = psutil.Process(bench.process.pid).children(recursive=True)
+        for process in (*processes, bench.process):
+            process.send_signal(signal.SIGHUP)  # a terminal sends it to all
+        assert bench.process.wait(60.0) == 0
+        (record,) = bench.records
+        cycles, metadata = read_swing(record)
+        assert metadata["complete"] is True
+        assert cycles["phase"][-1] == Phase.STANDING
+    with running_bench(file) as bench:
+        assert bench.cause == "POWER_UP"  # not after an unclean shutdown
+
+
 def test_a_learned_correction_is_swung_and_recorded_but_never_taken_in_a_swing(tmp_path: Path) -> None:
     profile = load_profile(find_profile("default"))
     basis, digest = basis_of(profile), digest_of(profile)
