@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bench.base.errors import BenchError, did_you_mean
+from bench.base.from_toml import parse_toml
 
 PROFILES = Path(__file__).with_name("profiles")
 THESIS = "thesis"
@@ -14,6 +15,12 @@ THESIS = "thesis"
 def profile_names() -> list[str]:
     """Return the names of the profiles that come with golfbench."""
     return sorted(path.stem for path in PROFILES.glob("*.toml") if "." not in path.stem)
+
+
+def profiles_for(club: str) -> list[str]:
+    """Return the names of the profiles that come with golfbench for `club`."""
+    files = {name: PROFILES / f"{name}.toml" for name in profile_names()}
+    return [name for name, file in files.items() if parse_toml(file.read_text("utf-8"), name)["club"] == club]
 
 
 def find_profile(name_or_path: str | Path) -> Path:

@@ -41,26 +41,40 @@ def require_swings(
         ExceptionGroup: of BenchErrors, if one does not fit a club or cannot be swung here.
     """
     found, faults = dict[tuple[str, str], Profile](), list[Exception]()
-    when = when or datetime.now(UTC)
+    when, others = when or datetime.now(UTC), swings_of_other_clubs(plan, configuration)
     for swing, name in product(plan.design.swings, plan.design.clubs):
         path = find_profile(plan.profile(swing, name))
         profile = found[swing, name] = load_profile(path)
-        club = plan.clubs[name]
-        if not felt_alike(club, configuration.clubs.get(profile.club)) and name != profile.club:
-            faults.append(
-                BenchError(
-                    f"{path}: club",
-                    f"a swing designed for club {profile.club!r}",
-                    f"one for {name!r}, or for a club of the same masses and lengths",
-                    f"Design one (golfbench profile design, with club {name}) and name it: "
-                    f'[swings.{swing}] {name} = "PROFILE".',
-                )
-            )
+        if (swing, name) in others:
+            faults.append(others[swing, name])
             continue
         mounted, calibration = _mount(plan, configuration, name, when)
         faults.extend(assess(mounted, calibration, profile, path).faults)
     if faults:
         raise ExceptionGroup("the plan's swings do not fit", faults)
+    return found
+
+
+def swings_of_other_clubs(
+    plan: CampaignPlan, configuration: Configuration
+) -> dict[tuple[str, str], BenchError]:
+    """Return an error for each swing and club of the plan whose profile was designed for a different club.
+
+    Raises:
+        BenchError: a profile is missing or cannot be read.
+    """
+    found = {}
+    for swing, name in product(plan.design.swings, plan.design.clubs):
+        path = find_profile(plan.profile(swing, name))
+        club = load_profile(path).club
+        if name != club and not felt_alike(plan.clubs[name], configuration.clubs.get(club)):
+            found[swing, name] = BenchError(
+                f"{path}: club",
+                f"a swing designed for club {club!r}",
+                f"one for {name!r}, or for a club of the same masses and lengths",
+                f"Design one (golfbench profile design, with club {name}) and name it: "
+                f'[swings.{swing}] {name} = "PROFILE".',
+            )
     return found
 
 

@@ -156,15 +156,19 @@ def _length(text: str) -> float:
 
 
 def _write(
-    file: Path, sections: Mapping[str, dict[str, Any]], blocks: int | None, configuration: Configuration
+    file: Path, sections: dict[str, dict[str, Any]], blocks: int | None, configuration: Configuration
 ) -> CampaignPlan:
     """Write the plan of `sections`; without `blocks` as many as find its difference with its chance.
+
+    A club that the swing was not designed for gets its own from golfbench's profiles, where there is one.
 
     Raises:
         ExceptionGroup: of BenchErrors, one for each mistake in it.
     """
     from bench.campaign.plan.plan_file import load_plan
+    from bench.campaign.run.plan_requirements import swings_of_other_clubs
     from bench.campaign.statistics.preview import outlook
+    from bench.swing.library import profiles_for
 
     def written() -> CampaignPlan:
         file.write_text(_plan_text(sections), encoding="utf-8")
@@ -173,6 +177,12 @@ def _write(
     if blocks is not None:
         sections["design"]["blocks"] = blocks
     plan = written()
+    for swing, club in swings_of_other_clubs(plan, configuration):
+        if len(fitting := profiles_for(club)) == 1:
+            sections.setdefault(f"swings.{swing}", {})[club] = fitting[0]
+    plan = written()
+    if left := [*swings_of_other_clubs(plan, configuration).values()]:
+        raise ExceptionGroup("the plan's swings do not fit", left)
     if blocks is None and (needed := outlook(plan).needed):
         sections["design"]["blocks"] = max(needed, plan.stop.blocks_at_least)
         plan = written()

@@ -39,6 +39,25 @@ def test_new_plan_is_commented_and_long_enough_for_its_difference(call: Call, tm
     assert call("check", "two-balls.toml").exit_code == 0
 
 
+def test_new_plan_of_clubs_names_the_swing_of_each(call: Call, tmp_path: Path) -> None:
+    bag = ("--config", "bag", "campaign", "new", "bag.toml", "--compare", "club", "--ball", "tour", *SIZES)
+    clubs = [f"--club={club}" for club in ("driver", "iron7", "wedge56")]
+    done = CliRunner().invoke(app, [*bag, *clubs])
+    assert done.exit_code == 0, done.output
+    plan = tomllib.loads((tmp_path / "bag.toml").read_text())
+    assert plan["swings"] == {"default": {"iron7": "iron7-78mph", "wedge56": "wedge56-55yd"}}
+    assert CliRunner().invoke(app, ["--config", "bag", "campaign", "check", "bag.toml"]).exit_code == 0
+
+
+def test_new_plan_of_a_club_without_a_swing_is_kept_and_says_so(call: Call, tmp_path: Path) -> None:
+    error = call("new", "old.toml", *TWO, "--club", "thesis", *SIZES).exception
+    assert isinstance(error, ExceptionGroup)
+    (told,) = error.exceptions
+    assert isinstance(told, BenchError)
+    assert told.expected.startswith("one for 'thesis'")
+    assert (tmp_path / "old.toml").exists()
+
+
 def test_new_plan_without_a_terminal_lists_all_missing_options(call: Call, tmp_path: Path) -> None:
     error = call("new", "two.toml", "--club", "driver").exception
     assert isinstance(error, BenchError)
