@@ -7,6 +7,7 @@ Gumbel's; and a floor, below which real sensors and encoders deviate by themselv
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import log, pi, sqrt
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import Refused
-from bench.base.lifecycle import CAUSE_TEXT
+from bench.base.lifecycle import CAUSE_TEXT, Cause
 from bench.control.estimate.model import KINDS, LEARNING
 from bench.control.made_for import MadeFor
 from bench.control.measured_plant import measured_as
@@ -57,6 +58,12 @@ _EULER = 0.5772156649
 _LONGEST_CORRECTION = 1.5
 """Longest correction drawn, the norm of its weights: learning's longest first step."""
 
+_DESIGNED_FOR = "Choose the configuration that the profile was designed for, such as `--config bag`."
+_DEEPER = (
+    "Design a flatter swing (golfbench profile design --attack), or give its site a deeper `divot` in the "
+    "configuration."
+)
+
 
 def gumbel_quantile(maxima: Array) -> Array:
     """Return what the next maximum exceeds with probability EXCEEDED, by column of `maxima` (n, k)."""
@@ -82,12 +89,13 @@ def make_limits(
     runs = _drawn(DrawnRobots(bench), draws, engine, lambda part: progress(part / 1.5))
     causes = [run.cause for run in runs if run.cause]
     if len(runs) < draws or len(causes) > MAX_STOPPED * draws:
-        why = CAUSE_TEXT[causes[0]] if causes else "they do not reach their address"
+        (cause, _), *_ = Counter(causes).most_common(1) or [(Cause.NONE, 0)]
+        why = CAUSE_TEXT[cause] if cause else "they do not reach their address"
         raise Refused(
             f"limits of profile {bench.profile.name!r}",
             f"{len(causes) + draws - len(runs)} of {draws} healthy robots stopped: {why}",
             "a profile that this controller can swing",
-            "Choose the configuration that the profile was designed for, such as `--config bag`.",
+            _DEEPER if cause == Cause.GROUND else _DESIGNED_FOR,
         )
     known = [run.largest for run in runs]
     learning_runs = _drawn(

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from bench.base.errors import Refused
+from bench.base.lifecycle import Cause
 from bench.control.estimate.model import KINDS, LEARNING
 from bench.control.model_limits import FROM_SETTINGS, REQUIRED
 from bench.control.settings import MODEL_ROWS, ModelSettings
 from bench.design.model_limits import FLOORS, _rounded, _tables, floor_of, gumbel_quantile, make_limits
 from bench.simulation.series import Bench
+from bench.simulation.variation import HealthyRun
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.plant import PlantParameters
@@ -74,3 +76,14 @@ def test_a_profile_that_healthy_robots_cannot_swing_gets_no_limits(default_profi
     broken = default_profile.__class__(**{**default_profile.__dict__, "valve": valve})
     with pytest.raises(Refused, match="healthy robots stopped"):
         make_limits(Bench(PlantParameters(), broken), draws=4)
+
+
+def test_robots_that_touch_the_ground_ask_for_another_swing_or_site(
+    default_profile: Profile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    causes = [Cause.NONE, Cause.ARM_EFFORT, *[Cause.GROUND] * 3]
+    stopped = [HealthyRun(np.zeros(1), cause, 0, ()) for cause in causes]
+    monkeypatch.setattr("bench.design.model_limits._drawn", lambda *_: stopped)
+    with pytest.raises(Refused, match="4 of 5 healthy robots stopped: club head") as refused:
+        make_limits(Bench(PlantParameters(), default_profile), draws=5)
+    assert "divot" in refused.value.action
