@@ -270,14 +270,15 @@ def _trajectories(
     flights: Sequence[tuple[str, MeanFlight]], names: Sequence[str], units: UnitSystem, picture: str
 ) -> Picture:
     """The mean flights from the side and from above."""
-    figure, distance = styled(3.0), display_unit("carry_m", units)
-    side, above = figure.subplots(2, 1, sharex=True)
+    figure, distance = styled(1.9), display_unit("carry_m", units)
+    side, above = figure.subplots(1, 2)
     for name, flight in flights:
         x, style = np.linspace(0.0, flight.carry, 200), {"color": colour_of(names.index(name)), "label": name}
         side.plot(distance.of(x), distance.of(flight.side_view(x)), **style)
         above.plot(distance.of(x), distance.of(flight.top_view(x)), **style)
-    side.set(title="Mean flight from the side", ylabel=f"height, {distance.unit}")
-    above.set(title="and from above", xlabel=f"distance, {distance.unit}", ylabel=f"right, {distance.unit}")
+    along = f"distance, {distance.unit}"
+    side.set(title="Mean flight from the side", xlabel=along, ylabel=f"height, {distance.unit}")
+    above.set(title="and from above", xlabel=along, ylabel=f"right, {distance.unit}")
     figure.legend(*side.get_legend_handles_labels(), loc="outside lower center", ncols=10, fontsize=7)
     return _picture(
         figure,

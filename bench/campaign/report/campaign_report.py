@@ -62,7 +62,7 @@ from bench.campaign.report.report_tables import (
     golfer_table,
     item_table,
     particulars,
-    without_simulated_balls,
+    used_configuration,
 )
 from bench.campaign.report.verdicts import confidence_words, quantity_name
 from bench.campaign.statistics.analysis import Level, SectionAnalysis
@@ -153,9 +153,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         limits=_limits(record, units),
         wear=_wear(record.hits),
         plan_entries=flat({"plan": _plan_shown(entry)}),
-        configuration=flat(
-            entry.configuration if entry.simulated else without_simulated_balls(entry.configuration)
-        ),
+        configuration=flat(used_configuration(entry, plan)),
         equipment=_equipment(record, units),
     )
 

@@ -23,7 +23,7 @@ from bench.campaign.report.report_format import UnitSystem, display_unit
 from bench.golfer.comparison import followed_texts
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
-from bench.store.records import ENDED, Event
+from bench.store.records import ENDED, CampaignEntry, Event
 from sim.ball import Ball
 
 FLIGHT_OF: Mapping[str, str] = {
@@ -134,10 +134,20 @@ def carry_words(shots: Sequence[Shot]) -> str:
     return "; ".join(f"{source} – {FLIGHT_OF.get(source, 'unknown')}" for source in sources)
 
 
-def without_simulated_balls(configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the configuration of a real bench for the report: without the balls of its simulation."""
-    kept = {key: value for key, value in configuration.items() if key != "balls"}
-    if isinstance(plant := kept.get("plant"), Mapping):
+def used_configuration(entry: CampaignEntry, plan: CampaignPlan) -> dict[str, Any]:
+    """Return the configuration for the report: without clubs, sites and balls that are not the plan's.
+
+    That of a real bench lacks all balls: they are its simulation's.
+    """
+    balls = plan.ball_names if entry.simulated else ()
+    used = {"clubs": plan.design.clubs, "sites": plan.design.clubs, "balls": balls}
+    kept = {
+        section: {name: one for name, one in values.items() if name in used[section]}
+        if section in used and isinstance(values, Mapping)
+        else values
+        for section, values in entry.configuration.items()
+    }
+    if not entry.simulated and isinstance(plant := kept.get("plant"), Mapping):
         kept["plant"] = {key: value for key, value in plant.items() if key != "ball"}
     return kept
 
