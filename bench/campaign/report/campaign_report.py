@@ -143,6 +143,8 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         nelson=NELSON,
         least_controls=LEAST_VALUES,
         quantity=compared,
+        carry=carry_words(shots),
+        roles=_roles(shots),
         unit=display_unit(plan.analysis.quantity, units).unit,
         confidence=f"{100 * plan.analysis.confidence:g}",
         decision_rule=DECISION_RULE,
@@ -327,6 +329,12 @@ def _ranked(section: SectionAnalysis, views: SectionViews) -> list[tuple[Level, 
     return [*((level, ranks.get(level.name)) for level in order), *control]
 
 
+def _roles(shots: Sequence[Shot]) -> str:
+    """Return the number of `shots` in each role; empty with one role."""
+    count = Counter(shot.role for shot in shots).most_common()
+    return ", ".join(f"{number} {role}" for role, number in count) if len(count) > 1 else ""
+
+
 def _facts(record: CampaignRecord, units: UnitSystem) -> list[tuple[str, str]]:
     entry, plan, air = record.entry, record.plan, air_words(record.shots, units)
     handling = plan.ball_handling
@@ -339,14 +347,14 @@ def _facts(record: CampaignRecord, units: UnitSystem) -> list[tuple[str, str]]:
         ("Begun", f"{entry.date:%Y-%m-%d %H:%M} UTC"),
         ("Seed", str(entry.seed)),
         ("Plan", entry.digest),
-        ("Carry", carry_words(record.shots) or "none"),
+        ("Ball models", ", ".join(plan.ball_names)),
         ("Clubs", ", ".join(plan.design.clubs)),
         ("Swings", ", ".join(plan.design.swings)),
         *([("Golfer", ", ".join(golfers))] if golfers else []),
         ("Air", air or "not measured"),
         (
             "Balls",
-            f"{handling.samples} of each from no. {handling.first_sample}, at most {handling.hits} hits; "
+            f"at most {handling.samples} of each, from no. {handling.first_sample}, {handling.hits} hits; "
             f"{warm.of(handling.temperature):.0f} ± {tolerance:.2g} {warm.unit} for "
             f"{handling.conditioning_time / 3600:g} h ({_conditioned(record)})",
         ),

@@ -41,6 +41,8 @@ def quantity_name(plan: CampaignPlan) -> str:
     return NAMES[a.quantity] + (_CARRIES.get(a.carry, "") if a.quantity in FLOWN else "")
 
 
+_NAMED = 3
+"""Max number of differing pairs that a headline names."""
 _LIMIT = 2.8
 """Repeatability limit over standard deviation: 1.96 times the square root of 2."""
 
@@ -153,24 +155,35 @@ def _all_pairs(
         if count["both"]:
             how_many = f"{count['both']} of them " if count["different"] else ""
             headline += f", {how_many}by less than {_margin(plan, unit)}"
+        if named := 0 < differ <= _NAMED:
+            headline += f": {_longer(comparison.pairs)}"
+        then = "; " if named else ", "
         if alike:
-            headline += f", {alike} {'are' if alike > 1 else 'is'} the same within {_margin(plan, unit)}"
+            headline += f"{then}{alike} {'are' if alike > 1 else 'is'} the same within {_margin(plan, unit)}"
         if count["open"]:
             what = "neither different nor the same" if plan.analysis.margin else "not seen to differ"
-            headline += f", {count['open']} {'are' if count['open'] > 1 else 'is'} {what}"
+            headline += f"{then}{count['open']} {'are' if count['open'] > 1 else 'is'} {what}"
         if count["not enough shots"]:
-            headline += f", for {count['not enough shots']} there are not enough shots"
+            headline += f"{then}for {count['not enough shots']} there are not enough shots"
     means = sorted((level.spread.mean, level.name) for level in analysis.levels if level.spread.n)
     (least, last), (most, first) = means[0], means[-1]
     detail = (
-        f"Most has {first}, {of(most):.2f} {unit.unit}, least {last}, {of(least):.2f} {unit.unit}. "
+        f"Highest mean {of(most):.2f} {unit.unit} ({first}), lowest {of(least):.2f} {unit.unit} ({last}); "
+        "the order is not tested. "
         f"{_size(plan, comparison.pairs)} All pairs together at {confidence_words(comparison.confidence)} %"
     )
     if count["not enough shots"] and needed[0]:
         wanted = _size_in(plan.analysis.difference, unit)
         detail += f"; a difference of {wanted} would need {series_words(needed[0], plan)}"
     detail = f"{detail.rstrip(',')}. {_validity(plan, comparison.pairs)}{_look(analysis)}"
-    return Verdict(not open_, f"{headline}.", f"{detail}Every pair is in the table below.")
+    return Verdict(not open_, f"{headline}.", f"{detail}All {pairs} pairs with intervals: table of pairs.")
+
+
+def _longer(pairs: Sequence[Pair]) -> str:
+    """Return the pairs that differ, the higher level first."""
+    apart = [pair for pair in pairs if pair.verdict in {"different", "both"}]
+    ordered = [(p.first, p.second) if p.difference > 0.0 else (p.second, p.first) for p in apart]
+    return ", ".join(f"{higher} > {lower}" for higher, lower in ordered)
 
 
 def _of(number: int, pairs: int) -> str:

@@ -122,8 +122,11 @@ def test_first_page_of_three_balls_with_two_clubs_answers_for_each_club(three_by
     first = page[: page.index('id="s1"')]
     words = _words(first)
     for wanted in (
-        "driver: 2 of 3 pairs differ",
-        "driver-12: 2 of 3 pairs differ",
+        "golfbench · simulated · test report",
+        "driver: 2 of 3 pairs differ in carry (launch monitor): ",
+        "driver-12: 2 of 3 pairs differ in carry (launch monitor): ",
+        " &gt; ",
+        "Carry: monitor – as the launch monitor reported it.",
         "Balls by club: difference to tour in carry (launch monitor), m",
         "4 balls, 4 shots",
         "different",
@@ -134,6 +137,13 @@ def test_first_page_of_three_balls_with_two_clubs_answers_for_each_club(three_by
     assert first.count("<figure") == 1
     assert first.index("<figure") < first.index("<table")
     assert 'aria-label="Differences of all balls to tour' in first
+
+
+@pytest.mark.usefixtures("undrawn_here")
+def test_shots_that_are_not_compared_are_counted_by_their_role(three_by_two: CampaignRecord) -> None:
+    shots = [replace(shot, role="warm-up") if n < 3 else shot for n, shot in enumerate(three_by_two.shots)]
+    page = render_campaign_report(replace(three_by_two, shots=shots), findings(three_by_two.plan, shots))
+    assert "24 shots (21 test, 3 warm-up): 23 valid, 1 excluded" in _words(page)
 
 
 @pytest.mark.usefixtures("undrawn_here")
