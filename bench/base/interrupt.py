@@ -85,7 +85,7 @@ def stop_on_signals() -> Iterator[StopFlag]:
 
 @contextmanager
 def _handled(flag: StopFlag, numbers: Iterable[int]) -> Iterator[None]:
-    """Let signals `numbers` set `flag` inside the block; a hangup that `nohup` ignores stays ignored."""
+    """Let signals `numbers` set `flag` inside the block; a hangup that nohup ignores stays ignored."""
     before = {
         number: signal.signal(number, flag.make)
         for number in numbers

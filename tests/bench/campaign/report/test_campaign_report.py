@@ -126,7 +126,6 @@ def test_first_page_of_three_balls_with_two_clubs_answers_for_each_club(three_by
         "driver: 2 of 3 pairs differ in carry (launch monitor): ",
         "driver-12: 2 of 3 pairs differ in carry (launch monitor): ",
         " &gt; ",
-        "Carry: monitor – as the launch monitor reported it.",
         "Balls by club: difference to tour in carry (launch monitor), m",
         "4 balls, 4 shots",
         "different",
@@ -140,10 +139,13 @@ def test_first_page_of_three_balls_with_two_clubs_answers_for_each_club(three_by
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_shots_that_are_not_compared_are_counted_by_their_role(three_by_two: CampaignRecord) -> None:
-    shots = [replace(shot, role="warm-up") if n < 3 else shot for n, shot in enumerate(three_by_two.shots)]
+def test_first_page_counts_shots_by_role_and_says_whose_carry_it_is(three_by_two: CampaignRecord) -> None:
+    shots = [replace(shot, carry_source="monitor") for shot in three_by_two.shots]
+    shots[:3] = [replace(shot, role="warm-up") for shot in shots[:3]]
     page = render_campaign_report(replace(three_by_two, shots=shots), findings(three_by_two.plan, shots))
-    assert "24 shots (21 test, 3 warm-up): 23 valid, 1 excluded" in _words(page)
+    words = _words(page)
+    assert "24 shots (21 test, 3 warm-up): 23 valid, 1 excluded" in words
+    assert "Carry: monitor – as the launch monitor reported it." in words
 
 
 @pytest.mark.usefixtures("undrawn_here")
