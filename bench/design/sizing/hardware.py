@@ -8,6 +8,7 @@ from math import degrees, sqrt
 from typing import Any, NamedTuple
 
 from bench.base.errors import BenchError
+from bench.base.to_toml import toml_value
 from bench.design.sizing.catalogue import (
     PRICES,
     AbsorberPart,
@@ -302,4 +303,4 @@ def _toml(tables: Mapping[str, Any], path: str) -> list[str]:
 def _value(value: Any) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(_value(entry) for entry in value) + "]"
-    return f"{value:.6g}" if isinstance(value, float) else repr(value)
+    return f"{value:.6g}" if isinstance(value, float) else toml_value(value)
