@@ -200,7 +200,7 @@ def identity_files(identity: str) -> IdentityFiles:
     """Return the files of `identity`, a path without ending.
 
     Raises:
-        BenchError: a file is missing, no PEM, or of another certificate.
+        BenchError: a file is missing, is no PEM, or belongs to another certificate.
     """
     import ssl
 

@@ -29,7 +29,7 @@ class FreeClock:
         """Number of the next tick."""
 
     def wait(self) -> float:
-        """Return the next tick's time (s) at once."""
+        """Return the next tick's time (s) without waiting."""
         now = self.tick * self.period
         self.tick += 1
         return now

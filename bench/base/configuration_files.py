@@ -1,4 +1,4 @@
-"""Configuration files: found, and laid over each other.
+"""Configuration files: how they are found, and merged by precedence.
 
 A file that begins with `base = "other.toml"` gives only the keys it changes. The base is a path from the
 file's folder, the name of a variant that comes with golfbench, "shipped" for the configuration that comes

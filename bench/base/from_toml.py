@@ -343,7 +343,7 @@ def expected(hint: Any, suffix: str = "") -> str:
 
 
 def suffixes(hint: Any) -> Mapping[str, float]:
-    """Return the suffixes that a value of type `hint` may have, and their factors."""
+    """Return the unit suffixes that a value of type `hint` may have, and their factors."""
     unit = _unit(_parts(hint)[1])
     return {suffix: table[unit] for suffix, table in SUFFIXES.items() if unit in table}
 

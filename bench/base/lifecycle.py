@@ -205,7 +205,7 @@ class Reaction(IntEnum):
     BRAKE = 2
     """Controlled stop with air on, then VENT at standstill."""
     BLIND_BRAKE = 3
-    """Bounded, time-indexed valve pattern of the profile; needs no reading."""
+    """Bounded, time-indexed valve pattern of the profile, open loop: it uses no sensor."""
     PASSIVE = 4
     """What the hardware does alone: spools centred, supply shut, throttled vents after a delay."""
     VENT = 5

@@ -161,7 +161,7 @@ def values_of(kind: CalibrationKind, content: Mapping[str, Any], place: str) -> 
 
 
 def content_of(values: Values) -> dict[str, Any]:
-    """Return `values` as JSON has them; `values_of` reads them back."""
+    """Return `values` as values of JSON; `values_of` reverses this."""
     return {key: _listed(value) for key, value in asdict(values).items()}
 
 
@@ -428,7 +428,7 @@ def _with_club(c: Configuration, measured: ClubInMount, name: str) -> Configurat
     club = c.clubs[measured.club]
     club = replace(
         club,
-        # A club that is clamped further out carries its head's mass with it.
+        # Clamping a club further out also moves the mass of its head outwards.
         shaft_length=club.shaft_length + measured.length_to_face - club.length_to_face,
         length_to_face=measured.length_to_face,
         loft=measured.loft,

@@ -121,11 +121,11 @@ def find_centre(openings: ArrayLike, pressure_rates: ArrayLike) -> ValveCentre:
 
 
 def _refined(x: Array, rate: Array, lower: float, upper: float) -> tuple[tuple[float, float], float, float]:
-    """Return edges, lesser slope and scatter of the best line over the measurements near the given edges."""
+    """Return edges, smaller slope and residual scatter of the best fit near the given edges."""
     near = (x > lower - _NEAR) & (x < upper + _NEAR)
     for beyond, edge in ((x < lower, "lower"), (x > upper, "upper")):
         if np.count_nonzero(near & beyond) < _LEAST_BEYOND:
-            raise ValueError(f"the {edge} edge is not in it: ramp further, or in finer steps")
+            raise ValueError(f"the {edge} edge lies outside the ramp: ramp further, or in finer steps")
     some, rates = x[near], rate[near]
 
     def error(edges: Array) -> float:

@@ -1,6 +1,6 @@
 """The whole configuration: built from its files and checked.
 
-How files are found and laid over each other: `bench.base.configuration_files`. Keys and units:
+How files are found and merged: `bench.base.configuration_files`. Keys and units:
 `bench.base.from_toml`. Club and ball of the plant are those that `[swing]` names; an entry of `[clubs]` or
 `[balls]` that says `like = "driver"` gives only what differs from that one.
 """
@@ -72,9 +72,9 @@ def _complete_likes(tree: Tree, section: str, file: Path, faults: list[BenchErro
 
 
 def _with_derived(c: Configuration, files: tuple[Path, ...]) -> Configuration:
-    """Return `c` with what follows from other keys: tick, club, site and ball of the plant.
+    """Return `c` with derived values: tick, club, site and ball of the plant.
 
-    With `sites`, a club without one gets that of plant.site, so that changing clubs leads back to it.
+    With `sites`, a club without its own site uses plant.site, so that a change of clubs and back restores it.
     """
     if c.sites:
         c = replace(c, sites={name: ClubSite.of(c.plant) for name in c.clubs} | c.sites)

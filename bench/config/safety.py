@@ -57,7 +57,7 @@ BOUNDS = (
     Bound("control.address_tolerance", (0.0, 0.2), (0.0, 0.05), "rad",
           "a swing that begins elsewhere than designed passes elsewhere over the ground"),
     Bound("envelope.max_gap", (0.0, 0.5), (0.0, 0.02), "s",
-          "within it the club's head travels blindly, 0.8 m at 40 m/s in 0.02 s"),
+          "during a gap the head moves without feedback, 0.8 m at 40 m/s in 0.02 s"),
     Bound("envelope.lost_time", (0.0, 0.5), (0.0, 0.012), "s",
           "an encoder that is lost for longer is braked for too late"),
     Bound("driver.watchdog", (0.0, inf), (0.0, 0.02), "s",

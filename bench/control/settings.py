@@ -196,8 +196,8 @@ class HomingSettings:
     """Then turn each joint to its end stop, which must be where the encoder says; required with a real robot.
     Reference and index do not show a coupling that slipped by less than the tolerance, or a moved index."""
     head_tolerance: Positive = 0.010
-    """Max shift of the head at the ball by the error of one encoder zero (m): each joint, pressed, must rest
-    at its stop within the angle that shifts the head by this."""
+    """Max shift of the head at the ball by the error of one encoder zero (m). It sets the angle within which
+    a joint pressed against its stop must rest."""
     touch_speed: PositiveTriple = (0.8, 0.5, 1.2)
     """rad/s, towards the stop and back."""
     touch_lead: PositiveTriple = (0.15, 0.12, 0.20)

@@ -116,8 +116,8 @@ def _silent_velocity(
 
     `derivative` and `damping` (n, 3) are the gains along the downswing.
 
-    The first row's reference is at rest, as the top before it: the tick before looks at it, too, and would
-    otherwise begin the downswing with a kick. The estimated acceleration lags; damping against the
+    The first row's reference is at rest, as at the top: the previous tick looks ahead to it, and a velocity
+    there would begin the downswing with a jump. The estimated acceleration lags; damping against the
     reference's would otherwise open the valves by a good part of the stroke, more than a feed-forward at full
     opening can take back.
     """

@@ -184,7 +184,7 @@ def slope_of(attack: float, lie: float) -> float:
     """Return the in-plane slope (rad) of a path with `attack` (rad) in a plane at `lie` (rad) to the ground.
 
     Raises:
-        ValueError: the plane has no path as steep.
+        ValueError: the plane contains no path that steep.
     """
     if abs(attack) >= lie:
         raise ValueError(f"attack {attack:.3g} rad, steeper than the swing plane's {lie:.3g} rad")

@@ -51,7 +51,8 @@ eccentricity, friction within its tolerance."""
 _AT_SPEED = frozenset({"downswing", "committed", "impact", "follow_through"})
 """Phases in which a valve that does not obey must be found within milliseconds."""
 MAX_STOPPED = 0.2
-"""Share of known robots that the envelope may stop before the profile counts as unfit for the controller."""
+"""Max share of fault-free robots that the envelope stops before the profile counts as unfit for the
+controller."""
 _FEWEST = 20
 """Swings that must have come to a row for a distribution of its maxima."""
 _EULER = 0.5772156649
@@ -117,8 +118,8 @@ class DrawnRobots:
 
     bench: Bench
     unknown: bool = False
-    """Whether they are robots that the bench does not know, each with a correction of its own; or robots
-    within their tolerances."""
+    """Whether they are unmeasured robots, each with its own drawn correction; else robots within the
+    tolerances."""
 
     def prepared(self) -> Callable[[int], HealthyRun | None]:
         """Return the function of a seed; None for a robot that does not reach its address."""
@@ -151,7 +152,7 @@ def _drawn(
 
 
 def _unlimited(bench: Bench) -> ControlParameters:
-    """Return the controller whose check observes and never stops."""
+    """Return the controller with its check observing only."""
     envelope = bench.envelope.with_model_check("always")
     made = build_controller(bench.model, bench.profile, bench.control, envelope, bench.estimator)
     for kind in KINDS:

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 SHAFT_DOWN = 3.5 * np.pi
 """theta_t of a shaft straight down, in the range the joints have there (rad)."""
 AFTER_CONTACT = 5
-"""Ticks for which the openings go on past the ball before the braking law takes over."""
+"""Ticks for which the openings continue after impact before the braking law takes over."""
 _FOLLOWED = 0.25
 _SILENT_FOR = 0.12
 """Time for which a trial follows braking and silence, s: by then the cushions have taken their load."""

@@ -103,7 +103,7 @@ def markdown(template: str, **values: Any) -> str:
 
 
 def _paragraph(text: str) -> str:
-    """Return `text` as the lines of a paragraph."""
+    """Return `text`, wrapped, as the lines of a paragraph."""
     lines = wrap(" ".join(text.split()), _WIDTH, break_long_words=False, break_on_hyphens=False)
     return "\n".join(lines) + "\n"
 
@@ -303,6 +303,6 @@ def _figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def _most(rows: Sequence[Mapping[str, Any]], key: str) -> str:
-    """Return the three entries of the lists `key` that come in most of `rows`, ties in their order."""
+    """Return the three most frequent entries of the lists `key` in `rows`, ties in their order."""
     found = Counter(text for row in rows for text in row[key]).most_common(3)
     return ", ".join(text for text, _ in found) or "-"

@@ -39,7 +39,7 @@ ACCESS = (Instant("access", 0, "before"), Instant("access", 0, "inside"))
 
 
 def phase_name(phase: Phase) -> str:
-    """Return the name of `phase` in matrices."""
+    """Return the name of `phase` in fault matrices."""
     return phase.name.lower().replace("_", "-")
 
 

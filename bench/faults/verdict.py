@@ -55,7 +55,7 @@ class CaseOutcome:
     head_share: float
     """Fastest head, share of the profile's."""
     rest_ticks: int
-    """Until all joints rested for good; -1: they did not."""
+    """Time until all joints stayed at rest; -1: they did not."""
     operator: str
     record: str
     change: str

@@ -61,7 +61,7 @@ class MeasuredSwing:
     top_row: int
     """Row of the top, by the hands."""
     club_top_row: int | None
-    """Row in which the shaft turns back."""
+    """Row in which the shaft reverses."""
     top_clue: str
     """Clue of the top."""
     impact_time: float
@@ -136,7 +136,7 @@ DEFINITIONS = {
 
 @dataclass(frozen=True)
 class GolferSwing:
-    """A golfer's swing as read from a file; the last row is the ball."""
+    """A golfer's swing as read from a file; the last row is impact."""
 
     name: str
     time: Array
@@ -195,7 +195,7 @@ def degrees_or_none(angle: Array) -> list[float | None]:
 
 
 def summary(swing: MeasuredSwing) -> dict[str, Any]:
-    """Return the figures of `swing` for file and JSON; None where not measured."""
+    """Return the key figures of `swing` for file and JSON; None where not measured."""
     down = swing.downswing
     head = swing.speed.get("head")
     cock = None if not swing.has_club else round(360.0 - float(np.degrees(swing.angle[down, 2].min())), 2)

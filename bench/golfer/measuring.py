@@ -199,7 +199,7 @@ def _top(capture: Capture, grid: _Grid, hands: Array, options: ImportOptions) ->
     """Return row and clue of the top.
 
     Raises:
-        BenchError: the hands slow down nowhere before the ball.
+        BenchError: the hands never slow down before impact.
     """
     if options.top is not None:
         before = options.top - capture.start - grid.impact.frame / capture.rate

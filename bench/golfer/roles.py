@@ -103,7 +103,7 @@ class Roles(NamedTuple):
 
 
 def find_roles(capture: Capture, map_path: Path | None = None) -> Roles:
-    """Return the roles in `capture`, by the map in `map_path` or by the built-in ones.
+    """Return the markers of each role in `capture`, by the map in `map_path` or by the built-in ones.
 
     Raises:
         BenchError: the map is damaged, or a role has no marker; the file's names are listed.
@@ -256,7 +256,7 @@ class SwingPlane(NamedTuple):
 
 
 def fitted_plane(arc: Array, vertical: Array) -> SwingPlane:
-    """Return the plane of least squares through `arc` (n, 3), which moves towards the target at its end."""
+    """Return the least-squares plane through `arc` (n, 3), whose end moves towards the target."""
     _, _, axes = np.linalg.svd(arc - arc.mean(axis=0), full_matrices=False)
     normal = axes[2] * (1.0 if axes[2] @ vertical >= 0.0 else -1.0)
     up = vertical - (vertical @ normal) * normal

@@ -102,7 +102,7 @@ _BEFORE = 0.015
 come so far before the model's: off the face's centre, with lengths known to 2 mm, with a ball teed up by
 hand. A reading after it would take the ball's blow for the club's speed."""
 _LOW = 0.1
-"""m above the ball below which the head is at the bottom of the swing."""
+"""Height above the ball below which the head is at the bottom of the swing (m)."""
 _READINGS, _READINGS_BESIDE_PLAN = 5, 16
 """Number of readings before the contact that a polynomial is fitted to: of the angles, or of their difference
 to the modelled swing, which changes more slowly."""

@@ -158,7 +158,8 @@ class LearningSettings:
     bound: Annotated[float, Above(0)] = GREATEST_WEIGHT
     """Max size of each weight."""
     scatter: Four = (0.3, 0.4, 0.2, 0.2)
-    """Standard deviation between swings alike: strike, speed, lean, attack, in tolerances."""
+    """Standard deviation between nominally equal swings in strike, speed, lean and attack, as a multiple of
+    the tolerances."""
     path_scatter: Annotated[float, Above(0)] = 0.003
     """rad"""
     unsettled: Four = (1.0, 7.0, 0.7, 1.5)

@@ -100,7 +100,7 @@ class LearningProblem(NamedTuple):
     path: Array
     """(r, 3) rad, the planned angles at the response's rows."""
     beginning: Beginning | None = None
-    """Where learning begins on an identified robot; None: without correction."""
+    """First correction on an identified robot; None: without correction."""
 
 
 def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
@@ -241,7 +241,7 @@ def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
 
 
 def require_alike(one: Profile, other: Profile, place: str) -> None:
-    """Refuse swings with different plans or corrections; `place` names the other's record.
+    """Refuse swings with different plans or corrections; `place` names the compared record.
 
     Raises:
         BenchError: they were not.

@@ -290,7 +290,7 @@ class Stepper(Protocol):
     state: ControlState
 
     def advance(self, ticks: int, request: int = 0) -> Cycles:
-        """Run `ticks` ticks, `request` put at the first; return their records."""
+        """Run `ticks` ticks with `request` in the first; return their records."""
 
     def make_passive(self) -> None:
         """Send the passive command, outside of any tick."""
@@ -344,7 +344,7 @@ class Loop:
 def bring_to_rest(stepper: Stepper, longest: int) -> list[Cycles]:
     """Stop as the stopping table says, then send the passive command; return the records of that time.
 
-    Takes at most `longest` ticks: what does not rest by then is left to the passive command.
+    Takes at most `longest` ticks; joints that still move then get the passive command.
     """
     records = [stepper.advance(1, Request.STOP)]
     left = longest - 1

@@ -2,7 +2,7 @@
 
 The loop puts a snapshot into shared memory in each tick that accepts a request to move (home, arm, swing),
 after the step; a replay of the record sets it and goes on with the tick after it. In a record's metadata it
-stands as text, see `bench.records.telemetry.swing_metadata.snapshot_entry`.
+is stored as text, see `bench.records.telemetry.swing_metadata.snapshot_entry`.
 """
 
 from __future__ import annotations

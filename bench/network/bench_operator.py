@@ -96,7 +96,7 @@ class BenchOperator:
         self._stack.close()
 
     def take_lease(self) -> None:
-        """Take the lease, once that of a dead program or of a person has expired."""
+        """Take the lease, after that of a dead program or of a person has expired."""
         deadline = time.monotonic() + READY
         while not self._held:
             try:

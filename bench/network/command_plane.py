@@ -118,7 +118,7 @@ class _Lane:
             return room
 
     def note(self, verb: str) -> None:
-        """Notify the thread that `verb` arrived, without a message."""
+        """Notify the thread that `verb` arrived without content."""
         with self._changed:
             self._verbs.add(verb)
             self._changed.notify()

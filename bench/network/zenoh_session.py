@@ -250,7 +250,7 @@ def access_control(
 
 
 def _asks(name: str, *keys: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the rules for sending queries and for receiving the replies."""
+    """Return the access rules for sending queries and for receiving the replies."""
     return _allow(name, "ingress", "query", *keys), _allow(f"{name} answered", "egress", "reply", *keys)
 
 

@@ -54,7 +54,7 @@ class Asked(NamedTuple):
         return str(units)
 
     def once(self, *, fresh: bool = False) -> None:
-        """Refuse a request that came before; `fresh`: or that was made from an old screen.
+        """Refuse a repeated request; with `fresh` also one from an outdated screen.
 
         Raises:
             InvalidBody: it has no number; `fresh`: or no time.

@@ -27,7 +27,7 @@ class PageReader:
     """Waiting messages of one reader, to be used in the server's event loop."""
 
     def __init__(self, newest: Mapping[str, bytes]) -> None:
-        """Start with the `newest` messages by topic."""
+        """Set the `newest` messages by topic."""
         self._waiting, self._arrived, self._ended = dict(newest), asyncio.Event(), False
         self._arrived.set()
 

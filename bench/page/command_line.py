@@ -26,7 +26,7 @@ from typing import Any
 from bench.base.errors import FOR_PROGRAMS, BenchError, Refused
 
 NICE = 10
-"""Priority of a command, as of the page's service."""
+"""Nice value of a command, equal to that of the page's service."""
 MAX_COMMANDS = 2
 """Max number of commands at a time."""
 LONGEST_COMMAND = 180.0

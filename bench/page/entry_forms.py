@@ -47,7 +47,7 @@ class EntryForm(NamedTuple):
     club: bool = False
     """Whether it is of one club."""
     lasting: bool = True
-    """Whether it has a method, a remark and an end of validity."""
+    """Whether the entry has a method, a remark and a date of expiry."""
     instead: str = ""
     """Option that takes the place of all values; empty: none."""
     instead_label: str = ""

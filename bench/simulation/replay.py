@@ -412,7 +412,8 @@ def _difference(replay: Replay, field: Field, tolerance: float) -> Difference:
 NEAR = 0.9
 """Share of a limit that is near it. Healthy robots reach 0.8: limits are a quarter above what those show."""
 AHEAD = 200
-"""Max swings ahead within which a growing residual is not to reach its limit: no more than were recorded."""
+"""Horizon (swings) within which a growing residual must not reach its limit; at most as many swings as were
+recorded."""
 FEW, _ENOUGH = 5, 10
 """Swings of a median, and least number of swings of a trend."""
 

@@ -133,7 +133,8 @@ class Series:
     def settle(self, swings: int = 2) -> None:
         """Swing some times and rest: at this instant `swing_again` begins.
 
-        Without planned air the first swing after arming begins with other pressures than those that follow.
+        Without planned chamber pressures the first swing after arming begins with other pressures than the
+        following ones.
         """
         for _ in range(swings):
             self.swing(self.bench.profile)

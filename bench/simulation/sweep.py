@@ -3,7 +3,7 @@
 A study is the work on each case. An engine runs batches of cases: this process
 (`bench.simulation.local_engine.InProcess`), processes of this machine (`LocalProcesses`), or a cluster
 (`bench.simulation.cluster_engine`). Results are the same bit for bit on all of them, as seeds come from the
-case and nothing of one case reaches another. With a store a sweep that was ended goes on where it was.
+case and nothing of one case reaches another. With a store, an interrupted sweep resumes where it stopped.
 """
 
 from __future__ import annotations

@@ -186,7 +186,7 @@ class SwingOperator(Generic[AnyStepper]):
     def await_air(self) -> bool:
         """Hold the address until the chambers are as planned; return whether they are.
 
-        At once where no pressures are planned. A bench that cannot bring them stops by itself.
+        At once where no pressures are planned. A bench that cannot reach them stops by itself.
         """
         parameters = self.stepper.parameters
         if not parameters.profile["air_planned"][0]:

@@ -52,13 +52,13 @@ _Row = TypeVar("_Row")
 
 
 class StoredShot(NamedTuple):
-    """A shot and the file of its cycles, whole already; "" when the robot did not swing."""
+    """A shot and its complete file of cycles; "" when the robot did not swing."""
 
     shot: Shot
     file: str = ""
     bytes: int = 0
     set_aside: bool = False
-    """Whether its block was restarted after it."""
+    """Whether the shot's block was restarted after the shot."""
 
 
 def _again_if_lost(method: Callable[_Call, _Answer]) -> Callable[_Call, _Answer]:

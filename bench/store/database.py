@@ -195,7 +195,7 @@ to be stored."""
 
 
 class LearnedSwingRow(Row):
-    """One learned correction of a profile. Rows are only added: the newest that holds is used."""
+    """One learned correction of a profile. Rows are only added; the newest valid one is used."""
 
     __tablename__ = "learned_swings"
     __table_args__ = (UniqueConstraint("bench", "profile", "version"),)
@@ -277,7 +277,7 @@ AWAY_PAUSE = 0.5
 """Time between two attempts to reach the server, s."""
 
 _WRITERS = 20260
-"""Number of the writers' lock of a PostgreSQL database."""
+"""Key of the writers' lock of a PostgreSQL database."""
 _LOCK_TIMEOUT = "55P03"
 _AWAY = frozenset({"57P01", "57P02", "57P03", "53300"})
 """PostgreSQL's states while its server shuts down, has crashed, starts, or has no connection left."""

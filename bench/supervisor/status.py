@@ -1,4 +1,4 @@
-"""Status of a bench for `golfbench status`, and stalls of the machine behind a stop."""
+"""Status of a bench for `golfbench status`, and the stalls of the computer that caused a stop."""
 
 from __future__ import annotations
 

@@ -52,7 +52,8 @@ _WRIST = 2 * np.pi - radians(105.0), 2 * np.pi + radians(5.0)
 """Range of the human wrist (thesis), as theta3."""
 _RIGHT_ARM_AT_ADDRESS = -0.03032
 _LOWEST_AT_BALL = -0.9
-"""y (m) above which the head does not come to the ball: it passes its x a second time, over the shoulder."""
+"""Height y (m) above which a crossing of the ball's x does not count: the head crosses it again over the
+shoulder."""
 
 MEASURED = (
     (-93, -92, -89, -84, -77, -68, -56, -43, -29, -15, -1, 13, 27),
@@ -73,7 +74,7 @@ class Golfer:
     backswing: float
     """s"""
     as_hunt: bool = False
-    """Hunt's functions as given, whatever the head speed."""
+    """Hunt's published functions, not scaled to a head speed."""
 
 
 def _golfer(name: str, text: str, mph: float, backswing: float) -> Golfer:

@@ -145,7 +145,8 @@ class ExperimentSummary:
     """The experiment in figures. Errors and saturation count from the start to the ball (or tables' end)."""
 
     stable: bool
-    """Finite, and theta2 stayed between the two stretched positions of the parallel arm."""
+    """All values are finite, and theta2 stayed between the two singular, stretched positions of the parallel
+    arm."""
     top_time: float
     """s; the instant at which theta1 turns round"""
     contact_time: float | None

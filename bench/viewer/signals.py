@@ -1,7 +1,7 @@
 """The bench's signals as Rerun entities: names, units, colours and limits, for recordings and live views.
 
-Each vector is one entity with several scalars a row: ten times quicker and three times smaller than an
-entity a component. Units stand in the entities' names. Limits are entities of their own: lines from
+Each vector is one entity with several scalars a row: ten times faster and a third of the size of one entity
+per component. Units stand in the entities' names. Limits are entities of their own: lines from
 one instant at which they are logged to the next.
 """
 

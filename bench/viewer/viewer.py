@@ -361,7 +361,7 @@ class LiveView:
     # Status text ---------------------------------------------------------------------------------
 
     def _at(self, now: float) -> float:
-        """Return where `now` (s, CLOCK_MONOTONIC) is: at the newest cycle, later if the bench is silent."""
+        """Return `now` (s, CLOCK_MONOTONIC) on the timeline: the newest cycle's, later if it is silent."""
         silent = max(0.0, now - self._heard) if np.isfinite(self._heard) else 0.0
         return self.axis.now + (silent if silent > _SILENT else 0.0)
 

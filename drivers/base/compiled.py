@@ -36,7 +36,7 @@ def _digests() -> dict[str, str]:
 def _use_cache(module: str) -> str:
     """Return the folder of the machine code of `module`, made and marked as used."""
     versions = cache_folder() / module
-    # A module outside the packages has none of theirs compiled into it but what it names itself.
+    # Machine code of a module outside the packages depends on the sources that the module names.
     folder = versions / _digests().get(module, source_digest())
     mark_in_use(folder)
     prune_versions(versions)

@@ -148,7 +148,7 @@ class CanopenSettings:
     heartbeat: Annotated[float, AtLeast(0.005), AtMost(1.0)] = 0.05
     """Heartbeat period of a node, s; a node is lost after three missing heartbeats."""
     interlock_period: Annotated[float, AtLeast(0.005), AtMost(1.0)] = 0.02
-    """Period of unchanged interlocks, s; they are lost after three missing frames."""
+    """Period at which unchanged interlocks are repeated (s); three missing frames count as lost."""
     pressure_ticks: Annotated[int, AtLeast(1), AtMost(240)] = 10
     """Ticks between two pressure readings."""
     encoders: EncoderSettings = field(default_factory=EncoderSettings)

@@ -23,7 +23,7 @@ Numbered = tuple[str, int]
 
 
 def places(balls: Sequence[Numbered]) -> list[str]:
-    """Return the places of the magazine with their balls, the first to be hit first."""
+    """Return the places of the magazine with their balls, in the order of hitting."""
     return [f"{place}. {name} {number}" for place, (name, number) in enumerate(balls, 1)]
 
 

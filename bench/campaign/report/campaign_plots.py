@@ -567,7 +567,7 @@ def _mark_signals(axes: Axes, chart: ControlChart, values: Mapping[int, float]) 
 
 
 _NAMED = 40
-"""Max number of signals whose rules are written into a chart; all are in the list beside it."""
+"""Max number of signals in a chart with the numbers of their rules; the list beside it has all."""
 
 
 def _draw_ellipse(axes: Axes, ellipse: DispersionEllipse, colour: str, size: float) -> Array:

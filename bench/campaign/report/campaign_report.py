@@ -204,7 +204,7 @@ def _lists(record: CampaignRecord, found: Findings, units: UnitSystem) -> dict[s
 
 
 def _filters(compared: DisplayUnit, units: UnitSystem) -> dict[str, Callable[..., Any]]:
-    """Return the filters of the page; those of figures take the record's values."""
+    """Return the filters of the page's template; filters of numbers use the record's values."""
 
     def number(value: float, digits: int = 2) -> str:
         return number_text(compared.of(value), digits)

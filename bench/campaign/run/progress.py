@@ -58,7 +58,7 @@ class CampaignProgress(Watcher):
         trials = all_trials(plan)
         self._open: dict[tuple[int, int], PlannedShot] = {(t.block, t.position): t for t in trials}
         self._closed: dict[int, list[PlannedShot]] = {}
-        """By block, until the next one begins."""
+        """Completed shots by block, until the next block begins."""
         self._valid: tuple[int, Counter[str]] = 0, Counter()
         """A block and its valid shots by ball."""
         self._times: deque[float] = deque(maxlen=_LAST)

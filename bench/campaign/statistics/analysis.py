@@ -63,7 +63,7 @@ OUTLIER = 3.5
 
 
 class Spread(NamedTuple):
-    """Mean and standard deviation of one shot, with intervals that hold for other balls; NaN with too few."""
+    """Mean and standard deviation of one shot, with intervals for untested balls; NaN with too few."""
 
     n: int
     """Number of shots."""

@@ -8,8 +8,8 @@ Satterthwaite's degrees of freedom. Complete designs give the classical nested a
 paired t test of balls.
 
 Not a likelihood: REML sets a negative variance between balls to zero and then takes their hits for
-independent. Nor statsmodels: its mixed model has one scatter for all levels and no degrees of freedom, its
-cluster-robust errors hold for many clusters only, and one fit takes seconds.
+independent. Neither does statsmodels do: its mixed model has one residual variance for all levels and no
+degrees of freedom, its cluster-robust errors are valid for many clusters only, and one fit takes seconds.
 """
 
 from __future__ import annotations

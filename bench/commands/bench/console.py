@@ -228,7 +228,7 @@ def _completion(text: str, part: str, about: str = "") -> Completion:
 
 
 def _wanted(words: Sequence[str], options: Mapping[str, Any], arguments: Sequence[Any]) -> Any:
-    """Return the option or argument whose value follows `words`; None if none does."""
+    """Return the option or argument that takes the value after `words`; None if none does."""
     taken, open_option = 0, None
     for word in words:
         if open_option is not None:

@@ -64,7 +64,7 @@ def view(
 
 
 class _Where(NamedTuple):
-    """Options that say where it is shown."""
+    """Options that select where the viewer is displayed."""
 
     save: Path | None
     web: bool

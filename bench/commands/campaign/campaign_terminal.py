@@ -160,7 +160,7 @@ class MarkKeys:
                 self._closing.wait(_LOOK)
 
     def _listen(self) -> bool:
-        """Read the keys that were pressed; return whether the terminal is ours to read."""
+        """Read the keys that were pressed; return whether this process may read the terminal."""
         with suppress(OSError, termios.error):
             terminal = sys.stdin.fileno()
             if not in_foreground(terminal):

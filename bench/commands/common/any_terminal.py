@@ -11,7 +11,7 @@ _PLAIN |= {"–": "-", "—": "-", "…": "..."}
 _PLAIN |= {"−": "-", "→": "->", "←": "<-", "≤": "<=", "≥": ">=", "∞": "inf", "θ": "theta", "β": "beta"}
 _PLAIN |= {"✓": "ok", "✗": "x", "●": "*", "○": "o", "’": "'", "“": '"', "”": '"'}
 _PLAIN |= dict(zip("▁▂▃▄▅▆▇█▏", "__..-=+#|", strict=True))
-"""Replacements of characters that a terminal's encoding lacks; "?" replaces any other."""
+"""Replacements for characters that a terminal's encoding lacks; all others become "?"."""
 
 _HANDLER = "golfbench.plain"
 

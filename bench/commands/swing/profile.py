@@ -401,7 +401,7 @@ def _show_highest_speed(
     begin: str | None,
     workers: tuple[int, str],
 ) -> None:
-    """Print the highest head speed, its limit, and what would raise it; `workers`: processes, cluster."""
+    """Print the highest head speed, its limit, and what would raise it; `workers`: processes or cluster."""
     from bench.design.highest_speed import TOGETHER, DownswingStudy, highest_speed
 
     study = DownswingStudy(configuration, demand, _profile_named(begin))

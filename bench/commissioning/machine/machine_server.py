@@ -36,7 +36,7 @@ from bench.swing.profile import Profile
 from drivers.base import Command, Driver, DriverError, Readings
 
 _PATIENCE = 30.0
-"""s for which a request is made again that the bench refuses for reasons that pass by themselves."""
+"""Time for which a request is repeated that the bench refuses for a passing reason (s)."""
 _ACCESS = 60.0
 """s in which the chambers are proven empty for people."""
 _PERSON = 600.0
@@ -238,7 +238,7 @@ class LiveSeries:
             raise stopped_by_operator()
 
     def _ask(self, request: Request, patience: float = _PATIENCE) -> None:
-        """Request until it is accepted; Refused with the bench's reason after `patience` (s)."""
+        """Request until it is accepted; Refused with its reason if it refuses after `patience` (s)."""
         operator, waited, called = self._operator, 0.0, False
         while not operator.request(request):
             refusal = Refusal(int(operator.control["refusal"][0]))

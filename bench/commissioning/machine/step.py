@@ -320,7 +320,7 @@ class StepResult(NamedTuple):
 
     values: tuple[FoundValue, ...]
     notes: tuple[str, ...] = ()
-    """Findings for the report that are no values."""
+    """Findings for the report other than values."""
 
 
 class NamedStep(Protocol):

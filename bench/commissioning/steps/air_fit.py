@@ -204,7 +204,7 @@ class AirTrace:
 
 
 def _open(vents_shut: NDArray[np.bool_], plant: PlantParameters) -> NDArray[np.bool_]:
-    """Return whether the vents are open (n,): with their delay after the command to open."""
+    """Return whether the vents are open (n,), with their opening delay."""
     open_ = np.zeros(len(vents_shut), bool)
     since = np.inf
     for k, shut in enumerate(vents_shut):

@@ -53,7 +53,7 @@ FAINT = 1.3e5
 _REACH = 0.15
 """Opening to either side."""
 _RAMP, _BASELINE = 4.0, 1.0
-"""s from one side to the other, and before."""
+"""Time of a ramp from one side to the other, and of the wait before it (s)."""
 _FOOT = 1.5e3
 """Pa by which a chamber rises where its valve begins to open."""
 _ANSWER = 8e3

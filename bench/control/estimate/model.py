@@ -266,7 +266,7 @@ def row_of(s: Any) -> int:
 def model_cause(
     limits: Any, m: Any, estimator: Any, reference_velocity: Any, row: int, doubted: int = -1
 ) -> int:
-    """Return the first comparison that fails by the limits of `row`, or 0.
+    """Return the number of the first comparison that exceeds the limits of `row`, or 0.
 
     A row is a phase, BRAKING + a phase, or ARMING. Of joint `doubted` one chamber did not fit before: it
     leaks, or its sensor is wrong, and only the other one's own limit shows a wrong spool.

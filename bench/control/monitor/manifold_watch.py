@@ -6,8 +6,8 @@ Two bounds, by ISO 6358, with the assumed manifold and dump valve:
   quarter of the assumed flow. Above it the supply valve did not shut, the dump valve did not open, or the
   sensor is frozen.
 - In any tick, one falls from the highest reading, through a dump valve that passes three times as much.
-  Below it the sensor is wrong: no manifold empties like that. Its value then is no proof that the manifold is
-  empty, until a later venting was seen to take its time.
+  A lower reading is a sensor fault: no manifold empties that fast. Its value then is no proof that the
+  manifold is empty, until a later venting was seen to take its time.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ _STOPPING = 0.04
 _LOOSENING = 2.0
 """Times the dry friction that a force beyond the load comes to until a joint breaks away; static is less."""
 _SLIPS = 2.0
-"""Times `still_speed` above which a joint slips; less may be a single count of its encoder."""
+"""Multiple of `still_speed` above which a joint slips; less may be a single count of its encoder."""
 _CAUGHT = 8.0
 """Times `still_speed` at which a joint may be caught."""
 _FIRM = 0.5

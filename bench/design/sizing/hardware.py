@@ -188,7 +188,7 @@ def overrides(
 def _actuator(shipped: Actuator, areas: tuple[float, float], parts: Parts, index: int) -> dict[str, Any]:
     """Return the keys of an actuator with these areas (A, B; m2, vane m3/rad) and the valve `index`.
 
-    A hose adds its volume to the dead volume, and stands in series with both edges of the valve, whose
+    A hose adds its volume to the dead volume, and acts in series with both metering edges; the valve's
     critical pressure ratio is kept.
     """
     scale, friction, hose = areas[0] / shipped.area_a, shipped.friction, parts.hose

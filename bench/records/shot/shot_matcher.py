@@ -198,7 +198,7 @@ class LaunchBook:
 
     def settle(self, now: float) -> list[Told]:
         """Return the outcomes that are settled at `now` (s, CLOCK_MONOTONIC)."""
-        while len(self._launches) > _MOST_OPEN:  # nobody swings that often: they are nobody's
+        while len(self._launches) > _MOST_OPEN:  # too many to be swings of this bench
             self._tell(Match(MatchOutcome.NO_SWING, "", self._launches[0]), None)
             self._launches = self._launches[1:]
         launches, self._clubs = join_clubs(self._launches, self._clubs)

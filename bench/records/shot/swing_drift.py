@@ -110,7 +110,7 @@ class DriftWatch:
         self._latest: deque[StrikeSeen] = deque(maxlen=LASTING)
 
     def take(self, seen: StrikeSeen, tables: Hashable) -> SwingDrift:
-        """Compare a swing of `tables`, which begin another series where they differ from those before."""
+        """Compare a swing with `tables`; tables that changed begin a new series."""
         if tables != self._tables:
             self._tables = tables
             self._first.clear()

@@ -1,7 +1,7 @@
 """What is stored of one control cycle, defined once.
 
 `FIELDS` is the schema: the numpy record `CYCLE`, the Arrow schema (Parquet, telemetry) and every export
-derive from it. A change of FIELDS is a change of SCHEMA_VERSION.
+derive from it. A change of FIELDS requires a new SCHEMA_VERSION.
 
 Vectors become one Arrow column per component, named by joint, chamber or axis (`angle_wrist`,
 `chamber_pressure_right_arm_b`): pandas and polars users select, plot and filter plain columns without

@@ -93,7 +93,7 @@ class SwingCutter:
         return self._past.tick(min(first, self._lead_from)) - 1 if self._past.end else 0
 
     def take(self, cycles: Cycles, lost: int = 0) -> list[Cut]:
-        """Add `cycles`, with `lost` missing before or between them; return the complete records."""
+        """Add `cycles`; `lost` cycles are missing before or between them. Return the complete records."""
         cuts: list[Cut] = []
         self._missing += lost
         for begin in range(0, len(cycles), self._past.room // 4):
@@ -132,7 +132,7 @@ class SwingCutter:
         part = self._open
         if part is None:
             if state in MOVING:
-                late = before is State.STARTING  # nothing moves in that: it was not seen how this began
+                late = before is State.STARTING  # nothing moves in STARTING: the begin was not recorded
                 self._open = part = _Part(self._before(number, time), continued=late, series=late)
         elif state not in MOVING or (state is State.ARMED and before is State.RECOVERING):
             if state in LATCHED and not part.kind:

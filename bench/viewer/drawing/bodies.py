@@ -140,7 +140,7 @@ class DrawnBody:
 
     @cached_property
     def without_joints(self) -> Volume:
-        """The same without the pins and as if the bars had no bores: what the dynamics may count."""
+        """The same without pins and bores: the mass that the dynamics model includes."""
         return joined(
             [
                 (part.material.density, getattr(part.solid, "stock", part.solid.volume))

@@ -101,7 +101,7 @@ def _wall(radius: float, length: float, side: float) -> Mesh:
 
 
 def _ring(outer: float, inner: float, height: float, side: float) -> Mesh:
-    """Return a flat ring at z = `height` that looks along +z (`side` 1) or -z (-1)."""
+    """Return a flat ring at z = `height` that faces +z (`side` 1) or -z (-1)."""
     c, s = _circle()
     rims = [np.column_stack([r * c, r * s, np.full_like(c, height)]) for r in (inner, outer)]
     return Mesh(np.vstack(rims), np.tile([0.0, 0.0, side], (2 * len(c), 1)), _grid(2, len(c)))

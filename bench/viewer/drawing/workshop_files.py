@@ -146,7 +146,7 @@ def _one(shape: Any) -> Any:
 
 
 def step_assembly(b: Any, bodies: Sequence[PlacedBody]) -> Any:
-    """Return the bodies as a labelled, coloured assembly of build123d, `b`."""
+    """Return the bodies as a labelled, coloured assembly; `b` is build123d."""
     assemblies = []
     for one in bodies:
         place = _location(b, Y_UP_TO_Z_UP @ one.turn, _MM * (Y_UP_TO_Z_UP @ one.at))
