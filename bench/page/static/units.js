@@ -9,7 +9,8 @@ let system = "si";
 
 export function number(value, digits) {
   if (typeof value !== "number" || !Number.isFinite(value)) return "–";
-  return value.toFixed(digits).replace("-", "−");
+  const text = value.toFixed(digits);
+  return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
 }
 
 export function quantity(kind, value, more = 0) {
