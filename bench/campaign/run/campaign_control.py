@@ -149,7 +149,7 @@ def _bench_file(data_dir: Path, bench: str) -> Path:
 
 
 def find_campaign(store: CampaignStore, wanted: str) -> CampaignEntry:
-    """Return the campaign with id `wanted`, or the only one whose id begins so.
+    """Return the campaign with id `wanted`, or the only one of that name or whose id begins so.
 
     Raises:
         BenchError: no campaign, several campaigns, or fewer than `SHORTEST_PREFIX` characters to go by.
@@ -162,6 +162,9 @@ def find_campaign(store: CampaignStore, wanted: str) -> CampaignEntry:
     if not found:
         expected = f"an id, or at least its first {SHORTEST_PREFIX} characters"
         raise BenchError(place, "no such campaign", expected, "See golfbench campaign list.")
+    named = [entry for entry in found if entry.name == wanted]
+    if len(named) == 1:
+        return named[0]
     if len(found) > 1 or len(wanted) < SHORTEST_PREFIX:
         shown = ", ".join(entry.id for entry in found[:5]) + ", ..." * (len(found) > 5)
         number = "1 campaign begins" if len(found) == 1 else f"{len(found)} campaigns begin"

@@ -11,6 +11,8 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from markupsafe import escape
@@ -22,7 +24,7 @@ from bench.campaign.plan.shot_sequence import all_trials
 from bench.campaign.report.campaign_record import load_record
 from bench.campaign.report.campaign_report import render_campaign_report
 from bench.campaign.report.findings import findings
-from bench.campaign.run.campaign_control import bench_lock, require_free, runner_lock
+from bench.campaign.run.campaign_control import bench_lock, find_campaign, require_free, runner_lock
 from bench.campaign.run.runner import Watcher
 from bench.campaign.run.runner_control import new_entry, run_campaign
 from bench.campaign.run.simulated_shots import BEGIN
@@ -446,6 +448,15 @@ def test_a_beginning_of_three_characters_is_too_short(begin: Begin, user: User) 
     assert "at least 4 characters" in text
     assert "no such campaign" in user("abort", "--yes", "lon")[1]
     assert state_of(user, campaign) == "suspended"
+
+
+def test_the_name_of_one_campaign_stands_for_it_however_short() -> None:
+    names = ("bag", "bag-two", "wedge", "wedge")
+    entries = [SimpleNamespace(id=f"{name}-2026{n}", name=name) for n, name in enumerate(names)]
+    store: Any = SimpleNamespace(entries=lambda: [(entry, None, None) for entry in entries])
+    assert find_campaign(store, "bag").id == "bag-20260"
+    with pytest.raises(BenchError, match="2 campaigns begin so"):
+        find_campaign(store, "wedge")
 
 
 @pytest.mark.parametrize(("typed", "state"), [("y\n", "aborted"), ("n\n", "suspended"), ("", "suspended")])
