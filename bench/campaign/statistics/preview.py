@@ -256,8 +256,8 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
         lines.append(
             "One ball of each: results hold for these balls, not for their models."
             if balls == 1
-            else f"Each model is judged by its balls: {balls} of each, {plan.design.blocks / balls:.3g} hits of "
-            f"each on average; differences: {found.freedom:.0f} degrees of freedom."
+            else f"Each model is judged by its balls: {balls} of each, {plan.design.blocks / balls:.3g} hits "
+            f"of each on average; differences: {found.freedom:.0f} degrees of freedom."
         )
     if plan.split:
         lines.append(
