@@ -21,7 +21,7 @@ Travel = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
 
 class MockDriver:
-    """Driver without a device; angles in rad, speeds in rad/s, pressures in Pa absolute."""
+    """Driver without hardware; angles in rad, speeds in rad/s, pressures in Pa absolute."""
 
     def __init__(
         self,

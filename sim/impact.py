@@ -73,7 +73,7 @@ SHAFT_DOWN = 1.5 * pi
 """theta_t of a shaft straight down the swing plane (rad)."""
 
 FACE_HALF_WIDTH, FACE_HALF_HEIGHT = 0.055, 0.030
-"""Half axes (m) of the ellipse that a modern driver's face about fills (assumption)."""
+"""Half axes (m) of an ellipse close to a modern driver's face (assumption)."""
 
 _USUAL = 40.0
 """Approach (m/s) at which a club's restitution is stated."""

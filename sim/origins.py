@@ -45,7 +45,7 @@ ORIGINS: Mapping[str, str] = {
     "shoulder.valve.damping_ratio": "assumption: no visible overshoot",
     "shoulder.valve.dead_band": "assumption: small overlap",
     "shoulder.valve.leakage": "assumption",
-    "right_arm": "assumption: sized by a search, 40 mm reach 40 m/s, 50 mm 47",
+    "right_arm": "assumption: sized by a search; bores of 40 mm reach 40 m/s, of 50 mm 47 m/s",
     "right_arm.area_a": "bore side, 50 mm bore; pushes R3 away from R6",
     "right_arm.area_b": "rod side, 20 mm rod",
     "right_arm.dead_volume": "assumption: valve on the cylinder",

@@ -101,7 +101,7 @@ def load_address(path: Path | None = None) -> BenchAddress:
 
 
 def database_url(database: str, data_dir: Path) -> URL:
-    """Return where the database is: the URL `database`, or SQLite's file in `data_dir` when that is empty.
+    """Return where the database is: the URL in `database`, or if that is empty SQLite's file in `data_dir`.
 
     Raises:
         BenchError: `database` is not the URL of a database that several processes can open.

@@ -43,7 +43,7 @@ class Request(IntEnum):
     RESET = 4
     STOP = 5
     EMERGENCY_STOP = 6
-    """From the network: a convenience, not a safety function."""
+    """Stop over the network: a convenience, not a safety function."""
     HOME = 7
     ACCESS = 8
     SECURE = 9
@@ -154,7 +154,7 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
     Refusal.CORRECTION: ("the correction does not fit this bench", "learn again"),
     Refusal.HELD: ("another holder has the lease", "wait, or have the holder release it"),
     Refusal.SEQUENCE: ("the command was repeated or out of order", "check the state, then retry"),
-    Refusal.BUSY: ("too many messages wait, this one was not done", "retry"),
+    Refusal.BUSY: ("too many messages wait; this one was discarded", "retry"),
     Refusal.TOO_LATE: ("the command waited too long and was not done", "retry"),
     Refusal.SHUTTING_DOWN: ("the bench is shutting down", "retry after its restart"),
     Refusal.LOOP_SILENT: ("the loop does not answer", "press the emergency stop, read the log"),

@@ -162,7 +162,7 @@ def _freedom(flights: Sequence[MeasuredFlight], scatter: FlightUncertainty) -> i
 def _solved(
     flights: Sequence[MeasuredFlight], predict: _Predict, scatter: FlightUncertainty
 ) -> tuple[Array, float, list[Array]]:
-    """Return the factors, half the sum of the squared whitened residuals, and the whiteners."""
+    """Return the factors, half the sum of the squared whitened residuals, and the whitening matrices."""
     factors, cost, whiteners = np.array([1.0, 1.0]), 0.0, list[Array]()
     for _ in range(_ROUNDS):
         whiteners = _whiteners(flights, factors, predict, scatter)

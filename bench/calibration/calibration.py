@@ -113,7 +113,7 @@ class ValveCentres:
 
 @dataclass(frozen=True)
 class SeenInputs:
-    """Inputs that a person was seen to change, one by one, and the supply's sensor beside its gauge."""
+    """Inputs that a person switched one by one, and the supply's sensor compared with its gauge."""
 
     seen: tuple[str, ...]
     """Names of the inputs, also of those found wrong."""

@@ -35,7 +35,7 @@ def standing_counts(ring: Path, counts_per_revolution: int, seconds: float = 0.5
 
     Raises:
         NoRing: no bench runs here.
-        Refused: its loop stands still, an encoder gives no valid reading, or a joint moves.
+        Refused: the control loop does not run, an encoder gives no valid reading, or a joint moves.
     """
     reader = RingReader(ring)
     try:

@@ -59,7 +59,7 @@ BOUNDS = (
     Bound("envelope.max_gap", (0.0, 0.5), (0.0, 0.02), "s",
           "during a gap the head moves without feedback, 0.8 m at 40 m/s in 0.02 s"),
     Bound("envelope.lost_time", (0.0, 0.5), (0.0, 0.012), "s",
-          "an encoder that is lost for longer is braked for too late"),
+          "for an encoder that is lost for longer, braking starts too late"),
     Bound("driver.watchdog", (0.0, inf), (0.0, 0.02), "s",
           "until a silent bench is noticed its last openings stay in force"),
     Bound("homing.tolerance", (0.0, 6.3), (0.0, 0.35), "rad",
@@ -82,7 +82,7 @@ def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
     if not c.is_machine:
         return
     if not c.lifecycle.local_reset:
-        wanted = "true with a real robot: who resets over the network does not see who stands beside it"
+        wanted = "true with a real robot: a remote operator cannot see who stands beside it"
         yield "lifecycle.local_reset", "false", wanted, "Wire the button and set the key to true."
     if c.loop.realtime != "require":
         found, action = format_value(c.loop.realtime), "Set it, and try it with `golfbench doctor`."

@@ -166,7 +166,7 @@ def disarm(s: Any, parameters: Any, time: float) -> None:
 
 @compiled
 def arrive(s: Any, parameters: Any, time: float) -> None:
-    """Be at the address: hold it, or vent after a swing that is not followed by another."""
+    """Hold the address, or vent after a swing that is not followed by another."""
     s.moving = False
     s.phase = Phase.HOLD
     again = parameters.control[0].series and s.lease_held and s.support_ready and not s.disarming

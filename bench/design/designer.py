@@ -419,7 +419,7 @@ def _openings(plan: DownswingPlan, shooter: Shooter, pid: NDArray[Any], highest:
 
 
 def _wanted(plan: DownswingPlan, parameters: PlantParameters, demand: SwingDemand) -> Array:
-    """Return the arrival that `refine` must reach: the plan's, at the demanded strike point."""
+    """Return the state at impact that `refine` must reach: the plan's, at the demanded strike point."""
     head = head_motion(parameters.robot.record[0], *plan.state[-1, :6])
     return np.array([demand.strike, *head[2:6]])
 

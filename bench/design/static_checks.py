@@ -67,7 +67,7 @@ class MachineSwing(NamedTuple):
         return BenchError(f"{self.place}: {name}", found, expected, action)
 
     def row(self, where: tuple[str, int, int | None], found: str, expected: str, action: str) -> BenchError:
-        """Return a fault of one row or value of a table: table, sample, joint."""
+        """Return the error of one row or value of a table: table, sample, joint."""
         table, sample, joint = where
         column, name = ("", "") if joint is None else (f"[{joint}]", f", {JOINTS[joint]}")
         at = f"{table}[{sample}]{column} ({sample * self.profile.period:.3f} s{name})"

@@ -59,7 +59,7 @@ def dense_instants(profile: Profile) -> tuple[Instant, ...]:
 
 
 def stopped_instants(profile: Profile, delays: Sequence[float] = INTO_A_STOP) -> tuple[Instant, ...]:
-    """Return the instants of the moving swing, each with all `delays` (s) into its stop."""
+    """Return the instants of the moving swing, each with all `delays` (s) after its stop begins."""
     return tuple(
         replace(instant, delay=delay)
         for instant in instants_of(profile)

@@ -55,7 +55,7 @@ class MatrixPlan:
     cases: tuple[MatrixCase, ...]
     skipped: tuple[Skipped, ...]
     every: int = 1
-    """One case of so many was drawn."""
+    """One of so many cases was drawn."""
 
 
 def instants_for(breakage: Breakage, profile: Profile) -> tuple[Instant, ...]:
@@ -197,7 +197,7 @@ def run_matrix(
         engine,
         store=store,
         key=lambda case: f"{case[0].name}, {case[1].name}",
-        group=lambda case: case[1],  # a worker keeps the undisturbed bench of an instant
+        group=lambda case: case[1],  # a worker keeps the fault-free bench at an instant
         progress=progress,
         stop=stop,
     )

@@ -48,7 +48,7 @@ def golfer_plot(swing: MeasuredSwing, title: str) -> Figure:
 
 
 def comparison_plot(rows: Sequence[MotionDeviation]) -> Figure:
-    """Return the figure of `rows`: downswing of each reference and of the swing compared with it."""
+    """Return the plot of `rows`: downswing of each reference and of the swing compared with it."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 2.3 * len(rows) + 0.8), layout="constrained")
         grid = figure.subplots(len(rows), 4, squeeze=False)

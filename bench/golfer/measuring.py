@@ -209,7 +209,7 @@ def _top(capture: Capture, grid: _Grid, hands: Array, options: ImportOptions) ->
                 "--events top",
                 f"{options.top:g} s",
                 "a time before the ball, within the file",
-                "Correct it to that of the top.",
+                "Correct it to the time of the top of the backswing.",
             )
         return row, GIVEN
     row_ = find_top(grid.time, hands)

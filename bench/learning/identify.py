@@ -2,8 +2,8 @@
 
 The parameters are factors on the configured plant, and the encoders' latency. A trial arms the plant with
 them, lets it swing as the recorded one did, and compares angles, valve openings, supply pressure and, where
-they are fitted, chamber pressures up to the impact window. The loop is closed, so that what feedback hides in
-the angles shows in the openings. Openings are smoothed: their quick part is dither and noise.
+they are fitted, chamber pressures up to the impact window. In closed loop, errors that feedback suppresses in
+the angles appear in the openings. Openings are smoothed: their quick part is dither and noise.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ _ACTUATORS = ("shoulder", "right_arm", "wrist")
 
 
 def plant_file(plant: PlantParameters, found: Identified, configuration: Configuration) -> str:
-    """Return TOML with the identified parameters of `plant`, on top of the file of `configuration`.
+    """Return TOML with the identified parameters of `plant`, based on the file of `configuration`.
 
     Each parameter's standard error stands above it; uncertain ones are marked.
     """

@@ -345,7 +345,7 @@ class Learner:
         return bool(known.size and np.abs(known).max() <= self._settings.enough)
 
     def _mean(self, number: int) -> Array:
-        """Return the mean error (4,) of the swings alike to swing `number`."""
+        """Return the mean error (4,) of the swings comparable to swing `number`."""
         errors = [self._errors[k][:4] for k in self._alike(number)]
         return np.asarray(np.mean(errors, axis=0))
 

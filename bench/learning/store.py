@@ -1,4 +1,4 @@
-"""Learned corrections in the bench's database: versioned, with the conditions they hold for, only added."""
+"""Learned corrections in the bench's database: versioned, with conditions of validity; append-only."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ class Conditions:
     """Conditions that a correction is valid for."""
 
     digest: str
-    """Digest of the profile's tables, in simulation also of the robot: another one has other errors."""
+    """Digest of the profile's tables, in simulation also of the robot; a correction is valid for its digest
+    only."""
     club: str
     supply_pressure: float
     """Regulated pressure, Pa absolute."""

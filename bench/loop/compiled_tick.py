@@ -210,7 +210,7 @@ class CompiledTick:
         function or in Python.
 
         Raises:
-            ValueError: an array is of another type or number, or not contiguous.
+            ValueError: an array has the wrong type or size, or is not contiguous.
         """
         applied, truth = new_record(COMMAND), new_record(TRUTH)
         arrays = (*state, *parameters, readings, command, cycle, marks, applied, truth)

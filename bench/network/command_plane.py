@@ -417,7 +417,7 @@ class CommandPlane:
             payload = encode_answer(answer)
         self._last_state = answer.state
         with self._counted("commands" if answer.accepted else "refused"), query:
-            # Not the query's own key, which may name several benches.
+            # Not the query's own key, which may match several benches.
             query.reply(f"{self._root}/command/{verb}", payload, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _answer_error(self, query: zenoh.Query, error: BenchError) -> None:

@@ -84,7 +84,7 @@ class LeaseBook:
         """Grant the lease to `holder` for `seconds`.
 
         Raises:
-            LeaseRefused: somebody holds it; also a holder of the same name, who has a key already.
+            LeaseRefused: it is held, even by a holder of the same name, who has a separate key.
             ValueError: `holder` or `seconds` is invalid (`is_holder`, `is_duration`).
         """
         if not (is_holder(holder) and is_duration(seconds)):

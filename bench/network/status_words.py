@@ -55,7 +55,7 @@ VENTING_WORDS = {
         "Stay outside until it is vented; clear the cause, then reset.",
     ),
 }
-"""The same of a standing robot whose chambers are not proven empty yet."""
+"""Words for the states of a standing robot whose chambers are not proven empty yet."""
 
 ARMING_BLOCKED = "Remove what blocks arming, then arm; or open the access."
 """Next step of a bench that configuration, calibrations or profile keep from being armed."""

@@ -136,7 +136,7 @@ class CampaignArchive:
         """Confirm that prompt number `prompt` is done, by `by` with so many loaded `balls`; return its text.
 
         Raises:
-            BenchError: it is not the one that waits, or not so many balls were to be loaded.
+            BenchError: this prompt does not wait, or the number of balls is not the requested one.
         """
         with self._store() as store:
             entry = store.entry(campaign)

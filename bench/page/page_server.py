@@ -221,7 +221,7 @@ async def _serve(
 
 
 async def _beat(link: BenchLink, broadcaster: PageBroadcaster) -> None:
-    """Publish how long the bench has been silent, so that a page notices either loss by itself."""
+    """Publish how long the bench has been silent: a page notices the loss of bench or server by itself."""
     while True:
         silence = link.silence()
         broadcaster.publish("link", {"silent_s": None if silence == float("inf") else round(silence, 2)})

@@ -215,7 +215,7 @@ def _lost(address: str, why: str) -> BenchError:
         f"cluster {address}",
         why.strip().splitlines()[0],
         "a scheduler that answers",
-        "Start it (golfbench cluster) and the same command again: stored cases are not run again.",
+        "Start the scheduler (golfbench cluster), then run the command again: stored cases are skipped.",
     )
     fault.exit_code = ExitCode.NO_ANSWER
     return fault

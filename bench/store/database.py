@@ -176,7 +176,7 @@ EXCLUSIONS = _of_campaign("shot_exclusions", ShotExclusion)
 PROMPTS = _of_campaign(
     "campaign_prompts", Prompt, "number", more=[Column("answer", Integer, nullable=False, server_default="0")]
 )
-"""The answer's number rises by one per answer: their order, whatever the clock said; 0 until then."""
+"""`answer` counts the answers, so that their order does not depend on the clock; 0 until answered."""
 
 HITS = Table(
     "hit_counts",
@@ -204,7 +204,7 @@ class LearnedSwingRow(Row):
     bench: Mapped[str]
     profile: Mapped[str]
     version: Mapped[int]
-    """Rises by one per bench and profile."""
+    """Version, counted for each bench and profile."""
     date: Mapped[datetime]
     simulated: Mapped[bool]
     source: Mapped[str]
@@ -496,7 +496,7 @@ def _make_tables(engine: Engine, place: str, now: datetime) -> None:
 
 
 def _has_tables(connection: Connection, place: str) -> bool:
-    """Return whether the tables are there, in SCHEMA_VERSION; raises BenchError if they are others."""
+    """Return whether the tables exist in SCHEMA_VERSION; BenchError if in a different one."""
     tables = inspect(connection).get_table_names()
     if not tables:
         return False

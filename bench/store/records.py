@@ -78,7 +78,7 @@ class Event(NamedTuple):
 
 
 class CampaignRun(NamedTuple):
-    """One run of a campaign: from its begin or a resume until the runner ends."""
+    """One run of a campaign: from its begin or resumption until the runner ends."""
 
     number: int
     """From 1, within its campaign."""

@@ -89,7 +89,7 @@ class Basis:
         return Correction((shift @ self.angle).T, (shift @ self.slope).T, (valve @ self.valve).T)
 
     def corrected(self, profile: Profile, weights: Sequence[float]) -> Profile:
-        """Return `profile` with what `weights` (m,) stand for."""
+        """Return `profile` with the corrections of `weights` (m,) added."""
         return self.correction(np.array(weights)).applied_to(profile)
 
 

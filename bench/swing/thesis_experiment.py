@@ -184,7 +184,7 @@ class ThesisExperiment:
     head: Array
     """(N, 2) x, y of the club head, m"""
     reference_head: Array
-    """(N, 2); the ball lies where it begins"""
+    """(N, 2); it begins at the ball"""
 
     @property
     def saturated(self) -> NDArray[np.bool_]:

@@ -123,7 +123,7 @@ _LEVELS = {"loop died": "CRITICAL", "exception": "ERROR"}
 
 
 class Ages:
-    """Ages of the newest cycles of a minute (s), for percentiles."""
+    """Ages of the newest cycle, sampled over a minute (s), for percentiles."""
 
     def __init__(self) -> None:
         self._values: deque[float] = deque(maxlen=_AGES)

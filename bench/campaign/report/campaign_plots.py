@@ -136,7 +136,7 @@ _FLIGHT = ("launch_angle_deg", "direction_deg", "carry_m", "carry_side_m", "apex
 
 
 def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str, Array, Array]]:
-    """Return (level, valid points, other points) as (n, 2) offline and carry, m."""
+    """Return each level's landing points of valid and of other shots, (n, 2): offline, carry, m."""
     found = []
     for name, mine in _by_level(plan, shots):
         flown = [s for s in mine if s.carry_m is not None and s.carry_side_m is not None]

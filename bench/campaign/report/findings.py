@@ -327,7 +327,7 @@ class Findings:
     needed: tuple[tuple[SeriesSize | None, SeriesSize | None], ...]
     """For each section: balls and hits of each level to find a difference, and to call them the same."""
     notes: tuple[tuple[str, ...], ...]
-    """For each section: looks, covariates and what more shots would do, in sentences."""
+    """For each section, in sentences: interim looks, covariates, and the benefit of more shots."""
     repeatability: Mapping[tuple[str, str], Sequence[Repeatability]]
     """For each (swing, club)."""
     rules: tuple[RuleFinding, ...]

@@ -4,7 +4,8 @@ A shot is: make the bench ready, raise a ball, swing once it rests at its addres
 the launch. Club data come from the record, ball data from the bench's launch monitor. A
 simulated bench may do without one: then the ball is computed here from the delivery.
 
-After a stop only a person's reset and arming go on. A simulated bench resets, homes and arms itself, and each
+After a stop a campaign continues only after a person's reset and arming. A simulated bench resets, homes and
+arms itself, and each
 time is an event of the campaign.
 """
 

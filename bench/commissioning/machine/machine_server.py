@@ -209,7 +209,7 @@ class LiveSeries:
         self._operator.advance(1)
 
     def end(self) -> None:
-        """Bring the robot to rest; passive whatever happens."""
+        """Bring the robot to rest; the outputs end passive, also after an error."""
         try:
             with suppress(DriverError):
                 if self._operator.phase is not Phase.STANDING:

@@ -286,7 +286,7 @@ def _shown_by_pressures(trace: MotionTrace, known: KnownRobot, joint: int, rows:
 
 
 def _weighted(values: Array) -> tuple[float, float]:
-    """Return the weighted mean of `values` (n, 2), value and error, and its error by their scatter."""
+    """Return the weighted mean of `values` (n, 2: value, error), and its error by their scatter."""
     weight = 1.0 / values[:, 1] ** 2
     mean = float((values[:, 0] * weight).sum() / weight.sum())
     error = float(weight.sum() ** -0.5)

@@ -52,7 +52,7 @@ class WearingValue(NamedTuple):
     is_share: bool
     """Whether a change is a share of the configured value, or added to it."""
     prior: float
-    """Standard deviation of the change before anything was recorded."""
+    """Standard deviation of the change before any record."""
     most: float
     """Change from which the part is worn; only growth counts for a leak."""
     unit: str

@@ -285,7 +285,7 @@ def model_cause(
         air = max(p.air[row, i], p.air[loosest, i])
         a, b = abs(m.residual[2 * i]), abs(m.residual[2 * i + 1])
         if max(a, b) > air:
-            # A spool moves air in both chambers, a sensor shows what is not there in one.
+            # A wrong spool changes the air in both chambers, a wrong sensor only what is read in one.
             return Cause.SHOULDER_AIR + i if min(a, b) > both * air else Cause.SHOULDER_SENSOR + i
         if abs(reference_velocity[i] - e.velocity[i]) > max(p.velocity[row, i], p.velocity[loosest, i]):
             return Cause.SHOULDER_VELOCITY + i

@@ -48,7 +48,7 @@ def steady_estimator(filters: np.ndarray[Any, Any], period: float, age: float) -
 
 
 def estimator_response(estimator: Estimator, frequency: Array, period: float) -> Complex:
-    """Return the responses (n, 3, 3) from each reading to its estimates, at `frequency` (n,) rad/s."""
+    """Return the responses (n, 3, 3) from each reading to its three estimates at `frequency` (n,) rad/s."""
     z = np.exp(1j * frequency * period)
     answers = np.zeros((len(z), 3, 3), complex)
     for i in range(3):

@@ -174,7 +174,7 @@ def manifold_shows_pressure(sensors: Any, p: Any) -> bool:
 
 @compiled
 def nothing_is_held_up(sensors: Any, p: Any) -> bool:
-    """Return whether no living sensor, the manifold's included, shows air that may hold an arm up."""
+    """Return whether no working sensor, the manifold's included, shows air that may hold an arm up."""
     for k in range(SENSORS):
         if is_alive(sensors, k) and sensors.shown[k] > p.holding_pressure:
             return False

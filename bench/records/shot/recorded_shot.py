@@ -141,7 +141,7 @@ def shot_to_json(shot: Shot) -> dict[str, Any]:
 def flight_of(shot: Shot, plant: PlantParameters, around: FlightConditions) -> Flight | None:
     """Return the flight of the launch in `shot`; None without a launch that can be flown.
 
-    A simulated ball is the plant's; on hardware it is the reference ball's flight.
+    In simulation it is the plant's ball that flies; on hardware the reference ball.
     """
     given = (
         shot.ball_speed_mps,

@@ -140,7 +140,7 @@ class Told(NamedTuple):
     """Empty when no swing made the launch."""
     launch: LaunchRecord | None
     reason: str
-    """Objection to the launch; empty without one."""
+    """Why the launch is implausible; empty if it is not."""
     shot: Shot | None
     """Of a swing: its row, with all that is known of club and ball."""
 

@@ -47,7 +47,7 @@ class StrikeSeen(NamedTuple):
 
 
 class SwingDrift(NamedTuple):
-    """A swing against the first ones with the same tables."""
+    """A swing compared with the first ones that had the same tables."""
 
     seen: StrikeSeen
     usual: StrikeSeen

@@ -81,7 +81,7 @@ def _packed(column: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 
 def decode_batch(message: bytes) -> Batch:
-    """Return what `message` says; the cycles bit for bit.
+    """Return the content of `message`; the cycles are preserved bit for bit.
 
     Raises:
         BenchError: the message is of another kind or version, or damaged.

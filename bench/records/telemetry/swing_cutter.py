@@ -171,7 +171,7 @@ class SwingCutter:
         self._losses = [(number, lost) for number, lost in self._losses if number >= kept]
 
     def _note_loss(self, cycles: Cycles, first: int) -> None:
-        """Note that records are missing, where the ticks leap most."""
+        """Note that records are missing, at the largest gap in the ticks."""
         ticks = cycles["tick"]
         before = self._tick if self._tick is not None else int(ticks[0]) - 1
         leaps = np.diff(ticks, prepend=before)
