@@ -17,7 +17,13 @@ from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.prompts import places
 from bench.campaign.plan.shot_sequence import PlannedShot, Role, all_trials, hits_needed, is_mounted, sections
 from bench.campaign.statistics.block_model import within_club
-from bench.campaign.statistics.sample_size import SeriesSize, alpha_at_end, foreseen, series_needed
+from bench.campaign.statistics.sample_size import (
+    SeriesSize,
+    alpha_at_end,
+    balls_of_each,
+    foreseen,
+    series_needed,
+)
 from bench.store.records import Hit
 
 UNITS: Mapping[str, str] = {
@@ -252,7 +258,7 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
             f"{found.without or 'too many'} valid shots of each."
         )
     if plan.design.compare == "ball":
-        balls = min(plan.ball_handling.samples, plan.design.blocks)
+        balls = balls_of_each(plan)
         lines.append(
             "One ball of each: results hold for these balls, not for their models."
             if balls == 1

@@ -346,6 +346,12 @@ def _scaled(known: Foreseen, shots: int, units: int) -> tuple[float, float]:
     return error, max(known.freedom / max(known.units - 1, 1) * (units - 1), 1e-3)
 
 
+def balls_of_each(plan: CampaignPlan) -> int:
+    """Return the fewest different balls that a level's planned shots hit; controls also turn the balls."""
+    level, _, ball = _planned(plan, plan.design.blocks)
+    return min(len(np.unique(ball[level == each])) for each in range(len(levels(plan))))
+
+
 def _planned(plan: CampaignPlan, blocks: int) -> tuple[Codes, Codes, Codes]:
     """Return level, block and ball of each shot of the first section's first `blocks`, in order."""
     section, names = sections(plan)[0], levels(plan)

@@ -404,7 +404,8 @@ def report(
 ) -> None:
     """Write the report of a campaign: one HTML file, verdict first.
 
-    With --issue the report of a finished campaign gets a number, also each amendment.
+    With --issue the report of a finished campaign gets a number, also each amendment; it is kept beside the
+    report as report-R1.html.
     """
     from bench.campaign.report.campaign_record import load_record, note_look
     from bench.campaign.report.campaign_report import write_campaign_report
@@ -429,6 +430,10 @@ def report(
     path = output or data_dir / "campaigns" / entry.id / "report.html"
     write_campaign_report(path, record, found, UnitSystem(units))
     typer.echo(str(path))
+    if issue:  # each issue keeps its page
+        issued = path.with_name(f"{path.stem}{record.number.removeprefix(entry.id)}{path.suffix}")
+        write_campaign_report(issued, record, found, UnitSystem(units))
+        typer.echo(f"issued as {record.number}: {issued}")
 
 
 @app.command()
@@ -583,11 +588,16 @@ def exclude(
 
     A running campaign does not repeat it.
     """
-    from bench.campaign.report.campaign_record import exclude_shot
+    from bench.campaign.report.campaign_record import exclude_shot, load_record
 
     with _found(context, campaign) as (store, entry):
         exclude_shot(store, entry.id, shot, reason, by or user_name(), datetime.now(UTC), undo=undo)
+        issues = load_record(store, entry).issues
     typer.echo(f"shot {shot} {'counts again' if undo else 'excluded'}: {reason.strip()}")
+    if issues:
+        typer.echo(
+            "The issued report needs an amendment: golfbench campaign report ID --issue --reason TEXT."
+        )
 
 
 @app.command()

@@ -31,8 +31,12 @@ def new(
     context: typer.Context,
     file: Annotated[Path, argument("FILE", "Plan to write, NAME.toml; NAME becomes the campaign's name.")],
     compare: Annotated[Compared | None, option("What is compared.", shown="asked")] = None,
-    ball: Annotated[list[str] | None, option("Ball; several with one option each.", "NAME")] = None,
-    club: Annotated[list[str] | None, option("Club, the same.", "NAME")] = None,
+    ball: Annotated[
+        list[str] | None, option("Ball; several with one option each.", "NAME", shown="asked")
+    ] = None,
+    club: Annotated[
+        list[str] | None, option("Club, the same; also to compare balls.", "NAME", shown="asked")
+    ] = None,
     swing: Annotated[list[str] | None, option("Swing profile, the same.", "NAME")] = None,
     control: Annotated[
         str, option("Control ball: hit in each block, shows drift.", "NAME", shown="none")

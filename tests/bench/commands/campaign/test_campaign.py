@@ -117,6 +117,14 @@ def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) ->
     assert "issued by Ann" in page
     assert call("verify", campaign).exit_code == ExitCode.OK
     assert isinstance(call("report", campaign, "--issue").exception, Refused)
+    assert "needs an amendment" in call("exclude", campaign, "3", "--undo", *reason).stdout
+    assert "needs an amendment" in call("exclude", campaign, "3", *reason).stdout
+    amended = call("report", campaign, "--issue", "--reason", "leaf").stdout
+    first, second = (Path(report.stdout.strip()).with_name(f"report-R{n}.html") for n in (1, 2))
+    assert f"issued as {campaign}-R2: {second}" in amended
+    assert f"{campaign}-R1" in first.read_text()
+    assert "replaces" not in first.read_text()
+    assert f"replaces {campaign}-R1: leaf" in second.read_text()
     assert call("verify", campaign, "--report", tmp_path / "none.html").exception is not None
     with sqlite3.connect(tmp_path / "data" / "golfbench.sqlite") as database:
         database.execute("UPDATE shots SET ball_speed_mps = ball_speed_mps + 1 WHERE shot = 3")

@@ -39,6 +39,13 @@ def test_new_plan_is_commented_and_long_enough_for_its_difference(call: Call, tm
     assert call("check", "two-balls.toml").exit_code == 0
 
 
+def test_balls_that_control_shots_turn_are_not_promised(call: Call) -> None:
+    blocks = ("--blocks", "10")
+    assert "judged by its balls: 10 of each" in call("new", "a.toml", *TWO, *SIZES, *blocks).stdout
+    controlled = call("new", "b.toml", *TWO, *SIZES, *blocks, "--control", "range")
+    assert "judged by its balls: 6 of each" in controlled.stdout
+
+
 def test_new_plan_of_clubs_names_the_swing_of_each(call: Call, tmp_path: Path) -> None:
     bag = ("--config", "bag", "campaign", "new", "bag.toml", "--compare", "club", "--ball", "tour", *SIZES)
     clubs = [f"--club={club}" for club in ("driver", "iron7", "wedge56")]
