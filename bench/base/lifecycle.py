@@ -310,7 +310,7 @@ class Cause(IntEnum):
 
 _WORN_VALVE = "check valve and sensors; if nothing is broken, the valve is worn: see golfbench wear"
 _WORN_OR_SENSOR = (
-    "check its sensor: vented, it must show the atmosphere in golfbench status; if it does, the valve is worn: "
+    "check its sensor: vented, it shows the atmosphere in golfbench status; if it does, the valve is worn: "
     "see golfbench wear"
 )
 CAUSE_WORDS: dict[Cause, Words] = {
