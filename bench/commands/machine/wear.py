@@ -78,8 +78,11 @@ def wear(records: Records, plot: Plot = None, json_: Json = False) -> None:
 def _print(parts: list[PartWear], due: list[PartWear], found: list[Margin], swings: int) -> None:
     """Print both tables, and what to do about the parts that are `due` and about residuals near a limit."""
     console = Console()
-    if parts:
-        console.print(_part_table(parts))
+    shown = [one for one in parts if abs(one.latest) >= _SHOWN * one.value.most]
+    if shown:
+        console.print(_part_table(shown, len(parts) - len(shown)))
+    elif parts:
+        console.print(f"None of {len(parts)} values has changed by a quarter of what counts as worn.")
     for part in due:
         soon = "" if part.is_worn else f" within {max(2, ceil(part.left))} more swings at this rate"
         said = f"{part.value.part}, {part.value.name}: worn{soon}. {part.value.action}"
@@ -140,14 +143,19 @@ def _as_json(one: PartWear) -> dict[str, Any]:
     }
 
 
-def _part_table(parts: list[PartWear]) -> Table:
+def _part_table(parts: list[PartWear], others: int) -> Table:
     figures = ("first", "latest", "error", "per 100", "worn from")
-    shown = [one for one in parts if abs(one.latest) >= _SHOWN * one.value.most]
-    title = f"parts: change against the configuration; {len(parts) - len(shown)} others hardly differ"
+    title = f"parts: change against the configuration; {others} others hardly differ"
     table = plain_table("part", "value", *figures, "unit", right=figures, title=title)
-    for one in shown:
+    for one in parts:
         scale = one.value.scale
-        growth = "" if isnan(one.growth) else f"{100 * scale * one.growth:+.2g}" if one.growth else "no trend"
+        growth = (
+            "few swings"
+            if isnan(one.growth)
+            else f"{100 * scale * one.growth:+.2g}"
+            if one.growth
+            else "no trend"
+        )
         row = (f"{scale * one.before:+.2f}", f"{scale * one.latest:+.2f}", f"{scale * one.error:.2f}")
         most = f"{scale * one.value.most:.2g}"
         style = "yellow" if one.is_worn else None
@@ -159,7 +167,9 @@ def _margin_table(found: list[Margin], title: str) -> Table:
     figures = ("first swings", "latest", "per 100 swings")
     table = plain_table("joint", "comparison", *figures, right=figures, title=title)
     for one in found:
-        growth = "" if isnan(one.growth) else f"{1e4 * one.growth:+.1f}" if one.growth else "no trend"
+        growth = (
+            "few swings" if isnan(one.growth) else f"{1e4 * one.growth:+.1f}" if one.growth else "no trend"
+        )
         values: tuple[Any, ...] = (f"{100 * one.before:.0f}", f"{100 * one.latest:.0f}", growth)
         table.add_row(one.joint, one.kind, *values, style="yellow" if one.near else None)
     return table
