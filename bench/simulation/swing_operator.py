@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import Refused
-from bench.base.lifecycle import CAUSE_TEXT, Answer, Cause, Phase, Refusal, Request
+from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Refusal, Request
 from bench.control.monitor.air_watch import chambers_show_pressure
 from bench.control.records import ControlParameters, ControlState
 from bench.control.requests import near_address
@@ -159,11 +159,20 @@ class SwingOperator(Generic[AnyStepper]):
         False if asked to stop: the robot is then brought to rest.
 
         Raises:
-            Refused: the robot does not reach its address.
+            Refused: the request is refused, or the robot does not reach its address.
         """
         self.wait_for(self.is_vented, LONGEST_SWAY)
-        accepted = self.request(Request.ARM)
-        if accepted and self.run_until(self.resting if at_rest else self.holding, LONGEST_ARMING):
+        if self.request(Request.ARM):
+            return self.reach_address(at_rest=at_rest)
+        refused = Refusal(int(self.control["refusal"][0]))
+        self.rest()
+        if self.stop():
+            return False
+        raise self.refusal(f"the request refused: {REFUSAL_TEXT[refused]}")
+
+    def reach_address(self, *, at_rest: bool = True) -> bool:
+        """Wait until the armed robot holds its address, as `arm` does."""
+        if self.run_until(self.resting if at_rest else self.holding, LONGEST_ARMING):
             return True
         if self.stop():
             self.rest()
@@ -171,7 +180,7 @@ class SwingOperator(Generic[AnyStepper]):
         reason = CAUSE_TEXT[self.cause] if self.cause else "not there in time"
         angle = np.array2string(self.stepper.state.estimator["angle"][0], precision=3)
         self.rest()
-        raise self.refusal(f"{reason}; joints at {angle} rad" if accepted else "the request refused")
+        raise self.refusal(f"{reason}; joints at {angle} rad")
 
     def refusal(self, found: str) -> Refused:
         """Return the error of a robot that does not hold its address, with what was `found` instead."""

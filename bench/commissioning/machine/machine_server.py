@@ -30,7 +30,13 @@ from bench.learning.live import swung_cycles
 from bench.loop.loop import Cycle, Cycles, Loop
 from bench.simulation.loads import Loads
 from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, not_returned
-from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, SwingOperator, joined
+from bench.simulation.swing_operator import (
+    LONGEST_RETURN,
+    LONGEST_STOP,
+    LONGEST_SWAY,
+    SwingOperator,
+    joined,
+)
 from bench.supervisor.status import cause_text, refusal_words, stall_note
 from bench.swing.profile import Profile
 from drivers.base import Command, Driver, DriverError, Readings
@@ -234,7 +240,9 @@ class LiveSeries:
             found = cause_text(cause, self._stall()) if cause else f"state {self._state.name}"
             raise Refused("homing", found, "a homed robot in state READY", "Follow the text, then --resume.")
         operator.wait_for(lambda: bool(operator.control["venting"]["emptied"][0]), _PATIENCE)
-        if not operator.arm():
+        operator.wait_for(operator.is_vented, LONGEST_SWAY)
+        self._ask(Request.ARM)
+        if not operator.reach_address():
             raise stopped_by_operator()
 
     def _ask(self, request: Request, patience: float = _PATIENCE) -> None:

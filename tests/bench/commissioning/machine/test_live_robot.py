@@ -19,7 +19,7 @@ import pytest
 
 from bench.base.clock import FreeClock
 from bench.base.errors import Refused
-from bench.base.lifecycle import Cause
+from bench.base.lifecycle import Cause, Request
 from bench.commissioning.machine.driver_machine import _Log
 from bench.commissioning.machine.inputs import of_simulation
 from bench.commissioning.machine.live_robot import Hands, LiveRobot, MachineLost, live_robot
@@ -212,6 +212,26 @@ def test_it_homes_arms_and_swings_as_a_bench_does(
         server.hold()
     server.obey(Vent(40.0))
     assert driver.commands[-1] == PASSIVE
+
+
+@compiled_only
+@pytest.mark.timeout(600)
+def test_an_arming_that_is_refused_for_a_moment_is_repeated(
+    server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request, refused = SwingOperator.request, list[int]()
+
+    def refuse_first(operator: Any, which: int) -> bool:
+        if which == Request.ARM and len(refused) < 3:
+            refused.append(which)
+            return False
+        return request(operator, which)
+
+    monkeypatch.setattr(SwingOperator, "request", refuse_first)
+    server.obey(ArmFor(bench_of(configuration, slow)))
+    assert len(refused) == 3
+    assert server.obey(Swing(slow, ball=False)).cause is Cause.NONE  # type: ignore[attr-defined]
+    server.obey(Vent(40.0))
 
 
 @compiled_only
