@@ -256,6 +256,9 @@ class LiveSeries:
                 called = True
             if waited > (_PERSON if person else patience):
                 fact, action = refusal_words(refusal, getattr(self._driver, "trouble", ""))
+                if not action:  # the state's cause says more
+                    fact, action = f"{fact}, {self._state.name}", "follow the text, then --resume"
+                    fact += f": {cause_text(operator.cause, self._stall())}" if operator.cause else ""
                 raise Refused(
                     f"{request.name.lower()} of the robot", fact, "an accepted request", f"{action}."
                 )

@@ -29,6 +29,7 @@ from bench.commissioning.machine.machine_server import (
     ArmFor,
     BePassive,
     LetIn,
+    LiveSeries,
     LockGuard,
     MachineServer,
     Run,
@@ -231,6 +232,25 @@ def test_an_arming_that_is_refused_for_a_moment_is_repeated(
     server.obey(ArmFor(bench_of(configuration, slow)))
     assert len(refused) == 3
     assert server.obey(Swing(slow, ball=False)).cause is Cause.NONE  # type: ignore[attr-defined]
+    server.obey(Vent(40.0))
+
+
+@compiled_only
+@pytest.mark.timeout(600)
+def test_a_state_that_refuses_to_arm_is_named_with_its_cause(
+    server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = SwingOperator.request
+
+    def swing_unarmed(operator: Any, which: int) -> bool:
+        return request(operator, Request.SWING if which == Request.ARM else which)
+
+    monkeypatch.setattr(SwingOperator, "request", swing_unarmed)
+    monkeypatch.setattr(LiveSeries._ask, "__defaults__", (0.5,))
+    with pytest.raises(Refused) as refused:
+        server.obey(ArmFor(bench_of(configuration, slow)))
+    assert refused.value.found == "not possible in this state, READY"
+    assert refused.value.action == "follow the text, then --resume."
     server.obey(Vent(40.0))
 
 
