@@ -41,12 +41,12 @@ def require_swings(
         ExceptionGroup: of BenchErrors, if one does not fit a club or cannot be swung here.
     """
     found, faults = dict[tuple[str, str], Profile](), list[Exception]()
-    when, others = when or datetime.now(UTC), swings_of_other_clubs(plan, configuration)
+    when = when or datetime.now(UTC)
     for swing, name in product(plan.design.swings, plan.design.clubs):
         path = find_profile(plan.profile(swing, name))
         profile = found[swing, name] = load_profile(path)
-        if (swing, name) in others:
-            faults.append(others[swing, name])
+        if misfit := _misfit(plan, configuration, swing, name, profile.club):
+            faults.append(misfit)
             continue
         mounted, calibration = _mount(plan, configuration, name, when)
         faults.extend(assess(mounted, calibration, profile, path).faults)
@@ -65,17 +65,25 @@ def swings_of_other_clubs(
     """
     found = {}
     for swing, name in product(plan.design.swings, plan.design.clubs):
-        path = find_profile(plan.profile(swing, name))
-        club = load_profile(path).club
-        if name != club and not felt_alike(plan.clubs[name], configuration.clubs.get(club)):
-            found[swing, name] = BenchError(
-                f"{path}: club",
-                f"a swing designed for club {club!r}",
-                f"one for {name!r}, or for a club of the same masses and lengths",
-                f"Design one (golfbench profile design, with club {name}) and name it: "
-                f'[swings.{swing}] {name} = "PROFILE".',
-            )
+        club = load_profile(find_profile(plan.profile(swing, name))).club
+        if misfit := _misfit(plan, configuration, swing, name, club):
+            found[swing, name] = misfit
     return found
+
+
+def _misfit(
+    plan: CampaignPlan, configuration: Configuration, swing: str, name: str, club: str
+) -> BenchError | None:
+    """Return the error of `swing` with the plan's club `name`, its profile being designed for `club`."""
+    if name == club or felt_alike(plan.clubs[name], configuration.clubs.get(club)):
+        return None
+    return BenchError(
+        f"{find_profile(plan.profile(swing, name))}: club",
+        f"a swing designed for club {club!r}",
+        f"one for {name!r}, or for a club of the same masses and lengths",
+        f"Design one (golfbench profile design, with club {name}) and name it: "
+        f'[swings.{swing}] {name} = "PROFILE".',
+    )
 
 
 def calibrated(

@@ -413,6 +413,7 @@ def report(
     from bench.campaign.report.report_format import UnitSystem
     from bench.campaign.report.report_tables import issue_report
     from bench.campaign.run.campaign_control import standing_now
+    from bench.records.telemetry.whole_file import whole_file
 
     with _found(context, campaign) as (store, entry):
         record = load_record(store, entry)
@@ -432,7 +433,8 @@ def report(
     typer.echo(str(path))
     if issue:  # each issue keeps its page
         issued = path.with_name(f"{path.stem}{record.number.removeprefix(entry.id)}{path.suffix}")
-        write_campaign_report(issued, record, found, UnitSystem(units))
+        with whole_file(issued) as stream:
+            stream.write(path.read_bytes())
         typer.echo(f"issued as {record.number}: {issued}")
 
 
@@ -588,13 +590,13 @@ def exclude(
 
     A running campaign does not repeat it.
     """
-    from bench.campaign.report.campaign_record import exclude_shot, load_record
+    from bench.campaign.report.campaign_record import ISSUE, exclude_shot
 
     with _found(context, campaign) as (store, entry):
         exclude_shot(store, entry.id, shot, reason, by or user_name(), datetime.now(UTC), undo=undo)
-        issues = load_record(store, entry).issues
+        is_issued = any(event.kind == ISSUE for event in store.events(entry.id))
     typer.echo(f"shot {shot} {'counts again' if undo else 'excluded'}: {reason.strip()}")
-    if issues:
+    if is_issued:
         typer.echo(
             "The issued report needs an amendment: golfbench campaign report ID --issue --reason TEXT."
         )

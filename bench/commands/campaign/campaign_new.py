@@ -181,12 +181,14 @@ def _write(
     if blocks is not None:
         sections["design"]["blocks"] = blocks
     plan = written()
-    for swing, club in swings_of_other_clubs(plan, configuration):
-        if len(fitting := profiles_for(club)) == 1:
-            sections.setdefault(f"swings.{swing}", {})[club] = fitting[0]
-    plan = written()
-    if left := [*swings_of_other_clubs(plan, configuration).values()]:
-        raise ExceptionGroup("the plan's swings do not fit", left)
+    if misfits := swings_of_other_clubs(plan, configuration):
+        for swing, club in list(misfits):
+            if len(fitting := profiles_for(club)) == 1:
+                sections.setdefault(f"swings.{swing}", {})[club] = fitting[0]
+                del misfits[swing, club]
+        plan = written()
+    if misfits:
+        raise ExceptionGroup("the plan's swings do not fit", list(misfits.values()))
     if blocks is None and (needed := outlook(plan).needed):
         sections["design"]["blocks"] = max(needed, plan.stop.blocks_at_least)
         plan = written()

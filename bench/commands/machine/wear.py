@@ -149,13 +149,7 @@ def _part_table(parts: list[PartWear], others: int) -> Table:
     table = plain_table("part", "value", *figures, "unit", right=figures, title=title)
     for one in parts:
         scale = one.value.scale
-        growth = (
-            "few swings"
-            if isnan(one.growth)
-            else f"{100 * scale * one.growth:+.2g}"
-            if one.growth
-            else "no trend"
-        )
+        growth = _trend(one.growth, f"{100 * scale * one.growth:+.2g}")
         row = (f"{scale * one.before:+.2f}", f"{scale * one.latest:+.2f}", f"{scale * one.error:.2f}")
         most = f"{scale * one.value.most:.2g}"
         style = "yellow" if one.is_worn else None
@@ -167,9 +161,14 @@ def _margin_table(found: list[Margin], title: str) -> Table:
     figures = ("first swings", "latest", "per 100 swings")
     table = plain_table("joint", "comparison", *figures, right=figures, title=title)
     for one in found:
-        growth = (
-            "few swings" if isnan(one.growth) else f"{1e4 * one.growth:+.1f}" if one.growth else "no trend"
-        )
+        growth = _trend(one.growth, f"{1e4 * one.growth:+.1f}")
         values: tuple[Any, ...] = (f"{100 * one.before:.0f}", f"{100 * one.latest:.0f}", growth)
         table.add_row(one.joint, one.kind, *values, style="yellow" if one.near else None)
     return table
+
+
+def _trend(growth: float, shown: str) -> str:
+    """Return `shown`, the text of `growth`, or the reason to show no figure."""
+    if isnan(growth):
+        return "few swings"
+    return shown if growth else "no trend"
