@@ -34,6 +34,7 @@ from bench.records.telemetry.cycle_record import CYCLE
 from bench.supervisor.child import Child
 
 _ENCODERS = (Cause.SHOULDER_ENCODER, Cause.ARM_ENCODER, Cause.WRIST_ENCODER)
+_JUMPS = (Cause.SHOULDER_JUMP, Cause.ARM_JUMP, Cause.WRIST_JUMP)
 BEFORE = 20
 """Records before the stop in which a stall of the loop explains it: one that begins there ends there."""
 
@@ -51,22 +52,24 @@ def stall_note(
     """
     if cause is Cause.DEVICE_PASSIVE:
         return trouble
-    if cause not in _ENCODERS:
+    if cause not in _ENCODERS + _JUMPS:
         return ""
     last = cycles[-BEFORE:]
-    missing = bool(np.all((last["encoder_valid"][-1] == 0) | (last["encoder_age"][-1] >= lost_time)))
+    lost, jump = last["encoder_valid"] == 0, cause in _JUMPS
+    late = np.all(lost | (last["encoder_age"] >= lost_time / 2), axis=1).any()
+    missing = np.all(lost[-1] | (last["encoder_age"][-1] >= lost_time))
     gap = float(last["measured_step"].max())
     if gap - period >= lost_time / 2:
         return (
             f"the loop stood still for {1e3 * gap:.1f} ms just before, a stall of this machine: run "
             "golfbench doctor; a simulated robot waits for the loop with golfbench run --time paced"
         )
-    if trouble:
+    if trouble and not jump:
         return trouble
-    if missing:
+    if missing or (jump and late):
         return (
-            "all three encoders were lost at once: check their bus and supply; with a simulated robot its "
-            "process stood still, a stall of this machine: golfbench run --time paced waits for it"
+            f"all three encoders were {'late' if jump else 'lost'} at once: check their bus and supply; with a "
+            "simulated robot its process stood still, a stall of this machine: golfbench run --time paced waits for it"
         )
     return ""
 

@@ -32,8 +32,8 @@ class NodesPlan:
     """Requested SCHED_FIFO priority; 0 for none."""
     cpu: int = -1
     """Processor core; -1 for any."""
-    burst: int = 5
-    """Max plant ticks caught up at once after a stall."""
+    burst: int = 25
+    """Max plant ticks caught up at once after a stall: more than a valve node's watchdog time."""
     faults: tuple[Fault, ...] = ()
     """Faults; no onset by phase."""
     encoder_personality: Personality | None = None

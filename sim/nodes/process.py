@@ -1,7 +1,8 @@
 """Process of the simulated CANopen nodes around the plant, in real time, on any CAN bus.
 
 Three encoders (CiA 406) and a node of valves and interlocks (CiA 401) as described by their EDS files. A SYNC
-samples the shafts at that instant: the plant's last tick, extrapolated with its speed. Operator actions and
+samples the shafts at that instant: the plant's last tick, extrapolated with its speed. Frames that waited
+while this process stood still are taken at their own time, the plant's ticks in between. Operator actions and
 faults come from `sim.live.surroundings`; the plant reports as in `sim.live.process`.
 
 `python -m sim.nodes.process` takes a pickled NodesPlan on stdin and reports "ready", "failed" or "stopped"
@@ -49,6 +50,8 @@ _RETRY_PERIOD = 0.5
 """Time between two attempts to reopen an interface, s."""
 _MAX_EXTRAPOLATION = 0.005
 """Max extrapolation of a stalled plant, s."""
+_MAX_AGE = 0.1
+"""Max age of a frame by its time stamp, s; more is a system clock that was set."""
 _LEAD, _PULL, _MAX_PULL = 0.3, 0.05, 20e-6
 """Synchronisation of the plant's ticks to shortly before the SYNCs, so that little is extrapolated: lead as a
 share of a tick, correction per SYNC as a share of the deviation, and max correction per SYNC (s)."""
@@ -175,8 +178,16 @@ class BenchNodes:
         self.instant = instant
         self._speed_before, self._speed = self._speed, self.plant.state["speed"][0].tolist()
 
-    def update_report(self, now: float) -> None:
-        """Update the devices and the plant's report from the plant at `now` (s)."""
+    def catch_up(self, grid: WallGrid, offset: float, now: float) -> None:
+        """Advance the plant by the ticks of `grid` (later by `offset`, s) that are due at `now` (s)."""
+        if due := grid.take_due(now - offset):
+            for _ in range(due):
+                self.move(grid.instant + offset)
+                grid.line += 1
+            self.update_report()
+
+    def update_report(self) -> None:
+        """Update the devices and the plant's report from the plant."""
         node = self.plant.node
         node.operational = self.valve_node.state == OPERATIONAL
         if node.trips != self.valve_node.errors:
@@ -255,7 +266,7 @@ def _warm_up(plan: NodesPlan) -> None:
     nodes.set_surroundings(_undisturbed(new_record(PLANT_SURROUNDINGS)))
     for tick in (1, 2):
         nodes.move(tick * plan.plant.tick)
-        nodes.update_report(tick * plan.plant.tick)
+        nodes.update_report()
 
 
 def _undisturbed(surroundings: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
@@ -278,7 +289,8 @@ def _live(
             if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
                 # A device latches its shaft at the bus time stamp of the SYNC, not when this process runs.
                 age = time.time() - message.timestamp
-                received = clock() - (age if 0.0 < age < _MAX_EXTRAPOLATION else 0.0)
+                received = clock() - (age if 0.0 < age < _MAX_AGE else 0.0)
+                nodes.catch_up(grid, offset, received)
                 nodes.receive(message.arbitration_id, bytes(message.data), received)
                 if message.arbitration_id == SYNC:
                     apart = (received - nodes.instant - _LEAD * tick + tick / 2) % tick - tick / 2
@@ -290,10 +302,7 @@ def _live(
         if (version := files.surroundings.read(surroundings)) != surrounded:
             surrounded = version
             nodes.set_surroundings(surroundings)
-        for _ in range(grid.take_due(now - offset)):
-            nodes.move(grid.instant + offset)
-            grid.line += 1
-        nodes.update_report(now)
+        nodes.catch_up(grid, offset, now)
         nodes.run_timers(now)
         report["lateness"] = late
         report["max_lateness"] = max(report["max_lateness"][0], late)

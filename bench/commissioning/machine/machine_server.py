@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.base.clock import Clock
 from bench.base.errors import Refused
-from bench.base.lifecycle import REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
+from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
 from bench.commissioning.machine.driver_machine import DriverMachine, stopped_by_operator
 from bench.commissioning.machine.machine import MotionBounds, Segment
 from bench.config import Configuration
@@ -59,6 +59,9 @@ _REPEATED = 3
 """Max swings whose record has gaps."""
 _SWINGS, _CHUNK = 300, 10
 """Max requests for a swing, and ticks between two."""
+
+_LATCHED = (State.ESTOP, State.FAULT)
+"""States that only a reset ends."""
 
 Say = Callable[[str], None]
 
@@ -182,7 +185,10 @@ class LiveSeries:
         if not len(stopped):
             return ""
         first, lost = int(stopped[0]), self.bench.envelope.lost_time
-        return stall_note(cycles[: first + 1], Cause(int(cycles["trip"][first])), lost, self._operator.period)
+        cause, trouble = Cause(int(cycles["trip"][first])), getattr(self._driver, "trouble", "")
+        if cause is Cause.TICK_GAP:
+            return CAUSE_WORDS[cause][1]
+        return stall_note(cycles[: first + 1], cause, lost, self._operator.period, trouble)
 
     def loads(self) -> Loads | None:
         """Return None: nothing measures them."""
@@ -226,10 +232,22 @@ class LiveSeries:
     # What a person does --------------------------------------------------------------------------------
 
     def _arm(self) -> None:
-        """Reset, home and arm, as far as it is needed."""
+        """Reset, home and arm, as far as it is needed; again after a stall of this machine."""
+        for _ in range(_REPEATED - 1):
+            self._operator.begin_record()
+            try:
+                return self._arm_once()
+            except Refused:
+                if self._operator.stop() or not (stall := self._stall()):
+                    raise
+                why = cause_text(self._operator.cause, stall)
+                self._say(f"stopped while arming: {why}; it is armed again")
+        return self._arm_once()
+
+    def _arm_once(self) -> None:
         operator = self._operator
         operator.wait_for(lambda: operator.phase is Phase.STANDING, LONGEST_STOP)
-        if self._state in (State.ESTOP, State.FAULT):
+        if self._state in _LATCHED:
             self._revive()
             self._ask(Request.RESET)
         if self._state is State.SAFE:
@@ -254,7 +272,8 @@ class LiveSeries:
             if person and not called:
                 self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
                 called = True
-            if waited > (_PERSON if person else patience):
+            latched = self._state in _LATCHED and request is not Request.RESET  # no waiting changes that
+            if latched or waited > (_PERSON if person else patience):
                 fact, action = refusal_words(refusal, getattr(self._driver, "trouble", ""))
                 if not action:  # the state's cause says more
                     fact, action = f"{fact}, {self._state.name}", "follow the text, then --resume"

@@ -35,6 +35,17 @@ def test_all_encoders_at_once_are_no_cable_of_one() -> None:
     assert "all three encoders were lost at once" in note(cycles)
 
 
+def test_an_encoder_that_jumps_after_a_stall_is_not_blamed() -> None:
+    cycles = records()
+    assert note(cycles, Cause.ARM_JUMP) == ""
+    cycles["encoder_age"][-3, 1] = 0.004
+    assert note(cycles, Cause.ARM_JUMP) == "", "one encoder alone is its own"
+    cycles["encoder_age"][-3] = 0.004
+    assert "all three encoders were late at once" in note(cycles, Cause.ARM_JUMP)
+    cycles["measured_step"][-4] = 0.006
+    assert "the loop stood still for 6.0 ms" in note(cycles, Cause.ARM_JUMP)
+
+
 def test_stall_note_names_the_trouble_of_the_device_before_cables() -> None:
     cycles = records()
     cycles["encoder_valid"][-5:, 0] = 0

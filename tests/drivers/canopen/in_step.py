@@ -122,7 +122,7 @@ class Wire:
         if self.now == tick:
             self._ticks += 1
             self.nodes.move(tick)
-            self.nodes.update_report(tick)
+            self.nodes.update_report()
         self.nodes.run_timers(self.now)
         self._deliver()
 

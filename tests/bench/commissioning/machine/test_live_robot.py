@@ -332,6 +332,39 @@ def test_a_swing_that_a_stall_stopped_is_repeated_and_said(
 
 @compiled_only
 @pytest.mark.timeout(600)
+def test_an_arming_that_a_stall_stopped_is_repeated_and_said(
+    server: MachineServer,
+    driver: WatchedDriver,
+    configuration: Configuration,
+    slow: Profile,
+    said: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A device that went passive while this machine stood still is set to work again."""
+    request, passive = SwingOperator.request, [False]
+
+    def stalled(operator: Any, which: int) -> bool:
+        if which == Request.ARM and not said:
+            passive[0] = True
+        return request(operator, which)
+
+    def reopened() -> None:
+        passive[0] = False
+
+    monkeypatch.setattr(SwingOperator, "request", stalled)
+    monkeypatch.setattr(driver, "trouble", "the interlocks have not been received", raising=False)
+    monkeypatch.setattr(WatchedDriver, "operational", property(lambda self: not passive[0]))
+    monkeypatch.setattr(driver, "close", reopened)
+    monkeypatch.setattr(driver, "open", reopened)
+    server.obey(ArmFor(bench_of(configuration, slow)))
+    assert len(said) == 1
+    assert "the interlocks have not been received; it is armed again" in said[0]
+    assert server.obey(Swing(slow, ball=False)).cause is Cause.NONE  # type: ignore[attr-defined]
+    server.obey(Vent(40.0))
+
+
+@compiled_only
+@pytest.mark.timeout(600)
 def test_no_ball_is_said(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
