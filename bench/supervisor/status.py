@@ -68,8 +68,9 @@ def stall_note(
         return trouble
     if missing or (jump and late):
         return (
-            f"all three encoders were {'late' if jump else 'lost'} at once: check their bus and supply; with a "
-            "simulated robot its process stood still, a stall of this machine: golfbench run --time paced waits for it"
+            f"all three encoders were {'late' if jump else 'lost'} at once: check their bus and supply; with "
+            "a simulated robot its process stood still, a stall of this machine: golfbench run --time paced "
+            "waits for it"
         )
     return ""
 
