@@ -236,7 +236,8 @@ class ModelSettings:
     """Stop when what is measured does not fit the plant's model; "simulated": only with the `sim` driver;
     "always": with each driver, for a robot that was measured."""
     off_reason: str = ""
-    """Why a real robot moves without the check. Needed there if it is off; each record has it."""
+    """Why a real robot moves without the check, or without a sensor in each chamber. Needed there; each
+    record has it."""
     standard_errors: dict[str, NotNegative] = field(default_factory=dict)
     """Standard errors of measured values, by their keys below [plant]; limits are made with them."""
     air: dict[str, PositiveTriple] = field(

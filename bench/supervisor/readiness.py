@@ -183,6 +183,8 @@ def assess(
     else:
         if not _chambers_have_sensors(c):
             warnings.append(HALF_BLIND)
+            if real and not model.off_reason.strip():
+                found.append(_half_blind(c))
         used = c.limits_in_use(profile, file)
         c = replace(c, envelope=replace(c.envelope, model=used.settings))
         if used.stale and real:
@@ -210,6 +212,18 @@ def _unwatched(c: Configuration) -> BenchError:
         "off with a real robot",
         '"always", or a reason in envelope.model.off_reason: a stuck valve is found too late without it',
         'Set it to "always" once the robot is measured: golfbench commission does.',
+    )
+
+
+def _half_blind(c: Configuration) -> BenchError:
+    """Return the fault of a real robot with a chamber that the check does not see, without a reason."""
+    section = {"canopen": "canopen.valve_node"}.get(c.driver.name, c.driver.name)
+    return BenchError(
+        f"{', '.join(map(str, c.files))}: {section}.chamber_pressures",
+        "a chamber without a sensor",
+        "a sensor in each chamber, or a reason in envelope.model.off_reason: some stuck valves are found too "
+        "late for the absorbers without them",
+        "Fit the sensors, then enter their inputs.",
     )
 
 

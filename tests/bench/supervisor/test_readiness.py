@@ -162,10 +162,16 @@ def test_assess_machine_whose_check_is_off_without_reason_blocks(machine: Machin
 
 
 def test_assess_machine_with_the_check_on_or_a_reason_arms(machine: Machine) -> None:
-    found = assess_bench(machine('[envelope.model]\ncheck = "always"\n'), NOW, running=True)
+    found = assess_bench(machine(f'{UNWATCHED}check = "always"\n'), NOW, running=True)
     assert (found.blocks(NOW), found.warnings) == ([], (HALF_BLIND,))  # it has no chamber sensors
     assert found.limits.endswith("default.limits.toml")
     assert codes(machine(UNWATCHED)) == []
+
+
+def test_assess_machine_without_chamber_sensors_blocks_without_a_reason(machine: Machine) -> None:
+    (block,) = assess_bench(machine('[envelope.model]\ncheck = "always"\n'), NOW, running=True).blocks(NOW)
+    assert block["found"] == "a chamber without a sensor"
+    assert "envelope.model.off_reason" in block["expected"]
 
 
 def test_assess_stale_limits_block_a_machine_and_warn_a_simulated_bench(
@@ -173,7 +179,7 @@ def test_assess_stale_limits_block_a_machine_and_warn_a_simulated_bench(
 ) -> None:
     stiffer = "[plant.wrist.friction]\ncoulomb = 49.0\n"
     (block,) = assess_bench(
-        machine(f'[envelope.model]\ncheck = "always"\n{stiffer}'), NOW, running=True
+        machine(f'{UNWATCHED}check = "always"\n{stiffer}'), NOW, running=True
     ).blocks(NOW)
     assert block["place"] == "limits of default"
     assert "another plant (wrist.friction.coulomb 45, here 49)" in block["found"]
