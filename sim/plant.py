@@ -2,7 +2,7 @@
 
 One call of `advance` moves the plant over one tick with a constant command. Inside, fixed substeps:
 the spools by their exact solution, everything else by Runge-Kutta of fourth order with exact sticking
-(`sim.motion`); the impact is found inside the substep by root finding and applies the same impulse
+(`sim.dynamics`); the impact is found inside the substep by root finding and applies the same impulse
 to ball and robot (`sim.tee`). `sense` (`sim.sensors`) computes the sensor readings.
 Identical inputs and seeds give identical bits.
 """
@@ -19,9 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from drivers.base.compiled import compiled, new_record
 from drivers.base.ranges import Range
 from sim.ball import Ball
-from sim.ground import SURFACES, SurfaceName
-from sim.impact import impact_parameters
-from sim.motion import (
+from sim.dynamics import (
     SCRATCH,
     STATES,
     head_geometry,
@@ -29,6 +27,8 @@ from sim.motion import (
     stop_coordinate,
     stop_depth,
 )
+from sim.ground import SURFACES, SurfaceName
+from sim.impact import impact_parameters
 from sim.pneumatics import GAS_CONSTANT, REFERENCE_TEMPERATURE, Actuator, EndStop, Friction, Supply
 from sim.robot import Club, Length, RobotParameters
 from sim.sensors import HISTORY, sense

@@ -6,9 +6,9 @@ from math import cos, sin, sqrt
 from typing import Any
 
 from drivers.base.compiled import compiled
+from sim.dynamics import head_geometry, head_jacobian, move
 from sim.impact import face_gap, impact_in_plane, meets_face, strike_point
 from sim.kane import kane_terms, solve_symmetric
-from sim.motion import head_geometry, head_jacobian, move
 
 _FACE_REACH = 0.07
 """Max distance of a contact point from the face's centre (m)."""
@@ -38,7 +38,7 @@ def find_contact(
     """Return the part (0..1) of the substep y..trial at which the face meets the ball; -1.0 if it does not.
 
     `trial` then becomes the state at contact. Illinois method on partial steps, to 1e-12 m of gap. A face
-    whose plane passes the ball beside the face misses it. Other arguments as `sim.motion.move`.
+    whose plane passes the ball beside the face misses it. Other arguments as `sim.dynamics.move`.
     """
     x, h, theta, vx, vy, _ = head_geometry(r, p, trial)
     reach = _FACE_REACH + step * sqrt(vx * vx + vy * vy)
@@ -95,7 +95,7 @@ def strike_ball(r: Any, p: Any, impact: Any, s: Any, y: Any) -> None:
     if not p.flexible:
         d1, d2, d3 = solve_symmetric(m11, m12, m13, m22, m23, m33, j1, j2, j3)
     else:
-        # As in sim.motion: the head's equation across the shaft is solved first and put into the joints'.
+        # As in sim.dynamics: the head's equation across the shaft is solved first and put into the joints'.
         mass = p.head_mass
         along1, along2, along3, across1, across2, across3 = head_jacobian(r, p, y[1], y[2], y[13])
         a3 = a12 + y[2]

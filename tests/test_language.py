@@ -56,7 +56,7 @@ MAX_NOTHINGS = 0
 
 MAX_LINES = 60
 WHOLE = {
-    "sim/motion.py:_derivative",
+    "sim/dynamics.py:_derivative",
     "sim/kane.py:kane_terms_at",
     "sim/impact.py:collide",
     "sim/plant.py:advance",

@@ -31,7 +31,7 @@ _SUFFIXED = re.compile(rf"(.+)_({'|'.join(SUFFIXES)})")
 _BAD = object()
 
 
-class Leaf(NamedTuple):
+class TomlValue(NamedTuple):
     """A value as written in a file."""
 
     value: Any
@@ -46,7 +46,7 @@ class Leaf(NamedTuple):
         return self.path.rsplit(".", 1)[-1]
 
 
-Tree = dict[str, "Tree | Leaf"]
+Tree = dict[str, "Tree | TomlValue"]
 """Tables of a file; values under the name of their field, without suffix."""
 
 
@@ -128,7 +128,7 @@ def as_tree(tables: Mapping[str, Any], file: Path, faults: list[BenchError], pat
             continue
         match = _SUFFIXED.fullmatch(key)
         name, suffix = match.groups() if match else (key, "")
-        if isinstance(before := tree.get(name), Leaf):
+        if isinstance(before := tree.get(name), TomlValue):
             faults.append(
                 BenchError(
                     f"{file}: {path}{key}",
@@ -137,7 +137,7 @@ def as_tree(tables: Mapping[str, Any], file: Path, faults: list[BenchError], pat
                     "Delete one of the two keys.",
                 )
             )
-        tree[name] = Leaf(value, file, f"{path}{key}", suffix)
+        tree[name] = TomlValue(value, file, f"{path}{key}", suffix)
     return tree
 
 
@@ -162,17 +162,17 @@ def without(tree: Tree, paths: Collection[str], above: str = "") -> Tree:
 def place_of(tree: Tree, file: Path, path: str) -> str:
     """Return file and key of dotted `path` as its author wrote it; `file` when the tree does not have it."""
     *above, last = path.split(".")
-    node: Tree | Leaf | None = tree
+    node: Tree | TomlValue | None = tree
     for name in above:
         node = node.get(name) if isinstance(node, dict) else None
     leaf = node.get(last) if isinstance(node, dict) else None
-    if isinstance(leaf, Leaf):
+    if isinstance(leaf, TomlValue):
         return f"{leaf.file}: {leaf.path}"
     files = [below.file for below in _leaves(leaf)] if isinstance(leaf, dict) else []
     return f"{file if file in files or not files else files[0]}: {path}"
 
 
-def _leaves(tree: Tree) -> Iterator[Leaf]:
+def _leaves(tree: Tree) -> Iterator[TomlValue]:
     for node in tree.values():
         if isinstance(node, dict):
             yield from _leaves(node)
@@ -216,7 +216,7 @@ class Builder:
         value = self._value(kind, self.tree, "")
         return None if self.faults else value
 
-    def _value(self, hint: Any, node: Tree | Leaf, path: str) -> Any:
+    def _value(self, hint: Any, node: Tree | TomlValue, path: str) -> Any:
         if is_dataclass(hint):
             if isinstance(node, dict):
                 return self._dataclass(hint, node, path, {})
@@ -303,7 +303,7 @@ class Builder:
         writable = [spelling for name, hint in keys.items() for spelling in _spellings(name, hint)]
         for name in sorted(names):
             entry = node[name]
-            key = entry.key if isinstance(entry, Leaf) else name
+            key = entry.key if isinstance(entry, TomlValue) else name
             action = did_you_mean(key, writable, "Delete it, or put it under its own table.")
             self._fault(f"{prefix}{name}", "an unknown key", f"one of {', '.join(keys)}", action)
 

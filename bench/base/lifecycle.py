@@ -1,8 +1,8 @@
 """States of the bench, phases of a swing, causes of a stop, and the tables of transitions and reactions.
 
-`EDGES` has the transitions between states, `STOPPING` the reaction to a cause: at 40 m/s the robot carries
-about 230 J and the air decides what happens, so the safe reaction depends on the phase and on what can still
-be trusted. The compiled control step reads them as `transition_table` and `reaction_table`.
+`TRANSITIONS` has the transitions between states, `STOP_REACTIONS` the reaction to a cause: at 40 m/s the
+robot carries about 230 J and the air decides what happens, so the safe reaction depends on the phase and on
+what can still be trusted. The compiled control step reads them as `transition_table` and `reaction_table`.
 """
 
 from __future__ import annotations
@@ -473,7 +473,7 @@ EMERGENCIES = frozenset({Cause.EMERGENCY_STOP, Cause.NETWORK_STOP, Cause.POWER_U
 """Causes that latch ESTOP; every other one latches FAULT."""
 
 
-class Edge(NamedTuple):
+class Transition(NamedTuple):
     """One transition between states."""
 
     source: State
@@ -492,43 +492,48 @@ _LEFT = "guard closed, then local reset pressed"
 _MOVES = (_S.HOMING, _S.ARMED, _S.SWINGING, _S.RECOVERING)
 _LATCHES = (_S.SAFE, _S.HOMING, _S.READY, _S.ARMED, _S.SWINGING, _S.RECOVERING, _S.ACCESS)
 
-EDGES = (
-    Edge(_S.STARTING, "warmed up", _S.ESTOP, "", "cause POWER_UP or RESTART"),
-    Edge(_S.ESTOP, "reset", _S.SAFE, f"{_GONE}; not homed", "never moves"),
-    Edge(_S.ESTOP, "reset", _S.READY, f"{_GONE}; homed", "never moves"),
-    Edge(_S.FAULT, "reset", _S.SAFE, f"{_GONE}; not homed", "never moves"),
-    Edge(_S.FAULT, "reset", _S.READY, f"{_GONE}; homed", "never moves"),
-    Edge(_S.READY, "index missing", _S.SAFE, "no reading trusted since the start"),
-    Edge(_S.SAFE, "home", _S.HOMING, f"{_CLEAR}, {_STILL}", "the only motion allowed until homed"),
-    Edge(_S.READY, "home", _S.HOMING, f"{_CLEAR}, {_STILL}"),
-    Edge(_S.HOMING, "homed", _S.READY, "angles plausible", "vented"),
-    Edge(_S.HOMING, "disarm, or lease lost", _S.SAFE, "", "brake, vent"),
-    Edge(
+TRANSITIONS = (
+    Transition(_S.STARTING, "warmed up", _S.ESTOP, "", "cause POWER_UP or RESTART"),
+    Transition(_S.ESTOP, "reset", _S.SAFE, f"{_GONE}; not homed", "never moves"),
+    Transition(_S.ESTOP, "reset", _S.READY, f"{_GONE}; homed", "never moves"),
+    Transition(_S.FAULT, "reset", _S.SAFE, f"{_GONE}; not homed", "never moves"),
+    Transition(_S.FAULT, "reset", _S.READY, f"{_GONE}; homed", "never moves"),
+    Transition(_S.READY, "index missing", _S.SAFE, "no reading trusted since the start"),
+    Transition(_S.SAFE, "home", _S.HOMING, f"{_CLEAR}, {_STILL}", "the only motion allowed until homed"),
+    Transition(_S.READY, "home", _S.HOMING, f"{_CLEAR}, {_STILL}"),
+    Transition(_S.HOMING, "homed", _S.READY, "angles plausible", "vented"),
+    Transition(_S.HOMING, "disarm, or lease lost", _S.SAFE, "", "brake, vent"),
+    Transition(
         _S.READY,
         "arm",
         _S.ARMED,
         f"no stop a moment ago, {_CLEAR}, recorder alive, no pressure shown in a chamber",
         "warn, charge, go to address",
     ),
-    Edge(_S.ARMED, "swing", _S.SWINGING, f"rests at the address, {_CLEAR}, recorder alive"),
-    Edge(_S.ARMED, "disarm, time-out, lease or recorder lost", _S.READY, "at rest", "vent"),
-    Edge(_S.ARMED, "disarm, lease or recorder lost", _S.RECOVERING, "on the way to address", "brake"),
-    Edge(_S.SWINGING, "swing over", _S.RECOVERING, "", "return to the address"),
-    Edge(_S.RECOVERING, "back at the address", _S.READY, "", "vent"),
-    Edge(_S.RECOVERING, "back at the address", _S.ARMED, "series asked for, lease and recorder never lost"),
-    Edge(_S.RECOVERING, "at rest", _S.READY, "was braking", "vent"),
-    Edge(_S.SAFE, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
-    Edge(_S.READY, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
-    Edge(_S.ACCESS, "secure", _S.SAFE, f"{_LEFT}; not homed", "lock the guard"),
-    Edge(_S.ACCESS, "secure", _S.READY, f"{_LEFT}; homed", "lock the guard"),
-    Edge(_S.ESTOP, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
-    Edge(_S.FAULT, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
-    Edge(_S.ACCESS, "secure", _S.ESTOP, f"{_LEFT}; its cause still latched", "lock the guard"),
-    Edge(_S.ACCESS, "secure", _S.FAULT, f"{_LEFT}; its cause still latched", "lock the guard"),
-    *(Edge(s, "emergency stop", _S.ESTOP, "at standstill", "stopping table, then vent") for s in _LATCHES),
-    *(Edge(s, "fault", _S.FAULT, "at standstill", "stopping table, then vent") for s in _LATCHES),
-    *(Edge(s, "stop", _S.FAULT, "at standstill", "stopping table, then vent") for s in _MOVES),
-    Edge(_S.FAULT, "emergency stop", _S.ESTOP),
+    Transition(_S.ARMED, "swing", _S.SWINGING, f"rests at the address, {_CLEAR}, recorder alive"),
+    Transition(_S.ARMED, "disarm, time-out, lease or recorder lost", _S.READY, "at rest", "vent"),
+    Transition(_S.ARMED, "disarm, lease or recorder lost", _S.RECOVERING, "on the way to address", "brake"),
+    Transition(_S.SWINGING, "swing over", _S.RECOVERING, "", "return to the address"),
+    Transition(_S.RECOVERING, "back at the address", _S.READY, "", "vent"),
+    Transition(
+        _S.RECOVERING, "back at the address", _S.ARMED, "series asked for, lease and recorder never lost"
+    ),
+    Transition(_S.RECOVERING, "at rest", _S.READY, "was braking", "vent"),
+    Transition(_S.SAFE, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
+    Transition(_S.READY, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
+    Transition(_S.ACCESS, "secure", _S.SAFE, f"{_LEFT}; not homed", "lock the guard"),
+    Transition(_S.ACCESS, "secure", _S.READY, f"{_LEFT}; homed", "lock the guard"),
+    Transition(_S.ESTOP, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
+    Transition(_S.FAULT, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
+    Transition(_S.ACCESS, "secure", _S.ESTOP, f"{_LEFT}; its cause still latched", "lock the guard"),
+    Transition(_S.ACCESS, "secure", _S.FAULT, f"{_LEFT}; its cause still latched", "lock the guard"),
+    *(
+        Transition(s, "emergency stop", _S.ESTOP, "at standstill", "stopping table, then vent")
+        for s in _LATCHES
+    ),
+    *(Transition(s, "fault", _S.FAULT, "at standstill", "stopping table, then vent") for s in _LATCHES),
+    *(Transition(s, "stop", _S.FAULT, "at standstill", "stopping table, then vent") for s in _MOVES),
+    Transition(_S.FAULT, "emergency stop", _S.ESTOP),
 )
 """All transitions between states; the control step takes no other. Requests are named as in `Request`."""
 
@@ -556,9 +561,9 @@ Table = list[list[int]]
 
 
 def transition_table() -> Table:
-    """Return EDGES as a table [source][target] of 0 and 1; any state may stay."""
+    """Return TRANSITIONS as a table [source][target] of 0 and 1; any state may stay."""
     table = [[int(source is target) for target in State] for source in State]
-    for edge in EDGES:
+    for edge in TRANSITIONS:
         table[edge.source][edge.target] = 1
     return table
 
@@ -568,7 +573,7 @@ def accepted_table() -> Table:
     return [[int(state in ACCEPTED_IN[request]) for state in State] for request in Request]
 
 
-TRUSTED, LOST, EMERGENCY, DISOBEYED, WRIST_DISOBEYED, DOUBTED = 0, 1, 2, 3, 4, 5
+READINGS_VALID, READINGS_LOST, EMERGENCY, ACTUATOR_FAULT, WRIST_FAULT, CHAMBER_SUSPECT = 0, 1, 2, 3, 4, 5
 """Columns of the stopping table: readings trusted, readings lost, emergency stop with readings trusted, a
 shoulder or arm that does not obey, a wrist that does not, one chamber alone that does not fit."""
 
@@ -606,7 +611,7 @@ _BLOW = (
     Reaction.COMPLETE,
 )
 
-STOPPING: dict[Phase, tuple[Reaction, Reaction, Reaction, Reaction, Reaction, Reaction]] = {
+STOP_REACTIONS: dict[Phase, tuple[Reaction, Reaction, Reaction, Reaction, Reaction, Reaction]] = {
     Phase.STANDING: _STANDING,
     Phase.HOMING: _SLOW,
     Phase.HOLD: _SLOW,
@@ -632,4 +637,4 @@ its air is worth more than its cut."""
 
 def reaction_table() -> Table:
     """Return the stopping table as a table [phase][column]."""
-    return [[int(reaction) for reaction in STOPPING[phase]] for phase in Phase]
+    return [[int(reaction) for reaction in STOP_REACTIONS[phase]] for phase in Phase]

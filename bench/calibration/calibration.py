@@ -16,7 +16,7 @@ from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import Builder, as_tree
 from bench.base.lifecycle import Block
 from bench.config import Configuration, contradictions
-from bench.records.telemetry.zero_shift import CalibratedShifts
+from bench.records.telemetry.encoder_preset import CalibratedShifts
 from drivers.base import Triple
 from drivers.base.ranges import Range
 from sim.plant import Sign, ZeroCount

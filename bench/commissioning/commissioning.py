@@ -16,18 +16,19 @@ import numpy as np
 from bench.base.errors import BenchError, Refused
 from bench.calibration.calibration import SeenInputs
 from bench.commissioning.machine.driver_machine import Stalled
-from bench.commissioning.machine.known_robot import FoundValue, KnownRobot
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
+from bench.commissioning.machine.robot_estimate import ParameterEstimate, RobotEstimate
 from bench.commissioning.machine.step import (
     SWING_FILE,
     CommissioningStep,
+    MachineFault,
     NamedStep,
     StepResult,
     SwingingStep,
     SwungRobot,
     Traces,
-    WrongMachine,
 )
+from bench.commissioning.steps.friction_identification import Leakage, SlowMoves
 from bench.commissioning.steps.inputs_check import (
     InputHands,
     InputsStep,
@@ -36,13 +37,12 @@ from bench.commissioning.steps.inputs_check import (
     raise_findings,
 )
 from bench.commissioning.steps.response_times import ResponseTimes
-from bench.commissioning.steps.slow_moves import Leakage, SlowMoves
 from bench.commissioning.steps.wiring import ValveEdges, Wiring
-from bench.commissioning.swings.rising_swings import LearnedSwing, RisingSwings
 from bench.commissioning.swings.robot_swings import HealthyLimits, with_following_limits
+from bench.commissioning.swings.speed_ramp import LearnedSwing, RisingSwings
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot
 from bench.config import Configuration
-from bench.records.telemetry.whole_file import whole_file
+from bench.records.telemetry.atomic_file import atomic_file
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
 
@@ -72,11 +72,11 @@ class DoneStep(NamedTuple):
     """Time of the bench, s."""
     record: str
     """File of its traces, from the state's folder."""
-    values: tuple[FoundValue, ...]
+    values: tuple[ParameterEstimate, ...]
     notes: tuple[str, ...]
 
 
-class WrongFound(NamedTuple):
+class FaultRecord(NamedTuple):
     """What ended a commissioning."""
 
     step: str
@@ -100,10 +100,10 @@ class Commissioning:
     robot: str = ""
     """File of the robot that truly moved last, simulated; empty: the configured one."""
     done: list[DoneStep] = field(default_factory=list)
-    wrong: WrongFound | None = None
+    wrong: FaultRecord | None = None
 
     @property
-    def values(self) -> list[FoundValue]:
+    def values(self) -> list[ParameterEstimate]:
         """All values found, those of later steps last."""
         return [value for step in self.done for value in step.values]
 
@@ -129,7 +129,7 @@ class Commissioning:
             ],
             "wrong": None if self.wrong is None else self.wrong._asdict(),
         }
-        with whole_file(self.folder / STATE_FILE) as stream:
+        with atomic_file(self.folder / STATE_FILE) as stream:
             stream.write(json.dumps(content, indent=1).encode())
 
 
@@ -173,13 +173,13 @@ def read_state(folder: Path) -> Commissioning:
             DoneStep(
                 **step
                 | {
-                    "values": tuple(FoundValue(**value) for value in step["values"]),
+                    "values": tuple(ParameterEstimate(**value) for value in step["values"]),
                     "notes": tuple(step["notes"]),
                 }
             )
             for step in content["done"]
         ]
-        wrong = None if content["wrong"] is None else WrongFound(**content["wrong"])
+        wrong = None if content["wrong"] is None else FaultRecord(**content["wrong"])
         digest, configuration, simulated = (content[k] for k in ("digest", "configuration", "simulated"))
         robot = str(content["robot"])
         return Commissioning(folder, digest, configuration, simulated, robot, done, wrong)
@@ -241,7 +241,7 @@ def see_inputs(
     is enough. `keep` stores a check.
 
     Raises:
-        WrongMachine: an input is wrong; the state says so.
+        MachineFault: an input is wrong; the state says so.
         Refused: no person is there, or the device fails.
     """
     if in_force is None and state.has_done(INPUTS_STEP):
@@ -269,17 +269,17 @@ def commission(
     observe: Callable[[], tuple[str, ...]] = tuple,
     on_step: Callable[[NamedStep], None] = lambda step: None,
     progress: Callable[[str], None] = lambda what: None,
-) -> KnownRobot:
+) -> RobotEstimate:
     """Do the measuring steps of `state` that are not done; store it after each.
 
     The machine is passive at the end. `observe` returns further notes after a step, such as a simulated
     robot's loads; `progress` is given each motion within a step.
 
     Raises:
-        WrongMachine: a step found the machine wrong; the state says so.
+        MachineFault: a step found the machine wrong; the state says so.
         Refused: an interlock ended a step, or stalls ended it again and again; it is repeated when resumed.
     """
-    known = KnownRobot(nominal, state.values)
+    known = RobotEstimate(nominal, state.values)
     try:
         while (step := state.next_step()) is not None:
             on_step(step)
@@ -305,7 +305,7 @@ def commission_swings(
     """Do the swinging steps of `state` that are not done, on `robot`, which is `known` as measured.
 
     Raises:
-        WrongMachine: a step found the machine wrong; the state says so.
+        MachineFault: a step found the machine wrong; the state says so.
         Refused: the robot did not come to its address; the step is repeated when resumed.
         BenchError: the package casadi is not installed.
     """
@@ -340,8 +340,8 @@ def _noting_what_is_wrong(
     """Store in `state` that `step` found the machine wrong, if it does."""
     try:
         yield
-    except WrongMachine as error:
-        state.wrong = WrongFound(
+    except MachineFault as error:
+        state.wrong = FaultRecord(
             step.name, now().isoformat(), error.place, error.found, error.expected, error.action
         )
         state.save()
@@ -374,7 +374,7 @@ def _do(
     step: CommissioningStep,
     state: Commissioning,
     machine: CommissionedMachine,
-    known: KnownRobot,
+    known: RobotEstimate,
     now: Callable[[], datetime],
     observe: Callable[[], tuple[str, ...]],
     progress: Callable[[str], None],
@@ -389,7 +389,10 @@ def _do(
 
 
 def _measured(
-    step: CommissioningStep, machine: CommissionedMachine, known: KnownRobot, progress: Callable[[str], None]
+    step: CommissioningStep,
+    machine: CommissionedMachine,
+    known: RobotEstimate,
+    progress: Callable[[str], None],
 ) -> tuple[Traces, tuple[str, ...]]:
     """Return the traces of `step` and the stalls after which it was repeated, from the vented machine.
 
@@ -417,5 +420,5 @@ def write_traces(path: Path, traces: Traces) -> None:
         for name, trace in traces.items()
         for column, array in trace.arrays().items()
     }
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]

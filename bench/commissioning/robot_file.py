@@ -11,7 +11,7 @@ import jinja2
 
 from bench.base.to_toml import toml_value
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning
-from bench.commissioning.machine.known_robot import FoundValue, KnownRobot
+from bench.commissioning.machine.robot_estimate import ParameterEstimate, RobotEstimate
 from bench.commissioning.machine.step import NamedStep
 from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
@@ -43,7 +43,7 @@ _CLUB, _SUPPLY, _ENCODERS = "robot.club", "supply.pressure", "encoders"
 
 
 def robot_file(
-    known: KnownRobot,
+    known: RobotEstimate,
     base: str,
     made: date,
     envelope: EnvelopeSettings | None = None,
@@ -88,7 +88,7 @@ def robot_file(
     return "\n".join(lines) + "\n"
 
 
-def _calibration(known: KnownRobot) -> list[str]:
+def _calibration(known: RobotEstimate) -> list[str]:
     """Return comments that say how the encoders' zeros are stored as a calibration."""
     encoders = known.plant.encoders
     errors = [
@@ -103,9 +103,9 @@ def _calibration(known: KnownRobot) -> list[str]:
     ]
 
 
-def _keys(found: Iterable[FoundValue]) -> dict[str, list[FoundValue]]:
+def _keys(found: Iterable[ParameterEstimate]) -> dict[str, list[ParameterEstimate]]:
     """Return the values by their keys, elements of a list under the list's."""
-    keys: dict[str, list[FoundValue]] = {}
+    keys: dict[str, list[ParameterEstimate]] = {}
     for value in found:
         name, _, last = value.key.rpartition(".")
         keys.setdefault(name if last.isdigit() else value.key, []).append(value)
@@ -120,7 +120,7 @@ def commissioning_report(state: Commissioning, nominal: PlantParameters, made: d
     template = environment.from_string(
         (files("bench.commissioning") / "commissioning.html.j2").read_text(encoding="utf-8")
     )
-    known = KnownRobot(nominal, state.values)
+    known = RobotEstimate(nominal, state.values)
     done = {step.name for step in state.done}
     return template.render(
         state=state,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from bench.base.configuration_files import PRINT, SHIPPED, find_configuration, read_layers, shown_path
 from bench.base.errors import BenchError
-from bench.base.from_toml import Builder, Leaf, Tree, errors_of, format_value, laid_over, place_of
+from bench.base.from_toml import Builder, TomlValue, Tree, errors_of, format_value, laid_over, place_of
 from bench.config.club_site import ClubSite
 from bench.config.defaults import DERIVED, default_tables
 from bench.config.rules import RULES
@@ -60,7 +60,7 @@ def _complete_likes(tree: Tree, section: str, file: Path, faults: list[BenchErro
         name: entry for name, entry in entries.items() if isinstance(entry, dict) and "like" not in entry
     }
     for name, entry in entries.items():
-        if isinstance(entry, dict) and isinstance(like := entry.get("like"), Leaf):
+        if isinstance(entry, dict) and isinstance(like := entry.get("like"), TomlValue):
             if isinstance(like.value, str) and like.value in whole:
                 rest = {key: node for key, node in entry.items() if key != "like"}
                 entries[name] = laid_over(whole[like.value], rest)

@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.base.address import address_mistakes, database_url
 from bench.base.errors import BenchError
-from bench.base.from_toml import Leaf, Mistake, Tree, format_value
+from bench.base.from_toml import Mistake, TomlValue, Tree, format_value
 from bench.config.safety import check_safety
 from bench.config.settings import Configuration
 from bench.control.measured_plant import value_at
@@ -147,11 +147,11 @@ def _linkage(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             )
 
 
-def _leaf(tree: Tree, path: str) -> Leaf | None:
+def _leaf(tree: Tree, path: str) -> TomlValue | None:
     node: Any = tree
     for part in path.split("."):
         node = node.get(part, {})
-    return node if isinstance(node, Leaf) else None
+    return node if isinstance(node, TomlValue) else None
 
 
 def _times(c: Configuration, tree: Tree) -> Iterator[Mistake]:
@@ -195,12 +195,12 @@ def _gains(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         yield key, format_value(value), 'not set, as gains are from the "machine"', action
 
 
-def _is_below(leaf: Leaf | None, other: Leaf | None, files: tuple[Path, ...]) -> bool:
+def _is_below(leaf: TomlValue | None, other: TomlValue | None, files: tuple[Path, ...]) -> bool:
     """Return whether `leaf` is of a file that `other`'s is laid over."""
     return leaf is not None and other is not None and _layer(leaf, files) < _layer(other, files)
 
 
-def _layer(leaf: Leaf, files: tuple[Path, ...]) -> int:
+def _layer(leaf: TomlValue, files: tuple[Path, ...]) -> int:
     """Return the place of a value's file among those laid over each other; -1 for the defaults."""
     return files.index(leaf.file) if leaf.file in files else -1
 

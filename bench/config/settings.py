@@ -13,8 +13,8 @@ from bench.base.address import BenchSettings, NetworkSettings
 from bench.base.errors import BenchError
 from bench.base.from_toml import format_value
 from bench.config.club_site import ClubSite
-from bench.control.made_for import MadeFor
-from bench.control.model_limits import LimitsInUse, limits_in_use, limits_path
+from bench.control.made_for import LimitsFingerprint
+from bench.control.residual_thresholds import LimitsInUse, limits_in_use, limits_path
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,
@@ -189,7 +189,7 @@ class Configuration:
         Raises:
             BenchError: a file of limits is invalid.
         """
-        bench = MadeFor.of(profile, self.plant, self.control, self.envelope, self.estimator)
+        bench = LimitsFingerprint.of(profile, self.plant, self.control, self.envelope, self.estimator)
         return limits_in_use(self.envelope.model, bench, self.limits_files(file))
 
     def for_profile(self, profile: Profile, file: Path) -> Configuration:

@@ -16,7 +16,7 @@ from bench.base.to_toml import toml_value
 from bench.config.defaults import keys_of, plain
 from bench.config.settings import Configuration
 from drivers.base.ranges import short
-from sim.origins import ORIGINS
+from sim.parameter_sources import ORIGINS
 
 _COLUMN = 34
 _WIDTH = 110

@@ -22,7 +22,7 @@ NAMES_IN_FILES: Mapping[str, str] = {}
 """Names of values in files of limits where they are called otherwise in the code: a renamed key keeps its
 name there, so that no limits become stale."""
 
-NOT_FELT = frozenset(
+IGNORED_FIELDS = frozenset(
     {
         # They differ from swing to swing, or act only at rest.
         "ball",
@@ -44,13 +44,13 @@ NOT_FELT = frozenset(
 )
 """Values of the plant, and groups of them, that do not make limits stale."""
 
-LEAST_FELT_TEE_SHIFT = 0.013
+MIN_RELEVANT_TEE_SHIFT = 0.013
 """Shift of the tee (m) towards heel or toe from which on it makes limits stale: nearer, the joints' speeds
 after the blow differ by less than a third of what their comparison allows for."""
 SHARE = 0.02
 """Share by which a value of the plant may differ: less than the tolerances of the drawn robots."""
 TOLERANCES: Values = {
-    "robot.club.tee_shift": 0.999 * LEAST_FELT_TEE_SHIFT,
+    "robot.club.tee_shift": 0.999 * MIN_RELEVANT_TEE_SHIFT,
     "robot.club.face_angle": 0.02,
     "wrist_lever_angle": 0.01,
     "site.ball_x": 0.005,
@@ -64,7 +64,7 @@ TOLERANCES: Values = {
 """By what values of the plant may differ at least, where a share says nothing (m, rad, s, openings)."""
 
 
-class MadeFor(NamedTuple):
+class LimitsFingerprint(NamedTuple):
     """A profile, a plant and a controller as far as a swing feels them."""
 
     profile: str
@@ -80,8 +80,8 @@ class MadeFor(NamedTuple):
         control: ControlSettings,
         envelope: EnvelopeSettings,
         estimator: EstimatorSettings,
-    ) -> MadeFor:
-        """Return the values of a bench: the plant's without NOT_FELT, the envelope's that act on commands."""
+    ) -> LimitsFingerprint:
+        """Return the values of a bench: the plant's but for IGNORED_FIELDS, the envelope's bounds of commands."""
         acting = {
             "control": _as_acting(control, plant),
             "estimator": asdict(estimator),
@@ -89,7 +89,7 @@ class MadeFor(NamedTuple):
         }
         return cls(digest_of(profile), dict(_named(asdict(plant))), dict(_named(acting)))
 
-    def differences(self, bench: MadeFor) -> list[str]:
+    def differences(self, bench: LimitsFingerprint) -> list[str]:
         """Return what of `bench` is not as in this one, for people; empty if these limits hold for it."""
         plant = _differing(self.plant, bench.plant, SHARE)
         controller = _differing(self.controller, bench.controller, 0.0)
@@ -119,7 +119,7 @@ def _named(values: Mapping[str, Any], group: str = "") -> Iterator[tuple[str, An
     """Yield the felt values of a nested table by their names in files."""
     for key, value in values.items():
         name = f"{group}.{key}".lstrip(".")
-        if name in NOT_FELT:
+        if name in IGNORED_FIELDS:
             continue
         if isinstance(value, Mapping):
             yield from _named(value, name)

@@ -8,10 +8,10 @@ import numpy as np
 
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from bench.control.envelope import interlock_cause
-from bench.control.monitor.air_watch import air_cause, all_chambers_are_seen, chambers_show_pressure
+from bench.control.monitor.pressure_monitor import air_cause, all_chambers_are_seen, chambers_show_pressure
 from drivers.base.compiled import compiled
 
-STOP_HOLDS = 1.5
+STOP_LOCKOUT_TIME = 1.5
 """s after a stop in which nothing that moves begins: requests on their way when it came are older than it.
 The command plane does no request that has waited for longer than this less half a second, in which the loop
 takes it."""
@@ -140,7 +140,7 @@ def _access_refusal(p: Any, s: Any, readings: Any, time: float) -> int:
 
 
 @compiled
-def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: float) -> int:
+def check_request(state: Any, parameters: Any, readings: Any, request: int, time: float) -> int:
     """Return why `request` is refused now, or Refusal.NONE; a stop is never refused."""
     s, p = state.control[0], parameters.control[0]
     if request in (Request.STOP, Request.EMERGENCY_STOP):
@@ -175,7 +175,7 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
         failing = _failing(s, request)
         if failing != 0:
             return failing
-        if request != Request.RESET and time - s.stopped_at < STOP_HOLDS:
+        if request != Request.RESET and time - s.stopped_at < STOP_LOCKOUT_TIME:
             return Refusal.STOPPED
         settling = _settling(p, s, request, time)
         if settling != 0:
@@ -202,7 +202,7 @@ def refusal_of(state: Any, parameters: Any, readings: Any, request: int, time: f
 
 
 @compiled
-def take_request(state: Any, parameters: Any, readings: Any, time: float) -> int:
+def handle_request(state: Any, parameters: Any, readings: Any, time: float) -> int:
     """Answer the request of this tick; return it if accepted, otherwise 0."""
     s = state.control[0]
     request = s.request
@@ -216,7 +216,7 @@ def take_request(state: Any, parameters: Any, readings: Any, time: float) -> int
     if request in (Request.STOP, Request.EMERGENCY_STOP) and s.answered_number == s.request_number != 0:
         return int(request)
     s.answered_number = s.request_number
-    s.refusal = refusal_of(state, parameters, readings, request, time)
+    s.refusal = check_request(state, parameters, readings, request, time)
     if s.refusal != 0:
         s.answer = Answer.REFUSED
         return 0

@@ -21,18 +21,18 @@ from bench.base.lifecycle import (
 from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimate.encoder import design_encoders
 from bench.control.estimate.estimator import design_estimator
-from bench.control.estimate.model import ARMING, BLOW, BRAKING, KINDS, LEARNING, MODEL_LIMITS
-from bench.control.law.demand import demand_for
+from bench.control.estimate.residual_monitor import ARMING, BRAKING, KINDS, LEARNING, MODEL_LIMITS, SHOCK
 from bench.control.law.feed_forward import CODES, FeedForward, kane_gains
+from bench.control.law.force_reference import demand_for
+from bench.control.law.gain_scheduling import machine_gains
 from bench.control.law.gain_table import GainTable, constant_gains
 from bench.control.law.gains import Gains
-from bench.control.law.machine_gains import machine_gains
 from bench.control.law.pid import design_pid
-from bench.control.moves import escape
+from bench.control.moves import turf_avoidance
 from bench.control.moves.braking import lifted_angle
-from bench.control.moves.planned_air import swing_periods, swing_shares, swing_widths
 from bench.control.moves.pressed_stops import pressed_stops, stop_tolerance
-from bench.control.records import CONTROL_PARAMETERS, PROFILE, ControlParameters
+from bench.control.moves.pressure_plan import dither_amplitudes, dither_duties, dither_periods
+from bench.control.step_records import CONTROL_PARAMETERS, PROFILE, ControlParameters
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from drivers.base.compiled import new_record
@@ -84,7 +84,7 @@ class ControlSettings:
 
     gains: GainSource = "machine"
     """Gains of PIDs, damping and slow moves: "machine", by pose from the robot's linearised loops
-    (`bench.control.law.machine_gains`); "hand", those of `pid`, `damping` and `move_gain`."""
+    (`bench.control.law.gain_scheduling`); "hand", those of `pid`, `damping` and `move_gain`."""
     pid: PidSettings = field(default_factory=PidSettings)
     """Gains set by hand."""
     feed_forward: FeedForward = "planned"
@@ -227,9 +227,9 @@ class HomingSettings:
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """The model-based check (`bench.control.estimate.model`) and its limits by phase.
+    """The model-based check (`bench.control.estimate.residual_monitor`) and its limits by phase.
 
-    These hold for profiles without limits of their own (`bench.control.model_limits`).
+    These hold for profiles without limits of their own (`bench.control.residual_thresholds`).
     """
 
     check: Literal["off", "simulated", "always"] = "off"
@@ -405,7 +405,7 @@ MODEL_PHASES = {kind: _WATCHED | ({"standing": Phase.STANDING} if kind == "jump"
 """Phases that have a limit, by comparison. While the robot stands only a jump means something."""
 _ROWS = {name: phase.value for name, phase in MODEL_PHASES["jump"].items()} | {
     **{f"braking_{name}": BRAKING + phase for name, phase in _WATCHED.items()},
-    "blow": BLOW,
+    "blow": SHOCK,
     "arming": ARMING,
 }
 MODEL_ROWS = _ROWS | {f"learning_{name}": LEARNING + row for name, row in _ROWS.items()}
@@ -570,7 +570,7 @@ def _control_record(
                 record[setting.name] = CODES.index(value) if setting.name == "feed_forward" else value
     if plant.site.surface != "none":
         record["lift_gain"], record["lift_angle"] = control.follow_through_lift, lifted_angle(plant)
-        record["escape_opening"], record["escape_time"] = escape.OPENINGS, escape.TIMES
+        record["escape_opening"], record["escape_time"] = turf_avoidance.OPENINGS, turf_avoidance.TIMES
     record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
     record["home_stop"] = pressed_stops(plant, homing.direction)
     record["home_stop_tolerance"] = stop_tolerance(plant, profile, homing.direction, homing.head_tolerance)
@@ -652,7 +652,7 @@ def _model_record(settings: ModelSettings, *, learning: bool) -> np.ndarray:
     for kind, phases in MODEL_PHASES.items():
         table, limits = getattr(settings, kind), record[kind][0]
         limits[:] = inf
-        limits[[BLOW, LEARNING + BLOW]] = table["follow_through"]
+        limits[[SHOCK, LEARNING + SHOCK]] = table["follow_through"]
         limits[[ARMING, LEARNING + ARMING]] = table.get("arming", table["return"])
         for name, phase in phases.items():
             if name in table:
@@ -670,7 +670,7 @@ def _profile_record(profile: Profile, plant: PlantParameters, machine: np.ndarra
     if profile.air:
         record["air_planned"] = True
         record["air"], record["air_supply"] = profile.air, profile.air_supply
-        record["air_width"] = swing_widths(plant, machine, profile.angle[0])
-        record["air_period"] = swing_periods(plant)
-        record["air_share"] = swing_shares(plant, record["air_width"][0])
+        record["dither_amplitude"] = dither_amplitudes(plant, machine, profile.angle[0])
+        record["dither_period"] = dither_periods(plant)
+        record["dither_duty"] = dither_duties(plant, record["dither_amplitude"][0])
     return record

@@ -1,6 +1,6 @@
-"""Changes of the bench's state: one function makes them, and only along EDGES of `bench.base.lifecycle`.
+"""Changes of the bench's state: one function makes them, only along TRANSITIONS of `bench.base.lifecycle`.
 
-A change that EDGES does not have is a fault of this program: it stops the bench in the same tick.
+A change that TRANSITIONS does not have is a fault of this program: it stops the bench in the same tick.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.base.lifecycle import LOST, TRUSTED, Cause, Phase, Reaction, State
+from bench.base.lifecycle import READINGS_LOST, READINGS_VALID, Cause, Phase, Reaction, State
 from drivers.base.compiled import compiled
 
 _CALMING = 0.03
@@ -19,7 +19,7 @@ _MOVES = 3.0
 
 
 @compiled
-def note_calm(s: Any, p: Any, e: Any, elapsed: float) -> None:
+def filter_velocity(s: Any, p: Any, e: Any, elapsed: float) -> None:
     """Smooth the estimated velocities (rad/s) on by `elapsed` s; one that is no number counts as motion."""
     for i in range(3):
         most = _MOVES * p.still_speed[i]
@@ -28,7 +28,7 @@ def note_calm(s: Any, p: Any, e: Any, elapsed: float) -> None:
 
 
 @compiled
-def is_calm(s: Any, p: Any) -> bool:
+def is_at_rest(s: Any, p: Any) -> bool:
     """Return whether the robot rests, as far as smoothed velocities show."""
     calm = True
     for i in range(3):
@@ -37,7 +37,7 @@ def is_calm(s: Any, p: Any) -> bool:
 
 
 @compiled
-def is_still(p: Any, e: Any) -> bool:
+def is_slow_now(p: Any, e: Any) -> bool:
     """Return whether no joint is faster than `still_speed`; one whose velocity is no number may be."""
     still = True
     for i in range(3):
@@ -70,7 +70,7 @@ def begin_reaction(s: Any, parameters: Any, reaction: int, time: float) -> bool:
 
 @compiled
 def change_state(s: Any, parameters: Any, state: State, time: float) -> bool:
-    """Go to `state` if EDGES has that way; else stop with Cause.EXCEPTION in this tick and return False."""
+    """Go to `state` along TRANSITIONS; else stop with Cause.EXCEPTION in this tick and return False."""
     p = parameters.control[0]
     if s.state < len(p.transitions) and p.transitions[s.state, state.value] != 0:
         s.state, s.state_since = state, time
@@ -85,7 +85,7 @@ def change_state(s: Any, parameters: Any, state: State, time: float) -> bool:
         s.state, s.state_since = State.ESTOP if s.emergency else State.FAULT, time
         s.reset_pressed = -np.inf
     else:
-        begin_reaction(s, parameters, p.reactions[s.phase, TRUSTED], time)
+        begin_reaction(s, parameters, p.reactions[s.phase, READINGS_VALID], time)
     return False
 
 
@@ -98,7 +98,7 @@ def resting_state(s: Any) -> State:
 
 
 @compiled
-def stand(s: Any, parameters: Any, time: float) -> None:
+def enter_standstill(s: Any, parameters: Any, time: float) -> None:
     """Stand: end whatever was under way, vent, and latch the state of a cause."""
     s.swinging = s.moving = s.disarming = s.air = s.vented = s.venting.emptied = False
     s.phase, s.venting.start = Phase.STANDING, time
@@ -143,20 +143,20 @@ def react(state: Any, parameters: Any, cause: int, column: int, time: float) -> 
         or Cause.SHOULDER_AIR <= cause <= Cause.WRIST_SENSOR
         or Cause.SHOULDER_ZERO <= cause <= Cause.WRIST_ZERO
     )
-    s.distrusted = s.distrusted or column == LOST or misfit
+    s.distrusted = s.distrusted or column == READINGS_LOST or misfit
     if Cause.SHOULDER_INDEX <= cause <= Cause.WRIST_INDEX:
         s.homed = False
     if s.cause == 0:
         s.cause = cause
     if begin_reaction(s, parameters, p.reactions[s.phase, column], time) and s.reaction == Reaction.VENT:
-        stand(s, parameters, time)
+        enter_standstill(s, parameters, time)
 
 
 @compiled
 def disarm(s: Any, parameters: Any, time: float) -> None:
     """Disarm: vent if at rest, otherwise brake first. No cause, nothing is latched."""
     if s.phase in (Phase.HOLD, Phase.STANDING) or not s.air:
-        stand(s, parameters, time)
+        enter_standstill(s, parameters, time)
     elif s.reaction == Reaction.NONE:
         s.moving = False
         begin_reaction(s, parameters, Reaction.BRAKE.value, time)
@@ -165,7 +165,7 @@ def disarm(s: Any, parameters: Any, time: float) -> None:
 
 
 @compiled
-def arrive(s: Any, parameters: Any, time: float) -> None:
+def enter_hold(s: Any, parameters: Any, time: float) -> None:
     """Hold the address, or vent after a swing that is not followed by another."""
     s.moving = False
     s.phase = Phase.HOLD
@@ -173,11 +173,11 @@ def arrive(s: Any, parameters: Any, time: float) -> None:
     if s.state == State.ARMED or (again and s.reaction == Reaction.NONE):
         change_state(s, parameters, State.ARMED, time)
     elif s.reaction == Reaction.NONE:
-        stand(s, parameters, time)
+        enter_standstill(s, parameters, time)
 
 
 @compiled
-def give_up(control: Any, parameters: Any, time: float) -> None:
+def latch_exception(control: Any, parameters: Any, time: float) -> None:
     """Latch a tick that failed, in the records `control`: the driver is passive, nothing is under way."""
     s = control[0]
     s.swinging = s.moving = s.disarming = s.air = s.vented = s.venting.emptied = s.tee = False

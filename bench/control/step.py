@@ -17,24 +17,24 @@ from bench.control.envelope import interlock_cause, limit, readings_cause, relay
 from bench.control.estimate.air import conductance_of_vents, observe_air
 from bench.control.estimate.encoder import decode_encoders
 from bench.control.estimate.estimator import estimate
-from bench.control.estimate.model import observe
+from bench.control.estimate.residual_monitor import observe
 from bench.control.law.feed_forward import PNEUMATIC
 from bench.control.law.gain_table import supply_factor
-from bench.control.monitor.air_watch import VENTS, air_fault, watch_air
-from bench.control.monitor.encoder_watch import index_cause
-from bench.control.monitor.exhaust_watch import watch_exhausts
-from bench.control.monitor.lock_watch import watch_lock
-from bench.control.monitor.manifold_watch import watch_manifold
+from bench.control.monitor.encoder_monitor import index_cause
+from bench.control.monitor.exhaust_monitor import watch_exhausts
+from bench.control.monitor.guard_lock_monitor import watch_lock
+from bench.control.monitor.manifold_monitor import watch_manifold
+from bench.control.monitor.pressure_monitor import VENTS, air_fault, watch_air
+from bench.control.motion_monitor import monitor_motion, monitor_permission
 from bench.control.moves.braking import brake, brake_blind, wait_passive
-from bench.control.moves.escape import escape
 from bench.control.moves.homing import bounded
 from bench.control.moves.motion import follow
-from bench.control.orders import carry_out
-from bench.control.records import ControlParameters, ControlState
-from bench.control.requests import is_released, take_request, watch_local_reset
-from bench.control.standing import watch_standing
-from bench.control.states import is_calm, note_calm
-from bench.control.stops import watch_motion, watch_permission
+from bench.control.moves.turf_avoidance import escape
+from bench.control.request_actions import execute_request
+from bench.control.requests import handle_request, is_released, watch_local_reset
+from bench.control.standstill_monitor import monitor_standstill
+from bench.control.states import filter_velocity, is_at_rest
+from bench.control.step_records import ControlParameters, ControlState
 from drivers.base.compiled import compiled
 from sim.kinematics import head_motion
 
@@ -76,7 +76,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     s.lost = readings_cause(parameters.envelope, state.estimator)
     _note_lost_index(s, readings)
     s.seen = s.seen or s.lost == 0
-    note_calm(s, parameters.control[0], e, elapsed)
+    filter_velocity(s, parameters.control[0], e, elapsed)
     _note_impact(parameters.control[0], s)
 
 
@@ -145,25 +145,25 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
         time = s.time
     interlock = interlock_cause(readings)
     watch_local_reset(s, readings, time)
-    if not is_calm(s, parameters.control[0]):
+    if not is_at_rest(s, parameters.control[0]):
         s.moved_at = time
-    request = take_request(state, parameters, readings, time)
+    request = handle_request(state, parameters, readings, time)
     asked = Cause.NONE
     if request == Request.STOP:
         asked = Cause.OPERATOR_STOP
     elif request == Request.EMERGENCY_STOP:
         asked = Cause.NETWORK_STOP
     if request != 0 and asked == 0:
-        carry_out(state, parameters, request, time)
+        execute_request(state, parameters, request, time)
     if s.phase == Phase.HOLD:
         state.pid[0].supply_factor = supply_factor(parameters.pid[0].supply, readings[0].supply_pressure)
     if s.phase != Phase.STANDING and s.reaction <= Reaction.COMPLETE:
         follow(state, parameters, time, s.measured_step)
     if s.phase == Phase.STANDING:
-        watch_standing(state, parameters, readings, interlock, asked, time)
+        monitor_standstill(state, parameters, readings, interlock, asked, time)
     else:
-        watch_motion(state, parameters, readings, interlock, asked, time)
-        watch_permission(s, parameters, time)
+        monitor_motion(state, parameters, readings, interlock, asked, time)
+        monitor_permission(s, parameters, time)
     if s.reaction == Reaction.BRAKE:
         brake(state, parameters, readings, s.lost == 0, time)
     elif s.reaction == Reaction.PASSIVE:

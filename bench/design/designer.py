@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from bench.config import Configuration
 from bench.control.law.gain_table import MOVE, gains_along
-from bench.control.moves.planned_air import with_planned_air
+from bench.control.moves.pressure_plan import with_planned_air
 from bench.control.settings import EnvelopeSettings, pid_record
 from bench.design.blind_brake import SPACING, design_blind_brake
 from bench.design.closed_loop import LoopFailed, imprint, with_follow_through

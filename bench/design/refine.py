@@ -8,7 +8,7 @@ the three joints' speeds. The same input gives the same openings; a trial takes 
 
 Feed-forward of the backswing: what the feedback had to do in a rehearsal is done beforehand in the next.
 Iterative learning control with the inverse of the loop. On the linear model of
-`bench.control.law.machine_gains` an opening u that is added changes the error e of its joint, the others
+`bench.control.law.gain_scheduling` an opening u that is added changes the error e of its joint, the others
 held, by
 
     e''' / b + (m + c / b) e'' + (d + k) e' + p e = -u
@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from bench.control.law.gain_scheduling import joint_chains
 from bench.control.law.gain_table import DAMPING, DERIVATIVE, PROPORTIONAL, gains_along
-from bench.control.law.machine_gains import joint_chains
 from bench.design.closed_loop import LoopFailed, Rehearsal
 from bench.design.shooting import Arrival, Shooter
 from bench.simulation.simulated_bench import SimulatedBench

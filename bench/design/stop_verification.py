@@ -20,7 +20,7 @@ from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.control.settings import ControlSettings, EnvelopeSettings, EstimatorSettings, build_controller
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.faults import Fault, own_records
@@ -160,7 +160,7 @@ class SwingCheck:
 
     def _outcome(self, trial: FaultTrial, tick: int, base: LockstepEngine) -> TrialOutcome:
         bench = base.copy()
-        bench.begin_tally()
+        bench.reset_peaks()
         if trial.faults:
             bench.stepper.break_with(trial.faults, watchdog=0.0)  # worst case: it lets go at once
         if trial.raised:
@@ -180,7 +180,7 @@ class SwingCheck:
             head_speed=loads.peak_head_speed,
             rest_time=rest if rested else float("inf"),
             cause=bench.cause,
-            unsafe="; ".join(dangers(RunEnd(loads, rested=rested), _limits(trial))),
+            unsafe="; ".join(unsafe_reasons(RunEnd(loads, rested=rested), _limits(trial))),
         )
 
     def _run_to_rest(self, bench: LockstepEngine, request: int, *, silent: bool) -> float:

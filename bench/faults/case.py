@@ -12,13 +12,13 @@ import numpy as np
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, Request, State
 from bench.config import Configuration
-from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import SIMULATED, build_controller, holding_pressure
+from bench.control.step_records import ControlParameters, new_control_state
+from bench.faults.case_run import Watch, WatchedRun
 from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
 from bench.faults.next_swing import next_swing
 from bench.faults.verdict import CaseLimits, CaseOutcome, judge_case
-from bench.faults.watch import Watch, WatchedRun
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import SafetyLimits
@@ -162,7 +162,7 @@ class Workbench:
         """Run from `instant` until everything rests; without a `breakage` with `event` `after` s."""
         bench = self.base(instant)
         bench.stepper.plant = own_records(bench.stepper.plant)
-        bench.begin_tally()
+        bench.reset_peaks()
         if breakage is not None:
             event, after = breakage.event, breakage.event_after
         if event == "no ball":

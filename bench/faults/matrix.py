@@ -13,7 +13,7 @@ from zlib import crc32
 from bench.config import Configuration
 from bench.faults.case import Workbench
 from bench.faults.catalogue import Breakage, irrelevant
-from bench.faults.combined import CATALOGUE
+from bench.faults.compound_faults import CATALOGUE
 from bench.faults.instants import (
     ACCESS,
     INTO_A_STOP,

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Reaction, State
+from bench.faults.case_run import WatchedRun
 from bench.faults.catalogue import Breakage, Event
 from bench.faults.instants import Instant
-from bench.faults.watch import WatchedRun
 from bench.loop.loop import Cycles
-from bench.simulation.safety import SafetyLimits, dangers
+from bench.simulation.safety import SafetyLimits, unsafe_reasons
 from sim.plant import Plant
 
 _MATTERS = {"speed": 0.01, "strike": 0.005, "pose": 0.02}
@@ -87,7 +87,7 @@ def judge_case(
     detected_by, detected, reaction, reacted = _detection(run, healthy, _own_cause(breakage), after)
     change = _change(run, healthy) if not detected_by else ""
     head_share = _fastest_head(run, breakage, after, period) / limits.head_speed
-    reasons = dangers(run.end(head_share), limits.safety)
+    reasons = unsafe_reasons(run.end(head_share), limits.safety)
     if reasons and not detected_by:
         reasons.append("the record says healthy")
     if reasons:

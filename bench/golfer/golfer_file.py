@@ -20,7 +20,7 @@ from bench.base.errors import BenchError
 from bench.base.from_toml import read_toml
 from bench.base.to_toml import toml_value
 from bench.golfer.roles import Array, Capture, Orientation, Roles
-from bench.records.telemetry.whole_file import whole_file
+from bench.records.telemetry.atomic_file import atomic_file
 
 STEP = 0.001
 """Time between rows (s)."""
@@ -265,9 +265,9 @@ def save_golfer(folder: Path, name: str, swing: MeasuredSwing, capture: Capture,
         *(f"{role} = {toml_value(list(names))}" for role, names in roles.markers.items()),
     ]
     lines += ["", "[definitions]", *(f"{key} = {toml_value(text)}" for key, text in DEFINITIONS.items())]
-    with whole_file(table) as stream:
+    with atomic_file(table) as stream:
         stream.write(content)
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(("\n".join(lines) + "\n").encode())
     return path
 

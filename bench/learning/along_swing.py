@@ -18,7 +18,7 @@ from bench.base.lifecycle import CAUSE_TEXT
 from bench.control.law.gain_table import gains_at
 from bench.control.law.gains import Gains
 from bench.control.law.linear_loop import Estimator, estimator_response, least_damping, loop_responses
-from bench.control.law.linear_plant import Frozen, Point
+from bench.control.law.linear_plant import LinearPlant, OperatingPoint
 from bench.control.law.margins import Margins, margins_of
 from bench.simulation.series import Bench, Series, quiet
 from sim.plant import PlantParameters
@@ -32,7 +32,7 @@ class JointLoop(NamedTuple):
     margins: Margins
 
 
-class Judged(NamedTuple):
+class LoopMargins(NamedTuple):
     """All loops with some gains."""
 
     loops: tuple[JointLoop, ...]
@@ -40,7 +40,7 @@ class Judged(NamedTuple):
     """Min damping ratio of the closed loop's modes, by instant; negative where one grows."""
 
 
-def operating_points(bench: Bench) -> list[Point]:
+def operating_points(bench: Bench) -> list[OperatingPoint]:
     """Return instants of the bench's swing on its own model.
 
     Raises:
@@ -74,23 +74,25 @@ def operating_points(bench: Bench) -> list[Point]:
         motion = np.concatenate([cycle[f"plant_{kind}"] for kind in ("angle", "velocity", "pressure")])
         share = bench.control.downswing_damping if tick >= down else 1.0
         supply = float(cycle["supply_pressure"])
-        points.append(Point(name, motion, supply, cycle["applied_valve"].copy(), share, tick < down - 1))
+        points.append(
+            OperatingPoint(name, motion, supply, cycle["applied_valve"].copy(), share, tick < down - 1)
+        )
     return points
 
 
-def gains_along(bench: Bench) -> Callable[[Frozen], Gains]:
+def gains_along(bench: Bench) -> Callable[[LinearPlant], Gains]:
     """Return the function from an instant to the bench's gains there."""
     record = bench.controller().pid
     return lambda frozen: gains_at(record, frozen.point.motion[:3])
 
 
 def judge(
-    plants: list[Frozen],
+    plants: list[LinearPlant],
     estimator: Estimator,
-    gains: Callable[[Frozen], Gains],
+    gains: Callable[[LinearPlant], Gains],
     period: float,
     joints: Any = range(3),
-) -> Judged:
+) -> LoopMargins:
     """Return the margins of the loops of `joints` at all instants, and how the closed loop is damped."""
     loops = []
     for frozen in plants:
@@ -100,13 +102,13 @@ def judge(
             margins = margins_of(frozen.frequency, responses[:, i])
             loops.append(JointLoop(frozen.point.name, i, margins))
     ratios = {frozen.point.name: least_damping(frozen, estimator, gains(frozen), period) for frozen in plants}
-    return Judged(tuple(loops), ratios)
+    return LoopMargins(tuple(loops), ratios)
 
 
 Array = NDArray[np.float64]
 
 
-class Proof(NamedTuple):
+class ValidationSwing(NamedTuple):
     """One robot's swing with the gains of one bench."""
 
     backswing: Array
@@ -117,7 +119,7 @@ class Proof(NamedTuple):
     """Why the swing failed; empty if it did not."""
 
 
-def proof(bench: Bench, plant: PlantParameters) -> Proof:
+def proof(bench: Bench, plant: PlantParameters) -> ValidationSwing:
     """Return the second swing of the bench's profile on the robot `plant`."""
     nothing = np.full(3, np.nan)
     try:
@@ -125,13 +127,13 @@ def proof(bench: Bench, plant: PlantParameters) -> Proof:
         series.swing(bench.profile)
         swing = series.swing(bench.profile)
     except Refused:
-        return Proof(nothing, nothing, "the robot does not come to rest at its address")
+        return ValidationSwing(nothing, nothing, "the robot does not come to rest at its address")
     if swing.cause:
-        return Proof(nothing, nothing, f"stopped: {CAUSE_TEXT[swing.cause]}")
+        return ValidationSwing(nothing, nothing, f"stopped: {CAUSE_TEXT[swing.cause]}")
     begins = bench.profile.begins
     error = swing.cycles["reference_angle"] - swing.cycles["plant_angle"]
 
     def rms(first: int, last: int) -> Array:
         return np.asarray(np.sqrt(np.mean(error[first:last] ** 2, axis=0)))
 
-    return Proof(rms(begins[1], begins[3]), rms(begins[3], begins[5]), "")
+    return ValidationSwing(rms(begins[1], begins[3]), rms(begins[3], begins[5]), "")

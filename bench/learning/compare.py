@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Phase
-from bench.control.records import ControlParameters
 from bench.control.settings import ControlSettings, EnvelopeSettings, PidSettings, build_controller
+from bench.control.step_records import ControlParameters
 from bench.learning.delivery import UNKNOWN, Figures, figures_of, planned_figures
 from bench.learning.learn import LearningProblem, learn, on_series, prepare
 from bench.simulation.series import Bench, Series, SeriesSwing

@@ -21,8 +21,8 @@ from scipy.optimize import least_squares
 from bench.base.errors import BenchError, Refused
 from bench.base.to_toml import toml_value
 from bench.config import Configuration
+from bench.simulation.plant_variation import Variation
 from bench.simulation.series import Bench, Series, quiet
-from bench.simulation.variation import Variation
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 from sim.robot import Club

@@ -20,16 +20,16 @@ from bench.control.envelope import ENVELOPE_PARAMETERS
 from bench.control.estimate.air import AIR_STATE
 from bench.control.estimate.encoder import ENCODER_PARAMETERS, ENCODER_STATE
 from bench.control.estimate.estimator import ESTIMATOR_PARAMETERS, ESTIMATOR_STATE
-from bench.control.estimate.model import MODEL_LIMITS, MODEL_STATE
+from bench.control.estimate.residual_monitor import MODEL_LIMITS, MODEL_STATE
 from bench.control.law.pid import PID_PARAMETERS, PID_STATE
-from bench.control.records import (
+from bench.control.step import decide_tick, estimate_tick, limit_tick
+from bench.control.step_records import (
     CONTROL_PARAMETERS,
     CONTROL_STATE,
     PROFILE,
     ControlParameters,
     ControlState,
 )
-from bench.control.step import decide_tick, estimate_tick, limit_tick
 from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base.compiled import compiled, new_record
 from drivers.base.native_calls import DECLINED, OPERATIONAL, NativeCall, NativeCalls

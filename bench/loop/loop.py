@@ -11,8 +11,8 @@ from numba import carray
 
 from bench.base.clock import Clock
 from bench.base.lifecycle import Cause, Phase, Request, State
-from bench.control.records import ControlParameters, ControlState, new_control_state
-from bench.control.states import give_up
+from bench.control.states import latch_exception
+from bench.control.step_records import ControlParameters, ControlState, new_control_state
 from bench.loop.compiled_tick import AT_DECIDE, AT_NOTE_TRUTH, AT_READ, AT_WRITE, OVER, CompiledTick
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS
 from drivers.base import ABSENT, PASSIVE, Command, Driver, DriverError, RecordReader
@@ -162,7 +162,7 @@ class Cycle:
                     self._note_truth(self.record)
                 marks[5] = now()
         except BaseException as error:
-            self.give_up(time, decided=decided)
+            self.latch_exception(time, decided=decided)
             where = f"driver {self.name!r}, tick {int(self.state.control['tick'][0])}"
             if isinstance(error, DriverError):
                 raise DriverError(f"{where}: {error}; the passive command was sent") from error
@@ -197,11 +197,11 @@ class Cycle:
             control["cause"] = self.record["trip"] = before or Cause.EXCEPTION
             control["latest_cause"] = Cause.EXCEPTION
 
-    def give_up(self, time: float, *, decided: bool = False) -> None:
+    def latch_exception(self, time: float, *, decided: bool = False) -> None:
         """Make the driver passive, latch the exception, and publish the tick if it was decided."""
         self.driver.make_passive()
         control = self.state.control
-        give_up(control, self.parameters, time)
+        latch_exception(control, self.parameters, time)
         if decided:
             for name, field in (("trip", "cause"), ("reaction", "reaction"), ("state", "state")):
                 self.record[name] = control[field]

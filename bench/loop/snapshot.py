@@ -18,9 +18,9 @@ from bench.base.errors import BenchError
 from bench.control.estimate.air import AIR_STATE
 from bench.control.estimate.encoder import ENCODER_STATE
 from bench.control.estimate.estimator import ESTIMATOR_STATE
-from bench.control.estimate.model import MODEL_STATE
+from bench.control.estimate.residual_monitor import MODEL_STATE
 from bench.control.law.pid import PID_STATE
-from bench.control.records import CONTROL_STATE, ControlState, new_control_state
+from bench.control.step_records import CONTROL_STATE, ControlState, new_control_state
 from bench.records.telemetry.swing_metadata import layout_of
 
 SNAPSHOT = np.dtype(

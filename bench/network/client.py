@@ -47,13 +47,13 @@ TIMEOUT = 2.0
 REST = 1.0
 """s at rest at the address before a swing: the air in the chambers settles later than the robot."""
 
-LONGEST_SWAY = 10.0
+SETTLING_TIMEOUT = 10.0
 """s for which home, arm and reset wait until the robot rests, and arm until no chamber shows pressure.
 
 As long as a raised arm may take to sink, and as chambers may take to vent as shipped (`lifecycle.vent_time`).
 """
 
-LONGEST_AIR = 60.0
+PRESSURE_TIMEOUT = 60.0
 """s for which a swing waits for its air; a bench that cannot bring it ends the waiting by itself."""
 
 _LOOK_FOR_REST = 0.1
@@ -390,7 +390,7 @@ class BenchClient:
 
     # Verbs ---------------------------------------------------------------------------------------
 
-    def home(self, patience: float = LONGEST_SWAY, watch: Watch | None = None) -> CommandAnswer:
+    def home(self, patience: float = SETTLING_TIMEOUT, watch: Watch | None = None) -> CommandAnswer:
         """Prove the encoders' zeros.
 
         While it is refused for what passes by itself (the robot sways or returns, chambers vent) it is asked
@@ -398,7 +398,7 @@ class BenchClient:
         """
         return self._ask_patiently(Verb.HOME, patience, watch)
 
-    def arm(self, patience: float = LONGEST_SWAY, watch: Watch | None = None) -> CommandAnswer:
+    def arm(self, patience: float = SETTLING_TIMEOUT, watch: Watch | None = None) -> CommandAnswer:
         """Warn, switch the air on, go to the address."""
         return self._ask_patiently(Verb.ARM, patience, watch)
 
@@ -414,12 +414,12 @@ class BenchClient:
         """End the access: lock the guard."""
         return self._ask_keyed(Verb.SECURE)
 
-    def swing(self, patience: float = LONGEST_AIR, watch: Watch | None = None) -> CommandAnswer:
+    def swing(self, patience: float = PRESSURE_TIMEOUT, watch: Watch | None = None) -> CommandAnswer:
         """Swing from the address, once the robot rests there and its air is as the profile plans it."""
         return self._ask_patiently(Verb.SWING, patience, watch)
 
     def swing_through(
-        self, *, patience: float = LONGEST_AIR, timeout: float = 60.0, watch: Watch | None = None
+        self, *, patience: float = PRESSURE_TIMEOUT, timeout: float = 60.0, watch: Watch | None = None
     ) -> ShotPublication:
         """Swing, and return the shot within `timeout` s: once its record is stored and the ball is measured.
 
@@ -451,11 +451,11 @@ class BenchClient:
         place, action = f"swing of bench {self.bench}", "Look at golfbench status: is the recorder running?"
         raise Refused(place, f"no record within {timeout:g} s", "the record of the swing", action)
 
-    def tee(self, patience: float = LONGEST_SWAY) -> CommandAnswer:
+    def tee(self, patience: float = SETTLING_TIMEOUT) -> CommandAnswer:
         """Raise the next ball."""
         return self._ask_patiently(Verb.TEE, patience, None)
 
-    def reset(self, patience: float = LONGEST_SWAY) -> CommandAnswer:
+    def reset(self, patience: float = SETTLING_TIMEOUT) -> CommandAnswer:
         """Leave ESTOP or FAULT once the cause is cleared; never moves the robot."""
         return self._ask_patiently(Verb.RESET, patience, None)
 

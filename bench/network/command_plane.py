@@ -20,7 +20,7 @@ import zenoh
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import REFUSAL_WORDS, Cause, Refusal, State, Words
-from bench.control.requests import STOP_HOLDS
+from bench.control.requests import STOP_LOCKOUT_TIME
 from bench.network.bench_service import BenchService, BenchStatus, CountStatus, LeaseStatus, Reply
 from bench.network.command import (
     CONVENIENCE,
@@ -50,7 +50,7 @@ from bench.network.status_words import next_step
 QUEUE = 64
 """Max messages waiting in a lane."""
 
-LONGEST_WAIT = STOP_HOLDS - 0.5
+LONGEST_WAIT = STOP_LOCKOUT_TIME - 0.5
 """Max waiting time of a request in its lane, s; the sender of an older one has given up: it is dropped."""
 
 HEARTBEAT = 0.2
@@ -148,17 +148,17 @@ class _Lane:
 
 
 class CommandPlane:
-    """Answers commands for `desk` on an open session, and publishes what the supervisor gives it."""
+    """Answers commands for `service` on an open session, and publishes what the supervisor gives it."""
 
     def __init__(
         self,
         session: zenoh.Session,
         bench: str,
-        desk: BenchService,
+        service: BenchService,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start answering. `bench` is the bench's id; leases run on `clock` (s)."""
-        self._root, self._desk, self._clock = f"golfbench/{bench}", desk, clock
+        self._root, self._service, self._clock = f"golfbench/{bench}", service, clock
         self._book, self._book_lock = LeaseBook(), Lock()
         self._counts, self._count_lock = Counter[str](), Lock()
         self._closing = False
@@ -296,7 +296,7 @@ class CommandPlane:
     def _do_stops(self, messages: list[Message], verbs: frozenset[str]) -> None:
         """Stop once for all waiting requests, then answer each."""
         replies: dict[str, CommandAnswer] = {}
-        for verb, stop in ((Verb.ESTOP, self._desk.emergency_stop), (Verb.STOP, self._desk.stop)):
+        for verb, stop in ((Verb.ESTOP, self._service.emergency_stop), (Verb.STOP, self._service.stop)):
             if verb in verbs:
                 note = CONVENIENCE if verb is Verb.ESTOP else ""
                 replies[verb] = self._asked(stop)._replace(note=note)
@@ -355,16 +355,16 @@ class CommandPlane:
             case Keyed(verb, key, sequence):
                 with self._book_lock:
                     self._book.use(key, sequence, self._clock())
-                return self._asked(lambda: self._desk.request(REQUESTS[verb]))
+                return self._asked(lambda: self._service.request(REQUESTS[verb]))
             case Correct(key, sequence, profile, weights):
                 with self._book_lock:
                     self._book.use(key, sequence, self._clock())
-                return self._asked(lambda: self._desk.correct(profile, weights))
+                return self._asked(lambda: self._service.correct(profile, weights))
             case Plain(Verb.STATUS):
-                status = self._completed(self._desk.status())
+                status = self._completed(self._service.status())
                 return CommandAnswer(True, status["state"], content=dict(status))
             case Plain(verb):
-                return self._asked(lambda: self._desk.request(REQUESTS[verb]))
+                return self._asked(lambda: self._service.request(REQUESTS[verb]))
 
     def _asked(self, ask: Callable[[], Reply]) -> CommandAnswer:
         """Return the desk's reply to `ask`; an exception counts as refused."""
@@ -384,7 +384,7 @@ class CommandPlane:
     def _answer_of(self, reply: Reply) -> CommandAnswer:
         """Return `reply` with state, cause and, refused for its state, what is possible in it."""
         try:
-            status = self._desk.status()
+            status = self._service.status()
         except Exception:  # see _do
             state = reply.state or self._last_state
             return CommandAnswer(True, state) if reply.accepted else _refusal(state, *reply[2:4])

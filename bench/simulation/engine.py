@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from bench.simulation.loads import Loads, begin_tally, loads_of
+from bench.simulation.loads import Loads, loads_of, reset_peaks
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.swing_operator import SwingOperator
 
@@ -30,12 +30,12 @@ class LockstepEngine(SwingOperator[Lockstep]):
         """State of the plant, one PLANT_STATE record."""
         return self.stepper.plant_state
 
-    def begin_tally(self) -> None:
+    def reset_peaks(self) -> None:
         """Reset the loads."""
-        begin_tally(self.plant_state)
+        reset_peaks(self.plant_state)
 
     def loads(self) -> Loads:
-        """Return the loads since `begin_tally`."""
+        """Return the loads since `reset_peaks`."""
         return loads_of(self.plant_state, self.stepper.plant.parameters)
 
     def tee_up(self, *, ball: bool) -> None:

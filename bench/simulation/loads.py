@@ -14,7 +14,7 @@ from sim.plant import PlantParameters
 Array = NDArray[np.float64]
 
 
-def begin_tally(plant_state: NDArray[Any]) -> None:
+def reset_peaks(plant_state: NDArray[Any]) -> None:
     """Reset the extremes in `plant_state` (PLANT_STATE records); they do not influence the motion."""
     plant_state["stop_energy"] = plant_state["stop_work"] = plant_state["stop_depth"] = 0.0
     plant_state["peak_pressure"] = plant_state["pressure"]
@@ -34,7 +34,7 @@ def pressure_shares(pressure: Array, plant: PlantParameters) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """Extremes of a run since `begin_tally`; shares are of the ratings, 1 is the limit."""
+    """Extremes of a run since `reset_peaks`; shares are of the ratings, 1 is the limit."""
 
     stop_energy: Array
     """Max energy taken by each cushion, (3, 2) J: lower and upper end of shoulder, right arm, wrist."""

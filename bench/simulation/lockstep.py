@@ -11,10 +11,10 @@ from typing import Any, Self
 import numpy as np
 
 from bench.base.lifecycle import Phase, Reaction
-from bench.control.estimate.model import BRAKING, note_deviations, note_shares, row_of
+from bench.control.estimate.residual_monitor import BRAKING, note_deviations, note_shares, row_of
 from bench.control.moves.references import charging
-from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.step import step
+from bench.control.step_records import ControlParameters, ControlState, new_control_state
 from bench.records.telemetry.cycle_record import CYCLE
 from drivers.base import PASSIVE
 from drivers.base.compiled import compiled, new_record

@@ -25,8 +25,7 @@ from scipy import stats
 
 from bench.base.errors import BenchError
 from bench.base.from_toml import Builder, Tree, as_tree, laid_over
-from bench.control.estimate.model import KINDS
-from bench.control.records import ControlParameters, ControlState
+from bench.control.estimate.residual_monitor import KINDS
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,
@@ -35,6 +34,7 @@ from bench.control.settings import (
     LifecycleSettings,
     build_controller,
 )
+from bench.control.step_records import ControlParameters, ControlState
 from bench.loop.loop import Cycle, CycleArray, Cycles
 from bench.loop.snapshot import read_snapshot, unpack_snapshot
 from bench.records.telemetry.cycle_record import FIELDS, Field

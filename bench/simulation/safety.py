@@ -50,7 +50,7 @@ class RunEnd(NamedTuple):
     """Whether the robot armed after a fault without a reset."""
 
 
-def dangers(end: RunEnd, limits: SafetyLimits) -> list[str]:
+def unsafe_reasons(end: RunEnd, limits: SafetyLimits) -> list[str]:
     """Return why `end` is unsafe, the worst load first; empty when it is safe. NaN is unsafe."""
     loads, found = end.loads, []
     if not loads.stop_share <= limits.load_share:

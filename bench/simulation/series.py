@@ -10,7 +10,6 @@ import numpy as np
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Request
 from bench.config import Configuration
-from bench.control.records import ControlParameters
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,
@@ -19,6 +18,7 @@ from bench.control.settings import (
     for_learning,
     with_tables_of,
 )
+from bench.control.step_records import ControlParameters
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
@@ -58,16 +58,16 @@ class SeriesSwing(NamedTuple):
     """Whether it began with planned air, or with that a swing had left, not with that of arming."""
 
 
-class NotReturned(Refused):
+class ReturnFailed(Refused):
     """The robot swung, and does not come back to its address."""
 
     swing: SeriesSwing
     """The swing."""
 
 
-def not_returned(refused: Refused, swing: SeriesSwing) -> NotReturned:
+def return_failed(refused: Refused, swing: SeriesSwing) -> ReturnFailed:
     """Return `refused` after `swing`."""
-    error = NotReturned(*refused.args)
+    error = ReturnFailed(*refused.args)
     error.swing = swing
     return error
 
@@ -156,7 +156,7 @@ class Series:
         address, where friction may let a joint slip, and the swing is then tried again.
 
         Raises:
-            NotReturned: the robot does not come back to its address.
+            ReturnFailed: the robot does not come back to its address.
             Refused: it does not come to rest there before.
         """
         stepper = self._engine.stepper
@@ -170,7 +170,7 @@ class Series:
         try:
             self._recover()
         except Refused as refused:
-            raise not_returned(refused, swing) from None
+            raise return_failed(refused, swing) from None
         return swing
 
     def _rest_and_swing(

@@ -29,7 +29,7 @@ from bench.records.telemetry.swing_metadata import begin_of, profile_entry, sinc
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from bench.simulation.swing_operator import LONGEST_RETURN, never
 from bench.swing.profile import Profile
 from drivers.base import Launch
@@ -82,7 +82,7 @@ class SwingResult:
     @property
     def unsafe(self) -> list[str]:
         """Reasons why the loads of the swing are unsafe; empty if they are safe."""
-        return dangers(RunEnd(self.loads), SafetyLimits())
+        return unsafe_reasons(RunEnd(self.loads), SafetyLimits())
 
     def replay_metadata(self) -> dict[str, Any]:
         """Return the metadata that a replay of the record needs."""
@@ -219,7 +219,7 @@ class PoweredBench:
         engine, plant = self.engine, self.bench.plant
         engine.await_air()  # before the record, which is to be as long as without planned air
         engine.begin_record()
-        engine.begin_tally()
+        engine.reset_peaks()
         engine.tee_up(ball=ball is not None)
         if ball is not None:
             impact = engine.stepper.plant.impact

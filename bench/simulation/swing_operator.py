@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Refusal, Request
-from bench.control.monitor.air_watch import chambers_show_pressure
-from bench.control.records import ControlParameters, ControlState
+from bench.control.monitor.pressure_monitor import chambers_show_pressure
 from bench.control.requests import near_address
+from bench.control.step_records import ControlParameters, ControlState
 from bench.loop.loop import Cycles, bring_to_rest
 from bench.records.telemetry.cycle_record import CYCLE
 
 LONGEST_ARMING = 30.0
 """s; the bench's own time-outs are shorter"""
-LONGEST_SWAY = 10.0
+SETTLING_TIMEOUT = 10.0
 """Until the standing robot rests, s."""
 LONGEST_RETURN = 10.0
 """From the end of a profile back to its address, s."""
@@ -161,7 +161,7 @@ class SwingOperator(Generic[AnyStepper]):
         Raises:
             Refused: the request is refused, or the robot does not reach its address.
         """
-        self.wait_for(self.is_vented, LONGEST_SWAY)
+        self.wait_for(self.is_vented, SETTLING_TIMEOUT)
         if self.request(Request.ARM):
             return self.reach_address(at_rest=at_rest)
         refused = Refusal(int(self.control["refusal"][0]))
@@ -230,4 +230,4 @@ class SwingOperator(Generic[AnyStepper]):
 def joined(parts: list[Cycles]) -> Cycles:
     """Return the records of `parts`, one after another."""
     # As bytes: numpy joins records field by field and leaves their padding to chance.
-    return np.concatenate([part.view(np.uint8) for part in parts]).view(CYCLE)
+    return np.concatenate([np.zeros(0, np.uint8), *(part.view(np.uint8) for part in parts)]).view(CYCLE)

@@ -82,7 +82,7 @@ _STOP_TIMEOUT = 20.0
 """Time-out of the loop for bringing the robot to rest and ending, s."""
 _RECORDED = 65.0
 """Time that the longest record may take, s; at 1 kHz 40 MB of memory."""
-_AFTERMATH = 1.5
+_PLANT_RUN_ON = 1.5
 """Time for which a simulated plant continues after its loop has died, s, as a real robot would."""
 _STATISTICS = 1.0
 """Period of the loop statistics, s."""
@@ -296,7 +296,7 @@ class Daemon:
                 self._bring_to_end()
                 clean = True
             except LoopDied:
-                time.sleep(_AFTERMATH)
+                time.sleep(_PLANT_RUN_ON)
                 raise
             except Exception:
                 clean = "loop" not in self.children  # nothing could move yet

@@ -30,7 +30,7 @@ from bench.base.errors import BenchError, ExitCode
 from bench.base.lifecycle import State
 from bench.network.bench_service import LaunchMonitorStatus, MonitorStatus, SimulatorStatus
 from bench.records.shot.recorded_shot import FlightConditions, shot_to_json, warm_up_shots
-from bench.records.shot.shot_matcher import LaunchBook, SwingWatch, Told
+from bench.records.shot.shot_matcher import SettledOutcome, ShotMatcher, SwingWatch
 from bench.records.shot.shot_message import ShotPublication, launch_to_json, shortened, shot_publication
 from bench.records.telemetry.ring import RingReader
 from bench.supervisor.child_process import (
@@ -127,7 +127,7 @@ class LaunchMonitorService:
         around = FlightConditions(plan.air, plan.wind, plan.turf)
         self._window = settings.window
         self._watch = SwingWatch(plan.run, wall=plan.wall)
-        self._book = LaunchBook(settings.window, plan.plant, around)
+        self._book = ShotMatcher(settings.window, plan.plant, around)
         self._per_shot, self._presence = settings.presence == "per_shot", ShotPresence()
         self._lost = 0
         self._arming = ArmingWatch()
@@ -179,7 +179,7 @@ class LaunchMonitorService:
             send_event("relieved")
         self._trouble = ""
 
-    def _pass_on(self, told: Told) -> None:
+    def _pass_on(self, told: SettledOutcome) -> None:
         """Forward an undoubted launch of this bench to the simulator."""
         launch = None if told.launch is None or told.reason else told.launch.launch
         if self._client is not None and launch is not None and told.launch is not None:
@@ -242,7 +242,7 @@ class LaunchMonitorService:
         )
 
 
-def message_of(told: Told) -> ShotPublication:
+def message_of(told: SettledOutcome) -> ShotPublication:
     """Return the message of a settled outcome; the supervisor adds its record."""
     return shot_publication(
         shot_id=told.shot_id or None,

@@ -33,8 +33,8 @@ from bench.config import Configuration
 from bench.control.settings import build_controller, with_correction
 from bench.loop.loop import Cycle
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
+from bench.records.telemetry.encoder_preset import Shifts, moved_zero, write_shifts
 from bench.records.telemetry.ring import RingWriter, ring_capacity
-from bench.records.telemetry.zero_shift import Shifts, moved_zero, write_shifts
 from bench.supervisor.child_process import Parent, read_plan, send_event, send_failure
 from bench.supervisor.correction import CorrectionReader
 from bench.supervisor.ownership import adopt
@@ -110,7 +110,7 @@ _MEASURED = 8
 
 _MOTIONS = frozenset({Request.HOME, Request.ARM, Request.SWING})
 _RESTING = frozenset({Phase.STANDING, Phase.HOLD})
-_GIVE_UP = 20
+_MAX_FAILED_TICKS = 20
 """Max consecutive failed ticks for reasons other than the device."""
 _BETWEEN_REPORTS = 1000
 """Consecutive failed ticks between two reports."""
@@ -221,7 +221,7 @@ class LoopProcess:
         spare = Cycle(self.driver, self.parameters, lambda _: None, name="warm-up", state=State.STARTING)
         first = 0.0 if self.paced else wall.monotonic()
         spare.run_tick(first)
-        spare.give_up(first)  # a tick that fails must not wait for a compiler either
+        spare.latch_exception(first)  # a tick that fails must not wait for a compiler either
         with closing(Orders(self.plan.folder / SUPERVISION_FILE, 0.0)) as orders:
             orders.put(spare.state.control, first)
         begin = int(spare.marks[0])
@@ -301,7 +301,7 @@ class LoopProcess:
             self._failures += 1
             # A lost device leaves the bench in FAULT, where it answers commands; a reset retries the device.
             is_away = isinstance(error, DriverError) and bool(self._warm[0])
-            if self._failures >= _GIVE_UP and not is_away:
+            if self._failures >= _MAX_FAILED_TICKS and not is_away:
                 raise
             return time
         self._failures = 0

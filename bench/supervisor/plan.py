@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bench.base.lifecycle import Cause
 from bench.config import Configuration
-from bench.records.telemetry.zero_shift import CalibratedShifts
+from bench.records.telemetry.encoder_preset import CalibratedShifts
 from bench.swing.correction import Basis
 from bench.swing.profile import Profile
 from drivers.launch_monitor.settings import LaunchMonitorSettings

@@ -16,7 +16,7 @@ from bench.base.lifecycle import Block
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import Calibration, CalibrationKind, apply, is_rewired
 from bench.config import Configuration, contradictions, unheard_phases
-from bench.control.model_limits import LimitsInUse
+from bench.control.residual_thresholds import LimitsInUse
 from bench.design.static_checks import Check, check_profile, other_rate, rate_faults
 from bench.network.bench_service import ArmingBlock
 from bench.swing.library import find_profile
@@ -240,7 +240,7 @@ def _stale(profile: Profile, used: LimitsInUse) -> BenchError:
 def _as_designed(nominal: Configuration, c: Configuration, profile: Profile) -> PlantParameters:
     """Return the plant of `c`, its club named as the profile's if both clubs act alike on the robot."""
     mounted = nominal.clubs.get(nominal.swing.club)
-    if mounted is None or not felt_alike(mounted, nominal.clubs.get(profile.club)):
+    if mounted is None or not mechanically_equal(mounted, nominal.clubs.get(profile.club)):
         return c.plant
     club = replace(c.plant.robot.club, name=profile.club)
     return replace(c.plant, robot=replace(c.plant.robot, club=club))
@@ -251,7 +251,7 @@ def with_face_of(club: Club, other: Club) -> Club:
     return replace(club, **{name: getattr(other, name) for name in _ON_THE_BALL_ONLY})
 
 
-def felt_alike(club: Club, other: Club | None) -> bool:
+def mechanically_equal(club: Club, other: Club | None) -> bool:
     """Return whether two clubs are the same to the robot."""
     return other is not None and all(
         getattr(club, f.name) == getattr(other, f.name)

@@ -42,7 +42,7 @@ from bench.records.telemetry.record_queue import (
     remove_partial,
 )
 from bench.records.telemetry.ring import RingReader
-from bench.records.telemetry.swing_cutter import Cut, Cycles, SwingCutter
+from bench.records.telemetry.swing_cutter import Cycles, RecordSegment, SwingSegmenter
 from bench.records.telemetry.swing_metadata import RunMetadata, begin_of, profile_entry, since, swing_metadata
 from bench.supervisor.child_process import (
     Condition,
@@ -144,7 +144,7 @@ class Recorder:
         self._snapshots: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
         self._corrected = SharedRecord.open(plan.corrected, CORRECTED)
         self._corrections: deque[np.ndarray[Any, Any]] = deque(maxlen=_SNAPSHOTS)
-        self._cutter = SwingCutter(lead=plan.lead, tail=plan.tail, room=plan.room)
+        self._cutter = SwingSegmenter(lead=plan.lead, tail=plan.tail, room=plan.room)
         self._queue = RecordQueue(plan.waiting, _PAUSE)
         self._timing = None if plan.timing is None else TimingReader(plan.timing)
         self._timed = None if self._timing is None else self._timing.snapshot()
@@ -245,7 +245,7 @@ class Recorder:
         if not self._corrections or found["tick"][0] != self._corrections[-1]["tick"][0]:
             self._corrections.append(found)
 
-    def _entries_of(self, cut: Cut) -> Mapping[str, Any]:
+    def _entries_of(self, cut: RecordSegment) -> Mapping[str, Any]:
         """Return the common entries of all records, with the corrected profile of `cut`."""
         swung = cut.cycles["tick"][cut.cycles["state"] == State.SWINGING]
         tick = int(swung[0] if len(swung) else cut.cycles["tick"][-1])
@@ -260,7 +260,7 @@ class Recorder:
         for cut in self._cutter.finish(why, keep=keep):
             self._keep(cut)
 
-    def _keep(self, cut: Cut) -> None:
+    def _keep(self, cut: RecordSegment) -> None:
         """Queue `cut`."""
         self._number += 1
         begin = begin_of(cut.cycles)
@@ -290,7 +290,7 @@ class Recorder:
             for name in ("ticks", "skipped", "late", "page_faults", "preemptions", "stalls")
         }
 
-    def _drift_of(self, cut: Cut, metadata: Mapping[str, Any]) -> dict[str, Any] | None:
+    def _drift_of(self, cut: RecordSegment, metadata: Mapping[str, Any]) -> dict[str, Any] | None:
         """Return speed and place of the head at the ball against the swings before; None without a strike."""
         plant = self._plan.configuration.get("plant")
         encoders = plant.get("encoders") if isinstance(plant, Mapping) else None

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError
-from bench.records.telemetry.whole_file import whole_file
+from bench.records.telemetry.atomic_file import atomic_file
 
 
 class RunMarker:
@@ -96,7 +96,7 @@ class RunMarker:
                     return
                 content, self._written = self._content, True
             try:
-                with whole_file(self.path) as stream:
+                with atomic_file(self.path) as stream:
                     stream.write(json.dumps(content, indent=1).encode())
                 self.trouble = ""
             except BenchError as error:

@@ -21,7 +21,7 @@ from bench.base.lifecycle import (
     Words,
     in_one,
 )
-from bench.control.monitor.air_watch import FAULTS
+from bench.control.monitor.pressure_monitor import FAULTS
 from bench.network.bench_service import (
     STATUS_VERSION,
     BenchStatus,
@@ -215,7 +215,7 @@ def _position(seen: float) -> bool | None:
 
 
 def _air_faults(bits: int) -> list[Cause]:
-    """Return the causes in `bits`, as `bench.control.monitor.air_watch.air_fault` has them."""
+    """Return the causes in `bits`, as `bench.control.monitor.pressure_monitor.air_fault` has them."""
     return [fault for k, fault in enumerate(FAULTS) if bits >> k & 1]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numba import carray
 
 from bench.base.lifecycle import Request
-from bench.control.records import CONTROL_STATE
+from bench.control.step_records import CONTROL_STATE
 from drivers.base.compiled import compiled, new_record, numbers
 from drivers.base.compiled_slots import fetch_record, slots_at
 from drivers.base.mapped_slots import HEAD_WORD, READ
@@ -56,7 +56,7 @@ _MEMORY = np.dtype(
 """What the loop remembers: version of the values that it has taken, whether the supervisor was alive then,
 the time-out of the heartbeat (s), the last heartbeat and its time (s), and what it has seen."""
 _EMERGENCY_STOP, _STOP = int(Request.EMERGENCY_STOP), int(Request.STOP)
-_SLOTS, _VALUES, _SPARE, _MEMORY_AT, _CONTROL = range(5)
+_SLOTS, _VALUES, _MIN_MARGIN, _MEMORY_AT, _CONTROL = range(5)
 """Addresses in the block: that of the file's block, values, memory for a copy, memory, CONTROL_STATE."""
 
 
@@ -162,6 +162,6 @@ def _take_newest(address: int, time: float) -> None:
     """Read the file and take new orders, at the addresses in the block."""
     a = carray(pointer(address), 5, np.int64)
     slots, values = slots_at(a[_SLOTS]), carray(pointer(a[_VALUES]), 1, SUPERVISION)
-    fetch_record(slots, a[_VALUES], a[_SPARE])
+    fetch_record(slots, a[_VALUES], a[_MIN_MARGIN])
     memory = carray(pointer(a[_MEMORY_AT]), 1, _MEMORY)
     _take(values, memory, carray(pointer(a[_CONTROL]), 1, CONTROL_STATE), time, slots[READ])

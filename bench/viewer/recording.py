@@ -24,7 +24,7 @@ from rerun.chunk import RrdReader
 from bench.golfer.golfer_file import GolferSwing
 from bench.records.shot.head_path import path_to_ball
 from bench.records.shot.shot_record import ShotRecord
-from bench.records.telemetry.whole_file import NotStored, whole_path
+from bench.records.telemetry.atomic_file import NotStored, atomic_path
 from bench.viewer.blueprint import Span, campaign_blueprint, live_blueprint, shot_blueprint
 from bench.viewer.drawing.drawing import ball_at_rest, plane_to_golf
 from bench.viewer.scene import log_ball, log_motion, log_static_scene, poses_to_draw
@@ -167,7 +167,7 @@ def writing_recording(
     path: Path, records: Sequence[ShotRecord], name: str = ""
 ) -> Iterator[rr.RecordingStream]:
     """Yield a recording for `records`; its file is created completely or not at all. Raises NotStored."""
-    with whole_path(path) as partial:
+    with atomic_path(path) as partial:
         layout = layout_for(records)
         recording = rr.RecordingStream(layout.application)
         recording.save(partial, default_blueprint=layout.blueprint, write_footer=True)

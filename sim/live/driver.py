@@ -33,7 +33,7 @@ _COMMAND_SIZE, _COMMAND_AT = COMMAND.itemsize, PLANT_COMMAND.fields["command"][1
 _READINGS_SIZE, _READINGS_AT = READINGS.itemsize, PLANT_REPORT.fields["readings"][1]  # type: ignore[index]
 _TRUTH_SIZE, _TRUTH_AT = TRUTH.itemsize, PLANT_REPORT.fields["truth"][1]  # type: ignore[index]
 _OPERATE = int(Mode.OPERATE)
-_INCOMING, _SENDER, _REPORT, _SPARE, _APPLIED, _OUTGOING, _LINK = range(7)
+_INCOMING, _SENDER, _REPORT, _MIN_MARGIN, _APPLIED, _OUTGOING, _LINK = range(7)
 """Addresses in the block: the blocks of the report's and the commands' file (0 while detached), report,
 memory for a copy of it, command applied last, message that carries it, session."""
 _POLL_PERIOD = 0.0005
@@ -221,7 +221,7 @@ def _read_native(block: int, record: int, _: int, time: float) -> int:
     session = carray(pointer(a[_LINK]), 1, _SESSION)[0]
     if a[_INCOMING] == 0 or not session.last_time <= time < np.inf:
         return DECLINED
-    if not fetch_record(slots_at(a[_INCOMING]), a[_REPORT], a[_SPARE]):
+    if not fetch_record(slots_at(a[_INCOMING]), a[_REPORT], a[_MIN_MARGIN]):
         return DECLINED
     session.last_time = time
     copy_bytes(a[_REPORT] + _READINGS_AT, record, _READINGS_SIZE)

@@ -36,9 +36,9 @@ class PlantPlan:
     """Requested SCHED_FIFO priority, one below the loop's; 0 for none."""
     cpu: int = -1
     """Processor core; -1 for any."""
-    burst: int = 5
+    max_catch_up: int = 5
     """Max ticks caught up at once after a stall; the rest slips."""
-    lonely: float = 5.0
+    orphan_timeout: float = 5.0
     """Time without a command after which an orphaned plant ends, s."""
     faults: tuple[Fault, ...] = ()
     """Faults; no onset by phase, as the plant does not know phases."""

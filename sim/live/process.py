@@ -163,7 +163,7 @@ def _live(plan: PlantPlan, plant: WallPlant, files: PlantFiles, is_orphan: Calla
     clock, sleep = time.monotonic, time.sleep
     last_counter, last_command_time = 0, clock()
     looked, surrounded = 0.0, 0
-    grid = WallGrid(plan.plant.tick, clock(), plan.burst)
+    grid = WallGrid(plan.plant.tick, clock(), plan.max_catch_up)
     while True:
         now = clock()
         early = grid.instant - now
@@ -192,8 +192,8 @@ def _live(plan: PlantPlan, plant: WallPlant, files: PlantFiles, is_orphan: Calla
                 return "SIGTERM"
             if not files.are_there:
                 return "another plant took the folder, or its files were removed"
-            if now - last_command_time > plan.lonely and is_orphan():
-                return f"its parent is gone and no command has come for {plan.lonely:g} s"
+            if now - last_command_time > plan.orphan_timeout and is_orphan():
+                return f"its parent is gone and no command has come for {plan.orphan_timeout:g} s"
 
 
 def _is_orphan(parent: int) -> bool:

@@ -11,8 +11,8 @@ class WallGrid:
     Nothing is ever due before its instant.
     """
 
-    def __init__(self, period: float, now: float, burst: int) -> None:
-        self.period, self.burst = period, burst
+    def __init__(self, period: float, now: float, max_catch_up: int) -> None:
+        self.period, self.max_catch_up = period, max_catch_up
         self.line = ceil(now / period)
         """Number of the next tick; due at this multiple of the period."""
         self.slips = 0
@@ -29,9 +29,9 @@ class WallGrid:
         The caller executes them and adds one to `line` for each.
         """
         due = floor(now / self.period) - self.line + 1
-        if due > self.burst:
+        if due > self.max_catch_up:
             self.slips += 1
-            self.slipped_ticks += due - self.burst
-            self.line += due - self.burst
-            return self.burst
+            self.slipped_ticks += due - self.max_catch_up
+            self.line += due - self.max_catch_up
+            return self.max_catch_up
         return max(due, 0)

@@ -32,7 +32,7 @@ class NodesPlan:
     """Requested SCHED_FIFO priority; 0 for none."""
     cpu: int = -1
     """Processor core; -1 for any."""
-    burst: int = 25
+    max_catch_up: int = 25
     """Max plant ticks caught up at once after a stall: more than a valve node's watchdog time."""
     faults: tuple[Fault, ...] = ()
     """Faults; no onset by phase."""
@@ -45,5 +45,12 @@ class NodesPlan:
     def plant_plan(self) -> PlantPlan:
         """Parameters of the plant; its own valve node is unused."""
         return PlantPlan(
-            self.folder, self.plant, 1.0, self.angle, self.priority, self.cpu, self.burst, faults=self.faults
+            self.folder,
+            self.plant,
+            1.0,
+            self.angle,
+            self.priority,
+            self.cpu,
+            self.max_catch_up,
+            faults=self.faults,
         )

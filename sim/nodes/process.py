@@ -281,7 +281,7 @@ def _live(
     """Run plant and devices in wall-clock time."""
     surroundings, report, clock = new_record(PLANT_SURROUNDINGS), nodes.plant.report, time.monotonic
     looked, surrounded, tick = 0.0, 0, plan.plant.tick
-    grid, offset = WallGrid(tick, clock(), plan.burst), 0.0
+    grid, offset = WallGrid(tick, clock(), plan.max_catch_up), 0.0
     while True:
         left = _FRAMES_AT_ONCE
         while left and (message := bus.receive(max(0.0, grid.instant + offset - clock()))) is not None:

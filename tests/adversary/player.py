@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from bench.base.configuration_files import find_configuration
 from bench.base.lifecycle import Answer, Phase, Refusal, Request, State
 from bench.config import load_configuration
-from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import build_controller
+from bench.control.step_records import ControlParameters, new_control_state
 from bench.simulation.loads import Loads, loads_of
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile

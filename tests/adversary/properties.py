@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from bench.base.lifecycle import (
     ACCEPTED_IN,
-    EDGES,
     EMERGENCIES,
     NEEDS_LEASE,
+    TRANSITIONS,
     Answer,
     Cause,
     Phase,
@@ -24,9 +24,9 @@ from bench.base.lifecycle import (
     Request,
     State,
 )
-from bench.control.records import ControlParameters
+from bench.control.step_records import ControlParameters
 from bench.simulation.loads import Loads
-from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from sim.faults import Fault, sort_of
 from tests.adversary.story import Setup
 
@@ -54,7 +54,7 @@ _NUMBERS = (
     "plant_pressure",
 )
 _PAIRS = np.eye(len(State), dtype=bool)
-for _edge in EDGES:
+for _edge in TRANSITIONS:
     _PAIRS[_edge.source, _edge.target] = True
 _LONGEST_STOP = 15_000
 """Ticks from the begin of a reaction to standstill at most."""
@@ -160,7 +160,7 @@ class Judge:
         for k in np.flatnonzero(~_PAIRS[states[:-1], states[1:]]):
             before, after = State(int(states[k])), State(int(states[k + 1]))
             asked = Request(int(c["request"][k])).name.lower() if c["answer"][k] == Answer.ACCEPTED else ""
-            between = {e.target for e in EDGES if asked and (e.source, e.event) == (before, asked)}
+            between = {e.target for e in TRANSITIONS if asked and (e.source, e.event) == (before, asked)}
             if not any(_PAIRS[state, after] for state in between):
                 self._say(ticks[k], f"{before.name} -> {after.name}")
 
@@ -301,7 +301,9 @@ class Judge:
         """Judge a whole story: without a fault nothing is overloaded, and nothing raises an alarm."""
         if faults:
             return
-        self.broken += [f"without a fault {danger}" for danger in dangers(RunEnd(loads), SafetyLimits())]
+        self.broken += [
+            f"without a fault {danger}" for danger in unsafe_reasons(RunEnd(loads), SafetyLimits())
+        ]
         alarms = sorted(cause.name for cause in self.causes - _ASKED_FOR)
         if alarms:
             self.broken.append(f"false alarm: {', '.join(alarms)}")

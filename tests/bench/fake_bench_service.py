@@ -220,7 +220,7 @@ def a_shot(number: int) -> ShotPublication:
 
 class RunningPlane(NamedTuple):
     plane: CommandPlane
-    desk: FakeDesk
+    service: FakeDesk
     configuration: Configuration
     session: zenoh.Session
     """The daemon's."""
@@ -239,13 +239,13 @@ def loopback_configuration(port: int | None = None) -> Configuration:
 
 @contextmanager
 def running_plane(
-    desk: FakeDesk, configuration: Configuration, clock: Callable[[], float] = time.monotonic
+    service: FakeDesk, configuration: Configuration, clock: Callable[[], float] = time.monotonic
 ) -> Iterator[RunningPlane]:
     with open_daemon(configuration.network) as session:
-        plane = CommandPlane(session, configuration.bench.id, desk, clock)
-        desk.publish_shot = plane.publish_shot
+        plane = CommandPlane(session, configuration.bench.id, service, clock)
+        service.publish_shot = plane.publish_shot
         try:
-            yield RunningPlane(plane, desk, configuration, session)
+            yield RunningPlane(plane, service, configuration, session)
         finally:
-            desk.free.set()
+            service.free.set()
             plane.close()

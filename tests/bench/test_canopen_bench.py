@@ -14,10 +14,10 @@ import pytest
 from bench.base.errors import ExitCode, Refused
 from bench.base.lifecycle import Cause, Phase, State
 from bench.commissioning.machine.inputs import of_simulation
-from bench.commissioning.machine.live_robot import Hands, live_robot
+from bench.commissioning.machine.live_robot import OperatorIO, live_robot
 from bench.commissioning.machine.machine import MotionBounds, Segment
-from bench.commissioning.swings.rising_swings import bench_of
 from bench.commissioning.swings.robot_swings import slowed
+from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import load_configuration
 from bench.network.bench_service import DeviceStatus
 from bench.network.client import BenchClient, CommandRefused
@@ -244,7 +244,7 @@ def test_the_robot_behind_the_bus_is_commissioned(tmp_path: Path) -> None:
     with (
         played_nodes(file, "--folder", str(tmp_path)),
         take_bench(configuration.bench.id) as owner,
-        live_robot(configuration, owner, Hands(of_simulation(tmp_path), print)) as robot,
+        live_robot(configuration, owner, OperatorIO(of_simulation(tmp_path), print)) as robot,
     ):
         robot.set_supply(3.0e5)
         trace = resumed(lambda: robot.run((Segment(2.0, (0.1, 0.0, 0.0), vents_shut=True),), bounds))

@@ -19,7 +19,7 @@ from rich.table import Table
 from bench.base.lifecycle import Cause, Phase, Reaction
 from bench.config import Configuration, load_configuration
 from bench.simulation.loads import Loads
-from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from tests.benchmarks.row import Row
 from tests.drivers.canopen.in_step import PERIOD, Wire
 from tests.drivers.canopen.swing_in_step import LONGEST, SwingBench, on_canopen
@@ -186,14 +186,14 @@ class Case(NamedTuple):
     @property
     def unsafe(self) -> bool:
         """Whether the loads are unsafe."""
-        return bool(dangers(RunEnd(self.loads), SafetyLimits()))
+        return bool(unsafe_reasons(RunEnd(self.loads), SafetyLimits()))
 
 
 def run_case(configuration: Configuration, fault: str, phase: Phase) -> Case:
     """Swing up to the first tick of `phase`, bring the fault, and watch until the robot rests or holds."""
     bench, driver, wire = on_canopen(configuration)
     bench.reach(phase)
-    bench.begin_tally()
+    bench.reset_peaks()
     node, first = wire.nodes.plant.node, bench.tick
     reacted: list[tuple[int, Reaction]] = []
 

@@ -298,7 +298,7 @@ def serve(port: int) -> None:
     with running_plane(FakeDesk(), loopback_configuration(port)) as running:
         print("ready", flush=True)
         while True:
-            running.plane.publish_state(running.desk.status())
+            running.plane.publish_state(running.service.status())
             time.sleep(0.01)
 
 

@@ -26,16 +26,16 @@ from rich.table import Table
 from bench.base.errors import Refused
 from bench.commissioning.commissioning import begin, commission
 from bench.commissioning.machine.driver_machine import SimulatedMachine
-from bench.commissioning.machine.known_robot import KnownRobot
+from bench.commissioning.machine.robot_estimate import RobotEstimate
 from bench.commissioning.machine.step import LEARNED_FILE, SWING_FILE, SimulatedRobot
-from bench.commissioning.swings.rising_swings import bench_of
 from bench.commissioning.swings.robot_swings import fastest_swing
+from bench.commissioning.swings.speed_ramp import bench_of
 from bench.commissioning.swings.swing_diagnosis import diagnose
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.control.measured_plant import value_at
 from bench.learning.delivery import figures_of
-from bench.simulation.safety import RunEnd, SafetyLimits, dangers
-from bench.simulation.series import NotReturned, Series
+from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
+from bench.simulation.series import ReturnFailed, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.faults import Fault
@@ -154,7 +154,7 @@ def _share(covered: list[bool]) -> float:
 
 def _commissioned(
     configuration: Configuration, truth: PlantParameters, faults: tuple[Fault, ...] = ()
-) -> tuple[KnownRobot, str, list[str], float]:
+) -> tuple[RobotEstimate, str, list[str], float]:
     """Return what is known after all steps, what ended it, why its loads are unsafe, and its time (s)."""
     with TemporaryDirectory() as folder:
         state = begin(Path(folder), configuration, simulated=True, resume=False)
@@ -162,17 +162,17 @@ def _commissioned(
         try:
             machine = SimulatedMachine(truth, configuration.plant, faults)
         except Refused as error:
-            return KnownRobot(configuration.plant), str(error), [], 0.0
+            return RobotEstimate(configuration.plant), str(error), [], 0.0
         with machine:
             try:
                 commission(state, configuration.plant, machine, lambda: datetime.now(UTC))
             except Refused as error:
                 said = str(error)
-            unsafe = dangers(RunEnd(machine.loads), SafetyLimits())
-            return KnownRobot(configuration.plant, state.values), said, unsafe, machine.time
+            unsafe = unsafe_reasons(RunEnd(machine.loads), SafetyLimits())
+            return RobotEstimate(configuration.plant, state.values), said, unsafe, machine.time
 
 
-def _table(console: Console, seed: int, truth: PlantParameters, known: KnownRobot) -> list[bool]:
+def _table(console: Console, seed: int, truth: PlantParameters, known: RobotEstimate) -> list[bool]:
     """Print truth and estimate of robot `seed`; return which intervals cover the truth."""
     table = Table("parameter", title=f"robot {seed}", title_justify="left")
     for column in ("truth", "estimate", "standard error", "errors off"):
@@ -211,10 +211,10 @@ def _swung_wrongly(console: Console, configuration: Configuration) -> list[Row]:
         series = SimulatedRobot(case.robot, case.faults).series(bench)
         try:
             made = series.swing(profile)
-        except NotReturned as error:
+        except ReturnFailed as error:
             made = error.swing
         said = diagnose(made.cycles, c.plant, found)
-        unsafe = dangers(RunEnd(series.loads()), SafetyLimits())
+        unsafe = unsafe_reasons(RunEnd(series.loads()), SafetyLimits())
         console.print(f"{name}: {said.text} {'; '.join(unsafe)}\n", highlight=False)
         right = not unsafe and (said.named is None or case.is_named_by(said))
         text = "named, safe" if said.named is not None else "undecided, safe"

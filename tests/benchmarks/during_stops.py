@@ -32,8 +32,8 @@ from bench.faults.case import Workbench
 from bench.faults.instants import Instant, instants_of
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.safety import RunEnd, SafetyLimits, dangers
-from bench.simulation.variation import healthy_plant
+from bench.simulation.plant_variation import healthy_plant
+from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from drivers.base import JOINTS
@@ -113,7 +113,7 @@ def stopped(workbench: Workbench, instant: Instant, stop: str, fault: Fault | No
 
 def stop_and_rest(bench: LockstepEngine, stop: str) -> None:
     """Stop `bench` and run it until it rests; its record and tally begin at the stop."""
-    bench.begin_tally()
+    bench.reset_peaks()
     bench.begin_record()
     if stop == "emergency stop":
         bench.plant_state["emergency_stop_clear"] = False
@@ -134,7 +134,7 @@ def rested(bench: LockstepEngine) -> int:
 
 def unsafe(bench: LockstepEngine) -> list[str]:
     """Return why the end of a stop is unsafe; empty when it is safe."""
-    return dangers(RunEnd(bench.loads(), rested=rested(bench) >= STILL), SafetyLimits())
+    return unsafe_reasons(RunEnd(bench.loads(), rested=rested(bench) >= STILL), SafetyLimits())
 
 
 def reactions(bench: LockstepEngine) -> tuple[tuple[int, str], ...]:

@@ -97,7 +97,7 @@ def run_case(fault: str, phase: Phase) -> Case:
     driver = FaultyDriver(c.plant)
     bench = SwingBench(c, driver, driver.plant_state)
     bench.reach(phase)
-    bench.begin_tally()
+    bench.reset_peaks()
     control, first = bench.cycle.state.control, len(bench.kept.cycles)
     if fault == "operator stop":
         bench.cycle.request(Request.STOP)

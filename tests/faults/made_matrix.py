@@ -7,7 +7,7 @@ from itertools import cycle
 from typing import Any
 
 from bench.faults.catalogue import Breakage
-from bench.faults.combined import CATALOGUE
+from bench.faults.compound_faults import CATALOGUE
 from bench.faults.instants import START, Instant
 from bench.faults.summary import VERDICTS, summarise
 from bench.faults.verdict import CaseOutcome

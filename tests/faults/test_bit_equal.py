@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation"
 )
 
-LONGEST_AIR = 500
+PRESSURE_TIMEOUT = 500
 """Looks at the air of the address."""
 FAULTS = {
     "signals": (
@@ -78,7 +78,7 @@ def test_faults_are_the_same_behind_the_driver_and_in_lock_step(name: str) -> No
 
     advance(10)
     advance(5500, Request.ARM)  # the timed faults have come
-    for _ in range(LONGEST_AIR):
+    for _ in range(PRESSURE_TIMEOUT):
         if lockstep.state.control["address_air"]["ready"][0]:
             break
         advance(20)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import pytest
 
-from bench.simulation.variation import healthy_plant
+from bench.simulation.plant_variation import healthy_plant
 from sim.plant import PlantParameters
 from tests.benchmarks.healthy_swings import run
 

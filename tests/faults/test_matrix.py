@@ -23,7 +23,7 @@ from bench.commands.machine.faults_page import matrix_page, matrix_table
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.faults.case import Workbench
 from bench.faults.catalogue import Breakage, irrelevant
-from bench.faults.combined import CATALOGUE
+from bench.faults.compound_faults import CATALOGUE
 from bench.faults.hazard_file import hazard_table, matrix_digest
 from bench.faults.instants import ACCESS, START, Instant, instants_of
 from bench.faults.matrix import FaultStudy, MatrixPlan, instants_for, matrix_store, plan_matrix, run_matrix

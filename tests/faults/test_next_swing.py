@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from bench.faults.case import Workbench
-from bench.faults.combined import CATALOGUE
+from bench.faults.compound_faults import CATALOGUE
 from bench.faults.hazard_file import next_swing_text
 from bench.faults.instants import Instant
 from bench.faults.matrix import instants_for

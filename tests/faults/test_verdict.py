@@ -19,7 +19,7 @@ def test_the_oldest_goes_when_there_are_too_many() -> None:
     assert list(kept) == list(range(3, case._KEPT + 3))
 
 
-LOST = Breakage(Fault("club head lost", "club head", "off"))
+HEAD_LOST = Breakage(Fault("club head lost", "club head", "off"))
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="minutes without compilation")
@@ -28,6 +28,6 @@ def test_a_lost_head_counts_with_the_speed_it_left_with(
     workbench: Workbench, before_ball: int, share: float
 ) -> None:
     at = Instant("downswing", workbench.profile.begins[6] - 2 - before_ball)
-    outcome = workbench.run(LOST, at)
+    outcome = workbench.run(HEAD_LOST, at)
     assert outcome.head_share == pytest.approx(share, abs=0.05)
     assert outcome.verdict == "safe"

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request
 from bench.control.law.feed_forward import FeedForward
-from bench.control.moves.planned_air import with_planned_air
+from bench.control.moves.pressure_plan import with_planned_air
 from bench.control.settings import ControlSettings
 from bench.swing.profile import Profile
 from sim.plant import Encoders, PlantParameters

@@ -12,8 +12,8 @@ import pytest
 from bench.base.lifecycle import Cause, Request, State
 from bench.config import Configuration
 from bench.control.moves.first_motion import forget_answers
-from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import build_controller
+from bench.control.step_records import ControlParameters, new_control_state
 from bench.simulation.lockstep import Lockstep
 from bench.swing.profile import Profile
 from drivers.base import JOINTS

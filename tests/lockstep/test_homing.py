@@ -15,12 +15,12 @@ from bench.base.configuration_files import find_configuration
 from bench.base.lifecycle import Cause, Phase, Reaction, Refusal, Request, State
 from bench.config import load_configuration
 from bench.control.moves.pressed_stops import pressed_stops, stop_tolerance
-from bench.control.records import new_control_state
 from bench.control.settings import SIMULATED, EnvelopeSettings, HomingSettings, build_controller
+from bench.control.step_records import new_control_state
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.swing_operator import LONGEST_SWAY
-from bench.simulation.variation import unknown_plant
+from bench.simulation.plant_variation import unknown_plant
+from bench.simulation.swing_operator import SETTLING_TIMEOUT
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.driver import hanging_pose, joint_travel
@@ -170,7 +170,7 @@ def test_a_guard_opened_in_the_search_brakes_and_latches(make_bench: MakeBench) 
     # The brake has left the joint at rest, not the air in its chambers, which now are let out.
     assert bench.advance(1, Request.RESET)["refusal"][0] == Refusal.MOVING
     engine = LockstepEngine(bench)
-    assert engine.wait_for(engine.is_still, LONGEST_SWAY)
+    assert engine.wait_for(engine.is_still, SETTLING_TIMEOUT)
     assert bench.advance(1, Request.RESET)["answer"][0] == 1
     assert state(bench) is State.SAFE
     home(bench)
@@ -293,7 +293,7 @@ def test_a_small_wrong_zero_leaves_the_club_clear_of_the_ground(
     assert (state(bench), cause(bench)) == (State.READY, Cause.NONE)
     rest(bench)
     engine = LockstepEngine(bench)
-    engine.begin_tally()
+    engine.reset_peaks()
     assert engine.arm()
     bench.advance(500)
     assert engine.start_swing(5, 300)

@@ -16,7 +16,7 @@ from bench.control.settings import EnvelopeSettings, ModelSettings, build_contro
 from bench.design.stop_verification import TRIALS, SwingCheck, TrialOutcome
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.swing_operator import LONGEST_SWAY
+from bench.simulation.swing_operator import SETTLING_TIMEOUT
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters, build_plant
 from tests.sampling import release_except
@@ -152,7 +152,7 @@ def test_the_record_tells_an_emergency_stop(
     bench.plant_state["emergency_stop_clear"] = True
     assert not bench.advance(500)["supply_enable"].any()
     engine = LockstepEngine(bench)
-    assert engine.wait_for(engine.is_still, LONGEST_SWAY)
+    assert engine.wait_for(engine.is_still, SETTLING_TIMEOUT)
     bench.advance(1, Request.RESET)
     assert bench.state.control["answer"][0] == Answer.ACCEPTED
     assert not bench.advance(500)["supply_enable"].any()

@@ -28,7 +28,7 @@ def mutated(old, new):
 told = [
     trials.killer(source),
     mutated("HOLD = 2", "HOLD = 12"),
-    mutated("return [[int(reaction) for reaction in STOPPING[phase]] for phase in Phase]", "return []"),
+    mutated("return [[int(reaction) for reaction in STOP_REACTIONS[phase]] for phase in Phase]", "return []"),
     mutated("NEEDS_LEASE = frozenset(Request) -", "NEEDS_LEASE = frozenset(Request) +"),
     mutated("return [[int(state in", "while True: pass\\n    return [[int(state in"),
     trials.killer(source),

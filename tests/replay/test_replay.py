@@ -19,8 +19,8 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, Phase, Reaction, Request
 from bench.commands.cli import main
 from bench.control.law.gain_table import DAMPING, DERIVATIVE, INTEGRAL, PROPORTIONAL
-from bench.control.records import ControlParameters
 from bench.control.settings import SIMULATED, HomingSettings, build_controller
+from bench.control.step_records import ControlParameters
 from bench.loop.loop import Cycle, CycleArray
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot
 from bench.records.telemetry.cycle_record import FIELDS

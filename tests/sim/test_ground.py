@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sim.dynamics import STATES, _derivative, head_geometry
 from sim.ground import SURFACES, SurfaceName, ground_drag
 from sim.kane import mass_matrix
-from sim.motion import STATES, _derivative, head_geometry
 from sim.plant import Plant, PlantParameters, Shaft, Site, build_plant
 from sim.pneumatics import stop_force
 from sim.robot import RobotParameters

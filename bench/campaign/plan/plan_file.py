@@ -18,8 +18,8 @@ from typing import Any, get_args
 from bench.base.errors import BenchError, did_you_mean
 from bench.base.from_toml import (
     Builder,
-    Leaf,
     Mistake,
+    TomlValue,
     Tree,
     as_tree,
     errors_of,
@@ -119,10 +119,10 @@ def _build(tree: Tree, file: Path, faults: list[BenchError]) -> tuple[CampaignPl
 
 
 def _completed(
-    section: str, node: Tree | Leaf, known: Mapping[str, Any], file: Path, faults: list[BenchError]
+    section: str, node: Tree | TomlValue, known: Mapping[str, Any], file: Path, faults: list[BenchError]
 ) -> Tree:
     """Return a section's entries, those that say `like` completed from the one it names."""
-    if isinstance(node, Leaf):
+    if isinstance(node, TomlValue):
         faults.append(
             BenchError(
                 f"{file}: {section}",
@@ -134,7 +134,7 @@ def _completed(
         return {}
     done: Tree = {}
     for name, entry in node.items():
-        if isinstance(entry, dict) and isinstance(like := entry.get("like"), Leaf):
+        if isinstance(entry, dict) and isinstance(like := entry.get("like"), TomlValue):
             rest = {key: value for key, value in entry.items() if key != "like"}
             if like.value not in known:
                 place = f"{file}: {section}.{name}.like"

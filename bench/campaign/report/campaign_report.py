@@ -69,7 +69,7 @@ from bench.campaign.statistics.analysis import Level, SectionAnalysis
 from bench.campaign.statistics.control_chart import LEAST_VALUES, NELSON
 from bench.records.shot.plot_style import marker_svg
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.telemetry.whole_file import whole_file
+from bench.records.telemetry.atomic_file import atomic_file
 from bench.store.records import CampaignEntry, CampaignState, Hit, Prompt, ShotExclusion, ShotNote, Standing
 
 _ALL_ROWS = 1000
@@ -104,7 +104,7 @@ def write_campaign_report(
         ValueError: there are no shots.
     """
     text = render_campaign_report(record, found, units)
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(text.encode())
 
 

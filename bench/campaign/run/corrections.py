@@ -51,7 +51,7 @@ class Drift(NamedTuple):
     text: str
 
 
-class Drifts:
+class DriftDetector:
     """Receives every shot in order and is asked before each step; its state follows from the shots alone."""
 
     def __init__(self, plan: CampaignPlan) -> None:

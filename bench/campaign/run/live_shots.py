@@ -28,7 +28,7 @@ from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import Step
 from bench.campaign.run.corrections import CorrectedProfiles, Drift
 from bench.campaign.run.plan_requirements import START_SERIES, Profiles, needs_series, series_words
-from bench.campaign.run.runner import Hindrance, ShotPostponed, Suspended
+from bench.campaign.run.runner import BlockingCondition, ShotPostponed, Suspended
 from bench.campaign.run.simulated_shots import (
     Taken,
     air_columns,
@@ -47,10 +47,10 @@ from bench.network.status_words import absent_monitor_text
 from bench.records.shot.ball_struck import ball_struck
 from bench.records.shot.recorded_shot import FlightConditions, delivery_of_cycles, plant_of
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_matcher import told_figures
+from bench.records.shot.shot_matcher import reported_columns
 from bench.records.shot.shot_message import ShotPublication, launch_from_json
 from bench.supervisor.ownership import bench_folder
-from bench.supervisor.readiness import felt_alike, with_face_of
+from bench.supervisor.readiness import mechanically_equal, with_face_of
 from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 from drivers.base import Launch
@@ -131,7 +131,7 @@ def _fits(
     plan: CampaignPlan, club: str, profile: Profile, clubs: Mapping[str, Club], status: BenchStatus
 ) -> bool:
     """Return whether the bench, as started, swings `club` with `profile`."""
-    alike = status["club"] == club or felt_alike(plan.clubs[club], clubs.get(status["club"]))
+    alike = status["club"] == club or mechanically_equal(plan.clubs[club], clubs.get(status["club"]))
     return alike and profile.name == status["profile"]
 
 
@@ -191,21 +191,21 @@ class LiveShots:
         """Return the clock's time."""
         return datetime.now(UTC)
 
-    def hindrance(self, step: Step) -> Hindrance | None:
+    def hindrance(self, step: Step) -> BlockingCondition | None:
         """Return the hindrance of a missing launch monitor or of too low a supply pressure, if any."""
         with _suspending():
             status = self._client.status()
         return self._unseen(status) or self._short_of_air(step, status)
 
-    def _unseen(self, status: BenchStatus) -> Hindrance | None:
+    def _unseen(self, status: BenchStatus) -> BlockingCondition | None:
         if not self._monitored:
             return None
         if (link := status["launch_monitor"]) is None:
             raise Suspended("the bench restarted without its launch monitor, [launch_monitor] enabled")
         note = f": {link['note']}" if link["note"] else ""
-        return None if link["present"] else Hindrance(f"{absent_monitor_text(link)}{note}")
+        return None if link["present"] else BlockingCondition(f"{absent_monitor_text(link)}{note}")
 
-    def _short_of_air(self, step: Step, status: BenchStatus) -> Hindrance | None:
+    def _short_of_air(self, step: Step, status: BenchStatus) -> BlockingCondition | None:
         """Check the supply pressure, at the address only: otherwise its manifold is empty."""
         supply, pressure = self._plan.supply, status["supply_pressure_pa"]
         if pressure is None or (status["state"], status["phase"]) != ("ARMED", "HOLD"):
@@ -215,7 +215,7 @@ class LiveShots:
         if pressure >= least:
             return None
         text = f"supply {pressure / 1e5:.2f} bar absolute, at least {least / 1e5:.2f} for {profile.name}"
-        return Hindrance(text, armed=True, patience=supply.patience)
+        return BlockingCondition(text, armed=True, patience=supply.patience)
 
     def rest(self) -> None:
         """Disarm: vent the robot."""
@@ -238,7 +238,7 @@ class LiveShots:
 
     # A person at the robot -------------------------------------------------------------------------
 
-    def lacks(self, step: Step) -> Preparation | None:
+    def required_restart(self, step: Step) -> Preparation | None:
         """Return what the bench must be restarted with before `step`."""
         with _suspending():
             status = self._client.status()
@@ -253,7 +253,7 @@ class LiveShots:
         )
         return Preparation(PromptKind.BENCH, text, {"profile": wanted, "club": arm.club})
 
-    def hand_over(self, kind: PromptKind) -> None:
+    def grant_access(self, kind: PromptKind) -> None:
         """Vent the robot and unlock the guard; for `PromptKind.BENCH` release the lease instead."""
         with _suspending():
             self.rest()
@@ -263,7 +263,7 @@ class LiveShots:
             self._operator.take_lease()
             self._until(lambda status: status["state"] == "ACCESS", self._client.access)
 
-    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+    def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """Lock the guard once it is closed and the button beside the robot, if there is one, was pressed."""
         if kind is PromptKind.BENCH:
             return
@@ -432,7 +432,7 @@ class LiveShots:
         mounted, planned = plant.robot.club, self._plan.clubs[name]
         if mounted.name == name:
             return plant
-        if not felt_alike(planned, self._clubs.get(mounted.name)):
+        if not mechanically_equal(planned, self._clubs.get(mounted.name)):
             raise Suspended(f"the bench swings club {mounted.name}, the plan {name}")
         return replace(plant, robot=replace(plant.robot, club=with_face_of(mounted, planned)))
 
@@ -470,7 +470,7 @@ def _reported(message: ShotPublication | None) -> _SeenLaunch:
     if (told := message["launch"]) is None:
         return _SeenLaunch(None, message["reason"], {}, {})
     launch = launch_from_json(told)
-    return _SeenLaunch(launch.launch, message["reason"], told_figures(launch), {"launch": told})
+    return _SeenLaunch(launch.launch, message["reason"], reported_columns(launch), {"launch": told})
 
 
 def _left_to_person(todo: str) -> None:

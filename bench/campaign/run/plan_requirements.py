@@ -21,7 +21,7 @@ from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.shot_sequence import all_trials, is_mounted
 from bench.campaign.statistics.block_model import as_split_plot, fully_randomised
 from bench.config import Configuration
-from bench.supervisor.readiness import assess, felt_alike, mount
+from bench.supervisor.readiness import assess, mechanically_equal, mount
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
 from sim.kinematics import head_motion
@@ -75,7 +75,7 @@ def _misfit(
     plan: CampaignPlan, configuration: Configuration, swing: str, name: str, club: str
 ) -> BenchError | None:
     """Return the error of `swing` with the plan's club `name`, its profile being designed for `club`."""
-    if name == club or felt_alike(plan.clubs[name], configuration.clubs.get(club)):
+    if name == club or mechanically_equal(plan.clubs[name], configuration.clubs.get(club)):
         return None
     return BenchError(
         f"{find_profile(plan.profile(swing, name))}: club",

@@ -194,7 +194,7 @@ def _trial_of(shot: Shot) -> PlannedShot:
     return PlannedShot(Role(shot.role), shot.section, shot.block, shot.position, arm)
 
 
-class Broadcast(CampaignProgress):
+class ProgressPublisher(CampaignProgress):
     """Publishes the progress of a campaign after each shot and change."""
 
     def __init__(
@@ -219,7 +219,7 @@ class Broadcast(CampaignProgress):
         self._publish(self.message)
 
 
-class Together(Watcher):
+class CompositeWatcher(Watcher):
     """Several watchers as one."""
 
     def __init__(self, *watchers: Watcher) -> None:

@@ -22,12 +22,12 @@ from bench.campaign.plan.gate import outside
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.prompts import PromptKind
 from bench.campaign.plan.shot_sequence import RESTART, Course, Ending, Role, Step
-from bench.campaign.run.corrections import Drift, Drifts
+from bench.campaign.run.corrections import Drift, DriftDetector
 from bench.campaign.run.simulated_shots import Taken
 from bench.records.shot.recorded_shot import shot_to_json
 from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.recorder import write_swing
-from bench.records.telemetry.whole_file import NotStored
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import DatabaseLocked
 from bench.store.records import CampaignEntry, CampaignState, Event, Hit, Prompt
@@ -50,7 +50,7 @@ class Suspended(Exception):
     """No more shots until a person has checked the bench; the text gives the reason."""
 
 
-class Hindrance(NamedTuple):
+class BlockingCondition(NamedTuple):
     """A hindrance to a shot that passes by itself."""
 
     text: str
@@ -91,7 +91,7 @@ class ShotSource(Protocol):
         """
         ...
 
-    def hindrance(self, step: Step) -> Hindrance | None:
+    def hindrance(self, step: Step) -> BlockingCondition | None:
         """Return the hindrance to `step`, None if there is none. Raises Suspended."""
         ...
 
@@ -99,15 +99,15 @@ class ShotSource(Protocol):
         """Disarm: the time of the next shot is unknown."""
         ...
 
-    def lacks(self, step: Step) -> Preparation | None:
+    def required_restart(self, step: Step) -> Preparation | None:
         """Return what the bench must be restarted with before `step`; None if no restart is needed."""
         ...
 
-    def hand_over(self, kind: PromptKind) -> None:
+    def grant_access(self, kind: PromptKind) -> None:
         """Let a person at the robot, or at the whole bench. Raises Suspended as `take`."""
         ...
 
-    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+    def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """Go on after the person has said that it is done; also when nothing was handed over. Raises so.
 
         `ask` shows what else the person has to do, such as to press a button.
@@ -199,7 +199,7 @@ class Runner:
         self._data_dir, self._watcher, self._batch = data_dir, watcher, batch
         self._folder = data_dir / "campaigns" / entry.id / "swings"
         self._operator = operator
-        self._drifts = Drifts(plan)
+        self._drifts = DriftDetector(plan)
         self._fitting = Fitting("")
         self._asked_so_far = 0
         self._open: Prompt | None = None
@@ -469,7 +469,7 @@ class Runner:
         """Take the bench back after an answer that came without a runner."""
         waiting = self._store.standing(self._entry.id).state is CampaignState.WAITING
         if waiting and self._open is None and (prompts := self._store.prompts(self._entry.id)):
-            self._source.take_back(PromptKind(prompts[-1].kind), self._ask_also)
+            self._source.resume_after_access(PromptKind(prompts[-1].kind), self._ask_also)
         if self._open is None:
             self._stand(CampaignState.RUNNING, "")
 
@@ -477,14 +477,14 @@ class Runner:
         self, step: Step, number: int, sample: int, interrupted: Callable[[], bool]
     ) -> tuple[CampaignState, str] | None:
         """Prompt the operator for the work before the shot; return the ending if one is requested instead."""
-        while wish := missing(self._plan, self._fitting, step, sample, self._hits) or self._source.lacks(
-            step
-        ):
+        while wish := missing(
+            self._plan, self._fitting, step, sample, self._hits
+        ) or self._source.required_restart(step):
             if wish.kind not in (self._operator.kinds if self._operator else {PromptKind.BENCH}):
                 now = self._source.time_of(number)
                 prompt = self._prompt(wish, number, now)._replace(answered=now, by="simulation")
-                self._source.hand_over(wish.kind)
-                self._source.take_back(wish.kind, self._ask_also)
+                self._source.grant_access(wish.kind)
+                self._source.resume_after_access(wish.kind, self._ask_also)
                 self._done_by_itself.append(prompt)
                 self._watcher.say(f"{wish.text} The simulation has done it by itself.")
             else:
@@ -514,7 +514,7 @@ class Runner:
         self, prompt: Prompt, kind: PromptKind, interrupted: Callable[[], bool]
     ) -> tuple[CampaignState, str] | None:
         campaign, operator = self._entry.id, self._operator
-        self._source.hand_over(kind)
+        self._source.grant_access(kind)
         self._stand(CampaignState.WAITING, prompt.text)
         if operator:
             operator.show(prompt)
@@ -533,7 +533,7 @@ class Runner:
         finally:
             if operator:
                 operator.hide()
-        self._source.take_back(kind, self._ask_also)
+        self._source.resume_after_access(kind, self._ask_also)
         self._stand(CampaignState.RUNNING, "")
         return None
 

@@ -32,7 +32,7 @@ from bench.campaign.run.plan_requirements import (
     series_words,
     speed_sensitivities,
 )
-from bench.campaign.run.progress import Broadcast, Together
+from bench.campaign.run.progress import CompositeWatcher, ProgressPublisher
 from bench.campaign.run.runner import BATCH, Operator, Runner, RunOutcome, ShotSource, Watcher
 from bench.campaign.run.simulated_shots import SimulatedShots
 from bench.campaign.statistics.analysis import decide
@@ -151,7 +151,7 @@ def run_campaign(
             stack.enter_context(bench_lock(data_dir, entry))
             client = stack.enter_context(BenchClient.connect(configuration))
             publish = stack.enter_context(client.publish_campaign(entry.id))
-            watcher = Together(watcher, Broadcast(entry, plan, publish))
+            watcher = CompositeWatcher(watcher, ProgressPublisher(entry, plan, publish))
             air = partial(_air_now, entry, plan, store)
             for warning in _warnings(plan, profiles, entry, store, client.status(), air()):
                 watcher.say(warning)

@@ -26,10 +26,10 @@ from bench.config import Configuration
 from bench.learning.learn import LearningProblem, Swinger, on_series
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_matcher import NOT_TOLD, told_figures
+from bench.records.shot.shot_matcher import UNREPORTED, reported_columns
+from bench.simulation.plant_variation import Variation
 from bench.simulation.series import Series
 from bench.simulation.simulated_bench import ArmedBench, SimulatedBench, SwingResult
-from bench.simulation.variation import Variation
 from bench.swing.library import find_profile
 from drivers.base import Launch
 from drivers.launch_monitor.conversation import Conversation, add_doubts
@@ -71,7 +71,7 @@ def hear(
         one for one in match([swing], records, late + 1.0, window).decided if one.shot == swing.shot
     )
     if found.outcome is MatchOutcome.NO_LAUNCH or found.launch is None:
-        return MonitorResult(None, NOT_TOLD)
+        return MonitorResult(None, UNREPORTED)
     record = add_doubts(found.launch, club_speed)
     return MonitorResult(record, "; ".join(filter(None, (found.reason, record.reason))))
 
@@ -220,13 +220,13 @@ class SimulatedShots:
     def rest(self) -> None:
         """Nothing is to be done: its time stands still between two shots."""
 
-    def lacks(self, step: Step) -> None:
+    def required_restart(self, step: Step) -> None:
         """Return nothing: it swings every profile."""
 
-    def hand_over(self, kind: PromptKind) -> None:
+    def grant_access(self, kind: PromptKind) -> None:
         """No action needed."""
 
-    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+    def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         """No action needed."""
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
@@ -297,7 +297,9 @@ class SimulatedShots:
                     status, reason = ShotStatus.EXCLUDED, reason or doubt
         shot = self._shot(step, number, sample, result, status, reason)
         if heard.launch is not None:
-            shot = replace(shot, **{**told_figures(heard.launch), "launch_source": "simulated", **carries})
+            shot = replace(
+                shot, **{**reported_columns(heard.launch), "launch_source": "simulated", **carries}
+            )
         return shot
 
     def _shot(

@@ -21,7 +21,7 @@ from bench.campaign.statistics.sample_size import (
     SeriesSize,
     alpha_at_end,
     balls_of_each,
-    foreseen,
+    predict_precision,
     series_needed,
 )
 from bench.store.records import Hit
@@ -84,7 +84,7 @@ def outlook(plan: CampaignPlan) -> Outlook:
     between = a.mounting_deviation if plan.split else a.ball_deviation
     if plan.design.compare == "club" and not plan.split and deviation:
         deviation = hypot(deviation, a.mounting_deviation)  # nearly each shot has a mounting of its own
-    known = foreseen(plan, deviation or 1.0, between)
+    known = predict_precision(plan, deviation or 1.0, between)
     if known is None or not a.deviation:
         freedom = known.freedom if known else 0.0
         return Outlook(count, pairs, blocks, freedom, alpha / max(pairs, 1), *[None] * 6)

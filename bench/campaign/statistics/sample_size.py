@@ -179,7 +179,7 @@ class SeriesSize(NamedTuple):
     """Valid shots in all."""
 
 
-class Foreseen(NamedTuple):
+class PredictedPrecision(NamedTuple):
     """What a plan's differences will be known by, if all its shots are valid."""
 
     error: float
@@ -218,7 +218,9 @@ class Foreseen(NamedTuple):
         return float((steps < alpha).mean())
 
 
-def foreseen(plan: CampaignPlan, deviation: float, ball_deviation: float, blocks: int = 0) -> Foreseen | None:
+def predict_precision(
+    plan: CampaignPlan, deviation: float, ball_deviation: float, blocks: int = 0
+) -> PredictedPrecision | None:
     """Return what a section of `plan` will be known by with these true deviations; None with one level.
 
     `deviation` is that of one shot, after covariates; `ball_deviation` is that between mountings in a
@@ -244,14 +246,14 @@ def foreseen(plan: CampaignPlan, deviation: float, ball_deviation: float, blocks
     if fit.freedom < 1 or (plan.split and not enough_mountings(level, block, levels_)):
         return None
     units = units_of(level, ball, levels_)
-    errors = UnitLayout(fit, units, pooled=plan.split and are_pooled(units.balls)).foreseen(
+    errors = UnitLayout(fit, units, pooled=plan.split and are_pooled(units.balls)).predict_precision(
         np.full(levels_, deviation**2), (ball_deviation / deviation) ** 2
     )
     pairs = list(combinations(range(count), 2))
     each = np.array([errors.of_pair(*pair) for pair in pairs])
     joint = together(errors, pairs, fit.freedom)
     own = int((units.level == 0).sum())
-    return Foreseen(
+    return PredictedPrecision(
         float(np.sqrt((each[:, 0] ** 2).mean())),
         float(min(1 / (1 / each[:, 1]).mean(), fit.freedom)),
         joint.single(alpha_at_end(plan)),
@@ -281,7 +283,7 @@ def series_needed(
     a = plan.analysis
     if deviation <= 0:
         return SeriesSize(2, 2), SeriesSize(2, 2) if a.margin else None
-    known = foreseen(plan, deviation, ball_deviation, min(plan.design.blocks, _REFERENCE))
+    known = predict_precision(plan, deviation, ball_deviation, min(plan.design.blocks, _REFERENCE))
     if known is None:
         return None, None
     if plan.split:
@@ -317,7 +319,9 @@ def series_needed(
     return results[0], results[1] if a.margin else None
 
 
-def _mountings_needed(plan: CampaignPlan, known: Foreseen) -> tuple[SeriesSize | None, SeriesSize | None]:
+def _mountings_needed(
+    plan: CampaignPlan, known: PredictedPrecision
+) -> tuple[SeriesSize | None, SeriesSize | None]:
     """Return what `series_needed` returns, of more mountings with the plan's hits each."""
     a, hits, alpha = plan.analysis, plan.shots_per_mounting, alpha_at_end(plan)
 
@@ -334,7 +338,7 @@ def _mountings_needed(plan: CampaignPlan, known: Foreseen) -> tuple[SeriesSize |
     return results[0], results[1] if a.margin else None
 
 
-def _scaled(known: Foreseen, shots: int, units: int) -> tuple[float, float]:
+def _scaled(known: PredictedPrecision, shots: int, units: int) -> tuple[float, float]:
     between = known.ball_deviation**2
 
     def plain(n: int, balls: int) -> float:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from bench.config import Configuration
-    from bench.records.telemetry.zero_shift import CalibratedShifts
+    from bench.records.telemetry.encoder_preset import CalibratedShifts
     from drivers.canopen.scan import ScannedNode
     from sim.nodes.personality import Personality
     from sim.nodes.plan import NodesPlan
@@ -213,7 +213,7 @@ def _compared(
     node: ScannedNode, configuration: Configuration, calibrated: CalibratedShifts | None
 ) -> ScannedNode:
     """Return `node`, refused if the zero of its encoder is not where it was calibrated."""
-    from bench.records.telemetry.zero_shift import moved_zero
+    from bench.records.telemetry.encoder_preset import moved_zero
 
     numbers = configuration.canopen.encoders.nodes
     if calibrated is None or not node.taken or node.number not in numbers:

@@ -33,10 +33,10 @@ app.add_typer(lease_app, name="lease", rich_help_panel=PANEL)
 Wait = Annotated[bool, flag("--wait", "Wait until it is done; the lease is renewed meanwhile.")]
 Timeout = Annotated[float, option("Longest time to wait with --wait.", "S", low=1.0, high=600.0)]
 
-LONGEST_SWAY = 10.0
+SETTLING_TIMEOUT = 10.0
 """s for which a command without --wait asks again while the robot sways or chambers vent."""
 
-_SPARE = 1000
+_MIN_MARGIN = 1000
 """Sequence numbers reserved for one command, so that the next one does not reuse those of a killed one."""
 
 
@@ -76,7 +76,7 @@ def home(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) ->
     """
     with _holding(context) as bench:
         with _waiting(bench) as watch:
-            bench.home(timeout if wait else LONGEST_SWAY, watch)
+            bench.home(timeout if wait else SETTLING_TIMEOUT, watch)
             if wait:
                 bench.wait_for("READY", timeout=timeout, watch=watch)
         _tell(bench)
@@ -91,7 +91,7 @@ def arm(context: typer.Context, wait: Wait = False, timeout: Timeout = 60.0) -> 
     """
     with _holding(context) as bench:
         with _waiting(bench) as watch:
-            bench.arm(timeout if wait else LONGEST_SWAY, watch)
+            bench.arm(timeout if wait else SETTLING_TIMEOUT, watch)
             if wait:
                 bench.wait_until_armed(timeout=timeout, watch=watch)
         _tell(bench)
@@ -201,13 +201,13 @@ def take_lease(
         kept = file.read()
         if kept is not None and kept.holder == name:
             bench.held = kept
-            file.write(replace(kept, sequence=kept.sequence + _SPARE))
+            file.write(replace(kept, sequence=kept.sequence + _MIN_MARGIN))
             try:
                 left = bench.renew_lease(seconds)
             except CommandRefused:
                 pass  # it was over
             else:
-                file.write(replace(kept, sequence=kept.sequence + _SPARE))
+                file.write(replace(kept, sequence=kept.sequence + _MIN_MARGIN))
                 typer.echo(f"bench {bench.bench}: {name} holds it for {left:g} s more")
                 return
         held = bench.take_lease(name, DEFAULT if seconds is None else seconds)
@@ -272,7 +272,7 @@ def _holding(context: typer.Context) -> Iterator[BenchClient]:
         kept = file.read()
         if kept is not None:
             bench.held = replace(kept)
-            file.write(replace(kept, sequence=kept.sequence + _SPARE))
+            file.write(replace(kept, sequence=kept.sequence + _MIN_MARGIN))
         try:
             yield bench
             if bench.held is not None:

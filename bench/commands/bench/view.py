@@ -186,7 +186,7 @@ def _writable(path: Path) -> Path:
     Raises:
         NotStored: it cannot.
     """
-    from bench.records.telemetry.whole_file import NotStored
+    from bench.records.telemetry.atomic_file import NotStored
 
     try:
         with path.open("wb"):

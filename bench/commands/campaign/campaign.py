@@ -311,7 +311,7 @@ def _run(
     from bench.campaign.report.campaign_report import write_campaign_report
     from bench.campaign.report.findings import findings, findings_record
     from bench.commands.campaign.campaign_baseline import check_baseline, junit_xml
-    from bench.records.telemetry.whole_file import whole_file
+    from bench.records.telemetry.atomic_file import atomic_file
     from bench.store.records import CampaignState
 
     plan = plan_from_record(entry.plan, f"campaign {entry.id}")
@@ -323,7 +323,7 @@ def _run(
     if outputs.report and record.shots:
         write_campaign_report(outputs.report, record, found, outputs.units)
     if outputs.junit:
-        with whole_file(outputs.junit) as stream:
+        with atomic_file(outputs.junit) as stream:
             stream.write(junit_xml(entry, outcome, record.shots, checks))
     if outputs.json:
         held = [{"path": c.band.path, "value": c.value, "holds": c.holds} for c in checks]
@@ -345,7 +345,7 @@ def _take(
 ) -> RunOutcome:
     """Take the shots of `entry` with a progress bar; on a running bench, send notifications."""
     from bench.campaign.plan.prompts import PromptKind
-    from bench.campaign.run.progress import Together, notifying
+    from bench.campaign.run.progress import CompositeWatcher, notifying
     from bench.campaign.run.runner_control import run_campaign, run_start
     from bench.commands.campaign.campaign_runner_screen import CampaignScreen
     from bench.commands.campaign.campaign_screen import campaign_bar
@@ -360,7 +360,10 @@ def _take(
             notifying(file if entry.real_time else "", entry, screen.say) as notifier,
             mark_keys(bar, user_name(), lambda: screen.message, _marker(store, entry.id)) as keys,
         ):
-            watcher, operator = Together(screen, notifier), TerminalOperator(bar, entry.id, asked_for, keys)
+            watcher, operator = (
+                CompositeWatcher(screen, notifier),
+                TerminalOperator(bar, entry.id, asked_for, keys),
+            )
             return run_campaign(
                 entry, configuration, store, watcher, asked.is_made, operator, start, lambda: asked.cause
             )
@@ -413,7 +416,7 @@ def report(
     from bench.campaign.report.report_format import UnitSystem
     from bench.campaign.report.report_tables import issue_report
     from bench.campaign.run.campaign_control import standing_now
-    from bench.records.telemetry.whole_file import whole_file
+    from bench.records.telemetry.atomic_file import atomic_file
 
     with _found(context, campaign) as (store, entry):
         record = load_record(store, entry)
@@ -433,7 +436,7 @@ def report(
     typer.echo(str(path))
     if issue:  # each issue keeps its page
         issued = path.with_name(f"{path.stem}{record.number.removeprefix(entry.id)}{path.suffix}")
-        with whole_file(issued) as stream:
+        with atomic_file(issued) as stream:
             stream.write(path.read_bytes())
         typer.echo(f"issued as {record.number}: {issued}")
 

@@ -329,7 +329,7 @@ def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
 
 def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
     """Return what the devices of the running bench say of their zeros; warn if nothing is known of them."""
-    from bench.records.telemetry.zero_shift import read_shifts
+    from bench.records.telemetry.encoder_preset import read_shifts
     from bench.supervisor.ownership import bench_folder
 
     found = read_shifts(bench_folder(configuration.bench.id))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bench.calibration.ball_aerodynamics import BallAerodynamics
     from bench.calibration.calibration import Entry, SeenInputs
     from bench.commissioning.machine.driver_machine import SimulatedMachine
-    from bench.commissioning.machine.live_robot import Hands
+    from bench.commissioning.machine.live_robot import OperatorIO
     from bench.commissioning.steps.inputs_check import WatchedMachine
     from bench.config import Configuration
 
@@ -260,11 +260,11 @@ def keep_inputs(configuration: Configuration, seen: SeenInputs, by: str) -> Entr
     return keep_calibration(configuration, seen, datetime.now(UTC), by=by, method="each acted on by hand")
 
 
-def simulated_hands(machine: SimulatedMachine) -> Hands:
+def simulated_hands(machine: SimulatedMachine) -> OperatorIO:
     """Return the hands at a robot simulated in lock-step."""
-    from bench.commissioning.machine.live_robot import Hands
+    from bench.commissioning.machine.live_robot import OperatorIO
 
-    return Hands(
+    return OperatorIO(
         machine.set_supply,
         lambda text: None,
         act=machine.act,
@@ -292,7 +292,7 @@ def ask_person(text: str) -> None:
 
 
 @contextmanager
-def _simulated(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]]:
+def _simulated(configuration: Configuration) -> Iterator[tuple[WatchedMachine, OperatorIO]]:
     from bench.commissioning.machine.driver_machine import SimulatedMachine
 
     c = configuration
@@ -301,10 +301,10 @@ def _simulated(configuration: Configuration) -> Iterator[tuple[WatchedMachine, H
 
 
 @contextmanager
-def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]]:
+def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, OperatorIO]]:
     """Take the bench's place."""
     from bench.commissioning.machine.inputs import by_person, turned_once
-    from bench.commissioning.machine.live_robot import Hands, live_robot
+    from bench.commissioning.machine.live_robot import OperatorIO, live_robot
     from bench.supervisor.ownership import take_bench
 
     if not at_terminal():
@@ -317,7 +317,7 @@ def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Hands]
     supply = configuration.plant.supply
     turn = turned_once(by_person(ask_person, supply.pressure, supply.atmosphere))
     with take_bench(configuration.bench.id) as owner:
-        hands = Hands(turn, say, act=saying(say), gauge=gauge_from_person)
+        hands = OperatorIO(turn, say, act=saying(say), gauge=gauge_from_person)
         with live_robot(configuration, owner, hands, inputs_only=True) as robot:
             yield robot, hands
 

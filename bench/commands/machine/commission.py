@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from bench.calibration.calibration import SeenInputs
     from bench.commissioning.commissioning import Commissioning
     from bench.commissioning.machine.driver_machine import SimulatedMachine
-    from bench.commissioning.machine.known_robot import KnownRobot
-    from bench.commissioning.machine.live_robot import Hands
+    from bench.commissioning.machine.live_robot import OperatorIO
     from bench.commissioning.machine.machine import CommissionedMachine
+    from bench.commissioning.machine.robot_estimate import RobotEstimate
     from bench.commissioning.machine.step import NamedStep, SwungRobot
     from bench.commissioning.steps.inputs_check import WatchedMachine
     from bench.config import Configuration
@@ -211,16 +211,16 @@ def _see_inputs(
 def _write_robot(
     file: Path,
     state: Commissioning,
-    known: KnownRobot,
+    known: RobotEstimate,
     envelope: EnvelopeSettings,
     following: Mapping[str, tuple[float, float, float]] | None = None,
 ) -> None:
     """Write robot.toml, with the limits of `following` errors of its swing once that is designed."""
     from bench.commissioning.robot_file import robot_file
-    from bench.records.telemetry.whole_file import whole_file
+    from bench.records.telemetry.atomic_file import atomic_file
 
     made = datetime.now(UTC).date()
-    with whole_file(file) as stream:
+    with atomic_file(file) as stream:
         stream.write(robot_file(known, state.configuration, made, envelope, following).encode())
 
 
@@ -230,7 +230,7 @@ class _Machine(NamedTuple):
     measured: CommissionedMachine
     swung: SwungRobot
     watched: WatchedMachine
-    hands: Hands
+    hands: OperatorIO
     observe: Callable[[], tuple[str, ...]]
     """Returns notes after a measuring step."""
 
@@ -255,7 +255,7 @@ def _live(
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
     from bench.commands.machine.calibrate_measured import SIMULATED_PATIENCE
     from bench.commissioning.machine.inputs import in_simulation
-    from bench.commissioning.machine.live_robot import Hands, live_robot
+    from bench.commissioning.machine.live_robot import OperatorIO, live_robot
     from bench.supervisor.ownership import take_bench
     from sim.live.contact_watch import ContactWatch
 
@@ -267,7 +267,7 @@ def _live(
         if c.driver.name == "sim":
             marks = ContactWatch(owner.folder)
             plant = in_simulation(owner.folder, supply.pressure, supply.atmosphere)
-            hands = Hands(
+            hands = OperatorIO(
                 plant.turn,
                 say,
                 look=lambda: _mark_in(marks, truth.plant),
@@ -285,12 +285,12 @@ def _live(
 
 def _hands_of_person(
     configuration: Configuration, regulator: str | None, bar: Progress, say: Callable[[str], None]
-) -> Hands:
+) -> OperatorIO:
     """Return the hands of the person at the terminal, `regulator` being the program that turns it, if any."""
     from bench.commands.machine.calibrate_measured import ask_person, gauge_from_person, saying
     from bench.commands.swing.learn import mark_from_person
     from bench.commissioning.machine.inputs import by_person, by_program, turned_once
-    from bench.commissioning.machine.live_robot import Hands
+    from bench.commissioning.machine.live_robot import OperatorIO
 
     def ask(text: str) -> None:
         with paused(bar):
@@ -312,7 +312,7 @@ def _hands_of_person(
     supply = configuration.plant.supply
     turn = by_person(ask, supply.pressure, supply.atmosphere) if regulator is None else by_program(regulator)
     person, gauge = (ask_mark, ask_gauge) if at_terminal() else (None, None)
-    return Hands(turned_once(turn), say, person, act=saying(say), gauge=gauge)
+    return OperatorIO(turned_once(turn), say, person, act=saying(say), gauge=gauge)
 
 
 def _mark_in(contacts: ContactWatch, truth: PlantParameters) -> tuple[float, float] | None:
@@ -363,9 +363,9 @@ def _loads(machine: SimulatedMachine) -> str:
 def _write_report(state: Commissioning, nominal: PlantParameters, made: datetime) -> None:
     """Write the report of what was done so far."""
     from bench.commissioning.robot_file import commissioning_report
-    from bench.records.telemetry.whole_file import whole_file
+    from bench.records.telemetry.atomic_file import atomic_file
 
-    with whole_file(state.folder / "report.html") as stream:
+    with atomic_file(state.folder / "report.html") as stream:
         stream.write(commissioning_report(state, nominal, made).encode())
 
 

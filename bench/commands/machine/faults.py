@@ -119,11 +119,11 @@ def run(
 def _write(folder: Path, summary: dict[str, Any]) -> None:
     from bench.commands.machine.faults_page import matrix_page
     from bench.faults.summary import summary_text
-    from bench.records.telemetry.whole_file import whole_file
+    from bench.records.telemetry.atomic_file import atomic_file
 
     page = matrix_page(summary, summary.get("comparison"))
     for name, text in {"matrix.json": summary_text(summary), "matrix.html": page}.items():
-        with whole_file(folder / name) as file:
+        with atomic_file(folder / name) as file:
             file.write(text.encode())
 
 

@@ -16,10 +16,10 @@ from bench.commands.common.progress import progress_bar
 from bench.commands.common.session import Session, exit_unless, show_json
 
 if TYPE_CHECKING:
+    from bench.control.law.gain_scheduling import MachineGains
     from bench.control.law.linear_loop import Estimator
-    from bench.control.law.linear_plant import Frozen
-    from bench.control.law.machine_gains import MachineGains
-    from bench.learning.along_swing import Judged, Proof
+    from bench.control.law.linear_plant import LinearPlant
+    from bench.learning.along_swing import LoopMargins, ValidationSwing
     from bench.simulation.series import Bench
 
 
@@ -65,10 +65,10 @@ def tune(
     exit_unless(not proofs["nominal"].failure)
 
 
-def _linearised(bench: Bench) -> tuple[list[Frozen], Estimator]:
+def _linearised(bench: Bench) -> tuple[list[LinearPlant], Estimator]:
     """Return the plant at instants of the bench's swing, and its settled filters."""
     from bench.control.law.linear_loop import steady_estimator
-    from bench.control.law.linear_plant import freeze
+    from bench.control.law.linear_plant import linearize
     from bench.control.settings import estimator_record
     from bench.learning.along_swing import operating_points
     from sim.plant import build_plant
@@ -76,12 +76,12 @@ def _linearised(bench: Bench) -> tuple[list[Frozen], Estimator]:
     plant = build_plant(bench.model)
     filters = estimator_record(bench.estimator, bench.model)
     estimator = steady_estimator(filters, bench.model.tick, bench.model.encoders.latency)
-    return [freeze(plant, point) for point in operating_points(bench)], estimator
+    return [linearize(plant, point) for point in operating_points(bench)], estimator
 
 
 def _machine(bench: Bench) -> MachineGains | None:
     """Return the bench's gains by pose; None where they are set by hand."""
-    from bench.control.law.machine_gains import machine_gains
+    from bench.control.law.gain_scheduling import machine_gains
     from bench.control.settings import estimator_record
 
     control = bench.control
@@ -91,10 +91,10 @@ def _machine(bench: Bench) -> MachineGains | None:
     return machine_gains(bench.model, filters, control.address_tolerance, control.move_timeout)
 
 
-def _proofs(bench: Bench, bar: Progress) -> dict[str, Proof]:
+def _proofs(bench: Bench, bar: Progress) -> dict[str, ValidationSwing]:
     """Return a whole swing of the nominal and one of the worn robot."""
     from bench.learning.along_swing import proof
-    from bench.simulation.variation import WORN
+    from bench.simulation.plant_variation import WORN
 
     robots = {"nominal": bench.model, "worn": WORN.applied_to(bench.model)}
     return {
@@ -102,7 +102,7 @@ def _proofs(bench: Bench, bar: Progress) -> dict[str, Proof]:
     }
 
 
-def margins_table(title: str, judged: Judged) -> Table:
+def margins_table(title: str, judged: LoopMargins) -> Table:
     """Return the table of the loops' margins, one row an instant and joint."""
     from drivers.base import JOINTS
 
@@ -134,7 +134,7 @@ def margins_table(title: str, judged: Judged) -> Table:
     return table
 
 
-def _story(proofs: dict[str, Proof], worst: str, machine: MachineGains | None) -> list[str]:
+def _story(proofs: dict[str, ValidationSwing], worst: str, machine: MachineGains | None) -> list[str]:
     """Return what to say below the table."""
     lines = [
         "Joints slide, spools are beyond their dead band, the motion is frozen at each instant. The top, "
@@ -152,7 +152,7 @@ def _story(proofs: dict[str, Proof], worst: str, machine: MachineGains | None) -
 
 def _by_pose(machine: MachineGains) -> list[str]:
     """Return what gains by pose reach over the whole working range, and what limits them."""
-    from bench.control.law.machine_gains import RequiredMargins
+    from bench.control.law.gain_scheduling import RequiredMargins
     from drivers.base import JOINTS
 
     required, worst = RequiredMargins(), machine.worst
@@ -175,7 +175,7 @@ def _by_pose(machine: MachineGains) -> list[str]:
     return lines
 
 
-def _worst(judged: Judged) -> str:
+def _worst(judged: LoopMargins) -> str:
     """Return the worst margins of all loops in words."""
     margins = [loop.margins for loop in judged.loops]
     gain, phase = min(m.gain for m in margins), degrees(min(m.phase for m in margins))
@@ -189,7 +189,7 @@ def _milli(values: Any) -> str:
 
 
 def _record(
-    bench: Bench, judged: Judged, proofs: dict[str, Proof], machine: MachineGains | None
+    bench: Bench, judged: LoopMargins, proofs: dict[str, ValidationSwing], machine: MachineGains | None
 ) -> dict[str, Any]:
     from bench.control.law.gain_table import gains_at
     from drivers.base import JOINTS

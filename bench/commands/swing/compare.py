@@ -54,8 +54,8 @@ def compare(
     """
     from bench.design.static_checks import require_possible
     from bench.learning.delivery import planned_figures
+    from bench.simulation.plant_variation import drawn
     from bench.simulation.series import Bench
-    from bench.simulation.variation import drawn
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
@@ -83,7 +83,7 @@ def compare(
 
 def _robots_named(name: str, plant: PlantParameters) -> dict[str, PlantParameters]:
     """Return the nominal robot `plant`, the worn one, or both, by name."""
-    from bench.simulation.variation import WORN
+    from bench.simulation.plant_variation import WORN
 
     robots = {"nominal": plant, "worn": WORN.applied_to(plant)}
     return robots if name == "both" else {name: robots[name]}

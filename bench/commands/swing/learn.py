@@ -146,7 +146,7 @@ def _robot(plant: PlantParameters, file: Path | None, draw: int | None, club: st
     It swings the club called `club`, as `plant` does.
     """
     from bench.config import load_configuration
-    from bench.simulation.variation import drawn
+    from bench.simulation.plant_variation import drawn
 
     robot = plant if file is None else load_configuration(file).with_club(club).plant
     return robot if draw is None else drawn(draw, robot).applied_to(robot)

@@ -490,8 +490,8 @@ def limits(
     Draws robots within their tolerances, swings and stops each without a fault, and sets the limits above all
     their deviations. Minutes.
     """
-    from bench.control.model_limits import save_limits
-    from bench.design.model_limits import make_limits
+    from bench.control.residual_thresholds import save_limits
+    from bench.design.threshold_generation import make_limits
     from bench.simulation.series import Bench
     from bench.supervisor.readiness import assess_bench
     from bench.swing.library import PROFILES
@@ -522,7 +522,7 @@ def address(
     The bench brings the chambers to them before it permits a swing, so that a swing does not depend on how
     the robot came to its address.
     """
-    from bench.control.moves.planned_air import with_planned_air
+    from bench.control.moves.pressure_plan import with_planned_air
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile, save_profile
 

@@ -28,7 +28,7 @@ from bench.commissioning.machine.machine import (
     Until,
     bound_passed,
 )
-from bench.commissioning.machine.step import WrongMachine
+from bench.commissioning.machine.step import MachineFault
 from bench.loop.loop import record_reading
 from bench.simulation.loads import Loads, loads_of
 from bench.simulation.swing_operator import never
@@ -155,7 +155,7 @@ class DriverMachine:
         """Be passive until chambers are empty and joints rest, for at most `duration` (s).
 
         Raises:
-            WrongMachine: the chambers are not empty then.
+            MachineFault: the chambers are not empty then.
         """
         self.make_passive()
         self._revive()
@@ -170,7 +170,7 @@ class DriverMachine:
                 break
         fullest = int(np.argmax(self._pressure()))
         if self._pressure()[fullest] > self._atmosphere + 3.0 * _EMPTY:
-            raise WrongMachine(
+            raise MachineFault(
                 "vents",
                 f"{1e-5 * self._pressure()[fullest]:.2f} bar in {CHAMBERS[fullest]} after {duration:g} s",
                 "empty chambers",
@@ -189,7 +189,7 @@ class DriverMachine:
 
         Raises:
             Refused: the device fails, or it was stopped.
-            WrongMachine: a joint moves with air on and the guard closed; one of a robot that is to be
+            MachineFault: a joint moves with air on and the guard closed; one of a robot that is to be
                 measured, whose spools may be off their centres, faster than `ADRIFT` allows.
         """
         begun = changed = self._now
@@ -219,7 +219,7 @@ class DriverMachine:
                 return readings
 
     def _require_spools_centred(self, start: NDArray[np.int64]) -> None:
-        """Make the machine passive and raise WrongMachine if a joint moves, from counts `start`."""
+        """Make the machine passive and raise MachineFault if a joint moves, from counts `start`."""
         way = np.abs(self._turned(start))
         joint = JOINTS[int(np.argmax(way))]
         if self._inputs_only:
@@ -231,7 +231,7 @@ class DriverMachine:
             return
         self.make_passive()
         action = "Adjust its centre by the maker's manual, or look for a stuck spool."
-        raise WrongMachine(f"{joint} valve", f"{found} with the spools centred", "rest", action)
+        raise MachineFault(f"{joint} valve", f"{found} with the spools centred", "rest", action)
 
     def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
         """Run `segments` with the supply on; afterwards the last openings stay in force."""

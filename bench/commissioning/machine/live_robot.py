@@ -14,11 +14,11 @@ from bench.commissioning.machine.inputs import Act, Regulator
 from bench.commissioning.machine.machine import MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine.machine_process import MachinePlan
 from bench.commissioning.machine.machine_server import (
-    ArmFor,
-    BePassive,
-    LetIn,
+    ArmBench,
     LockGuard,
+    MakePassive,
     Order,
+    ReleaseGuard,
     Run,
     Swing,
     Vent,
@@ -45,7 +45,7 @@ class MachineLost(BenchError):
     exit_code = ExitCode.DEVICE
 
 
-class Hands(NamedTuple):
+class OperatorIO(NamedTuple):
     """Work at a robot by hand."""
 
     regulator: Regulator
@@ -66,7 +66,7 @@ class Hands(NamedTuple):
 class LiveRobot:
     """A robot in real time: a CommissionedMachine and a SwungRobot."""
 
-    def __init__(self, child: Child, connection: Connection, hands: Hands) -> None:
+    def __init__(self, child: Child, connection: Connection, hands: OperatorIO) -> None:
         """Give orders to `child` by `connection`, with the `hands` of who stands beside the robot."""
         self._child, self._connection = child, connection
         self._hands = hands
@@ -100,13 +100,13 @@ class LiveRobot:
     def make_passive(self) -> None:
         """End what runs, and be passive; a process that is gone has left the machine passive."""
         with suppress(BenchError, OSError):
-            self._order(BePassive())
+            self._order(MakePassive())
 
     # A SwungRobot --------------------------------------------------------------------------------------
 
     def series(self, bench: Bench) -> LiveRobot:
         """Arm `bench` on the robot."""
-        self._order(ArmFor(bench))
+        self._order(ArmBench(bench))
         return self
 
     def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
@@ -124,7 +124,7 @@ class LiveRobot:
         """
         if self._hands.person is None:
             return self._hands.look()
-        self._order(LetIn())
+        self._order(ReleaseGuard())
         mark = self._hands.person()
         self._order(LockGuard())
         return mark
@@ -176,7 +176,7 @@ class LiveRobot:
 def live_robot(
     configuration: Configuration,
     owner: Ownership,
-    hands: Hands,
+    hands: OperatorIO,
     truth: Configuration | None = None,
     *,
     inputs_only: bool = False,

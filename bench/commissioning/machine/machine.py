@@ -132,7 +132,7 @@ class CommissionedMachine(Protocol):
         """Be passive until chambers are empty and joints rest, for at most `duration` (s).
 
         Raises:
-            WrongMachine: the chambers are not empty then.
+            MachineFault: the chambers are not empty then.
         """
 
     def make_passive(self) -> None:

@@ -29,11 +29,11 @@ from bench.control.settings import (
 from bench.learning.live import swung_cycles
 from bench.loop.loop import Cycle, Cycles, Loop
 from bench.simulation.loads import Loads
-from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, not_returned
+from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, return_failed
 from bench.simulation.swing_operator import (
     LONGEST_RETURN,
     LONGEST_STOP,
-    LONGEST_SWAY,
+    SETTLING_TIMEOUT,
     SwingOperator,
     joined,
 )
@@ -120,7 +120,7 @@ class LiveSeries:
         repeated.
 
         Raises:
-            NotReturned: the robot does not come back to its address.
+            ReturnFailed: the robot does not come back to its address.
             Refused: no ball comes, it was stopped, or the machine stays busy.
         """
         found = ""
@@ -131,7 +131,7 @@ class LiveSeries:
             try:
                 cause, stall = self._come_back()
             except Refused as refused:
-                raise not_returned(refused, made._replace(cause=self._operator.cause)) from None
+                raise return_failed(refused, made._replace(cause=self._operator.cause)) from None
             if not stall and (whole or cause):
                 return made._replace(cause=cause)
             found = f"stopped: {cause_text(cause, stall)}" if stall else "the record has gaps before the ball"
@@ -143,13 +143,13 @@ class LiveSeries:
         """Return the records of a swing, one a tick, and whether none is missing up to the ball."""
         operator, loop = self._operator, self._operator.stepper
         for tries_left in reversed(range(ADDRESS_TRIES)):
+            operator.begin_record()
             if not operator.holding():
                 self._arm()
             operator.advance(round(HOLD / operator.period))
             loop.parameters = with_tables_of(loop.parameters, profile, self.bench.control, self.bench.model)
             operator.await_air()  # a joint that friction lets go may take the club to the ball
             self._tee_up(ball=ball)
-            operator.begin_record()
             if operator.start_swing(_SWINGS, _CHUNK):
                 break
             self._require_no_stop()
@@ -258,7 +258,7 @@ class LiveSeries:
             found = cause_text(cause, self._stall()) if cause else f"state {self._state.name}"
             raise Refused("homing", found, "a homed robot in state READY", "Follow the text, then --resume.")
         operator.wait_for(lambda: bool(operator.control["venting"]["emptied"][0]), _PATIENCE)
-        operator.wait_for(operator.is_vented, LONGEST_SWAY)
+        operator.wait_for(operator.is_vented, SETTLING_TIMEOUT)
         self._ask(Request.ARM)
         if not operator.reach_address():
             raise stopped_by_operator()
@@ -342,11 +342,11 @@ class Vent(NamedTuple):
     """s"""
 
 
-class BePassive(NamedTuple):
+class MakePassive(NamedTuple):
     """Centre the spools, shut the supply, open the vents; a robot that swings is brought to rest first."""
 
 
-class ArmFor(NamedTuple):
+class ArmBench(NamedTuple):
     """Arm for swings of a bench; answered once the robot holds its address."""
 
     bench: Bench
@@ -359,7 +359,7 @@ class Swing(NamedTuple):
     ball: bool
 
 
-class LetIn(NamedTuple):
+class ReleaseGuard(NamedTuple):
     """Release the guard for a person; answered once it may be opened."""
 
 
@@ -367,7 +367,7 @@ class LockGuard(NamedTuple):
     """Lock the guard that a person has closed."""
 
 
-Order = LetIn | LockGuard | Run | WatchInputs | Vent | BePassive | ArmFor | Swing
+Order = ReleaseGuard | LockGuard | Run | WatchInputs | Vent | MakePassive | ArmBench | Swing
 
 
 class MachineServer:
@@ -408,19 +408,19 @@ class MachineServer:
         """Do `order` and return its answer.
 
         Raises:
-            WrongMachine, Refused: as the machine and the series.
+            MachineFault, Refused: as the machine and the series.
             DriverError: the device failed; it is passive.
         """
         match order:
             case Swing(profile, ball):
                 return self._armed().swing(profile, ball=ball)
-            case LetIn():
+            case ReleaseGuard():
                 self._armed().let_in()
                 return None
             case LockGuard():
                 self._armed().lock()
                 return None
-            case ArmFor(bench):
+            case ArmBench(bench):
                 self._end_series()
                 self._machine.make_passive()
                 c = self._configuration
@@ -443,7 +443,7 @@ class MachineServer:
                 return self._machine.watch(*order)
             case Vent(duration):
                 return self._machine.vent(duration)
-            case BePassive():
+            case MakePassive():
                 self._machine.make_passive()
                 return None
 

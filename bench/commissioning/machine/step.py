@@ -9,7 +9,6 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 
 from bench.base.errors import Refused
-from bench.commissioning.machine.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine.machine import (
     CommissionedMachine,
     MotionBounds,
@@ -17,6 +16,7 @@ from bench.commissioning.machine.machine import (
     Segment,
     Until,
 )
+from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.config import Configuration
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, Series, SeriesSwing
@@ -81,26 +81,26 @@ def slow_bounds(plant: PlantParameters, pressure: float) -> MotionBounds:
     return MotionBounds((a, b, c), (x, y, z), pressure)
 
 
-def edges(known: KnownRobot, actuator: int) -> tuple[float, float]:
+def edges(known: RobotEstimate, actuator: int) -> tuple[float, float]:
     """Return the openings at which the valve's flow to B and to A begins."""
     key = f"{ACTUATOR_KEYS[actuator]}.valve"
     centre, band = known.value(f"{key}.centre"), known.value(f"{key}.dead_band")
     return centre - band, centre + band
 
 
-def centres(known: KnownRobot) -> Triple:
+def centres(known: RobotEstimate) -> Triple:
     """Return the commands at which all spools are centred."""
     a, b, c = (known.value(f"{key}.valve.centre") for key in ACTUATOR_KEYS)
     return a, b, c
 
 
-def beyond(known: KnownRobot, actuator: int, side: Side, opening: float) -> float:
+def beyond(known: RobotEstimate, actuator: int, side: Side, opening: float) -> float:
     """Return the command that opens valve `actuator` by `opening` beyond its edge towards `side`."""
     lower, upper = edges(known, actuator)
     return upper + opening if side == "upper" else lower - opening
 
 
-def openings(known: KnownRobot, parked: Iterable[int], **moved: float) -> Triple:
+def openings(known: RobotEstimate, parked: Iterable[int], **moved: float) -> Triple:
     """Return commands that hold joints `parked` at their lower stops and centre the other spools.
 
     `moved` gives the commands of joints by name.
@@ -115,12 +115,12 @@ def openings(known: KnownRobot, parked: Iterable[int], **moved: float) -> Triple
 
 
 def move_to_stop(
-    machine: CommissionedMachine, known: KnownRobot, joint: int, side: Side, parked: Iterable[int] = ()
+    machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side, parked: Iterable[int] = ()
 ) -> StopMove:
     """Move `joint` to its stop at `side`, joints `parked` held at their lower ones, and press it there.
 
     Raises:
-        WrongMachine: a bound was passed, or the driving chamber does not fill.
+        MachineFault: a bound was passed, or the driving chamber does not fill.
     """
     parked = [i for i in parked if i != joint]
     name, chamber = JOINTS[joint], 2 * joint + (0 if side == "upper" else 1)
@@ -141,7 +141,7 @@ def move_to_stop(
     require_within(pressing, f"{name} pressed to its {side} stop")
     if not pressing.ended[0]:
         reached = pressing.pressure[-1, chamber]
-        raise WrongMachine(
+        raise MachineFault(
             f"{name}, {CHAMBERS[chamber]}",
             f"fills to {1e-5 * reached:.2f} bar in {_FILLING:g} s at a supply of {1e-5 * PRESSING:.1f} bar",
             f"at least {1e-5 * PRESSED:.1f} bar",
@@ -150,7 +150,7 @@ def move_to_stop(
     return StopMove(moving, pressing)
 
 
-def fold(machine: CommissionedMachine, known: KnownRobot) -> dict[str, StopMove]:
+def fold(machine: CommissionedMachine, known: RobotEstimate) -> dict[str, StopMove]:
     """Move all joints to their lower stops, the club first, and return the moves by name."""
     done: dict[str, StopMove] = {}
     for n, joint in enumerate(FOLD_ORDER):
@@ -160,8 +160,8 @@ def fold(machine: CommissionedMachine, known: KnownRobot) -> dict[str, StopMove]
 
 def at_both_stops(
     machine: CommissionedMachine,
-    known: KnownRobot,
-    trace: Callable[[CommissionedMachine, KnownRobot, int, Side], MotionTrace],
+    known: RobotEstimate,
+    trace: Callable[[CommissionedMachine, RobotEstimate, int, Side], MotionTrace],
 ) -> dict[str, MotionTrace]:
     """Return a `trace` of each joint at either stop by name; the machine is vented before and afterwards."""
     machine.vent()
@@ -177,7 +177,7 @@ def at_both_stops(
 
 
 def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters) -> None:
-    """Raise WrongMachine if a bound ended `trace` by an encoder of another joint or of a wrong scale."""
+    """Raise MachineFault if a bound ended `trace` by an encoder of another joint or of a wrong scale."""
     if not trace.tripped:
         return
     way = np.abs(trace.angle(plant.encoders.counts_per_revolution)[-1])
@@ -185,7 +185,7 @@ def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters)
     jumps = np.abs(np.diff(trace.count, axis=0)).max(axis=0, initial=0)
     for name, jump in zip(JOINTS, jumps.tolist(), strict=True):
         if jump > _JUMP * plant.tick * plant.encoders.counts_per_revolution / (2 * np.pi):
-            raise WrongMachine(
+            raise MachineFault(
                 f"{name} encoder",
                 f"its count jumps by {jump}: wrong scale, or broken",
                 f"counts up to {plant.encoders.counts_per_revolution} that change evenly",
@@ -195,7 +195,7 @@ def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters)
     if seen != joint and way[joint] < _OWN_SHARE * way[seen]:
         raise swapped_encoders(joint, seen, way)
     if trace.tripped.way_of == joint:
-        raise WrongMachine(
+        raise MachineFault(
             f"{name} encoder",
             f"turns by {way[joint]:.2f} rad and is not at a stop: wrong scale, or no stop",
             f"at most {(upper - lower)[joint]:.2f} rad between the stops",
@@ -203,10 +203,10 @@ def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters)
         )
 
 
-def swapped_encoders(joint: int, seen: int, way: np.ndarray) -> WrongMachine:
+def swapped_encoders(joint: int, seen: int, way: np.ndarray) -> MachineFault:
     """Return that the encoder of joint `seen` follows `joint`; `way` (3,) rad by the encoders."""
     name, other = JOINTS[joint], JOINTS[seen]
-    return WrongMachine(
+    return MachineFault(
         f"{name} encoder",
         f"turns by {way[joint]:.2f} rad when the {name} moves, that of the {other} by {way[seen]:.2f} rad",
         f"the encoder of the {name} follows it",
@@ -215,7 +215,7 @@ def swapped_encoders(joint: int, seen: int, way: np.ndarray) -> WrongMachine:
 
 
 def require_within(trace: MotionTrace, doing: str) -> None:
-    """Raise WrongMachine if a bound ended `trace`."""
+    """Raise MachineFault if a bound ended `trace`."""
     if not trace.tripped:
         return
     if trace.tripped.way_of is not None:
@@ -227,18 +227,18 @@ def require_within(trace: MotionTrace, doing: str) -> None:
         action = (
             "Look for a valve that opens too far, an encoder that jumps, or a supply that is not turned down."
         )
-    raise WrongMachine(doing, trace.tripped.text, "a slow motion between the stops", action)
+    raise MachineFault(doing, trace.tripped.text, "a slow motion between the stops", action)
 
 
-class WrongMachine(Refused):
+class MachineFault(Refused):
     """A step found the machine wrong; it was left passive. Exits with REFUSED."""
 
 
-class SwingStopped(WrongMachine):
+class SwingStopped(MachineFault):
     """A swing that something stopped."""
 
 
-class PredictionFails(WrongMachine):
+class PredictionFails(MachineFault):
     """The model of the robot as measured does not do the step; the robot itself has not moved."""
 
 
@@ -318,7 +318,7 @@ Traces = Mapping[str, MotionTrace]
 class StepResult(NamedTuple):
     """What a step found."""
 
-    values: tuple[FoundValue, ...]
+    values: tuple[ParameterEstimate, ...]
     notes: tuple[str, ...] = ()
     """Findings for the report other than values."""
 
@@ -348,7 +348,7 @@ class SwingingStep(NamedStep, Protocol):
         """Swing `robot`, `known` as measured, leave files in `folder`, and give `progress` the present part.
 
         Raises:
-            WrongMachine: the machine does not swing as a right one does.
+            MachineFault: the machine does not swing as a right one does.
             Refused: it does not come to its address.
         """
 
@@ -356,17 +356,17 @@ class SwingingStep(NamedStep, Protocol):
 class CommissioningStep(NamedStep, Protocol):
     """A measuring step; measuring and estimating are separate: a stored trace can be estimated again."""
 
-    def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
+    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
         """Move the robot and return the traces; the robot is vented afterwards.
 
         Raises:
-            WrongMachine: the machine does not do what a right one does.
+            MachineFault: the machine does not do what a right one does.
             Refused: an interlock ended it.
         """
 
-    def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
+    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
         """Return what `traces` say; a pure function of them.
 
         Raises:
-            WrongMachine: they say that the machine is wrong.
+            MachineFault: they say that the machine is wrong.
         """

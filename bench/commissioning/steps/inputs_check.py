@@ -24,7 +24,7 @@ from bench.commissioning.machine.inputs import (
     stages,
 )
 from bench.commissioning.machine.machine import DRIFT
-from bench.commissioning.machine.step import WrongMachine
+from bench.commissioning.machine.step import MachineFault
 from bench.config import Configuration
 from drivers.base import CHAMBERS, Command, Readings
 
@@ -56,7 +56,7 @@ class WatchedMachine(Protocol):
 
         Raises:
             Refused: the device fails.
-            WrongMachine: a joint moves with air on.
+            MachineFault: a joint moves with air on.
         """
 
     def make_passive(self) -> None:
@@ -106,7 +106,7 @@ def check_inputs(
     Raises:
         Refused: no person reads the gauge, air is on or off where it may not be, the guard is open when air
             is to come, or the device fails.
-        WrongMachine: a joint moves.
+        MachineFault: a joint moves.
     """
     if hands.gauge is None:
         action = "Run it in a terminal, or golfbench calibrate inputs before."
@@ -133,12 +133,12 @@ def check_inputs(
 
 
 def raise_findings(findings: list[InputFinding]) -> None:
-    """Raise WrongMachine with all `findings`, if there are any."""
+    """Raise MachineFault with all `findings`, if there are any."""
     if findings:
         place, found, expected, action = (
             "; ".join(dict.fromkeys(part)) for part in zip(*findings, strict=True)
         )
-        raise WrongMachine(place, found, expected, action)
+        raise MachineFault(place, found, expected, action)
 
 
 def _watched(

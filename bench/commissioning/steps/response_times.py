@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
-from bench.commissioning.machine.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
+from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.commissioning.machine.step import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
+    MachineFault,
     StepResult,
     Traces,
-    WrongMachine,
     beyond,
     centres,
     fold,
@@ -32,7 +32,7 @@ from bench.commissioning.machine.step import (
     require_within,
     slow_bounds,
 )
-from bench.commissioning.steps.air_fit import (
+from bench.commissioning.steps.pneumatic_identification import (
     AirTrace,
     joint_angles,
     nominal_values,
@@ -75,7 +75,7 @@ class ResponseTimes:
     title = "Frequency of the spools, latency of the encoders"
     bounds_text = "steps of 0.15 for 60 ms at a stop; pushes over a third of the travel at 4.5 bar absolute"
 
-    def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
+    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
         """Step each valve at its lower stop, then let each joint coast with closed valves."""
         machine.vent()
         fold(machine, known)
@@ -96,20 +96,22 @@ class ResponseTimes:
         machine.vent()
         return traces
 
-    def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
+    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
         """Return the natural frequency of each spool, and the encoders' latency."""
         values, notes, dead_times = [], [], []
         for i, key in enumerate(ACTUATOR_KEYS):
             (value, error), dead_time = fit_spool(traces[f"{JOINTS[i]} steps"], known, i)
             dead_times.append(dead_time)
             if value < _SLOWEST:
-                raise WrongMachine(
+                raise MachineFault(
                     f"{JOINTS[i]} valve",
                     f"its spool follows with {value / (2 * np.pi):.0f} Hz only",
                     f"at least {_SLOWEST / (2 * np.pi):.0f} Hz",
                     "The spool sticks: clean the valve, check the air's filter, or replace the valve.",
                 )
-            values.append(FoundValue(f"{key}.valve.natural_frequency", value, error, "rad/s", self.name))
+            values.append(
+                ParameterEstimate(f"{key}.valve.natural_frequency", value, error, "rad/s", self.name)
+            )
         latencies = []
         for i, joint in enumerate(JOINTS):
             for name, trace in traces.items():
@@ -126,16 +128,16 @@ class ResponseTimes:
         if latencies:
             value, error = _weighted(np.array(latencies))
             value, error = value + dead, float(np.hypot(np.hypot(error, dead_error), _LEAST_LATENCY_ERROR))
-            values.append(FoundValue("encoders.latency", max(value, 0.0), error, "s", self.name))
+            values.append(ParameterEstimate("encoders.latency", max(value, 0.0), error, "s", self.name))
         else:
             notes.append("no joint coasted: the encoders' latency stays a guess")
         return StepResult(tuple(values), tuple(notes))
 
 
 def _require_quick(joint: str, latency: float, error: float) -> None:
-    """Raise WrongMachine if the encoder of `joint` lags by more than an encoder may."""
+    """Raise MachineFault if the encoder of `joint` lags by more than an encoder may."""
     if latency - 3.0 * error > _LONGEST_LATENCY:
-        raise WrongMachine(
+        raise MachineFault(
             f"{joint} encoder",
             f"{1e3 * latency:.1f} ms later than the pressures",
             f"at most {1e3 * _LONGEST_LATENCY:.0f} ms",
@@ -143,7 +145,7 @@ def _require_quick(joint: str, latency: float, error: float) -> None:
         )
 
 
-def _pulses(known: KnownRobot, joint: int) -> tuple[Segment, ...]:
+def _pulses(known: RobotEstimate, joint: int) -> tuple[Segment, ...]:
     def at(command: float) -> Triple:
         return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
 
@@ -152,7 +154,7 @@ def _pulses(known: KnownRobot, joint: int) -> tuple[Segment, ...]:
     return (rest, *((Segment(_OPEN, opened), rest) * _PULSES))
 
 
-def _push(known: KnownRobot, joint: int, share: float) -> tuple[Segment, ...]:
+def _push(known: RobotEstimate, joint: int, share: float) -> tuple[Segment, ...]:
     travel = np.ptp(np.array(joint_travel(known.plant)), axis=0)[joint]
 
     def at(command: float) -> Triple:
@@ -173,7 +175,7 @@ def _push(known: KnownRobot, joint: int, share: float) -> tuple[Segment, ...]:
 
 
 def fit_spool(
-    trace: MotionTrace, known: KnownRobot, actuator: int
+    trace: MotionTrace, known: RobotEstimate, actuator: int
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the spool's natural frequency (rad/s) of `actuator` with its error, from steps at a stop.
 
@@ -236,7 +238,7 @@ def _answers(trace: MotionTrace, tick: float) -> NDArray[np.int64]:
     )
 
 
-def fit_latency(trace: MotionTrace, known: KnownRobot, joint: int) -> tuple[float, float] | None:
+def fit_latency(trace: MotionTrace, known: RobotEstimate, joint: int) -> tuple[float, float] | None:
     """Return latency (s) of the encoder of `joint` and its error from coasting; None if it hardly moved."""
     plant = known.plant
     angle = joint_angles(trace, plant)[:, joint]
@@ -266,7 +268,9 @@ def fit_latency(trace: MotionTrace, known: KnownRobot, joint: int) -> tuple[floa
     return value, error_
 
 
-def _shown_by_pressures(trace: MotionTrace, known: KnownRobot, joint: int, rows: NDArray[np.int64]) -> Array:
+def _shown_by_pressures(
+    trace: MotionTrace, known: RobotEstimate, joint: int, rows: NDArray[np.int64]
+) -> Array:
     """Return the joint's angles (m, 2) rad that the pressures of chambers A and B show at `rows`."""
     plant = known.plant
     air = AirTrace(trace, joint, plant)

@@ -21,17 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.calibration.calibration import zero_counts
-from bench.commissioning.machine.known_robot import ACTUATOR_KEYS, FoundValue, KnownRobot
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment
+from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.commissioning.machine.step import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
+    MachineFault,
     Side,
     StepResult,
     StopMove,
     Traces,
-    WrongMachine,
     at_both_stops,
     beyond,
     centres,
@@ -42,7 +42,7 @@ from bench.commissioning.machine.step import (
     slow_bounds,
     swapped_encoders,
 )
-from bench.commissioning.steps.air_fit import NAMES, fit_air, way_per_angle
+from bench.commissioning.steps.pneumatic_identification import NAMES, fit_air, way_per_angle
 from drivers.base import CHAMBERS, JOINTS, Triple
 from sim.driver import joint_travel
 from sim.kane import bias_forces
@@ -92,7 +92,7 @@ class Wiring:
         "speeds at which no cushion takes more than half its rated energy"
     )
 
-    def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
+    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
         """Ramp each valve, then move each joint from stop to stop."""
         _require_sensors(machine.vent(), known.plant)
         machine.set_supply(FAINT)
@@ -103,7 +103,7 @@ class Wiring:
             require_within(trace, f"{JOINTS[i]} valve a little open")
             traces[f"{JOINTS[i]} ramp"] = trace
         machine.vent()
-        known = KnownRobot(known.plant)
+        known = RobotEstimate(known.plant)
         known.add(_valve_values(traces, known.plant))
         moves = fold(machine, known)
         for i in FOLD_ORDER[::-1]:
@@ -117,7 +117,7 @@ class Wiring:
             traces[move], traces[f"{move}, pressed"] = both
         return traces
 
-    def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
+    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
         """Return the valves' rough centres and bands, and the encoders' signs and zeros."""
         plant = known.plant
         values = _valve_values(traces, plant)
@@ -139,8 +139,8 @@ def _ramp(valve: int) -> tuple[Segment, ...]:
     )
 
 
-def _valve_values(traces: Traces, plant: PlantParameters) -> tuple[FoundValue, ...]:
-    """Return rough centres and dead bands; raise WrongMachine if a valve is not connected as it should."""
+def _valve_values(traces: Traces, plant: PlantParameters) -> tuple[ParameterEstimate, ...]:
+    """Return rough centres and dead bands; raise MachineFault if a valve is not connected as it should."""
     responses = {i: _response(traces[f"{JOINTS[i]} ramp"]) for i in range(3)}
     _require_supply(traces, plant)
     _require_connected(responses, traces)
@@ -150,14 +150,14 @@ def _valve_values(traces: Traces, plant: PlantParameters) -> tuple[FoundValue, .
         feet = valve_feet(traces[f"{JOINTS[i]} ramp"], i)
         centre, band = (feet.lower + feet.upper) / 2, max((feet.upper - feet.lower) / 2, 0.0)
         if abs(centre) > MAX_CENTRE or band > MAX_BAND:
-            raise WrongMachine(
+            raise MachineFault(
                 f"{JOINTS[i]} valve",
                 f"centre at {centre:+.3f}, overlap {band:.3f}",
                 f"a centre within {MAX_CENTRE} and an overlap up to {MAX_BAND}",
                 "Adjust the valve's centre by its maker's manual, or replace the valve.",
             )
-        values.append(FoundValue(f"{key}.valve.centre", centre, 0.004, "", Wiring.name))
-        values.append(FoundValue(f"{key}.valve.dead_band", band, 0.01, "", Wiring.name))
+        values.append(ParameterEstimate(f"{key}.valve.centre", centre, 0.004, "", Wiring.name))
+        values.append(ParameterEstimate(f"{key}.valve.dead_band", band, 0.01, "", Wiring.name))
     return tuple(values)
 
 
@@ -185,11 +185,11 @@ def valve_feet(trace: MotionTrace, valve: int) -> ValveFeet:
 
 
 def _require_sensors(trace: MotionTrace, plant: PlantParameters) -> None:
-    """Raise WrongMachine unless all chamber sensors show the atmosphere at the end of venting."""
+    """Raise MachineFault unless all chamber sensors show the atmosphere at the end of venting."""
     off = trace.pressure[-1] - plant.supply.atmosphere
     worst = int(np.argmax(np.abs(off)))
     if abs(off[worst]) > _SENSOR:
-        raise WrongMachine(
+        raise MachineFault(
             f"{CHAMBERS[worst]} sensor",
             f"{1e-5 * trace.pressure[-1, worst]:.2f} bar with the chamber vented",
             f"{1e-5 * plant.supply.atmosphere:.2f} bar",
@@ -198,11 +198,11 @@ def _require_sensors(trace: MotionTrace, plant: PlantParameters) -> None:
 
 
 def _require_vents(traces: Traces, plant: PlantParameters) -> None:
-    """Raise WrongMachine if a chamber that a ramp has filled does not empty through the vents."""
+    """Raise MachineFault if a chamber that a ramp has filled does not empty through the vents."""
     for i, joint in enumerate(JOINTS):
         left = traces[f"{joint} ramp"].pressure[-1, 2 * i + 1] - plant.supply.atmosphere
         if left > _LEFT:
-            raise WrongMachine(
+            raise MachineFault(
                 "vents",
                 f"{1e-5 * left:.2f} bar gauge left in {CHAMBERS[2 * i + 1]} after its valve has shut",
                 "chambers that empty when the vents are not energised",
@@ -215,7 +215,7 @@ def _require_supply(traces: Traces, plant: PlantParameters) -> None:
     supply = float(np.median(trace.supply[trace.of_segment(1)]))
     atmosphere = plant.supply.atmosphere
     if supply - atmosphere < _SUPPLY_SHARE * (FAINT - atmosphere):
-        raise WrongMachine(
+        raise MachineFault(
             "supply",
             f"{1e-5 * supply:.2f} bar with the regulator set to {1e-5 * FAINT:.2f} bar",
             f"at least {1e-5 * (atmosphere + _SUPPLY_SHARE * (FAINT - atmosphere)):.2f} bar absolute",
@@ -224,14 +224,14 @@ def _require_supply(traces: Traces, plant: PlantParameters) -> None:
 
 
 def _require_connected(responses: Mapping[int, Array], traces: Traces) -> None:
-    """Raise WrongMachine unless each valve fills its own chambers, A when it opens upwards."""
+    """Raise MachineFault unless each valve fills its own chambers, A when it opens upwards."""
     for i in FOLD_ORDER:
         answer = responses[i]
         a, b = answer[2 * i], -answer[2 * i + 1]
         if a > _ANSWER and b > _ANSWER:
             continue
         if a < -_ANSWER and b < -_ANSWER:
-            raise WrongMachine(
+            raise MachineFault(
                 f"{JOINTS[i]} valve",
                 "opens the wrong way: chamber B fills where A should",
                 "chamber A fills with a positive opening",
@@ -241,7 +241,7 @@ def _require_connected(responses: Mapping[int, Array], traces: Traces) -> None:
         others = [j for j in range(3) if j != i and np.abs(answer[2 * j : 2 * j + 2]).min() > _ANSWER]
         if others:
             j = others[0]
-            raise WrongMachine(
+            raise MachineFault(
                 f"{JOINTS[i]} valve",
                 f"fills the chambers of the {JOINTS[j]}",
                 f"those of the {JOINTS[i]}",
@@ -250,12 +250,12 @@ def _require_connected(responses: Mapping[int, Array], traces: Traces) -> None:
         raise _unconnected(i, a, b, traces[f"{JOINTS[i]} ramp"])
 
 
-def _unconnected(i: int, a: float, b: float, trace: MotionTrace) -> WrongMachine:
+def _unconnected(i: int, a: float, b: float, trace: MotionTrace) -> MachineFault:
     """Return the fault of a valve whose chambers do not both answer."""
     filled = 2 * i + (0 if a > _ANSWER else 1)
     own = trace.pressure[:, filled]
     if (a > _ANSWER or b > _ANSWER) and own[trace.of_segment(0)][-1] - own.min() > _ANSWER:
-        return WrongMachine(
+        return MachineFault(
             f"{JOINTS[i]} valve",
             f"fills {CHAMBERS[filled]} with its command at zero",
             f"a centre within {MAX_CENTRE}",
@@ -263,14 +263,14 @@ def _unconnected(i: int, a: float, b: float, trace: MotionTrace) -> WrongMachine
         )
     if a > _ANSWER or b > _ANSWER:
         chamber = CHAMBERS[2 * i + (1 if a > _ANSWER else 0)]
-        return WrongMachine(
+        return MachineFault(
             f"{JOINTS[i]} valve",
             f"{chamber} does not fill",
             "both chambers fill, each to its side",
             f"The hose of {chamber} is leaking or off, or its sensor does not follow: check both.",
         )
     highest = float(trace.pressure[:, 2 * i : 2 * i + 2].max())
-    return WrongMachine(
+    return MachineFault(
         f"{JOINTS[i]} valve",
         f"its chambers do not follow its openings (up to {1e-5 * highest:.2f} bar)",
         "chamber A fills with a positive opening, B with a negative one",
@@ -296,7 +296,7 @@ def stop_depths(trace: MotionTrace, joint: int, side: str, plant: PlantParameter
 
 
 def _require_travel(joint: int, move: StopMove, plant: PlantParameters) -> None:
-    """Raise WrongMachine unless the encoder of `joint`, and none else, saw its travel in `move`."""
+    """Raise MachineFault unless the encoder of `joint`, and none else, saw its travel in `move`."""
     way = np.abs(move.way) * (2 * pi / plant.encoders.counts_per_revolution)
     lower, upper = joint_travel(plant)
     travel = (upper - lower)[joint]
@@ -304,7 +304,7 @@ def _require_travel(joint: int, move: StopMove, plant: PlantParameters) -> None:
     if way[joint] < 0.3 * travel and others:
         raise swapped_encoders(joint, others[0], way)
     if way[joint] < 0.3 * travel:
-        raise WrongMachine(
+        raise MachineFault(
             f"{JOINTS[joint]} encoder",
             f"moves by {way[joint]:.2f} rad between the stops",
             f"{travel:.2f} rad",
@@ -312,8 +312,8 @@ def _require_travel(joint: int, move: StopMove, plant: PlantParameters) -> None:
         )
 
 
-def _encoder_values(traces: Traces, plant: PlantParameters) -> tuple[list[FoundValue], list[str]]:
-    """Return signs and zeros; raise WrongMachine if a scale is wrong."""
+def _encoder_values(traces: Traces, plant: PlantParameters) -> tuple[list[ParameterEstimate], list[str]]:
+    """Return signs and zeros; raise MachineFault if a scale is wrong."""
     counts = plant.encoders.counts_per_revolution
     per_count = 2 * pi / counts
     lower, upper = joint_travel(plant)
@@ -344,9 +344,9 @@ def _encoder_values(traces: Traces, plant: PlantParameters) -> tuple[list[FoundV
     zeros = _zeros(ends, depths, signs, lower, upper, counts)
     values = []
     for i in range(3):
-        values.append(FoundValue(f"encoders.sign.{i}", signs[i], 0.0, "", Wiring.name))
+        values.append(ParameterEstimate(f"encoders.sign.{i}", signs[i], 0.0, "", Wiring.name))
         error = errors[i] / per_count
-        values.append(FoundValue(f"encoders.zero_count.{i}", zeros[i], error, "counts", Wiring.name))
+        values.append(ParameterEstimate(f"encoders.zero_count.{i}", zeros[i], error, "counts", Wiring.name))
     return values, notes
 
 
@@ -371,7 +371,7 @@ def _three(values: Any) -> tuple[Any, Any, Any]:
 
 def _require_scale(joint: int, seen: float, travel: float, geometry: float) -> None:
     if abs(seen / travel - 1.0) > _SCALE_TOLERANCE + geometry / travel:
-        raise WrongMachine(
+        raise MachineFault(
             f"{JOINTS[joint]} encoder",
             f"{seen:.3f} rad between the stops: wrong scale, {seen / travel:.3f} times the travel",
             f"{travel:.3f} rad, as the geometry has it",
@@ -413,30 +413,30 @@ class ValveEdges:
     title = "Centres and dead bands of the valves"
     bounds_text = "openings up to 0.15 at 3 bar absolute with open vents, joints at their stops"
 
-    def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
+    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
         """Ramp each valve towards either stop, the joint standing there."""
         return at_both_stops(machine, known, _edge_ramp)
 
-    def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
+    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
         """Return centre and dead band of each valve."""
-        values: list[FoundValue] = []
+        values: list[ParameterEstimate] = []
         for i, key in enumerate(ACTUATOR_KEYS):
             fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i)
             for name, most in (("valve.centre", MAX_CENTRE), ("valve.dead_band", MAX_BAND)):
                 k = NAMES.index(name)
                 value, error = float(fit.values[k]), float(fit.error[k])
                 if abs(value) > most:
-                    raise WrongMachine(
+                    raise MachineFault(
                         f"{JOINTS[i]} valve",
                         f"{name.partition('.')[2].replace('_', ' ')} {value:+.3f}",
                         f"at most {most}",
                         "Adjust the valve's centre by its maker's manual, or replace the valve.",
                     )
-                values.append(FoundValue(f"{key}.{name}", value, error, "", self.name))
+                values.append(ParameterEstimate(f"{key}.{name}", value, error, "", self.name))
         return StepResult(tuple(values))
 
 
-def _edge_ramp(machine: CommissionedMachine, known: KnownRobot, joint: int, side: Side) -> MotionTrace:
+def _edge_ramp(machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side) -> MotionTrace:
     """Return the ramp of `joint`'s valve towards `side`, at whose stop it stands."""
 
     def at(opening: float) -> Triple:

@@ -27,11 +27,11 @@ from bench.base.lifecycle import Phase
 from bench.commissioning.machine.step import LEARNED_FILE, StepResult, SwungRobot
 from bench.config import Configuration
 from bench.control.law.gain_table import MOVE, gains_along
-from bench.control.model_limits import limits_path, save_limits
+from bench.control.residual_thresholds import limits_path, save_limits
 from bench.control.settings import pid_record
 from bench.design.designer import DesignFailed, SwingDemand, design_swing
 from bench.design.golfer_tracking import demand_near
-from bench.design.model_limits import DRAWS, make_limits
+from bench.design.threshold_generation import DRAWS, make_limits
 from bench.simulation.local_engine import local_engine
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.steps.air_fit import count_angles
+from bench.commissioning.steps.pneumatic_identification import count_angles
 from drivers.base.compiled import compiled, new_record
 from drivers.base.records import COMMAND
 from sim.plant import PlantParameters, advance, build_plant, initial_state

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bench.base.errors import Refused
-from bench.commissioning.machine.known_robot import FoundValue
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.machine.step import Mark, PredictionFails, SwingSeries, SwungRobot, WrongMachine
-from bench.commissioning.swings.rising_swings import exceeded
+from bench.commissioning.machine.robot_estimate import ParameterEstimate
+from bench.commissioning.machine.step import MachineFault, Mark, PredictionFails, SwingSeries, SwungRobot
+from bench.commissioning.swings.fault_hypotheses import SwingCause, swing_causes
 from bench.commissioning.swings.short_predictions import (
     PRESSURE,
     QUANTITIES,
@@ -28,17 +28,17 @@ from bench.commissioning.swings.short_predictions import (
     explained,
     robust_squares,
 )
-from bench.commissioning.swings.swing_causes import SwingCause, swing_causes
+from bench.commissioning.swings.speed_ramp import exceeded
 from bench.control.measured_plant import value_at, with_values
 from bench.simulation.loads import Loads
-from bench.simulation.series import Bench, NotReturned, SeriesSwing
+from bench.simulation.series import Bench, ReturnFailed, SeriesSwing
 from bench.swing.profile import Profile
 from drivers.base import JOINTS
 from sim.plant import PlantParameters
 
 _NEAR = 2.0
 """Standard errors by which values may move for their effects to be taken there."""
-_BETTER = 0.5
+_MIN_IMPROVEMENT = 0.5
 """Share of the misfit that has to be left for their effects to be taken there."""
 _STEP = 0.3
 """Step of a derivative, in standard errors."""
@@ -60,7 +60,7 @@ class UncertainValue(NamedTuple):
     error: float
 
 
-def uncertain_values(found: Iterable[FoundValue], plant: PlantParameters) -> list[UncertainValue]:
+def uncertain_values(found: Iterable[ParameterEstimate], plant: PlantParameters) -> list[UncertainValue]:
     """Return the values of `plant` with a standard error as `found`; the last of a key counts."""
     errors = {one.key: one.error for one in found}
     errors = {key: error for key, error in (_GUESSES | errors).items() if error > 0.0}
@@ -90,7 +90,7 @@ def swing_misfit(
     moves = zip(uncertain, moved.tolist(), strict=True)
     nearer = with_values(plant, {one.key: one.value + by * one.error for one, by in moves})
     likelier = SwingMisfit(recorded, nearer, uncertain, moved)
-    return measured if likelier.none.cost > _BETTER * measured.none.cost else likelier
+    return measured if likelier.none.cost > _MIN_IMPROVEMENT * measured.none.cost else likelier
 
 
 class SwingMisfit:
@@ -202,7 +202,7 @@ def _named(one: FittedCause) -> str:
     return f"{one.cause.place}: {one.cause.what} ({one.cause.words(one.value)}, {since})"
 
 
-def diagnose(cycles: Cycles, plant: PlantParameters, found: Iterable[FoundValue]) -> Diagnosis:
+def diagnose(cycles: Cycles, plant: PlantParameters, found: Iterable[ParameterEstimate]) -> Diagnosis:
     """Return what CYCLE records of a swing say of the robot measured as `plant`, with its values `found`."""
     recorded = RecordedSwing(cycles, plant)
     misfit = swing_misfit(recorded, plant, uncertain_values(found, plant))
@@ -260,7 +260,7 @@ def _tried(cause: SwingCause, value: float, misfit: SwingMisfit) -> FittedCause:
 class DiagnosedRobot:
     """A SwungRobot of which a swing that a wrong machine explains is the last one."""
 
-    def __init__(self, robot: SwungRobot, found: Sequence[FoundValue], records: Path) -> None:
+    def __init__(self, robot: SwungRobot, found: Sequence[ParameterEstimate], records: Path) -> None:
         """Look at the swings of `robot`, of which values were `found`; wrong ones are stored in `records`."""
         self._robot, self._found, self._records = robot, found, records
         self.last: Diagnosis | None = None
@@ -275,7 +275,7 @@ class DiagnosedRobot:
         """Keep what `swing` of the profile `name` says.
 
         Raises:
-            WrongMachine: it names a cause.
+            MachineFault: it names a cause.
         """
         self.last = diagnose(swing.cycles, bench.model, self._found)
         if self.last.named is None:
@@ -283,7 +283,7 @@ class DiagnosedRobot:
         self._records.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(self._records / "wrong-swing.npz", cycles=swing.cycles)
         said = "; ".join([self.last.text, *exceeded(loads)])
-        raise WrongMachine(name, said, "the robot that was measured", self.last.named.cause.action)
+        raise MachineFault(name, said, "the robot that was measured", self.last.named.cause.action)
 
     def explained(self, error: Refused) -> Refused:
         """Return `error` of a step with what the last swing says, where that says no cause."""
@@ -303,12 +303,12 @@ class DiagnosedSeries:
         """Swing `profile`, and come back to the address.
 
         Raises:
-            WrongMachine: the swing is that of another robot than the measured one, and says of which.
+            MachineFault: the swing is that of another robot than the measured one, and says of which.
             Refused: the robot does not come back.
         """
         try:
             made = self._series.swing(profile, ball=ball)
-        except NotReturned as error:
+        except ReturnFailed as error:
             self._robot.look_at(error.swing, self._bench, profile.name, self._series.loads())
             raise
         self._robot.look_at(made, self._bench, profile.name, self._series.loads())

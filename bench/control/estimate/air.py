@@ -17,8 +17,8 @@ import numpy as np
 
 from bench.control.envelope import joint_coordinates
 from drivers.base.compiled import compiled
+from sim.dynamics import chambers, wrist_cylinder
 from sim.kane import kane_terms
-from sim.motion import chambers, wrist_cylinder
 
 AIR_STATE = np.dtype(
     [
@@ -33,7 +33,7 @@ AIR_STATE = np.dtype(
     ],
     align=True,
 )
-"""Spools; pressures and rates as `sim.motion.chambers` takes them (chambers from 6 on, then the supply, Pa);
+"""Spools; pressures and rates as `sim.dynamics.chambers` takes them (chambers from 6 on, then supply, Pa);
 what each sensor showed last and for how long (s); the force of each actuator as late as the estimated
 acceleration is (N, shoulder N m)."""
 

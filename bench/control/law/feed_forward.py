@@ -8,7 +8,7 @@ kane+pneumatic  the opening whose air flow changes the force as demanded: chambe
                 flow (ISO 6358) solved for the spool, dead band and leakage included, at the pressures that
                 `bench.control.estimate.air` observes
 
-All pure; the demanded forces and their rates are tables made beforehand (`bench.control.law.demand`).
+All pure; the demanded forces and their rates are tables (`bench.control.law.force_reference`).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from bench.control.law.gains import Gains
-from bench.control.law.linear_plant import Complex, Frozen
+from bench.control.law.linear_plant import Complex, LinearPlant
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def estimator_response(estimator: Estimator, frequency: Array, period: float) ->
     return answers
 
 
-def loop_responses(frozen: Frozen, estimated: Complex, gains: Gains, period: float) -> Complex:
+def loop_responses(frozen: LinearPlant, estimated: Complex, gains: Gains, period: float) -> Complex:
     """Return the response (n, 3) of each joint's loop, opened at its valve, the other two closed.
 
     `estimated` is the `estimator_response` at the frequencies of `frozen`.
@@ -84,7 +84,7 @@ def loop_responses(frozen: Frozen, estimated: Complex, gains: Gains, period: flo
     return opened
 
 
-def least_damping(frozen: Frozen, estimator: Estimator, gains: Gains, period: float) -> float:
+def least_damping(frozen: LinearPlant, estimator: Estimator, gains: Gains, period: float) -> float:
     """Return the min damping ratio of the closed loop's modes; negative if one grows."""
     n = len(frozen.transition)
     size = n + 9 + 3

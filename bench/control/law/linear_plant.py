@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from bench.control.estimate.air import actuator_motion
-from bench.control.law.demand import actuator_forces
+from bench.control.law.force_reference import actuator_forces
 from drivers.base.compiled import compiled
+from sim.dynamics import chambers
 from sim.kane import accelerations
-from sim.motion import chambers
 from sim.plant import Plant
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ _CHARGED = 0.75
 """Share of the supply's pressure that charging leaves in the chambers."""
 
 
-class Point(NamedTuple):
+class OperatingPoint(NamedTuple):
     """An instant of a swing."""
 
     name: str
@@ -46,10 +46,10 @@ class Point(NamedTuple):
     """Whether the loop behaves as linearised here: the motion is slow, and dry friction does not hold it."""
 
 
-class Frozen(NamedTuple):
+class LinearPlant(NamedTuple):
     """The linear plant at an instant, between a command and the next reading."""
 
-    point: Point
+    point: OperatingPoint
     transition: Array
     """(18, 18) over a tick."""
     input: Array
@@ -111,7 +111,7 @@ def _set_slopes(
         by_spool[:, i] = (above - below) / (2.0 * _OPENED) / (1.0 - p.dead_band[i])
 
 
-def at_rest(plant: Plant, angle: Array) -> Point:
+def at_rest(plant: Plant, angle: Array) -> OperatingPoint:
     """Return the robot held at `angle` (3,) rad by the air in its charged chambers."""
     parameters = plant.parameters
     supply, atmosphere = parameters.supply.pressure, parameters.supply.atmosphere
@@ -123,10 +123,10 @@ def at_rest(plant: Plant, angle: Array) -> Point:
         pressure[2 * i] = charged + missing / (2 * actuator.area_a)
         pressure[2 * i + 1] = charged - missing / (2 * actuator.area_b)
     motion = np.concatenate([angle, np.zeros(3), np.clip(pressure, 1.2 * atmosphere, supply)])
-    return Point("at rest", motion, supply, np.zeros(3), 1.0, True)
+    return OperatingPoint("at rest", motion, supply, np.zeros(3), 1.0, True)
 
 
-def linearised(plant: Plant, point: Point) -> tuple[Array, Array]:
+def linearised(plant: Plant, point: OperatingPoint) -> tuple[Array, Array]:
     """Return the slopes of the motion's rates at `point`: (12, 12) by the motion, (12, 3) by the spools."""
     bands = np.array([a.valve.dead_band for a in plant.parameters.actuators])
     beyond = np.sign(point.opening) * np.maximum(np.abs(point.opening) - bands, 0.0) / (1 - bands)
@@ -135,7 +135,7 @@ def linearised(plant: Plant, point: Point) -> tuple[Array, Array]:
     return by_motion, by_spool
 
 
-def freeze(plant: Plant, point: Point, frequency: Array = FREQUENCIES) -> Frozen:
+def linearize(plant: Plant, point: OperatingPoint, frequency: Array = FREQUENCIES) -> LinearPlant:
     """Return `plant` linearised at `point`, with its responses at `frequency` (n,) rad/s."""
     parameters = plant.parameters
     states = _MOTION + 6
@@ -155,4 +155,4 @@ def freeze(plant: Plant, point: Point, frequency: Array = FREQUENCIES) -> Frozen
     transition, driven = step[:states, :states], step[:states, states:]
     shift = np.exp(1j * frequency * parameters.tick)[:, None, None] * np.eye(states)
     response = np.asarray(output @ np.linalg.solve(shift - transition, driven), dtype=complex)
-    return Frozen(point, transition, driven, output, frequency, response)
+    return LinearPlant(point, transition, driven, output, frequency, response)

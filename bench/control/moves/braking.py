@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.control.estimate.air import conductance_of_vents
-from bench.control.states import is_still, stand
+from bench.control.states import enter_standstill, is_slow_now
 from drivers.base.compiled import compiled
 from sim.plant import PlantParameters
 
@@ -62,10 +62,10 @@ def lift(s: Any, p: Any, e: Any) -> None:
 def _rest_or_wait(s: Any, parameters: Any, e: Any, trusted: bool, time: float) -> None:
     """End a stop once all joints have rested for long enough, or its time is up."""
     p = parameters.control[0]
-    if not (trusted and is_still(p, e)):
+    if not (trusted and is_slow_now(p, e)):
         s.still_since = time
     if time - s.still_since >= p.still_time or time - s.reaction_start >= p.brake_time:
-        stand(s, parameters, time)
+        enter_standstill(s, parameters, time)
 
 
 @compiled
@@ -80,7 +80,7 @@ def brake(state: Any, parameters: Any, readings: Any, trusted: bool, time: float
     for i in range(3):
         s.reference[i], s.reference_velocity[i], s.feed_forward[i] = e.angle[i], 0.0, 0.0
     if conductance_of_vents(parameters.plant[0], readings[0], s.venting.timer) > 0.0:
-        stand(s, parameters, time)
+        enter_standstill(s, parameters, time)
     else:
         _rest_or_wait(s, parameters, e, trusted, time)
 
@@ -127,4 +127,4 @@ def brake_blind(state: Any, parameters: Any, time: float) -> None:
                 s.desired[i] = parameters.blind_brake[s.blind_row, i]
     rests = time - s.still_since >= p.still_time or since >= p.brake_time
     if since >= longest + p.blind_settle and rests:
-        stand(s, parameters, time)
+        enter_standstill(s, parameters, time)

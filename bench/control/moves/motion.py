@@ -15,13 +15,13 @@ from bench.control.law.gain_table import (
     middle_pose,
 )
 from bench.control.law.pid import control, reset_integral
-from bench.control.moves.address_air import (
+from bench.control.moves.address_pressure import (
     HELD,
-    bring_air,
-    catch_at_address,
-    charge,
+    dither_move,
     leave_address_air,
-    loosen,
+    precharge,
+    regulate_address_pressure,
+    take_over_unsettled_move,
 )
 from bench.control.moves.braking import brake_openings, lift
 from bench.control.moves.first_motion import bound_first, note_answers
@@ -35,7 +35,7 @@ from bench.control.moves.references import (
     square_wave,
 )
 from bench.control.requests import near_address
-from bench.control.states import arrive, begin_reaction, change_state
+from bench.control.states import begin_reaction, change_state, enter_hold
 from drivers.base.compiled import compiled
 
 
@@ -56,8 +56,8 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
             # Without air a vented robot may still sink while it warns: the move begins where it is by then.
             begin_move(parameters, s, e.angle, s.move.start)
         if not follow_move(parameters, s, time):
-            if near_address(parameters, state.estimator) or catch_at_address(s, parameters, e, time):
-                arrive(s, parameters, time)
+            if near_address(parameters, state.estimator) or take_over_unsettled_move(s, parameters, e, time):
+                enter_hold(s, parameters, time)
     else:
         for i in range(3):
             # Near enough is left alone: with dry friction an integral would hunt for ever.
@@ -147,10 +147,10 @@ def _serve_air(state: Any, parameters: Any, time: float) -> None:
     """Change the desired openings (3,) where the air comes to its planned pressures."""
     s = state.control[0]
     if s.phase == Phase.HOLD and not s.swinging:
-        bring_air(state, parameters, time)
+        regulate_address_pressure(state, parameters, time)
         return
     leave_address_air(s, time)
     if charging(s, time):
-        charge(state, parameters, time)
+        precharge(state, parameters, time)
     elif s.moving:
-        loosen(state, parameters, time)
+        dither_move(state, parameters, time)

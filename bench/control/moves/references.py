@@ -11,7 +11,7 @@ from typing import Any
 from bench.base.lifecycle import Phase
 from bench.control.estimate.air import actuator_motion
 from bench.control.law.feed_forward import PNEUMATIC, pneumatic_opening
-from bench.control.moves.low_way import arm_goes_first, part_of_joint
+from bench.control.moves.move_order import joint_progress, moves_arm_first
 from drivers.base.compiled import compiled
 
 _SLOW = 0.05
@@ -56,7 +56,7 @@ def begin_move(parameters: Any, s: Any, start: Any, time: float) -> None:
         s.move.duration = max(
             s.move.duration, 1.875 * abs(parameters.angle[0, i] - start[i]) / p.move_speed[i]
         )
-    s.move.arm_first = arm_goes_first(parameters, start)
+    s.move.arm_first = moves_arm_first(parameters, start)
     if s.move.arm_first:
         s.move.duration *= 2.0
     s.move.start = time
@@ -71,7 +71,7 @@ def follow_move(parameters: Any, s: Any, time: float) -> bool:
     whole = min(max((time - s.move.start) / s.move.duration, 0.0), 1.0)
     own_time = 0.5 * s.move.duration if s.move.arm_first else s.move.duration
     for i in range(3):
-        part = part_of_joint(whole, i, s.move.arm_first)
+        part = joint_progress(whole, i, s.move.arm_first)
         shape = part * part * part * (10.0 - 15.0 * part + 6.0 * part * part)
         slope = 30.0 * part * part * (1.0 - part) * (1.0 - part) / own_time
         bend = 60.0 * part * (1.0 - part) * (1.0 - 2.0 * part) / (own_time * own_time)

@@ -125,14 +125,14 @@ def _impact(cycles: Cycles) -> int | None:
 
 NO_IMPACT = "no swing through the ball's place"
 NO_BALL = "no ball struck"
-NOT_TOLD = "the launch monitor saw no ball"
+UNREPORTED = "the launch monitor saw no ball"
 REFUSED = "the launch monitor's message was refused"
 CLUB_ALONE = "the launch monitor reported the club without a ball"
 _MOST_OPEN = 64
 """Launches that may wait for their swing; beyond that the oldest are given up as unmatched."""
 
 
-class Told(NamedTuple):
+class SettledOutcome(NamedTuple):
     """One outcome that is settled."""
 
     outcome: MatchOutcome
@@ -145,7 +145,7 @@ class Told(NamedTuple):
     """Of a swing: its row, with all that is known of club and ball."""
 
 
-def told_figures(launch: LaunchRecord) -> dict[str, Any]:
+def reported_columns(launch: LaunchRecord) -> dict[str, Any]:
     """Return the columns of the shot table that `launch` knows; without spin the other columns."""
     known: dict[str, tuple[float | None, float]] = {
         "ball_speed_mps": (launch.speed, 1.0),
@@ -160,7 +160,7 @@ def told_figures(launch: LaunchRecord) -> dict[str, Any]:
     return {**figures, "launch_source": launch.source} if figures else {}
 
 
-class LaunchBook:
+class ShotMatcher:
     """Matcher of swings and launches that are not settled yet."""
 
     def __init__(self, window: MatchWindow, plant: PlantParameters, around: FlightConditions) -> None:
@@ -170,7 +170,7 @@ class LaunchBook:
         self._launches: tuple[LaunchRecord, ...] = ()
         self._clubs: list[ClubRecord] = []
         self._refused: list[RefusedRecord] = []
-        self._told: list[Told] = []
+        self._told: list[SettledOutcome] = []
         self.counts = dict.fromkeys(MatchOutcome, 0)
         """Outcomes so far."""
         self._number = 0
@@ -196,7 +196,7 @@ class LaunchBook:
             else:
                 self._refused.append(aside)
 
-    def settle(self, now: float) -> list[Told]:
+    def settle(self, now: float) -> list[SettledOutcome]:
         """Return the outcomes that are settled at `now` (s, CLOCK_MONOTONIC)."""
         while len(self._launches) > _MOST_OPEN:  # too many to be swings of this bench
             self._tell(Match(MatchOutcome.NO_SWING, "", self._launches[0]), None)
@@ -223,7 +223,7 @@ class LaunchBook:
 
         if refused := dict.fromkeys(one.reason for one in self._refused if of_shot(one.time)):
             return f"{REFUSED}: {'; '.join(refused)}"
-        return CLUB_ALONE if any(of_shot(club.time) for club in self._clubs) else NOT_TOLD
+        return CLUB_ALONE if any(of_shot(club.time) for club in self._clubs) else UNREPORTED
 
     def _forget(self, now: float) -> None:
         """Drop clubs and refused messages whose swing must be settled by `now`."""
@@ -232,18 +232,18 @@ class LaunchBook:
         self._refused = [one for one in self._refused if one.time > first][-_MOST_OPEN:]
 
     def _tell(
-        self, one: Match, of: tuple[int, datetime, FinishedSwing] | None, unseen: str = NOT_TOLD
+        self, one: Match, of: tuple[int, datetime, FinishedSwing] | None, unseen: str = UNREPORTED
     ) -> None:
         self.counts[one.outcome] += 1
         if of is None or one.outcome not in (MatchOutcome.MATCHED, MatchOutcome.NO_LAUNCH):
             launch = None if one.launch is None else add_doubts(one.launch)
-            self._told.append(Told(one.outcome, one.shot, launch, str(one.outcome), None))
+            self._told.append(SettledOutcome(one.outcome, one.shot, launch, str(one.outcome), None))
             return
         self._told.append(self._of_swing(one, *of, unseen))
 
     def _of_swing(
         self, one: Match, number: int, time_utc: datetime, swing: FinishedSwing, unseen: str
-    ) -> Told:
+    ) -> SettledOutcome:
         """Return the outcome of a swing; `unseen` is the reason where a ball was struck and none reported."""
         plant, trips = self._plant, swing.cycles["trip"]
         delivery = delivery_of_cycles(swing.cycles, plant)
@@ -282,5 +282,5 @@ class LaunchBook:
             carry_reference_m=None if flight is None else flight.carry,
         )
         if launch is not None:
-            shot = replace(shot, **told_figures(launch))
-        return Told(one.outcome, one.shot, launch, reason, shot)
+            shot = replace(shot, **reported_columns(launch))
+        return SettledOutcome(one.outcome, one.shot, launch, reason, shot)

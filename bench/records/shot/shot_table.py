@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from bench.records.shot.shot import COLUMNS, Shot
-from bench.records.telemetry.whole_file import whole_file
+from bench.records.telemetry.atomic_file import atomic_file
 
 
 def write_shot_table(path: Path, shots: Sequence[Shot]) -> None:
     """Write one row a shot to `path`, whole or not at all. Raises BenchError when it cannot be stored."""
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(shot_table_text(shots).encode())
 
 

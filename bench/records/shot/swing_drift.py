@@ -37,7 +37,7 @@ _NEAR = 12
 """Ticks before and after the impact window in which the strike is looked for, too."""
 
 
-class StrikeSeen(NamedTuple):
+class ObservedImpact(NamedTuple):
     """The head at the ball, as the encoders saw it."""
 
     speed: float
@@ -49,8 +49,8 @@ class StrikeSeen(NamedTuple):
 class SwingDrift(NamedTuple):
     """A swing compared with the first ones that had the same tables."""
 
-    seen: StrikeSeen
-    usual: StrikeSeen
+    seen: ObservedImpact
+    usual: ObservedImpact
     """Medians of the first swings; NaN until there are enough."""
     warnings: tuple[str, ...]
 
@@ -66,7 +66,7 @@ class SwingDrift(NamedTuple):
         return {**known, "warnings": list(self.warnings)}
 
 
-def strike_seen(cycles: Cycles, counts: int, *, struck: bool) -> StrikeSeen | None:
+def strike_seen(cycles: Cycles, counts: int, *, struck: bool) -> ObservedImpact | None:
     """Return speed and place of the head at the strike in `cycles` of a swing; None if it did not come there.
 
     `counts` is the encoders' range. Without a ball (`struck` is False) the speed is that in the middle of the
@@ -82,7 +82,7 @@ def strike_seen(cycles: Cycles, counts: int, *, struck: bool) -> StrikeSeen | No
         return None
     times, way = cycles["time"][end - _BEFORE : end] - instant, cycles["head_position"][end - _BEFORE : end]
     place = float(np.polyfit(times, way[:, 0], 2)[2])
-    return StrikeSeen(hypot(*np.polyfit(times, way, 1)[0]), place if struck else float("nan"))
+    return ObservedImpact(hypot(*np.polyfit(times, way, 1)[0]), place if struck else float("nan"))
 
 
 def _bend(cycles: Cycles, counts: int) -> float:
@@ -106,10 +106,10 @@ class DriftWatch:
     def __init__(self) -> None:
         """Remember no swing."""
         self._tables: Hashable = None
-        self._first: list[StrikeSeen] = []
-        self._latest: deque[StrikeSeen] = deque(maxlen=LASTING)
+        self._first: list[ObservedImpact] = []
+        self._latest: deque[ObservedImpact] = deque(maxlen=LASTING)
 
-    def take(self, seen: StrikeSeen, tables: Hashable) -> SwingDrift:
+    def take(self, seen: ObservedImpact, tables: Hashable) -> SwingDrift:
         """Compare a swing with `tables`; tables that changed begin a new series."""
         if tables != self._tables:
             self._tables = tables
@@ -121,7 +121,7 @@ class DriftWatch:
             self._first.append(seen)
         return drift
 
-    def _compared(self, seen: StrikeSeen) -> SwingDrift:
+    def _compared(self, seen: ObservedImpact) -> SwingDrift:
         speed, speed_scatter = _usual([swing.speed for swing in self._first])
         place, place_scatter = _usual([swing.place for swing in self._first])
         warnings = []
@@ -136,7 +136,7 @@ class DriftWatch:
                 f"the head met the ball {1e3 * (seen.place - place):+.0f} mm from where it did at first: "
                 "check tee and encoder couplings, then home"
             )
-        return SwingDrift(seen, StrikeSeen(speed, place), tuple(warnings))
+        return SwingDrift(seen, ObservedImpact(speed, place), tuple(warnings))
 
 
 def _usual(values: list[float]) -> tuple[float, float]:

@@ -131,7 +131,7 @@ FIELDS = (
         "air_fault",
         "i4",
         "1",
-        "sensors, vents, manifold and lock that fail, see `bench.control.monitor.air_watch`",
+        "sensors, vents, manifold and lock that fail, see `bench.control.monitor.pressure_monitor`",
     ),
     Field("head_position", "f8", "m", "club head in the swing plane, from the estimated angles", _PLANE),
     Field("head_orientation", "f8", "rad", "club's angle in the swing plane, from the estimated angles"),

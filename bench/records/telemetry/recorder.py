@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bench.base.errors import BenchError
+from bench.records.telemetry.atomic_file import atomic_file
 from bench.records.telemetry.cycle_record import (
     CYCLE,
     FIELDS,
@@ -19,7 +20,6 @@ from bench.records.telemetry.cycle_record import (
     to_arrow,
 )
 from bench.records.telemetry.enumerations import ENUMERATIONS
-from bench.records.telemetry.whole_file import whole_file
 
 METADATA_KEY, UNITS_KEY = b"golfbench", b"units"
 """Keys of the JSON texts in the Parquet file's key-value metadata."""
@@ -55,7 +55,7 @@ def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str,
     units = json.dumps({field.name: field.metadata[b"unit"].decode() for field in table.schema})
     of_file = {METADATA_KEY: text.encode(), UNITS_KEY: units.encode()}
     table = table.replace_schema_metadata({**(table.schema.metadata or {}), **of_file})
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         pq.write_table(
             table,
             stream,

@@ -28,7 +28,7 @@ LATCHED = frozenset({State.FAULT, State.ESTOP})
 _MOVING = np.array([state in MOVING for state in State])
 
 
-class Cut(NamedTuple):
+class RecordSegment(NamedTuple):
     """The cycles of one record."""
 
     cycles: Cycles
@@ -58,7 +58,7 @@ class _Part:
     """Time of the standstill (s), once it stands."""
 
 
-class SwingCutter:
+class SwingSegmenter:
     """Cuts the stream of cycles into records."""
 
     def __init__(self, *, lead: float, tail: float, room: int) -> None:
@@ -92,15 +92,15 @@ class SwingCutter:
         first = min((part.begin for part in parts), default=self._lead_from)
         return self._past.tick(min(first, self._lead_from)) - 1 if self._past.end else 0
 
-    def take(self, cycles: Cycles, lost: int = 0) -> list[Cut]:
+    def take(self, cycles: Cycles, lost: int = 0) -> list[RecordSegment]:
         """Add `cycles`; `lost` cycles are missing before or between them. Return the complete records."""
-        cuts: list[Cut] = []
+        cuts: list[RecordSegment] = []
         self._missing += lost
         for begin in range(0, len(cycles), self._past.room // 4):
             cuts += self._take(cycles[begin : begin + self._past.room // 4])
         return cuts
 
-    def finish(self, why: str, *, keep: bool) -> list[Cut]:
+    def finish(self, why: str, *, keep: bool) -> list[RecordSegment]:
         """End all records here, because `why`; with `keep` also one that has no swing or stop yet."""
         cuts = [self._cut(part, self._past.end) for part in self._closing]
         if self._open is not None:
@@ -110,7 +110,7 @@ class SwingCutter:
         self._state = State.STARTING  # robot still moving: what comes after this opens a record again
         return [cut for cut in cuts if cut.kind]
 
-    def _take(self, cycles: Cycles) -> list[Cut]:
+    def _take(self, cycles: Cycles) -> list[RecordSegment]:
         cuts = list(self._make_room(len(cycles)))
         first = self._past.end
         if self._missing:
@@ -146,7 +146,7 @@ class SwingCutter:
                 part.begin, part.continued = max(part.begin, self._before(number, time)), False
             part.kind, part.series, part.trimmed = "swing", False, False
 
-    def _close(self, time: float) -> Iterator[Cut]:
+    def _close(self, time: float) -> Iterator[RecordSegment]:
         """Yield the records to keep whose tail is over at `time`."""
         for part in list(self._closing):
             if part.stood is not None and time >= part.stood + self._tail:
@@ -156,7 +156,7 @@ class SwingCutter:
                 if cut.kind:
                     yield cut
 
-    def _make_room(self, count: int) -> Iterator[Cut]:
+    def _make_room(self, count: int) -> Iterator[RecordSegment]:
         """Give up what `count` more cycles displace; yield the records that must be cut for it."""
         past = self._past
         for part in (*self._closing, *([self._open] if self._open else [])):
@@ -178,13 +178,13 @@ class SwingCutter:
         self._losses.append((first + int(np.argmax(leaps)), self._missing))
         self._missing = 0
 
-    def _cut(self, part: _Part, end: int, ended: str = "") -> Cut:
+    def _cut(self, part: _Part, end: int, ended: str = "") -> RecordSegment:
         """Return the record of `part` up to cycle `end`; its kind is empty when it need not be kept."""
         # A loss stands before the cycle it is noted at: the record's first does not count.
         lost = sum(count for number, count in self._losses if part.begin < number < end)
         cycles = self._past.copy(part.begin, end)
         tripped = bool(np.any(cycles["trip"][_MOVING[cycles["state"]]]))
-        return Cut(cycles, part.kind or ("stop" if tripped else ""), lost, ended, part.continued)
+        return RecordSegment(cycles, part.kind or ("stop" if tripped else ""), lost, ended, part.continued)
 
     def _before(self, number: int, time: float, begin: int = 0) -> int:
         """Return the number, from `begin` on, of the first cycle within `lead` before `time`."""

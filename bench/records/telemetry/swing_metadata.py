@@ -48,7 +48,7 @@ import numpy as np
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause, State
 from bench.records.telemetry.shot_id import shot_id
-from bench.records.telemetry.swing_cutter import MOVING, Cut, Cycles
+from bench.records.telemetry.swing_cutter import MOVING, Cycles, RecordSegment
 from bench.swing.profile import Profile
 
 _GRID = 1024
@@ -97,7 +97,7 @@ class RunMetadata:
 
 
 def swing_metadata(
-    cut: Cut,
+    cut: RecordSegment,
     entries: Mapping[str, Any],
     *,
     number: int,
@@ -149,7 +149,7 @@ def since(cycles: Cycles, begin: float) -> Cycles:
     return moved
 
 
-def _outcome(cut: Cut) -> dict[str, Any]:
+def _outcome(cut: RecordSegment) -> dict[str, Any]:
     states, trips = cut.cycles["state"], cut.cycles["trip"]
     changes = [0, *(np.flatnonzero(np.diff(states)) + 1)]
     tripped = np.flatnonzero((trips != 0) & np.isin(states, list(MOVING)))

@@ -30,7 +30,7 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement, indent
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.records.telemetry.whole_file import whole_file
+from bench.records.telemetry.atomic_file import atomic_file
 from bench.viewer.drawing.bodies import Colour, DrawnBody, Part
 from bench.viewer.drawing.drawing import Array, PlacedBody, draw, plane_to_golf
 from bench.viewer.drawing.solids import Mesh, joined_meshes, write_stl
@@ -129,7 +129,7 @@ def gltf(bodies: Sequence[PlacedBody]) -> bytes:
 
 def write_gltf(path: Path, bodies: Sequence[PlacedBody]) -> None:
     """Write the bodies to `path`. Raises NotStored."""
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(gltf(bodies))
 
 
@@ -336,7 +336,7 @@ def _joint(robot: Element, hinge: Hinge) -> None:
 def _write_xml(folder: Path, robot: Element) -> Path:
     path = folder / "golfbench.urdf"
     indent(robot)
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         ElementTree(robot).write(stream, encoding="utf-8", xml_declaration=True)
     return path
 
@@ -352,6 +352,6 @@ def _write_closure(folder: Path, plant: PlantParameters) -> Path:
         "gravity_m_per_s2": [0.0, 0.0, -plant.robot.gravity],
         "efforts": {"shoulder": "N m", "wrist": "N m", "cylinder": "N, positive lengthens the right arm"},
     }
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(json.dumps(text, indent=2).encode() + b"\n")
     return path

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.records.telemetry.whole_file import whole_file
+from bench.records.telemetry.atomic_file import atomic_file
 from sim.vectors import Vector
 
 Array = NDArray[np.float64]
@@ -154,7 +154,7 @@ def write_stl(path: Path, mesh: Mesh) -> None:
     facets = np.zeros(len(corners), _FACET)
     facets["normal"] = across / np.linalg.norm(across, axis=1)[:, None]
     facets["corners"] = corners
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(b"golfbench, m".ljust(80) + struct.pack("<I", len(facets)) + facets.tobytes())
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.errors import BenchError
-from bench.records.telemetry.whole_file import whole_file, whole_path
+from bench.records.telemetry.atomic_file import atomic_file, atomic_path
 from bench.viewer.drawing.bodies import DrawnBody
 from bench.viewer.drawing.drawing import PlacedBody, draw
 from bench.viewer.drawing.model_files import Y_UP_TO_Z_UP
@@ -77,7 +77,7 @@ def write_mass_table(path: Path, rows: list[MassRow]) -> None:
     writer = csv.writer(text)
     writer.writerow(MassRow._fields)
     writer.writerows(rows)
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(text.getvalue().encode())
 
 
@@ -164,5 +164,5 @@ def write_step(path: Path, bodies: Sequence[PlacedBody]) -> None:
     """Write the bodies to `path`. Raises NotStored, BenchError without build123d."""
     b = load_build123d()
     assembly = step_assembly(b, bodies)
-    with whole_path(path) as partial:
+    with atomic_path(path) as partial:
         b.export_step(assembly, str(partial))

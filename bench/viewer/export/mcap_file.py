@@ -32,9 +32,9 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from bench.records.shot.recorded_shot import recorded_shot
+from bench.records.telemetry.atomic_file import atomic_file
 from bench.records.telemetry.cycle_record import FIELDS, SCHEMA_VERSION, Field
 from bench.records.telemetry.enumerations import ENUMERATIONS
-from bench.records.telemetry.whole_file import whole_file
 from bench.viewer.drawing.drawing import ball_at_rest, body_poses, plane_to_golf
 from bench.viewer.export.record_files import ExportRecord, changes
 from bench.viewer.scene import poses_to_draw
@@ -280,7 +280,7 @@ def write_mcap(path: Path, record: ExportRecord) -> list[Path]:
         NotStored: they cannot be stored.
         ExceptionGroup: of BenchErrors, values of its configuration that this program does not take.
     """
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD)
         writer.start(library=f"golfbench {version('golfbench')}")
         schemas = {
@@ -301,7 +301,7 @@ def write_mcap(path: Path, record: ExportRecord) -> list[Path]:
         writer.add_metadata("golfbench", {key: json.dumps(value) for key, value in record.metadata.items()})
         writer.finish()  # type: ignore[no-untyped-call]
     layout = path.with_name(LAYOUT)
-    with whole_file(layout) as stream:
+    with atomic_file(layout) as stream:
         stream.write(resources.files("bench.viewer.export").joinpath(LAYOUT).read_bytes())
     return [path, layout]
 

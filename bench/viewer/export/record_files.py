@@ -32,10 +32,10 @@ from scipy.io import savemat
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import CAUSE_TEXT, Cause, Phase, Reaction, State
+from bench.records.telemetry.atomic_file import atomic_file
 from bench.records.telemetry.cycle_record import FIELDS, Field, arrow_schema, to_arrow, unit_of
 from bench.records.telemetry.enumerations import ENUMERATIONS
 from bench.records.telemetry.recorder import read_swing
-from bench.records.telemetry.whole_file import whole_file
 
 
 class ExportColumn(NamedTuple):
@@ -111,9 +111,9 @@ def write_csv(path: Path, record: ExportRecord) -> list[Path]:
     """
     table = to_arrow(record.cycles)
     beside = path.with_name(f"{path.name}-metadata.json")
-    with whole_file(beside) as stream:
+    with atomic_file(beside) as stream:
         stream.write(json.dumps(_metadata(path, record, table.schema), indent=1, allow_nan=False).encode())
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         pc.write_csv(table, stream, pc.WriteOptions(quoting_style="needed"))
     return [path, beside]
 
@@ -154,7 +154,7 @@ def write_mat(path: Path, record: ExportRecord) -> list[Path]:
         },
         "metadata": json.dumps(record.metadata, allow_nan=False),
     }
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         savemat(cast(Any, stream), variables, do_compression=True, long_field_names=True)
     return [path]
 
@@ -196,7 +196,7 @@ def write_mf4(path: Path, record: ExportRecord) -> list[Path]:
         file.attach(text, file_name="golfbench.json", mime="application/json", compression=True)
         written = BytesIO()
         file.save(written)
-    with whole_file(path) as stream:
+    with atomic_file(path) as stream:
         stream.write(written.getvalue())
     return [path]
 

@@ -9,17 +9,17 @@ import pytest
 
 from bench.base.lifecycle import (
     ACCEPTED_IN,
+    ACTUATOR_FAULT,
     CAUSE_TEXT,
-    DISOBEYED,
-    DOUBTED,
-    EDGES,
+    CHAMBER_SUSPECT,
     EMERGENCIES,
     EMERGENCY,
-    LOST,
     NEEDS_LEASE,
-    STOPPING,
-    TRUSTED,
-    WRIST_DISOBEYED,
+    READINGS_LOST,
+    READINGS_VALID,
+    STOP_REACTIONS,
+    TRANSITIONS,
+    WRIST_FAULT,
     Answer,
     Cause,
     Phase,
@@ -32,10 +32,10 @@ from bench.base.lifecycle import (
     transition_table,
 )
 from bench.control.envelope import PHASES
-from bench.control.records import CONTROL_PARAMETERS
+from bench.control.step_records import CONTROL_PARAMETERS
 
 SLOW = {Phase.HOMING, Phase.HOLD, Phase.BACKSWING, Phase.TOP, Phase.RETURN}
-BLOW = {Phase.IMPACT, Phase.FOLLOW_THROUGH}
+SHOCK = {Phase.IMPACT, Phase.FOLLOW_THROUGH}
 MOVING = set(Phase) - {Phase.STANDING}
 
 
@@ -80,61 +80,65 @@ def test_causes_of_a_joint_stand_side_by_side() -> None:
 
 
 def test_the_table_names_a_reaction_for_every_phase_and_column() -> None:
-    assert list(STOPPING) == list(Phase)
-    assert {TRUSTED, LOST, EMERGENCY, DISOBEYED, WRIST_DISOBEYED, DOUBTED} == set(range(6))
-    for row in STOPPING.values():
+    assert list(STOP_REACTIONS) == list(Phase)
+    assert {READINGS_VALID, READINGS_LOST, EMERGENCY, ACTUATOR_FAULT, WRIST_FAULT, CHAMBER_SUSPECT} == set(
+        range(6)
+    )
+    for row in STOP_REACTIONS.values():
         assert len(row) == 6
         assert Reaction.NONE not in row
     table = np.array(reaction_table())
     assert table.shape == CONTROL_PARAMETERS["reactions"].shape == (PHASES, 6)
     for phase, column in np.ndindex(table.shape):
-        assert Reaction(int(table[phase, column])) is STOPPING[Phase(phase)][column]
+        assert Reaction(int(table[phase, column])) is STOP_REACTIONS[Phase(phase)][column]
 
 
 def test_standing_is_vented() -> None:
-    assert set(STOPPING[Phase.STANDING]) == {Reaction.VENT}
+    assert set(STOP_REACTIONS[Phase.STANDING]) == {Reaction.VENT}
 
 
 def test_nothing_is_vented_while_it_moves() -> None:
-    assert not any(Reaction.VENT in STOPPING[phase] for phase in MOVING)
+    assert not any(Reaction.VENT in STOP_REACTIONS[phase] for phase in MOVING)
 
 
 @pytest.mark.parametrize("phase", sorted(MOVING))
 def test_moving_without_readings_is_braked_blindly(phase: Phase) -> None:
-    assert STOPPING[phase][LOST] is Reaction.BLIND_BRAKE
+    assert STOP_REACTIONS[phase][READINGS_LOST] is Reaction.BLIND_BRAKE
 
 
 @pytest.mark.parametrize("phase", sorted(SLOW | {Phase.DOWNSWING}))
 def test_before_the_no_return_instant_a_trusted_stop_brakes(phase: Phase) -> None:
-    assert STOPPING[phase][TRUSTED] is STOPPING[phase][EMERGENCY] is Reaction.BRAKE
+    assert STOP_REACTIONS[phase][READINGS_VALID] is STOP_REACTIONS[phase][EMERGENCY] is Reaction.BRAKE
 
 
 def test_past_the_no_return_instant_only_an_emergency_stop_brakes() -> None:
-    row = STOPPING[Phase.COMMITTED]
-    assert (row[TRUSTED], row[EMERGENCY]) == (Reaction.COMPLETE, Reaction.BRAKE)
+    row = STOP_REACTIONS[Phase.COMMITTED]
+    assert (row[READINGS_VALID], row[EMERGENCY]) == (Reaction.COMPLETE, Reaction.BRAKE)
 
 
-@pytest.mark.parametrize("phase", sorted(BLOW))
+@pytest.mark.parametrize("phase", sorted(SHOCK))
 def test_from_the_blow_on_the_swing_brakes_as_planned(phase: Phase) -> None:
-    assert {STOPPING[phase][column] for column in (TRUSTED, EMERGENCY, WRIST_DISOBEYED)} == {
+    assert {STOP_REACTIONS[phase][column] for column in (READINGS_VALID, EMERGENCY, WRIST_FAULT)} == {
         Reaction.COMPLETE
     }
 
 
 def test_a_shoulder_or_arm_that_does_not_obey_loses_its_air() -> None:
-    assert {STOPPING[phase][DISOBEYED] for phase in MOVING} == {Reaction.PASSIVE}
+    assert {STOP_REACTIONS[phase][ACTUATOR_FAULT] for phase in MOVING} == {Reaction.PASSIVE}
 
 
 def test_a_wrist_that_does_not_obey_loses_its_air_only_while_it_is_slow() -> None:
-    assert {phase for phase in MOVING if STOPPING[phase][WRIST_DISOBEYED] is Reaction.PASSIVE} == SLOW
-    fast = MOVING - SLOW - BLOW
-    assert {STOPPING[phase][WRIST_DISOBEYED] for phase in fast} == {Reaction.BRAKE}
+    assert {phase for phase in MOVING if STOP_REACTIONS[phase][WRIST_FAULT] is Reaction.PASSIVE} == SLOW
+    fast = MOVING - SLOW - SHOCK
+    assert {STOP_REACTIONS[phase][WRIST_FAULT] for phase in fast} == {Reaction.BRAKE}
 
 
 def test_a_chamber_that_alone_does_not_fit_costs_the_air_only_while_the_robot_is_slow() -> None:
-    assert {phase for phase in MOVING if STOPPING[phase][DOUBTED] is Reaction.PASSIVE} == SLOW
-    assert {STOPPING[phase][DOUBTED] for phase in (Phase.DOWNSWING, Phase.COMMITTED)} == {Reaction.BRAKE}
-    assert {STOPPING[phase][DOUBTED] for phase in BLOW} == {Reaction.COMPLETE}
+    assert {phase for phase in MOVING if STOP_REACTIONS[phase][CHAMBER_SUSPECT] is Reaction.PASSIVE} == SLOW
+    assert {STOP_REACTIONS[phase][CHAMBER_SUSPECT] for phase in (Phase.DOWNSWING, Phase.COMMITTED)} == {
+        Reaction.BRAKE
+    }
+    assert {STOP_REACTIONS[phase][CHAMBER_SUSPECT] for phase in SHOCK} == {Reaction.COMPLETE}
 
 
 def test_severity_rises_from_finishing_to_letting_the_air_out() -> None:
@@ -147,10 +151,10 @@ def test_severity_rises_from_finishing_to_letting_the_air_out() -> None:
         Reaction.VENT,
     ]
     assert sorted(Reaction) == order
-    for row in STOPPING.values():
-        assert row[LOST] >= row[TRUSTED] <= row[EMERGENCY]
-        assert row[DISOBEYED] >= row[WRIST_DISOBEYED] >= row[TRUSTED]
-        assert row[DISOBEYED] >= row[DOUBTED] >= row[TRUSTED]
+    for row in STOP_REACTIONS.values():
+        assert row[READINGS_LOST] >= row[READINGS_VALID] <= row[EMERGENCY]
+        assert row[ACTUATOR_FAULT] >= row[WRIST_FAULT] >= row[READINGS_VALID]
+        assert row[ACTUATOR_FAULT] >= row[CHAMBER_SUSPECT] >= row[READINGS_VALID]
 
 
 # The other tables, written down a second time ---------------------------------------------------------
@@ -189,14 +193,14 @@ def test_the_bench_gets_from_state_to_state_in_these_ways_only() -> None:
         for source, rest in (line.split(": ") for line in WAYS.split("\n") if line)
         for way in rest.split(", ")
     ]
-    found = [(e.source, e.event.partition(",")[0], e.target.name) for e in EDGES]
+    found = [(e.source, e.event.partition(",")[0], e.target.name) for e in TRANSITIONS]
     assert sorted(found) == sorted(ways)
 
 
 def test_the_matrix_of_transitions_has_the_edges_and_staying_only() -> None:
     table = np.array(transition_table())
     assert table.shape == CONTROL_PARAMETERS["transitions"].shape
-    ways = {(edge.source, edge.target) for edge in EDGES} | {(state, state) for state in State}
+    ways = {(edge.source, edge.target) for edge in TRANSITIONS} | {(state, state) for state in State}
     for source, target in np.ndindex(table.shape):
         assert bool(table[source, target]) is ((State(source), State(target)) in ways)
 

@@ -27,8 +27,8 @@ from bench.calibration.calibration import (
     zero_counts,
 )
 from bench.config import Configuration, load_configuration
-from bench.control.records import ControlParameters
 from bench.control.settings import build_controller
+from bench.control.step_records import ControlParameters
 from bench.simulation.lockstep import Lockstep
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile

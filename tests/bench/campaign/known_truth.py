@@ -23,7 +23,7 @@ from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Role, block_trials, looks_after, sections
 from bench.campaign.statistics.analysis import Pair, SectionAnalysis, analyse, decide
-from bench.campaign.statistics.sample_size import foreseen
+from bench.campaign.statistics.sample_size import predict_precision
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row
@@ -296,7 +296,7 @@ def rows_of(case: Case, campaigns: int, slack: float) -> list[Row]:
     if plan.ball_handling.samples == 1:
         rows.append(row("said of the models", null.models, null.campaigns, (0.0, 0.0)))
     elif fixed and not known.scale and not known.missing and not case.looks and not case.within:
-        ahead = foreseen(plan, known.deviation, known.mounting if plan.split else known.ball)
+        ahead = predict_precision(plan, known.deviation, known.mounting if plan.split else known.ball)
         if ahead is None:
             raise RuntimeError("nothing is foreseen")
         difference = ahead.resolution(0.8)

@@ -15,7 +15,7 @@ from bench.campaign.plan.gate import Centre
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
-from bench.campaign.run.corrections import Drift, Drifts
+from bench.campaign.run.corrections import Drift, DriftDetector
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 
@@ -36,7 +36,7 @@ class Blocks:
     """Shots of block after block, with a delivery that the tests choose."""
 
     def __init__(self, plan: CampaignPlan) -> None:
-        self.drifts, self.random = Drifts(plan), np.random.default_rng(1)
+        self.drifts, self.random = DriftDetector(plan), np.random.default_rng(1)
 
     def block(
         self, number: int, speed: float, swing: str = "default", shots: int = 5, **changes: Any

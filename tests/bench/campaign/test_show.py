@@ -26,7 +26,7 @@ from bench.campaign.run.campaign_control import ask
 from bench.config import database_url, load_configuration
 from bench.network.free_port import free_port
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_matcher import NOT_TOLD
+from bench.records.shot.shot_matcher import UNREPORTED
 from bench.records.telemetry.recorder import read_swing
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
@@ -209,7 +209,7 @@ def test_what_was_planned_is_there_in_the_end_and_what_went_wrong_on_record(tmp_
     assert {shot.launch_source for shot in valid} == {"launch monitor"}
     assert len({metadata["shot_id"] for metadata in r.metadata}) == len(r.metadata) == r.swings
     # One more is missing where the monitor was ended in the middle of a swing.
-    assert 1 <= sum(NOT_TOLD in shot.reason for shot in r.shots) <= 2
+    assert 1 <= sum(UNREPORTED in shot.reason for shot in r.shots) <= 2
     assert sum(CAUSE_TEXT[Cause.GUARD] in shot.reason for shot in r.shots) == 1
     kinds = [kind for kind, _ in r.events]
     assert kinds.count("reset") >= 2

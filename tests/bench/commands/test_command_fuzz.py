@@ -25,7 +25,7 @@ def test_each_message_is_answered_or_dropped_with_a_count() -> None:
         before = client.status()["counts"]
         tally = fuzz(session, "bench1", MESSAGES, key)
         after = client.status()["counts"]
-        requests = set(running.desk.requests)
+        requests = set(running.service.requests)
     assert tally.sent.total() == tally.answered.total() == MESSAGES
     assert uncounted(tally, before, after) == 0
     assert tally.unreadable == []

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.commissioning.machine.known_robot import FoundValue, KnownRobot
+from bench.commissioning.machine.robot_estimate import ParameterEstimate, RobotEstimate
 from bench.commissioning.robot_file import robot_file
 from bench.config import Configuration
 from bench.control.measured_plant import value_at
@@ -97,11 +97,11 @@ def drawn_robot(seed: int, nominal: PlantParameters | None = None) -> PlantParam
 def drawn_robot_file(robot: PlantParameters, configuration: Configuration) -> str:
     """Return `robot` as TOML over `configuration`, its limits of the supply's pressure as the robot's."""
     found = [
-        FoundValue(key, value, 0.0, "", "drawn")
+        ParameterEstimate(key, value, 0.0, "", "drawn")
         for (key, value), (_, before) in zip(_leaves(robot), _leaves(configuration.plant), strict=True)
         if value != before
     ]
-    known, base = KnownRobot(configuration.plant, found), str(configuration.files[-1].resolve())
+    known, base = RobotEstimate(configuration.plant, found), str(configuration.files[-1].resolve())
     return robot_file(known, base, date(2026, 5, 1), configuration.envelope)
 
 
@@ -117,7 +117,7 @@ def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-def gap_of(found: FoundValue, truth: PlantParameters) -> float:
+def gap_of(found: ParameterEstimate, truth: PlantParameters) -> float:
     """Return the estimate less the truth; zeros of encoders within half a revolution."""
     gap = found.value - float(value_at(truth, found.key))
     if "zero_count" in found.key:

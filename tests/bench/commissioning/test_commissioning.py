@@ -28,17 +28,17 @@ from bench.commissioning.commissioning import (
 )
 from bench.commissioning.folder_lock import commissioning_process, folder_lock
 from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
-from bench.commissioning.machine.known_robot import FoundValue, KnownRobot
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, Segment
-from bench.commissioning.machine.step import StepResult, Traces, WrongMachine
+from bench.commissioning.machine.robot_estimate import ParameterEstimate, RobotEstimate
+from bench.commissioning.machine.step import MachineFault, StepResult, Traces
 from bench.commissioning.robot_file import commissioning_report, robot_file
 from bench.commissioning.steps.wiring import Wiring
-from bench.commissioning.swings.rising_swings import bench_of
+from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.config.text import configuration_text
 from bench.control.measured_plant import value_at, with_values
-from bench.control.model_limits import load_limits
-from bench.design.model_limits import DRAWS
+from bench.control.residual_thresholds import load_limits
+from bench.design.threshold_generation import DRAWS
 from bench.learning.delivery import figures_of
 from bench.simulation.series import Series
 from bench.swing.profile import load_profile
@@ -59,19 +59,21 @@ class _Found:
     def __init__(self, name: str, failing: bool = False, stalls: int = 0) -> None:
         self.name, self.failing, self.stalls, self.runs = name, failing, stalls, 0
 
-    def measure(self, machine: object, known: KnownRobot) -> Traces:
+    def measure(self, machine: object, known: RobotEstimate) -> Traces:
         self.runs += 1
         if self.runs <= self.stalls:
             raise Stalled("commission", f"stall {self.runs}", "a machine that reads and may move", "End it.")
         return {}
 
-    def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
+    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
         if self.failing:
-            raise WrongMachine("supply", "3 bar", "6 bar", "Check it.")
-        return StepResult((FoundValue("supply.pressure", 7e5, 100.0, "Pa absolute", self.name),), ("done",))
+            raise MachineFault("supply", "3 bar", "6 bar", "Check it.")
+        return StepResult(
+            (ParameterEstimate("supply.pressure", 7e5, 100.0, "Pa absolute", self.name),), ("done",)
+        )
 
 
-def _run(state: Commissioning, configuration: Configuration) -> KnownRobot:
+def _run(state: Commissioning, configuration: Configuration) -> RobotEstimate:
     with SimulatedMachine(configuration.plant, configuration.plant) as machine:
         return commission(state, configuration.plant, machine, lambda: DAY)
 
@@ -93,7 +95,7 @@ def test_state_is_kept_after_each_step_and_resumed(
     first, second = _Found("first"), _Found("second", failing=True)
     monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (first, second))
     state = begin(tmp_path, configuration, simulated=True, resume=False)
-    with pytest.raises(WrongMachine):
+    with pytest.raises(MachineFault):
         _run(state, configuration)
     stored = read_state(tmp_path)
     assert [step.name for step in stored.done] == ["first"]
@@ -176,12 +178,14 @@ def test_a_state_names_the_robot_that_moved(tmp_path: Path, configuration: Confi
 
 
 def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configuration) -> None:
-    known = KnownRobot(configuration.plant)
+    known = RobotEstimate(configuration.plant)
     known.add(
         [
-            FoundValue("wrist.valve.centre", 0.0123, 1e-4, "", "valves"),
-            FoundValue("encoders.sign.2", -1.0, 0.0, "", "wiring"),
-            FoundValue("shoulder.valve.natural_frequency", 500.0, np.float64(5.0), "rad/s", "response"),
+            ParameterEstimate("wrist.valve.centre", 0.0123, 1e-4, "", "valves"),
+            ParameterEstimate("encoders.sign.2", -1.0, 0.0, "", "wiring"),
+            ParameterEstimate(
+                "shoulder.valve.natural_frequency", 500.0, np.float64(5.0), "rad/s", "response"
+            ),
         ]
     )
     path = tmp_path / "robot.toml"
@@ -201,10 +205,10 @@ def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configurat
 
 
 def test_robot_file_says_how_its_zeros_are_calibrated(tmp_path: Path, configuration: Configuration) -> None:
-    known = KnownRobot(configuration.plant)
+    known = RobotEstimate(configuration.plant)
     zeros = {f"encoders.zero_count.{i}": 1234.5 + i for i in range(3)}
-    known.add([FoundValue(key, zero, 18.2, "counts", "wiring") for key, zero in zeros.items()])
-    known.add([FoundValue("encoders.sign.2", -1.0, 0.0, "", "wiring")])
+    known.add([ParameterEstimate(key, zero, 18.2, "counts", "wiring") for key, zero in zeros.items()])
+    known.add([ParameterEstimate("encoders.sign.2", -1.0, 0.0, "", "wiring")])
     base, path = tmp_path / "bench.toml", tmp_path / "robot.toml"
     base.write_text(f'base = "shipped"\n[bench]\nid = "robot-{os.getpid()}"\ndata_dir = "{tmp_path}"\n')
     path.write_text(robot_file(known, str(base), DAY.date()))
@@ -257,12 +261,12 @@ def test_a_wrong_machine_is_named_by_the_first_step(name: str) -> None:
     nominal = PlantParameters()
     case = wrong_machines(drawn_robot(4))[name]
     with SimulatedMachine(case.robot, nominal, case.faults) as machine:
-        step, known = Wiring(), KnownRobot(nominal)
+        step, known = Wiring(), RobotEstimate(nominal)
 
         def take() -> None:
             step.estimate(step.measure(machine, known), known)
 
-        with pytest.raises(WrongMachine) as error:
+        with pytest.raises(MachineFault) as error:
             take()
         assert case.place in error.value.place
         assert case.words in str(error.value)
@@ -299,15 +303,15 @@ class _Swinging:
     def swing(self, robot: object, known: Configuration, folder: Path, progress: object) -> StepResult:
         self.knew.append(known)
         if self.failing:
-            raise WrongMachine("swing of 60 %", "30 m/s", "26 m/s", "Look at the club.")
+            raise MachineFault("swing of 60 %", "30 m/s", "26 m/s", "Look at the club.")
         return StepResult((), ("swung",))
 
 
 def _measured(monkeypatch: pytest.MonkeyPatch, *steps: _Swinging) -> None:
     """Let the measuring steps be done at once, and `steps` follow."""
 
-    def all_done(state: Commissioning, nominal: PlantParameters, *_: Any, **__: Any) -> KnownRobot:
-        return KnownRobot(nominal, [FoundValue("supply.pressure", 7e5, 100.0, "Pa", "friction")])
+    def all_done(state: Commissioning, nominal: PlantParameters, *_: Any, **__: Any) -> RobotEstimate:
+        return RobotEstimate(nominal, [ParameterEstimate("supply.pressure", 7e5, 100.0, "Pa", "friction")])
 
     monkeypatch.setattr("bench.commissioning.commissioning.commission", all_done)
     monkeypatch.setattr("bench.commissioning.commissioning.SWINGING_STEPS", steps)
@@ -378,12 +382,12 @@ class _Quick:
 
     name, title, bounds_text = "wiring", "Quick", "0.1 open at 3 bar"
 
-    def measure(self, machine: CommissionedMachine, known: KnownRobot) -> Traces:
+    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
         machine.set_supply(3.0e5)
         return {"ramp": machine.run((Segment(2.0, (0.1, 0.0, 0.0), vents_shut=True),), BOUNDS)}
 
-    def estimate(self, traces: Traces, known: KnownRobot) -> StepResult:
-        value = FoundValue("supply.pressure", float(traces["ramp"].supply[-1]), 1e3, "Pa", self.name)
+    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
+        value = ParameterEstimate("supply.pressure", float(traces["ramp"].supply[-1]), 1e3, "Pa", self.name)
         return StepResult((value,), ())
 
 

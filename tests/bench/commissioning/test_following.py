@@ -11,8 +11,8 @@ import pytest
 from bench.base.lifecycle import Cause
 from bench.commissioning.swings.robot_swings import with_following_limits
 from bench.config import Configuration
+from bench.simulation.plant_variation import Variation
 from bench.simulation.series import Bench, Series
-from bench.simulation.variation import Variation
 from bench.swing.profile import Profile
 
 compiled_only = pytest.mark.skipif(

@@ -16,7 +16,7 @@ from bench.commissioning.machine.step import (
     SwingSeries,
     read_mark,
 )
-from bench.commissioning.swings.rising_swings import LearnedSwing, bench_of
+from bench.commissioning.swings.speed_ramp import LearnedSwing, bench_of
 from bench.config import Configuration
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.commissioning.machine.known_robot import ACTUATOR_KEYS, FoundValue
+from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate
 from bench.commissioning.swings.swing_diagnosis import Diagnosis
 from bench.control.measured_plant import value_at, with_values
 from sim.faults import Fault
@@ -98,7 +98,7 @@ class SwungWrongly(NamedTuple):
         return named is not None and named.cause.place == self.place and self.what in named.cause.what
 
 
-def measured_values(plant: PlantParameters) -> list[FoundValue]:
+def measured_values(plant: PlantParameters) -> list[ParameterEstimate]:
     """Return what the measuring steps find of a robot like `plant`, with their standard errors."""
     errors = dict[str, float]()
     for key in ACTUATOR_KEYS:
@@ -111,7 +111,10 @@ def measured_values(plant: PlantParameters) -> list[FoundValue]:
     masses = {f"robot.{body}.{what}": _MASS for body in bodies for what in ("mass", "inertia")}
     errors |= {key: share * float(value_at(plant, key)) for key, share in (masses | _OTHERS).items()}
     errors |= {f"encoders.zero_count.{i}": _ZERO for i in range(3)} | {"encoders.latency": _LATENCY}
-    return [FoundValue(key, float(value_at(plant, key)), error, "", "test") for key, error in errors.items()]
+    return [
+        ParameterEstimate(key, float(value_at(plant, key)), error, "", "test")
+        for key, error in errors.items()
+    ]
 
 
 def true_robot(plant: PlantParameters, seed: int) -> PlantParameters:

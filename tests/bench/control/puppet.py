@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Request, State
-from bench.control.records import new_control_state
 from bench.control.settings import (
     SIMULATED,
     ControlSettings,
@@ -20,6 +19,7 @@ from bench.control.settings import (
     build_controller,
 )
 from bench.control.step import step
+from bench.control.step_records import new_control_state
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.swing.profile import PHASES, Profile
 from drivers.base import PASSIVE

@@ -22,15 +22,15 @@ from bench.base.lifecycle import (
     Request,
     State,
 )
-from bench.control.monitor.air_watch import SENSORS
-from bench.control.records import ControlParameters, ControlState
+from bench.control.monitor.pressure_monitor import SENSORS
 from bench.control.requests import (
+    check_request,
+    handle_request,
     manifold_is_full,
     near_address,
     note_local_reset,
-    refusal_of,
-    take_request,
 )
+from bench.control.step_records import ControlParameters, ControlState
 from tests.bench.control.puppet import Puppet, put
 
 FROM = {
@@ -59,7 +59,7 @@ class Situation:
     readings: Any
 
     def refusal(self, request: int) -> Refusal:
-        return Refusal(refusal_of(self.state, self.parameters, self.readings, request, NOW))
+        return Refusal(check_request(self.state, self.parameters, self.readings, request, NOW))
 
 
 @pytest.fixture(scope="module")
@@ -420,7 +420,7 @@ def taken(situation: Situation, request: int, number: int) -> int:
     """Put `request` with its number to a tick; return what is to be carried out."""
     control = situation.state.control
     control["request"], control["request_number"] = request, number
-    return take_request(situation.state, situation.parameters, situation.readings, NOW)
+    return handle_request(situation.state, situation.parameters, situation.readings, NOW)
 
 
 def told(situation: Situation) -> tuple[int, Answer, Refusal, int, int]:

@@ -54,7 +54,7 @@ def led(tmp_path: Path) -> Iterator[Led]:
     made.shared.close()
 
 
-def hand_over(led: Led) -> None:
+def grant_access(led: Led) -> None:
     """Let one holder release the bench and another one take it between two ticks."""
     led.say(lease=0)
     led.say(lease=2)
@@ -64,7 +64,7 @@ def test_an_armed_bench_is_disarmed(led: Led) -> None:
     puppet = reach(State.ARMED)
     led.run(puppet, 5)
     assert not puppet.is_without_energy()
-    hand_over(led)
+    grant_access(led)
     led.run(puppet, 1)
     assert puppet.bench is State.READY
     assert puppet.is_without_energy()
@@ -73,7 +73,7 @@ def test_an_armed_bench_is_disarmed(led: Led) -> None:
 def test_the_new_holder_cannot_swing_what_another_has_armed(led: Led) -> None:
     puppet = reach(State.ARMED)
     led.run(puppet, 5)
-    hand_over(led)
+    grant_access(led)
     led.ask(Request.SWING)
     led.run(puppet, 50)
     assert puppet.bench is State.READY
@@ -83,7 +83,7 @@ def test_the_new_holder_cannot_swing_what_another_has_armed(led: Led) -> None:
 def test_a_robot_on_its_way_to_the_address_brakes(led: Led) -> None:
     puppet = on_the_way()
     led.run(puppet, 5)
-    hand_over(led)
+    grant_access(led)
     led.run(puppet, 1)
     assert (puppet.bench, puppet.reaction) == (State.RECOVERING, Reaction.BRAKE)
 
@@ -91,7 +91,7 @@ def test_a_robot_on_its_way_to_the_address_brakes(led: Led) -> None:
 def test_a_swing_completes_and_nothing_stays_armed(led: Led) -> None:
     puppet = reach(State.SWINGING, series=True)
     led.run(puppet, 5)
-    hand_over(led)
+    grant_access(led)
     led.run(puppet, 1)
     assert puppet.bench is State.SWINGING
     led.run(puppet, 2000)
@@ -102,7 +102,7 @@ def test_homing_ends(led: Led) -> None:
     puppet = Puppet().enter(Phase.HOMING)
     led.run(puppet, 5)
     assert puppet.bench is State.HOMING
-    hand_over(led)
+    grant_access(led)
     led.run(puppet, 2)
     assert puppet.reaction is Reaction.BRAKE
 
@@ -111,7 +111,7 @@ def test_an_arm_that_was_left_waiting_is_refused(led: Led) -> None:
     puppet = reach(State.READY)
     led.run(puppet, 5)
     led.ask(Request.ARM)
-    hand_over(led)
+    grant_access(led)
     led.run(puppet, 50)
     assert puppet.bench is State.READY
     assert not np.any(puppet.record["supply_enable"])

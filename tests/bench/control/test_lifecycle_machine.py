@@ -19,13 +19,13 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 
 from bench.base.lifecycle import (
     ACCEPTED_IN,
-    DISOBEYED,
-    EDGES,
+    ACTUATOR_FAULT,
     EMERGENCY,
-    LOST,
     NEEDS_LEASE,
-    STOPPING,
-    TRUSTED,
+    READINGS_LOST,
+    READINGS_VALID,
+    STOP_REACTIONS,
+    TRANSITIONS,
     Answer,
     Cause,
     Phase,
@@ -43,7 +43,7 @@ pytestmark = pytest.mark.skipif(
 
 MOTION = {State.HOMING, State.ARMED, State.SWINGING, State.RECOVERING}
 LATCHED = {State.ESTOP, State.FAULT}
-PAIRS = {(edge.source, edge.target) for edge in EDGES}
+PAIRS = {(edge.source, edge.target) for edge in TRANSITIONS}
 STOPS = (Request.STOP, Request.EMERGENCY_STOP)
 CLEARED = {Request.RESET, Request.HOME, Request.ARM, Request.SWING}
 LOST_TIME = 0.0045
@@ -313,18 +313,18 @@ class Bench(RuleBasedStateMachine):
         assert after.state in MOTION
         silence = self.puppet.time - self.fresh_at.min()
         emergency = not readings["emergency_stop_clear"] or request == Request.EMERGENCY_STOP
-        row = STOPPING[after.phase]
+        row = STOP_REACTIONS[after.phase]
         least = Reaction.NONE
         if silence > LOST_TIME + 1e-9:
-            least = row[LOST]
+            least = row[READINGS_LOST]
         elif emergency:
             least = row[EMERGENCY]
         elif not (readings["guard_closed"] and readings["guard_locked"]) or request == Request.STOP:
-            least = row[TRUSTED]
+            least = row[READINGS_VALID]
         elif not control["device_operational"]:
-            least = row[DISOBEYED]
+            least = row[ACTUATOR_FAULT]
         elif not control["supervisor_alive"] or step > 0.010:
-            least = row[TRUSTED]
+            least = row[READINGS_VALID]
         assert after.reaction >= least
         permitted = {*row, before.reaction, Reaction.BRAKE if before.reaction <= Reaction.COMPLETE else 0}
         assert after.reaction in permitted

@@ -1,14 +1,31 @@
-"""The state changes along EDGES only: any other change is a fault in its tick."""
+"""The state changes along TRANSITIONS only: any other change is a fault in its tick."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from bench.base.lifecycle import EDGES, LOST, TRUSTED, Cause, Phase, Reaction, Request, State
+from bench.base.lifecycle import (
+    READINGS_LOST,
+    READINGS_VALID,
+    TRANSITIONS,
+    Cause,
+    Phase,
+    Reaction,
+    Request,
+    State,
+)
 from bench.control.moves.braking import brake_opening
-from bench.control.records import ControlParameters, ControlState, new_control_state
-from bench.control.states import arrive, begin_reaction, disarm, give_up, latch, react, stand
+from bench.control.states import (
+    begin_reaction,
+    disarm,
+    enter_hold,
+    enter_standstill,
+    latch,
+    latch_exception,
+    react,
+)
+from bench.control.step_records import ControlParameters, ControlState, new_control_state
 from tests.bench.control.operating import at_power_up, do, on_the_way, reach
 from tests.bench.control.puppet import Puppet
 
@@ -82,7 +99,7 @@ def test_the_robot_reaches_ready_again_after_a_forbidden_way() -> None:
     puppet = reach(State.READY)
     forbid(puppet, State.READY, State.ARMED)
     puppet.tick(Request.ARM)
-    assert (State.FAULT, State.READY) in {(edge.source, edge.target) for edge in EDGES}
+    assert (State.FAULT, State.READY) in {(edge.source, edge.target) for edge in TRANSITIONS}
     puppet.run(40)
     puppet.tick(Request.RESET)
     assert (puppet.bench, puppet.cause) == (State.READY, Cause.NONE)
@@ -158,7 +175,7 @@ def test_at_rest_a_cause_is_latched(
 ) -> None:
     s = bench[0].control[0]
     s["cause"], s["emergency"], s["homed"], s["phase"], s["air"] = cause, emergency, homed, Phase.HOLD, True
-    stand(s, bench[1], 3.0)
+    enter_standstill(s, bench[1], 3.0)
     assert (s["state"], s["phase"], bool(s["air"]), s["venting"]["start"]) == (
         state,
         Phase.STANDING,
@@ -185,27 +202,27 @@ def test_a_lasting_cause_does_not_hide_one_found_after_it() -> None:
     puppet = reach(State.SWINGING)
     s = puppet.state.control[0]
     for tick in range(3):
-        react(puppet.state, puppet.parameters, int(Cause.GUARD), TRUSTED, 1.0 + 1e-3 * tick)
+        react(puppet.state, puppet.parameters, int(Cause.GUARD), READINGS_VALID, 1.0 + 1e-3 * tick)
         assert (s["cause"], s["latest_cause"]) == (Cause.GUARD, Cause.GUARD)
-    react(puppet.state, puppet.parameters, int(Cause.WRIST_AIR), TRUSTED, 1.003)
-    react(puppet.state, puppet.parameters, int(Cause.GUARD), TRUSTED, 1.004)
+    react(puppet.state, puppet.parameters, int(Cause.WRIST_AIR), READINGS_VALID, 1.003)
+    react(puppet.state, puppet.parameters, int(Cause.GUARD), READINGS_VALID, 1.004)
     assert (s["cause"], s["latest_cause"]) == (Cause.GUARD, Cause.WRIST_AIR)
 
 
 def test_a_cause_while_standing_vents_and_a_lost_reading_is_distrusted(bench: Bench) -> None:
     state, parameters = bench
     s = state.control[0]
-    react(state, parameters, int(Cause.ARM_ENCODER), LOST, 1.0)
+    react(state, parameters, int(Cause.ARM_ENCODER), READINGS_LOST, 1.0)
     assert (s["state"], s["reaction"], s["cause"]) == (State.FAULT, Reaction.VENT, Cause.ARM_ENCODER)
     assert s["distrusted"]
-    react(state, parameters, int(Cause.GUARD), TRUSTED, 2.0)
+    react(state, parameters, int(Cause.GUARD), READINGS_VALID, 2.0)
     assert (s["cause"], s["latest_cause"]) == (Cause.ARM_ENCODER, Cause.GUARD)
 
 
 @pytest.mark.parametrize("joint", range(3))
 def test_a_joint_that_does_not_follow_may_have_an_encoder_that_is_stuck(joint: int) -> None:
     puppet = reach(State.SWINGING)
-    react(puppet.state, puppet.parameters, int(Cause.SHOULDER_FOLLOWING) + joint, TRUSTED, 1.0)
+    react(puppet.state, puppet.parameters, int(Cause.SHOULDER_FOLLOWING) + joint, READINGS_VALID, 1.0)
     assert puppet.control["distrusted"]
 
 
@@ -242,7 +259,7 @@ def test_at_the_address_a_series_is_held(
 ) -> None:
     s = bench[0].control[0]
     s["phase"], s["state"], s["reaction"], s["lease_held"] = Phase.RETURN, before, reaction, held
-    arrive(s, bench[1], 1.0)
+    enter_hold(s, bench[1], 1.0)
     assert s["state"] == after
 
 
@@ -250,7 +267,7 @@ def test_at_the_address_a_series_is_held(
 def test_an_index_off_its_place_takes_the_reference_away(bench: Bench, cause: Cause) -> None:
     s = bench[0].control[0]
     s["homed"] = True
-    react(bench[0], bench[1], cause, TRUSTED, 1.0)
+    react(bench[0], bench[1], cause, READINGS_VALID, 1.0)
     assert not s["homed"]
 
 
@@ -260,7 +277,7 @@ def test_a_tick_that_failed_leaves_nothing_under_way(bench: Bench) -> None:
     under_way = ("swinging", "moving", "disarming", "air", "vented", "tee")
     for name in under_way:
         control[name] = True
-    give_up(control, bench[1], 1.0)
+    latch_exception(control, bench[1], 1.0)
     s = control[0]
     assert not any(s[name] for name in under_way)
     assert (s["phase"], s["state"], s["venting"]["start"]) == (Phase.STANDING, State.FAULT, 1.0)

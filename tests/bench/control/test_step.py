@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 from numba.core.runtime import _nrt_python, rtsys
 
 from bench.base.lifecycle import (
-    DISOBEYED,
-    DOUBTED,
+    ACTUATOR_FAULT,
+    CHAMBER_SUSPECT,
     EMERGENCY,
-    LOST,
-    STOPPING,
-    TRUSTED,
-    WRIST_DISOBEYED,
+    READINGS_LOST,
+    READINGS_VALID,
+    STOP_REACTIONS,
+    WRIST_FAULT,
     Answer,
     Cause,
     Phase,
@@ -30,8 +30,8 @@ from bench.base.lifecycle import (
     Request,
     State,
 )
-from bench.control.records import ControlState
 from bench.control.step import step
+from bench.control.step_records import ControlState
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.swing.profile import Profile
 from drivers.base import PASSIVE
@@ -396,12 +396,12 @@ def _doubted(puppet: Puppet) -> None:
 
 
 PROVOKED: dict[int, tuple[Callable[[Puppet], None], Cause]] = {
-    TRUSTED: (_guard, Cause.GUARD),
-    LOST: (_lost, Cause.ARM_ENCODER),
+    READINGS_VALID: (_guard, Cause.GUARD),
+    READINGS_LOST: (_lost, Cause.ARM_ENCODER),
     EMERGENCY: (_emergency, Cause.EMERGENCY_STOP),
-    DISOBEYED: (_disobeyed, Cause.SHOULDER_FOLLOWING),
-    WRIST_DISOBEYED: (_wrist_disobeyed, Cause.WRIST_FOLLOWING),
-    DOUBTED: (_doubted, Cause.SHOULDER_SENSOR),
+    ACTUATOR_FAULT: (_disobeyed, Cause.SHOULDER_FOLLOWING),
+    WRIST_FAULT: (_wrist_disobeyed, Cause.WRIST_FOLLOWING),
+    CHAMBER_SUSPECT: (_doubted, Cause.SHOULDER_SENSOR),
 }
 
 
@@ -412,14 +412,14 @@ PROVOKED: dict[int, tuple[Callable[[Puppet], None], Cause]] = {
 def test_every_entry_of_the_table_is_what_happens(phase: Phase, column: int) -> None:
     puppet = Puppet().enter(phase)
     provoke, cause = PROVOKED[column]
-    if phase is Phase.HOMING and column in (DISOBEYED, WRIST_DISOBEYED):
+    if phase is Phase.HOMING and column in (ACTUATOR_FAULT, WRIST_FAULT):
         cause = Cause.HOMING_FAILED
     provoke(puppet)
-    puppet.run(5 if column == LOST else 1)
-    if phase is Phase.IMPACT and column in (DISOBEYED, WRIST_DISOBEYED):
+    puppet.run(5 if column == READINGS_LOST else 1)
+    if phase is Phase.IMPACT and column in (ACTUATOR_FAULT, WRIST_FAULT):
         assert puppet.reaction is Reaction.NONE  # the blow's jump is in nobody's reference
         return
-    assert puppet.reaction is STOPPING[phase][column]
+    assert puppet.reaction is STOP_REACTIONS[phase][column]
     assert puppet.cause is cause
     assert puppet.control["latest_cause"] == cause
     assert (puppet.cycle["trip"][0], puppet.cycle["reaction"][0]) == (cause, puppet.reaction)
@@ -441,7 +441,7 @@ def test_a_valve_that_passes_too_much_is_a_joint_that_does_not_obey(phase: Phase
     puppet.parameters.model["flow"][0, :, joint] = -1.0
     puppet.tick()
     assert puppet.cause == Cause.SHOULDER_FLOW + joint
-    assert puppet.reaction is STOPPING[phase][WRIST_DISOBEYED if joint == 2 else DISOBEYED]
+    assert puppet.reaction is STOP_REACTIONS[phase][WRIST_FAULT if joint == 2 else ACTUATOR_FAULT]
     assert puppet.control["distrusted"]
 
 
@@ -450,7 +450,7 @@ def test_readings_that_do_not_fit_are_lost(kind: str) -> None:
     puppet = model_checked(Puppet().enter(Phase.TOP), **{kind: -1.0})
     puppet.tick()
     assert puppet.cause is Cause[f"SHOULDER_{kind.upper()}"]
-    assert puppet.reaction is STOPPING[Phase.TOP][LOST]
+    assert puppet.reaction is STOP_REACTIONS[Phase.TOP][READINGS_LOST]
 
 
 def test_an_encoder_that_slips_while_the_robot_stands_is_not_homed_any_more() -> None:
@@ -467,7 +467,7 @@ def test_an_encoder_that_slips_while_the_robot_stands_is_not_homed_any_more() ->
 
 
 @moving_phase
-@pytest.mark.parametrize("column", [TRUSTED, LOST, EMERGENCY])
+@pytest.mark.parametrize("column", [READINGS_VALID, READINGS_LOST, EMERGENCY])
 def test_nothing_moves_again_by_itself(phase: Phase, column: int) -> None:
     puppet = Puppet().enter(phase)
     PROVOKED[column][0](puppet)

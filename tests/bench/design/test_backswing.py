@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration
-from bench.control.moves.planned_air import with_planned_air
+from bench.control.moves.pressure_plan import with_planned_air
 from bench.control.settings import pid_record
 from bench.design import designer
 from bench.design.designer import SwingDemand, address_pose, top_pose

@@ -49,9 +49,9 @@ from bench.simulation.simulated_bench import SimulatedBench, simulate_swing, sim
 from bench.swing.golfers import GOLFERS
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
+from sim.dynamics import STATES as PLANT_STATES
+from sim.dynamics import _derivative
 from sim.kinematics import forward_kinematics, head_motion, right_arm_length
-from sim.motion import STATES as PLANT_STATES
-from sim.motion import _derivative
 from sim.plant import PlantParameters, build_plant
 from tests.sampling import release_except
 

@@ -10,10 +10,10 @@ import pytest
 from bench.base.lifecycle import Cause
 from bench.config import load_configuration, shipped_configuration
 from bench.config.settings import Configuration
-from bench.control.model_limits import ENDING
+from bench.control.residual_thresholds import ENDING
 from bench.control.settings import build_controller
+from bench.simulation.plant_variation import healthy_plant, healthy_run
 from bench.simulation.series import Bench, Series
-from bench.simulation.variation import healthy_plant, healthy_run
 from bench.swing.library import PROFILES, find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters

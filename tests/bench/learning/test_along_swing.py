@@ -14,9 +14,9 @@ from bench.commands.cli import main
 from bench.config import load_configuration, shipped_configuration
 from bench.control.law.gains import Gains
 from bench.control.law.linear_loop import Estimator, least_damping, steady_estimator
-from bench.control.law.linear_plant import Frozen, freeze
+from bench.control.law.linear_plant import LinearPlant, linearize
 from bench.control.settings import estimator_record
-from bench.learning.along_swing import Judged, gains_along, judge, operating_points
+from bench.learning.along_swing import LoopMargins, gains_along, judge, operating_points
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
@@ -48,9 +48,9 @@ def with_joint(gains: Gains, joint: int, **values: float) -> Gains:
 
 
 @pytest.fixture(scope="module")
-def plants(bench: Bench) -> list[Frozen]:
+def plants(bench: Bench) -> list[LinearPlant]:
     plant = build_plant(bench.model)
-    return [freeze(plant, point) for point in operating_points(bench)]
+    return [linearize(plant, point) for point in operating_points(bench)]
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def estimator(bench: Bench) -> Estimator:
 
 
 @compiled_only
-def test_the_linear_plant_moves_as_the_plant_does(bench: Bench, plants: list[Frozen]) -> None:
+def test_the_linear_plant_moves_as_the_plant_does(bench: Bench, plants: list[LinearPlant]) -> None:
     """From one state of the backswing, sliding without dry friction, with two openings a little apart."""
     actuators = {
         name: replace(
@@ -82,7 +82,7 @@ def test_the_linear_plant_moves_as_the_plant_does(bench: Bench, plants: list[Fro
         supply=float(state["supply_pressure"][0]),
         opening=command["valve"][0].copy(),
     )
-    frozen, ticks, small = freeze(plant, point), 5, 0.01
+    frozen, ticks, small = linearize(plant, point), 5, 0.01
     for joint in range(3):
         ends = []
         for side in (1.0, -1.0):
@@ -100,7 +100,7 @@ def test_the_linear_plant_moves_as_the_plant_does(bench: Bench, plants: list[Fro
 
 
 @compiled_only
-def test_hunting_is_foretold(bench: Bench, plants: list[Frozen], estimator: Estimator) -> None:
+def test_hunting_is_foretold(bench: Bench, plants: list[LinearPlant], estimator: Estimator) -> None:
     """With this stiff wrist the loop was seen to swing at 4 Hz in a backswing; with the soft one not."""
     soft = by_hand(bench)
     stiff = with_joint(soft, 2, proportional=0.75, integral=0.45, derivative=0.028, damping=0.0004)
@@ -115,7 +115,7 @@ def test_hunting_is_foretold(bench: Bench, plants: list[Frozen], estimator: Esti
 
 @compiled_only
 def test_what_grows_by_its_gain_grows_at_the_gain_margin(
-    bench: Bench, plants: list[Frozen], estimator: Estimator
+    bench: Bench, plants: list[LinearPlant], estimator: Estimator
 ) -> None:
     """The margins of a loop and the modes of the closed loop tell the same, by other ways."""
     frozen, gains, period = plants[2], by_hand(bench), bench.model.tick
@@ -134,12 +134,12 @@ def test_what_grows_by_its_gain_grows_at_the_gain_margin(
 
 @compiled_only
 def test_gains_from_the_machine_keep_more_margin_than_those_by_hand(
-    bench: Bench, plants: list[Frozen], estimator: Estimator
+    bench: Bench, plants: list[LinearPlant], estimator: Estimator
 ) -> None:
     judged = [frozen for frozen in plants if frozen.point.judged]
     assert [frozen.point.name for frozen in judged] == ["address", "backswing 1/3", "backswing 2/3"]
 
-    def found(source: Any) -> Judged:
+    def found(source: Any) -> LoopMargins:
         made = bench._replace(control=replace(bench.control, gains=source))
         return judge(judged, estimator, gains_along(made), bench.model.tick)
 

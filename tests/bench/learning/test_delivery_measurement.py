@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from bench.base.lifecycle import Phase
 from bench.learning.delivery import delivery_from_encoders
 from bench.learning.learn import prepare
+from bench.simulation.plant_variation import drawn
 from bench.simulation.series import Bench, Series, SeriesSwing
-from bench.simulation.variation import drawn
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.impact import face_gap, impact_parameters
@@ -23,7 +23,7 @@ from sim.plant import PlantParameters
 Array = NDArray[np.float64]
 
 ROWS, FIRST = 60, -40
-BLOW, AFTER_THE_BALL = -12.0, 0.0018
+SHOCK, AFTER_THE_BALL = -12.0, 0.0018
 """rad/s that the wrist loses at the ball; s after the ball at which a wrist without one meets its cushion."""
 
 
@@ -63,7 +63,7 @@ def _contact(motion: Motion, plant: PlantParameters) -> float:
 def _cycles(motion: Motion, plant: PlantParameters, shift: float) -> np.ndarray:
     """Return readings of `motion`, struck by the ball at time 0; a reading is `shift` ticks after it."""
     times: Array = plant.tick * (np.arange(FIRST, FIRST + ROWS, dtype=np.float64) + shift)
-    angle = motion.angle(times) + np.maximum(times, 0.0)[:, None] * np.array([0.0, 0.0, BLOW])
+    angle = motion.angle(times) + np.maximum(times, 0.0)[:, None] * np.array([0.0, 0.0, SHOCK])
     encoders = plant.encoders
     per_rad = np.array(encoders.sign) * encoders.counts_per_revolution / (2 * np.pi)
     cycles = np.zeros(ROWS, [("encoder_count", np.int64, 3), ("angle", float, 3), ("phase", np.int64)])

@@ -18,9 +18,9 @@ from bench.learning.delivery import (
 )
 from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
-from bench.simulation import variation
+from bench.simulation import plant_variation
+from bench.simulation.plant_variation import Variation, drawn
 from bench.simulation.series import Bench, Series
-from bench.simulation.variation import Variation, drawn
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import build_plant
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.skipif(
 SHIPPED = load_configuration(shipped_configuration())
 PLANT = SHIPPED.plant
 BENCH = Bench(PLANT, load_profile(find_profile(SHIPPED.swing.profile)), SHIPPED.control)
-WORN = variation.WORN.applied_to(PLANT)
+WORN = plant_variation.WORN.applied_to(PLANT)
 
 
 @pytest.fixture(scope="module")

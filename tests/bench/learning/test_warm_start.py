@@ -12,8 +12,8 @@ from bench.base.errors import BenchError
 from bench.config import load_configuration, shipped_configuration
 from bench.learning.delivery import Tolerance
 from bench.learning.learn import LearningProblem, Recorded, begun_on, left_over, on_series, prepare
+from bench.simulation.plant_variation import Variation
 from bench.simulation.series import Bench, Series
-from bench.simulation.variation import Variation
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Request, State
-from bench.control.records import ControlParameters, ControlState, new_control_state
 from bench.control.settings import build_controller
 from bench.control.step import step
+from bench.control.step_records import ControlParameters, ControlState, new_control_state
 from bench.loop.compiled_tick import AT_DECIDE, AT_WRITE, CompiledTick
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.swing.library import find_profile

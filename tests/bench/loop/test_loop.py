@@ -13,7 +13,6 @@ import pytest
 
 from bench.base.clock import FreeClock, PacedClock
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
-from bench.control.records import ControlParameters, new_control_state
 from bench.control.settings import (
     ControlSettings,
     EnvelopeSettings,
@@ -21,6 +20,7 @@ from bench.control.settings import (
     PidSettings,
     build_controller,
 )
+from bench.control.step_records import ControlParameters, new_control_state
 from bench.loop.loop import Cycle, CycleArray, Loop, bring_to_rest
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.ring import RingWriter

@@ -42,7 +42,7 @@ class Supervisor:
 
     def _publish(self) -> None:
         while not self._ended.wait(0.01):
-            self._running.plane.publish_state(self._running.desk.status())
+            self._running.plane.publish_state(self._running.service.status())
 
     def __enter__(self) -> None:
         self._thread.start()
@@ -62,7 +62,7 @@ def test_a_session_as_the_documentation_has_it(running: RunningPlane, bench: Ben
         assert bench.swing().accepted
         assert bench.status()["swings"] == 1
     assert running.plane.lease() is None
-    assert running.desk.requests == [Request.RESET, Request.HOME, Request.ARM, Request.SWING]
+    assert running.service.requests == [Request.RESET, Request.HOME, Request.ARM, Request.SWING]
 
 
 def test_every_verb_is_a_method(running: RunningPlane, bench: BenchClient) -> None:
@@ -71,37 +71,37 @@ def test_every_verb_is_a_method(running: RunningPlane, bench: BenchClient) -> No
         assert ask().accepted
     assert bench.stop().state == "FAULT"
     assert "no" in bench.emergency_stop().note
-    assert len(running.desk.requests) == 7
+    assert len(running.service.requests) == 7
 
 
 @pytest.mark.parametrize("verb", ["reset", "home", "arm"])
 def test_a_robot_that_sways_is_waited_for(running: RunningPlane, bench: BenchClient, verb: str) -> None:
     bench.take_lease("Ann")
     before = {"reset": State.ESTOP, "home": State.SAFE, "arm": State.READY}
-    running.desk.state, running.desk.sways = before[verb], 3
+    running.service.state, running.service.sways = before[verb], 3
     assert getattr(bench, verb)().accepted
-    assert len(running.desk.requests) == 4
+    assert len(running.service.requests) == 4
 
 
 def test_arming_waits_for_chambers_that_vent(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
-    running.desk.state, running.desk.sways, running.desk.vents = State.READY, 2, 3
+    running.service.state, running.service.sways, running.service.vents = State.READY, 2, 3
     assert bench.arm().accepted
-    assert len(running.desk.requests) == 6
+    assert len(running.service.requests) == 6
 
 
 def test_a_swing_waits_for_its_air(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
-    running.desk.state, running.desk.fills = State.ARMED, 3
+    running.service.state, running.service.fills = State.ARMED, 3
     assert bench.swing().accepted
-    assert running.desk.requests == [Request.SWING] * 4
+    assert running.service.requests == [Request.SWING] * 4
 
 
 def test_air_that_never_comes_is_refused_in_words(
     running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.take_lease("Ann")
-    running.desk.state, running.desk.fills = State.ARMED, 1000
+    running.service.state, running.service.fills = State.ARMED, 1000
     with pytest.raises(CommandRefused) as caught:
         bench.swing(patience=0.2)
     assert caught.value.found == "refused in state ARMED: the chambers are not at their planned pressures yet"
@@ -110,45 +110,45 @@ def test_air_that_never_comes_is_refused_in_words(
 
 def test_homing_waits_for_chambers_that_vent(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
-    running.desk.state, running.desk.vents = State.SAFE, 2
+    running.service.state, running.service.vents = State.SAFE, 2
     assert bench.home().accepted
-    assert len(running.desk.requests) == 3
+    assert len(running.service.requests) == 3
 
 
 def test_arming_waits_for_a_robot_that_returns(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
-    running.desk.state = State.RECOVERING
+    running.service.state = State.RECOVERING
     with pytest.raises(CommandRefused) as caught:
         bench.arm(patience=0.2)
-    assert len(running.desk.requests) > 1
+    assert len(running.service.requests) > 1
     assert caught.value.refusal is Refusal.STATE
-    threading.Timer(0.3, setattr, (running.desk, "state", State.READY)).start()
+    threading.Timer(0.3, setattr, (running.service, "state", State.READY)).start()
     assert bench.arm(patience=5.0).accepted
 
 
 def test_a_second_swing_is_not_made_after_the_first(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
-    running.desk.state = State.SWINGING
+    running.service.state = State.SWINGING
     with pytest.raises(CommandRefused):
         bench.swing()
-    assert running.desk.requests == [Request.SWING]
+    assert running.service.requests == [Request.SWING]
 
 
 def test_what_was_asked_before_a_stop_is_not_done_after_it(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
-    running.desk.state = State.READY
-    running.desk.refuse = Refusal.STOPPED
+    running.service.state = State.READY
+    running.service.refuse = Refusal.STOPPED
     with pytest.raises(CommandRefused) as caught:
         bench.arm()
     assert caught.value.refusal is Refusal.STOPPED
-    assert running.desk.requests == [Request.ARM]
+    assert running.service.requests == [Request.ARM]
 
 
 def test_chambers_that_never_empty_are_refused_in_words(
     running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.take_lease("Ann")
-    running.desk.state, running.desk.vents = State.READY, 1000
+    running.service.state, running.service.vents = State.READY, 1000
     with pytest.raises(CommandRefused) as caught:
         bench.arm(patience=0.2)
     assert caught.value.found == "refused in state READY: the chambers are not verified empty yet"
@@ -159,7 +159,7 @@ def test_a_robot_that_never_rests_is_refused_in_words(
     running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.take_lease("Ann")
-    running.desk.sways = 1000
+    running.service.sways = 1000
     with pytest.raises(CommandRefused) as caught:
         bench.reset(patience=0.2)
     assert caught.value.found == "refused in state ESTOP: a joint still moves"
@@ -230,9 +230,9 @@ def test_threads_share_a_client_in_order(running: RunningPlane, bench: BenchClie
 
 
 def test_waiting_ends_when_the_bench_latches(running: RunningPlane, bench: BenchClient) -> None:
-    running.desk.state = State.READY
+    running.service.state = State.READY
     with Supervisor(running):
-        late = threading.Timer(0.2, running.desk.stop)
+        late = threading.Timer(0.2, running.service.stop)
         late.start()
         with pytest.raises(Refused, match="FAULT in phase STANDING: the bench was switched on"):
             bench.wait_for("ARMED", timeout=10.0)
@@ -240,7 +240,7 @@ def test_waiting_ends_when_the_bench_latches(running: RunningPlane, bench: Bench
 
 
 def test_waiting_ends_with_its_time(bench: BenchClient, running: RunningPlane) -> None:
-    running.desk.state = State.READY
+    running.service.state = State.READY
     with pytest.raises(Refused, match=r"after 0\.2 s: found READY"):
         bench.wait_for("ARMED", timeout=0.2)
 
@@ -248,13 +248,13 @@ def test_waiting_ends_with_its_time(bench: BenchClient, running: RunningPlane) -
 def test_an_armed_bench_is_waited_for_until_the_robot_rests_at_its_address(
     running: RunningPlane, bench: BenchClient
 ) -> None:
-    running.desk.state, running.desk.armed_phase = State.ARMED, "RETURN"
+    running.service.state, running.service.armed_phase = State.ARMED, "RETURN"
     seen: list[str] = []
 
     def watch(status: BenchStatus) -> None:
         seen.append(status["phase"])
         if len(seen) == 3:
-            running.desk.armed_phase = "HOLD"
+            running.service.armed_phase = "HOLD"
 
     with Supervisor(running):
         began = time.monotonic()
@@ -267,10 +267,10 @@ def test_an_armed_bench_is_waited_for_until_the_robot_rests_at_its_address(
 def test_waiting_for_an_armed_bench_ends_when_it_no_longer_is(
     state: State, running: RunningPlane, bench: BenchClient
 ) -> None:
-    running.desk.state, running.desk.armed_phase = State.ARMED, "RETURN"
+    running.service.state, running.service.armed_phase = State.ARMED, "RETURN"
 
     def watch(_: BenchStatus) -> None:
-        running.desk.state = state
+        running.service.state = state
 
     with Supervisor(running), pytest.raises(Refused, match=f"found {state.name} in phase") as caught:
         bench.wait_until_armed(timeout=20.0, watch=watch)
@@ -291,7 +291,7 @@ def test_a_bench_of_another_name_does_not_answer(running: RunningPlane) -> None:
 
 
 def test_a_hanging_bench_gives_no_answer_in_time(running: RunningPlane) -> None:
-    running.desk.free.clear()
+    running.service.free.clear()
     with BenchClient.connect(running.configuration, timeout=0.3) as bench:
         bench.take_lease("Ann")
         with pytest.raises(NoAnswer, match=r"waited 0\.\d s"):
@@ -334,7 +334,7 @@ def test_a_message_that_does_not_hold_comes_back_as_the_benchs_error(bench: Benc
 def test_a_status_of_another_version_is_told(
     change: dict[str, Any], running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    status: dict[str, Any] = {**running.desk.status(), **change}
+    status: dict[str, Any] = {**running.service.status(), **change}
     content = {name: value for name, value in status.items() if value is not None}
     answer = json.dumps(
         {

@@ -123,10 +123,10 @@ def wait_until(holds: Callable[[], bool], timeout: float = 5.0) -> None:
 def test_a_correction_takes_the_lease_and_comes_to_the_desk(bench: RunningPlane, asker: Asker) -> None:
     values: dict[str, Any] = {"profile": "0123456789abcdef", "weights": [0.5, -1.0]}
     assert not asker.ask("correct", key=new_key(), sequence=1, **values).accepted
-    assert bench.desk.corrections == []
+    assert bench.service.corrections == []
     key = asker.take()
     assert asker.ask_keyed("correct", key, **values) == CommandAnswer(True, "ESTOP", cause="POWER_UP")
-    assert bench.desk.corrections == [("0123456789abcdef", (0.5, -1.0))]
+    assert bench.service.corrections == [("0123456789abcdef", (0.5, -1.0))]
     assert not asker.ask("correct", key=key, sequence=asker.sequence, **values).accepted  # repeated
     assert asker.ask("status").content["correction"] == 1
 
@@ -138,11 +138,11 @@ def test_a_whole_day_of_every_verb(bench: RunningPlane, asker: Asker) -> None:
     for verb, state in zip(day, states, strict=True):
         answer = asker.ask(verb) if verb == "disarm" else asker.ask_keyed(verb, key)
         assert answer._replace(cause="NONE") == CommandAnswer(True, state)
-    assert bench.desk.requests == [REQUESTS[Verb(verb)] for verb in day]
+    assert bench.service.requests == [REQUESTS[Verb(verb)] for verb in day]
     assert asker.ask("stop")[:2] == (True, "FAULT")
     answer = asker.ask("estop")
     assert (*answer[:2], answer.note) == (True, "ESTOP", CONVENIENCE)
-    assert [what for what, _ in bench.desk.stops] == ["stop", "estop"]
+    assert [what for what, _ in bench.service.stops] == ["stop", "estop"]
     assert asker.ask_keyed("lease", key, action="release")[:2] == (True, "ESTOP")
     assert bench.plane.lease() is None
 
@@ -181,7 +181,7 @@ def test_a_refusal_for_the_state_has_the_next_step_of_that_state(
     bench: RunningPlane, asker: Asker, state: State, action: str
 ) -> None:
     key = asker.take()
-    bench.desk.state = state
+    bench.service.state = state
     answer = asker.ask_keyed("swing", key)
     assert (answer.refusal, answer.state, answer.action) == ("STATE", state.name, action)
 
@@ -201,12 +201,12 @@ def test_a_desk_that_fails_is_a_refusal_and_the_next_command_is_answered(
     bench: RunningPlane, asker: Asker
 ) -> None:
     key = asker.take()
-    bench.desk.error = OSError("the ring is gone")
+    bench.service.error = OSError("the ring is gone")
     for answer in (asker.ask_keyed("reset", key), asker.ask("stop"), asker.ask("estop")):
         assert not answer.accepted
         assert answer.refusal == "FAILED"
         assert answer.reason == "the bench could not do it, OSError: the ring is gone"
-    bench.desk.error = None
+    bench.service.error = None
     assert asker.ask_keyed("reset", key).accepted
 
 
@@ -221,7 +221,7 @@ def test_only_one_of_two_clients_holds_the_bench(bench: RunningPlane, asker: Ask
     assert refusal.action == "wait, or ask Ann to release it"
     assert another.ask_keyed("reset", new_key()) == refusal
     assert not another.ask_keyed("lease", new_key(), action="release").accepted
-    assert bench.desk.requests == []
+    assert bench.service.requests == []
     assert asker.ask_keyed("lease", key, action="release").accepted
     assert another.take("Bob")
 
@@ -230,7 +230,7 @@ def test_what_moves_is_refused_without_a_lease(bench: RunningPlane, asker: Asker
     for verb in ("home", "arm", "access", "secure", "swing", "tee", "reset"):
         answer = asker.ask_keyed(verb, new_key())
         assert (answer.accepted, answer.refusal) == (False, "NO_LEASE")
-    assert bench.desk.requests == []
+    assert bench.service.requests == []
 
 
 def test_a_lease_ends_unless_renewed(bench: RunningPlane, asker: Asker, clock: FakeClock) -> None:
@@ -243,7 +243,7 @@ def test_a_lease_ends_unless_renewed(bench: RunningPlane, asker: Asker, clock: F
     clock.now += 1.0
     assert bench.plane.lease() is None
     assert not asker.ask_keyed("home", key).accepted
-    assert bench.desk.requests == [Request.RESET]
+    assert bench.service.requests == [Request.RESET]
 
 
 def test_commands_repeated_or_out_of_order_are_not_done(bench: RunningPlane, asker: Asker) -> None:
@@ -252,14 +252,14 @@ def test_commands_repeated_or_out_of_order_are_not_done(bench: RunningPlane, ask
     for sequence in (5, 4, 1):
         answer = asker.ask("home", key=key, sequence=sequence)
         assert answer.reason.startswith(f"sequence {sequence} after 5")
-    assert bench.desk.requests == [Request.RESET]
+    assert bench.service.requests == [Request.RESET]
     assert asker.ask("home", key=key, sequence=6).accepted
 
 
 def test_a_restart_voids_every_lease(asker: Asker, bench: RunningPlane) -> None:
     key = asker.take()
     bench.plane.close()
-    with CommandPlane(bench.session, "bench1", bench.desk):
+    with CommandPlane(bench.session, "bench1", bench.service):
         wait_until(lambda: asker.send("status", encode_command(Verb.STATUS))() is not None)
         assert not asker.ask_keyed("reset", key).accepted
 
@@ -292,39 +292,39 @@ def test_a_stop_counts_also_when_its_message_does_not_hold(
 ) -> None:
     for number, verb in enumerate(("stop", "estop"), 1):
         asker.error(verb, payload)
-        wait_until(lambda: len(bench.desk.stops) == number)  # noqa: B023
-        assert bench.desk.stops[-1][0] == verb
+        wait_until(lambda: len(bench.service.stops) == number)  # noqa: B023
+        assert bench.service.stops[-1][0] == verb
 
 
 def test_a_stop_may_name_all_benches(bench: RunningPlane, asker: Asker) -> None:
     answer = asker.send("golfbench/*/command/estop", encode_command(Verb.ESTOP))()
     assert isinstance(answer, CommandAnswer)
     assert answer.state == "ESTOP"
-    assert [what for what, _ in bench.desk.stops] == ["estop"]
+    assert [what for what, _ in bench.service.stops] == ["estop"]
 
 
 # Floods ----------------------------------------------------------------------------------------------
 
 
 def test_stops_overtake_a_flood_of_requests(bench: RunningPlane, asker: Asker, another: Asker) -> None:
-    bench.desk.free.clear()
+    bench.service.free.clear()
     key = asker.take()
     flood = [
         asker.send("reset", encode_command(Verb.RESET, key=key, sequence=number))
         for number in range(1, 3 * QUEUE)
     ]
-    wait_until(lambda: len(bench.desk.requests) == 1)
+    wait_until(lambda: len(bench.service.requests) == 1)
     began = time.monotonic()
     assert another.ask("stop").accepted
     assert another.ask("estop").accepted
     assert asker.ask("estop").accepted
     assert time.monotonic() - began < 2.0
     assert another.ask("status").accepted
-    bench.desk.free.set()
+    bench.service.free.set()
     answers = [wait() for wait in flood]
     busy = [a for a in answers if isinstance(a, CommandAnswer) and a.refusal == "BUSY"]
     assert len(busy) == len(flood) - QUEUE - 1
-    assert len(bench.desk.requests) == QUEUE + 1
+    assert len(bench.service.requests) == QUEUE + 1
 
 
 def test_a_flood_of_stops_stops(bench: RunningPlane, asker: Asker, another: Asker) -> None:
@@ -332,27 +332,27 @@ def test_a_flood_of_stops_stops(bench: RunningPlane, asker: Asker, another: Aske
     assert another.ask("estop").accepted
     answers = [wait() for wait in flood]
     assert all(isinstance(answer, CommandAnswer) and answer.accepted for answer in answers)
-    assert {what for what, _ in bench.desk.stops} == {"stop", "estop"}
+    assert {what for what, _ in bench.service.stops} == {"stop", "estop"}
 
 
 def test_a_request_that_waited_too_long_is_not_done(
     bench: RunningPlane, asker: Asker, clock: FakeClock
 ) -> None:
-    bench.desk.free.clear()
+    bench.service.free.clear()
     key = asker.take()
     first = asker.send("reset", encode_command(Verb.RESET, key=key, sequence=1))
-    wait_until(lambda: len(bench.desk.requests) == 1)
+    wait_until(lambda: len(bench.service.requests) == 1)
     second = asker.send("home", encode_command(Verb.HOME, key=key, sequence=2))
     asker.ask("status")  # comes after it on the same link
     clock.now += LONGEST_WAIT + 0.1
-    bench.desk.free.set()
+    bench.service.free.set()
     answer = first()
     assert isinstance(answer, CommandAnswer)
     assert answer.accepted
     late = second()
     assert isinstance(late, CommandAnswer)
     assert late.refusal == "TOO_LATE"
-    assert bench.desk.requests == [Request.RESET]
+    assert bench.service.requests == [Request.RESET]
 
 
 # The end ---------------------------------------------------------------------------------------------
@@ -394,23 +394,23 @@ def test_it_ends_in_time_while_a_client_floods_and_is_stuck() -> None:
 @pytest.mark.live
 def test_it_ends_in_time_although_the_desk_hangs() -> None:
     with running_plane(FakeDesk(), loopback_configuration()) as running:
-        running.desk.free.clear()
+        running.service.free.clear()
         with open_client(running.configuration.network, "bench1") as session:
             asker = Asker(session)
             key = asker.take()
             first = asker.send("reset", encode_command(Verb.RESET, key=key, sequence=1))
             second = asker.send("home", encode_command(Verb.HOME, key=key, sequence=2))
-            wait_until(lambda: len(running.desk.requests) == 1)
+            wait_until(lambda: len(running.service.requests) == 1)
             asker.ask("status")
             began = time.monotonic()
             assert not running.plane.close()
             assert time.monotonic() - began < 2.0
-            running.desk.free.set()
+            running.service.free.set()
             assert isinstance(first(), CommandAnswer)
             answer = second()
             assert isinstance(answer, CommandAnswer)
             assert answer.refusal == "SHUTTING_DOWN"
-            assert running.desk.requests == [Request.RESET]
+            assert running.service.requests == [Request.RESET]
 
 
 def test_nothing_is_left_declared() -> None:
@@ -436,13 +436,13 @@ def test_the_state_is_told_on_change_and_five_times_a_second(
     wait_until(lambda: bench.plane._state.matching_status.matching)  # type: ignore[attr-defined]
     told = []
     for _ in range(100):
-        told.append(bench.plane.publish_state(bench.desk.status()))
+        told.append(bench.plane.publish_state(bench.service.status()))
         clock.now += 0.01
     assert sum(told) == 5
-    bench.desk.state = State.SAFE
-    assert bench.plane.publish_state(bench.desk.status())
+    bench.service.state = State.SAFE
+    assert bench.plane.publish_state(bench.service.status())
     asker.take("Ann")
-    assert bench.plane.publish_state(bench.desk.status())
+    assert bench.plane.publish_state(bench.service.status())
     wait_until(lambda: len(heard) == 7)
     assert [status["state"] for status in heard] == ["ESTOP"] * 5 + ["SAFE"] * 2
     assert [status["lease"] for status in heard[5:]] == [

@@ -181,7 +181,7 @@ def test_viewers_do_not_command(bench: RunningPlane, come_as: Connect) -> None:
         for command in (viewer.reset, viewer.home, viewer.arm, viewer.swing, viewer.tee, viewer.access):
             with denied():
                 command()
-    assert bench.desk.requests == []
+    assert bench.service.requests == []
 
 
 def test_viewers_cannot_pose_as_the_bench(bench: RunningPlane, folder: Folder) -> None:
@@ -203,7 +203,7 @@ def test_operators_read_and_command(bench: RunningPlane, come_as: Connect, folde
         operator.home()
         operator.arm()
         operator.swing()
-    assert len(bench.desk.requests) == 4
+    assert len(bench.service.requests) == 4
     network = bench.configuration.network
     with open_client(network, "bench1") as publisher:
         beyond = client_of(network.beyond, str(folder.path / "bob")).network
@@ -233,7 +233,7 @@ def test_who_has_no_role_may_do_no_more_than_stop(
 def test_on_this_machine_all_is_as_without_roles(bench: RunningPlane) -> None:
     with BenchClient.connect(bench.configuration) as here, here.lease("Ann"):
         here.reset()
-    assert len(bench.desk.requests) == 1
+    assert len(bench.service.requests) == 1
 
 
 def test_the_command_line_ends_with_75(

@@ -139,7 +139,7 @@ def test_roles_hold_through_a_router(
     assert not answers(carl)
     with BenchClient.connect(bob) as operator, operator.lease("bob") as held:
         operator.reset()
-        assert bench.desk.requests == [Request.RESET]
+        assert bench.service.requests == [Request.RESET]
         for somebody in (anna, carl):
             with BenchClient.connect(somebody) as client:
                 assert denied(lambda client=client: client.take_lease("x"))  # type: ignore[misc]
@@ -148,7 +148,7 @@ def test_roles_hold_through_a_router(
                 assert denied(client.home)
                 assert client.stop().state == "FAULT"
                 assert client.emergency_stop().state == "ESTOP"
-    assert bench.desk.requests == [Request.RESET]
+    assert bench.service.requests == [Request.RESET]
 
 
 @pytest.mark.live

@@ -28,7 +28,7 @@ from bench.network.lease import new_key
 from bench.network.messages import LOOP_VERSION, CampaignMessage, wire_contract
 from bench.network.zenoh_session import open_client
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.records.shot.shot_matcher import Told
+from bench.records.shot.shot_matcher import SettledOutcome
 from bench.records.shot.shot_message import ShotPublication, read_shot_message, shot_publication
 from bench.records.telemetry.batches import encode_batch, wire_schema
 from bench.records.telemetry.cycle_record import CYCLE, arrow_schema
@@ -127,7 +127,7 @@ def test_published_states_and_events_are_as_described(bench: RunningPlane, sessi
     deadline = time.monotonic() + 30.0
     while len(seen) < 4 and time.monotonic() < deadline:
         # Again and again: the bench does not know at once of who listens.
-        bench.plane.publish_state(bench.desk.status())
+        bench.plane.publish_state(bench.service.status())
         bench.plane.publish_event("loop died", {"text": "the loop froze"})
         bench.plane.publish_event("change", {**names, "tick": 7, "loop_time": 0.007})
         bench.plane.publish_shot(shot_publication(record="/a"))
@@ -152,9 +152,11 @@ SHOT = Shot(1, 1, 1, "driver", "a", ShotStatus.VALID, club_speed_mps=42.0, time_
         shot_publication(
             shot_id="r-1", record="/a", number=3, lost_records=0, complete=True, replayable=True, cause="NONE"
         ),
-        message_of(Told(MatchOutcome.MATCHED, "r-1", LAUNCH, "", SHOT)),
-        message_of(Told(MatchOutcome.NO_LAUNCH, "r-1", None, "the launch monitor saw no ball", SHOT)),
-        message_of(Told(MatchOutcome.NO_SWING, "", LAUNCH, "late", None)),
+        message_of(SettledOutcome(MatchOutcome.MATCHED, "r-1", LAUNCH, "", SHOT)),
+        message_of(
+            SettledOutcome(MatchOutcome.NO_LAUNCH, "r-1", None, "the launch monitor saw no ball", SHOT)
+        ),
+        message_of(SettledOutcome(MatchOutcome.NO_SWING, "", LAUNCH, "late", None)),
     ],
 )
 def test_shots_have_always_all_their_keys(message: ShotPublication) -> None:

@@ -28,7 +28,7 @@ def publishing(running: RunningPlane) -> Iterator[threading.Event]:
     def publish() -> None:
         while not ended.wait(0.02):
             if speaking.is_set():
-                running.plane.publish_state(running.desk.status())
+                running.plane.publish_state(running.service.status())
 
     thread = threading.Thread(target=publish)
     thread.start()

@@ -224,7 +224,7 @@ def test_every_path_needs_its_role(running: RunningPlane, tmp_path: Path) -> Non
     address = PageAddress(port=free_port(), tokens=both(tmp_path))
     with running_page(running.configuration, address) as page:
         cookie = page.post("/api/sign-in", {"token": VIEWER}).headers["set-cookie"].partition(";")[0]
-        running.desk.requests.clear()
+        running.service.requests.clear()
         body = {"number": "number-of-all", "seen": time.monotonic(), "by": "Eve", "holder": "Eve"}
         for path, method in paths().items():
             if path in OPEN | {"/api/sign-in", "/api/stop/{name}", "/api/stream"}:
@@ -238,7 +238,7 @@ def test_every_path_needs_its_role(running: RunningPlane, tmp_path: Path) -> Non
             else:
                 assert page.post(where, body).status == 401, path
                 assert page.post(where, body, cookie=cookie).status == 403, path
-        assert running.desk.requests == []
+        assert running.service.requests == []
         assert running.plane.lease() is None
 
 
@@ -246,10 +246,10 @@ def test_a_command_with_a_viewers_certificate_moves_nothing(running: RunningPlan
     folder = Folder(tmp_path / "certificates")
     network = replace(running.configuration.network, viewers=("vera",), operators=("otto",))
     address = PageAddress(port=free_port(), identity=folder.add("bench1"))
-    running.desk.requests.clear()
+    running.service.requests.clear()
     with running_page(replace(running.configuration, network=network), address) as page:
         for name in ("vera", "nora"):
             page.tls = client_context(folder, folder.add(name))
             for command in COMMANDS:
                 assert page.command(command).status == 403
-        assert running.desk.requests == []
+        assert running.service.requests == []

@@ -156,11 +156,11 @@ ATTACKS = {
 
 @pytest.fixture(autouse=True)
 def nothing_moves(running: RunningPlane, page: RunningPage) -> Iterator[None]:
-    running.desk.state = State.READY
-    running.desk.requests.clear()
-    running.desk.stops.clear()
+    running.service.state = State.READY
+    running.service.requests.clear()
+    running.service.stops.clear()
     yield
-    assert running.desk.requests == []
+    assert running.service.requests == []
     assert running.plane.lease() is None
 
 
@@ -173,7 +173,7 @@ def test_is_refused(page: RunningPage, running: RunningPlane, name: str) -> None
     assert answer.status in attack.status, answer.body
     assert SCRIPT.encode() not in answer.body
     assert "access-control-allow-origin" not in answer.headers
-    assert running.desk.stops == []
+    assert running.service.stops == []
 
 
 def raw(page: RunningPage, text: bytes) -> socket.socket:
@@ -190,7 +190,7 @@ def test_a_hundred_slow_readers_slow_nothing(page: RunningPage, running: Running
         assert statuses.count(b"200") <= MAX_READERS
         assert set(statuses) == {b"200", b"503"}
         assert page.post("/api/stop/stop", {}).status == 200
-        assert [what for what, _ in running.desk.stops] == ["stop"]
+        assert [what for what, _ in running.service.stops] == ["stop"]
     deadline = time.monotonic() + HURRY
     while page.ask("GET", "/api/you").status == 200:  # their places are free again
         one = raw(page, head)

@@ -63,7 +63,7 @@ SIZES = """() => [document.documentElement.scrollWidth,
 
 
 @pytest.fixture
-def desk() -> FakeDesk:
+def service() -> FakeDesk:
     return FakeDesk()
 
 
@@ -73,15 +73,15 @@ def silence() -> list[Callable[[], None]]:
 
 
 @pytest.fixture
-def page(desk: FakeDesk, silence: list[Callable[[], None]]) -> Iterator[RunningPage]:
+def page(service: FakeDesk, silence: list[Callable[[], None]]) -> Iterator[RunningPage]:
     with ExitStack() as stack:
-        running = stack.enter_context(running_plane(desk, loopback_configuration()))
+        running = stack.enter_context(running_plane(service, loopback_configuration()))
         speaking = stack.enter_context(publishing(running))
         silence.append(speaking.clear)
         yield stack.enter_context(running_page(running.configuration))
 
 
-def test_an_operator_clicks_and_a_viewer_looks_on(browser: Any, page: RunningPage, desk: FakeDesk) -> None:
+def test_an_operator_clicks_and_a_viewer_looks_on(browser: Any, page: RunningPage, service: FakeDesk) -> None:
     with open_tab(browser, page.url) as tab, open_tab(browser, page.url) as other:
         tab.text("#state-word").to_have_text("ESTOP")
         tab.text("#action").to_have_text("Reset to begin.")
@@ -92,7 +92,7 @@ def test_an_operator_clicks_and_a_viewer_looks_on(browser: Any, page: RunningPag
         tab.text("#do-home").to_be_enabled()
         tab.page.click("#do-home")
         tab.page.click("#ask-no")
-        assert Request.HOME not in desk.requests
+        assert Request.HOME not in service.requests
         tab.do("home")
         tab.text("#state-word").to_have_text("READY")
         other.text("#state-word").to_have_text("READY")
@@ -103,11 +103,11 @@ def test_an_operator_clicks_and_a_viewer_looks_on(browser: Any, page: RunningPag
         tab.text("#ask").to_be_visible()
         tab.page.click("#stop")  # a question covers no stop; what it asked is gone
         tab.text("#ask").to_be_hidden()
-        assert [what for what, _ in desk.stops] == ["stop"]
-        assert Request.ARM not in desk.requests
+        assert [what for what, _ in service.stops] == ["stop"]
+        assert Request.ARM not in service.requests
         other.page.click("#stop")  # by anybody
         other.text("#outcome").to_contain_text("Stop: the bench has taken it.")
-        assert [what for what, _ in desk.stops] == ["stop", "stop"]
+        assert [what for what, _ in service.stops] == ["stop", "stop"]
         tab.page.click("#release")
         tab.text("#lease").to_have_text("Lease: not held")
 
@@ -128,7 +128,7 @@ def test_a_lost_bench_is_said_within_two_seconds(
 
 
 def test_a_lost_lease_is_said_and_nothing_is_taken_again(
-    browser: Any, page: RunningPage, desk: FakeDesk, monkeypatch: pytest.MonkeyPatch
+    browser: Any, page: RunningPage, service: FakeDesk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page_commands, "LEASE", SHORTEST)
     with open_tab(browser, page.url) as tab:
@@ -139,7 +139,7 @@ def test_a_lost_lease_is_said_and_nothing_is_taken_again(
         tab.text("#outcome").to_contain_text("The lease is lost: take it again.")
         tab.text("#take").to_be_enabled()
         tab.text("#do-reset").to_be_disabled()
-    assert desk.requests == []
+    assert service.requests == []
 
 
 def test_it_is_readable_in_both_themes_and_on_a_phone(browser: Any, page: RunningPage) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from bench.base.errors import Refused
-from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep, WrongFound
+from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep, FaultRecord
 from bench.commissioning.folder_lock import folder_lock
 from bench.config import Configuration
 from bench.network.free_port import free_port
@@ -53,7 +53,7 @@ def stored(data_dir: Path, name: str, done: int = 1, wrong: bool = False) -> Pat
         one = DoneStep(step.name, step.title, "bounds", DAY.isoformat(), 61.0, "records/1.npz", (), (SCRIPT,))
         state.done.append(one)
     if wrong:
-        state.wrong = WrongFound(
+        state.wrong = FaultRecord(
             ALL_STEPS[done].name, DAY.isoformat(), "hose", "air", "none", "Fit the hose."
         )
     state.save()

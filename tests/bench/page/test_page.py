@@ -21,9 +21,9 @@ NAMES = ("index.html", "page.css", "main.js", "operate.js", "icon.svg")
 @pytest.fixture(autouse=True)
 def begin(running: RunningPlane) -> Iterator[None]:
     """Begin in ESTOP, with nothing asked before, and leave nobody holding the lease."""
-    running.desk.state = State.ESTOP
-    running.desk.requests.clear()
-    running.desk.stops.clear()
+    running.service.state = State.ESTOP
+    running.service.requests.clear()
+    running.service.stops.clear()
     yield
     deadline = time.monotonic() + HURRY
     while running.plane.lease() is not None:
@@ -65,12 +65,12 @@ def test_the_page_loads_nothing_from_elsewhere_and_is_light(page: RunningPage) -
 
 
 def test_swing_is_read_while_it_runs_and_once_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    desk, offered = FakeDesk(State.ARMED), list[bool]()
+    service, offered = FakeDesk(State.ARMED), list[bool]()
     monkeypatch.setattr(SwingReader, "offer_ring", lambda _, ring, *, running: offered.append(running))
-    with running_plane(desk, loopback_configuration()) as running, publishing(running):
+    with running_plane(service, loopback_configuration()) as running, publishing(running):
         with running_page(running.configuration) as page, page.stream() as following:
             for state in (State.ARMED, State.SWINGING, State.READY):
-                desk.state = state
+                service.state = state
                 while following("state")["state"] != state.name:
                     pass
             following("state")
@@ -92,7 +92,7 @@ def test_state_role_and_silence_arrive_at_once(page: RunningPage, running: Runni
 def test_a_change_of_state_reaches_the_page(page: RunningPage, running: RunningPlane) -> None:
     with page.stream() as following:
         following("state")
-        running.desk.state = State.READY
+        running.service.state = State.READY
         while following("state")["state"] != "READY":
             pass
 
@@ -103,7 +103,7 @@ def test_a_session_of_an_operator(page: RunningPage, running: RunningPlane) -> N
         answer = page.command(name, ticket)
         assert answer.status == 200, answer.body
     asked = [Request.RESET, Request.HOME, Request.ARM, Request.TEE, Request.SWING]
-    assert running.desk.requests == asked
+    assert running.service.requests == asked
     assert page.post("/api/lease", {"action": "renew"}, golfbench_ticket=ticket).content == {"seconds": 15.0}
     released = page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
     assert released.content == {"seconds": 0.0}
@@ -126,7 +126,7 @@ def test_a_lease_belongs_to_the_tab_that_took_it(page: RunningPage, running: Run
     taken = page.post("/api/lease", {"action": "take", "holder": "Bob"})
     assert taken.status == 409
     assert "Ann" in taken.content["what"]
-    assert running.desk.requests == []
+    assert running.service.requests == []
     page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
 
 
@@ -134,25 +134,25 @@ def test_stop_needs_no_lease_no_number_and_no_valid_body(page: RunningPage, runn
     for name, body in (("stop", b"{}"), ("stop", b""), ("estop", b"\xff{[")):
         answer = page.ask("POST", f"/api/stop/{name}", body, page.own())
         assert answer.status == 200, answer.body
-    assert [what for what, _ in running.desk.stops] == ["stop", "stop", "estop"]
+    assert [what for what, _ in running.service.stops] == ["stop", "stop", "estop"]
 
 
 def test_a_stop_overtakes_a_command_that_waits(running: RunningPlane, page: RunningPage) -> None:
     ticket = page.take_lease()
-    running.desk.free.clear()
+    running.service.free.clear()
     connection = page.connection()
     try:
         headers = page.own() | {"golfbench-ticket": ticket}
         body = f'{{"number": "waiting-1", "seen": {time.monotonic()}}}'
         connection.request("POST", "/api/command/reset", body, headers)
         deadline = time.monotonic() + HURRY
-        while not running.desk.requests:
+        while not running.service.requests:
             assert time.monotonic() < deadline
             time.sleep(0.01)
         assert page.post("/api/stop/stop", {}).status == 200
-        assert len(running.desk.stops) == 1
+        assert len(running.service.stops) == 1
     finally:
-        running.desk.free.set()
+        running.service.free.set()
         connection.getresponse().read()
         connection.close()
     page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
@@ -171,7 +171,7 @@ def test_a_command_is_taken_once_and_from_a_fresh_screen_only(
     )
     for seen in (time.monotonic() - 60.0, time.monotonic() + 60.0):
         assert page.command("home", ticket, seen=seen).status == 409
-    assert running.desk.requests == [Request.RESET]
+    assert running.service.requests == [Request.RESET]
     page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.clock import FreeClock
-from bench.control.records import ControlParameters
+from bench.control.step_records import ControlParameters
 from bench.loop.loop import Cycle, Loop
 from sim.driver import SimDriver
 from sim.plant import Plant

@@ -44,7 +44,7 @@ def test_the_same_instant_swings_the_same(profile: Profile) -> None:
         if engine is bench:
             bench.go_back(mark)
         engine.begin_record()
-        engine.begin_tally()
+        engine.reset_peaks()
         engine.tee_up(ball=True)
         assert engine.start_swing(50, 10)
         engine.advance(len(profile.angle))

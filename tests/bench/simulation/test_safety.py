@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.simulation.loads import Loads, begin_tally, loads_of, pressure_shares, stop_shares
-from bench.simulation.safety import RunEnd, SafetyLimits, dangers
+from bench.simulation.loads import Loads, loads_of, pressure_shares, reset_peaks, stop_shares
+from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from sim.plant import PlantParameters, build_plant, initial_state
 
 LIGHT = Loads(np.zeros((3, 2)), np.full(6, 5e5), 0.02, 40.0, 0.5, "wrist lower stop", 0.1, 0.6)
@@ -19,8 +19,8 @@ SAFE = RunEnd(LIGHT, True, 0.3, 1.0, 0.001, 1.0e5)
 
 
 def test_an_end_within_all_limits_is_safe() -> None:
-    assert dangers(SAFE, LIMITS) == []
-    assert dangers(RunEnd(LIGHT), LIMITS) == []  # nothing else was observed
+    assert unsafe_reasons(SAFE, LIMITS) == []
+    assert unsafe_reasons(RunEnd(LIGHT), LIMITS) == []  # nothing else was observed
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_an_end_within_all_limits_is_safe() -> None:
 )
 def test_each_load_beyond_its_limit_is_unsafe(load: str, value: float, reason: str) -> None:
     changed: dict[str, Any] = {load: value}
-    (found,) = dangers(SAFE._replace(loads=replace(LIGHT, **changed)), LIMITS)
+    (found,) = unsafe_reasons(SAFE._replace(loads=replace(LIGHT, **changed)), LIMITS)
     assert reason in found
 
 
@@ -57,14 +57,14 @@ def test_each_load_beyond_its_limit_is_unsafe(load: str, value: float, reason: s
 )
 def test_each_observation_beyond_its_limit_is_unsafe(name: str, value: object, reason: str) -> None:
     changed: dict[str, Any] = {name: value}
-    (found,) = dangers(SAFE._replace(**changed), LIMITS)
+    (found,) = unsafe_reasons(SAFE._replace(**changed), LIMITS)
     assert reason in found
 
 
 def test_a_site_may_allow_a_divot() -> None:
     deep = replace(LIGHT, lowest_clearance=-0.016)
-    assert dangers(SAFE._replace(loads=replace(deep, divot=0.012)), LIMITS) == []
-    (found,) = dangers(SAFE._replace(loads=replace(deep, divot=0.010)), LIMITS)
+    assert unsafe_reasons(SAFE._replace(loads=replace(deep, divot=0.012)), LIMITS) == []
+    (found,) = unsafe_reasons(SAFE._replace(loads=replace(deep, divot=0.010)), LIMITS)
     assert "16 mm into the ground" in found
     site = replace(PlantParameters().site, surface="turf", divot=0.012)
     plant = replace(PlantParameters(), site=site)
@@ -74,7 +74,7 @@ def test_a_site_may_allow_a_divot() -> None:
 def test_loads_are_shares_of_the_ratings() -> None:
     plant = PlantParameters()
     state = initial_state(build_plant(plant), np.array([0.4, 4.0, 6.0]))
-    begin_tally(state)
+    reset_peaks(state)
     assert loads_of(state, plant).lowest_clearance == np.inf
     state["stop_energy"][0, 1, 1] = 0.5 * plant.right_arm.stop.energy
     state["stop_depth"][0, 1, 1] = 0.7 * plant.right_arm.stop.travel
@@ -86,7 +86,7 @@ def test_loads_are_shares_of_the_ratings() -> None:
     assert found.pressure_share == pytest.approx(0.9)
     assert stop_shares(np.zeros((7, 3, 2)), plant).shape == (7, 3, 2)
     assert pressure_shares(found.peak_pressure, plant).shape == (3, 2)
-    begin_tally(state)
+    reset_peaks(state)
     assert loads_of(state, plant).stop_share == 0.0
 
 
@@ -97,6 +97,6 @@ def test_an_absorber_may_be_rated_for_more_than_its_spring_takes() -> None:
     assert stop.stiffness == replace(stop, rated=0.0).stiffness
     assert replace(stop, rated=0.0).rating == stop.energy
     state = initial_state(build_plant(plant), np.array([0.4, 4.0, 6.0]))
-    begin_tally(state)
+    reset_peaks(state)
     state["stop_energy"][0, 2, 1] = stop.energy
     assert loads_of(state, plant).stop_share == pytest.approx(stop.energy / stop.rated)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Answer, Refusal, Request, State
-from bench.control.records import CONTROL_STATE
+from bench.control.step_records import CONTROL_STATE
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.ring import RingWriter
 from bench.supervisor.correction import CORRECTED, CORRECTED_FILE

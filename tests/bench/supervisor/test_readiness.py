@@ -178,9 +178,7 @@ def test_assess_stale_limits_block_a_machine_and_warn_a_simulated_bench(
     machine: Machine, configuration: Configuration
 ) -> None:
     stiffer = "[plant.wrist.friction]\ncoulomb = 49.0\n"
-    (block,) = assess_bench(
-        machine(f'{UNWATCHED}check = "always"\n{stiffer}'), NOW, running=True
-    ).blocks(NOW)
+    (block,) = assess_bench(machine(f'{UNWATCHED}check = "always"\n{stiffer}'), NOW, running=True).blocks(NOW)
     assert block["place"] == "limits of default"
     assert "another plant (wrist.friction.coulomb 45, here 49)" in block["found"]
     assert "golfbench profile limits default" in block["action"]

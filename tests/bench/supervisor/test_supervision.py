@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import Request
-from bench.control.records import CONTROL_STATE
+from bench.control.step_records import CONTROL_STATE
 from bench.supervisor.supervision import SUPERVISION, SUPERVISION_FILE, Orders
 from drivers.base.compiled import new_record
 from drivers.base.shared_record import SharedRecord

@@ -18,7 +18,7 @@ from pyarrow import parquet as pq
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
-from bench.control.moves.planned_air import planned_air
+from bench.control.moves.pressure_plan import planned_air
 from bench.swing.correction import digest_of
 from bench.swing.library import find_profile, profile_names
 from bench.swing.profile import (

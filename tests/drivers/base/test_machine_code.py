@@ -109,7 +109,7 @@ def test_change_renews_the_modules_that_import_it_and_no_others(copy: Path) -> N
     now = module_digests(copy)
     renewed = {module for module in digests if now[module] != digests[module]}
     assert {"bench.control.law.pid", "bench.control.step", "bench.loop.loop"} <= renewed
-    assert not renewed & {"sim.kane", "sim.motion", "sim.flight", "bench.control.envelope", "sim.driver"}
+    assert not renewed & {"sim.kane", "sim.dynamics", "sim.flight", "bench.control.envelope", "sim.driver"}
 
 
 def test_no_compiled_function_calls_an_argument() -> None:

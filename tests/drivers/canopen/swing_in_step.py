@@ -14,7 +14,7 @@ from bench.base.lifecycle import Phase, Request
 from bench.config import Configuration
 from bench.control.settings import build_controller
 from bench.loop.loop import Cycle, CycleArray, Cycles
-from bench.simulation.loads import Loads, begin_tally, loads_of
+from bench.simulation.loads import Loads, loads_of, reset_peaks
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import Driver, DriverError
@@ -119,13 +119,13 @@ class SwingBench:
         self.run(self.lasting(lambda: self.cycle.phase in (Phase.HOLD, Phase.STANDING), _AT_ADDRESS))
         return self.kept.cycles[first:]
 
-    def begin_tally(self) -> None:
+    def reset_peaks(self) -> None:
         """Reset the loads."""
-        begin_tally(self.state)
+        reset_peaks(self.state)
 
     @property
     def loads(self) -> Loads:
-        """Loads since `begin_tally`."""
+        """Loads since `reset_peaks`."""
         return loads_of(self.state, self.plant)
 
 

@@ -422,7 +422,7 @@ def test_it_ends_cleanly_and_leaves_nothing(memory: Path) -> None:
 
 
 def test_it_ends_when_nobody_wants_it_any_more(tmp_path: Path) -> None:
-    plan = PlantPlan(tmp_path, PLANT, WATCHDOG, START, lonely=0.3)
+    plan = PlantPlan(tmp_path, PLANT, WATCHDOG, START, orphan_timeout=0.3)
     starter = subprocess.run(
         [sys.executable, "-c", STARTER],
         input=pickle.dumps(plan),

@@ -42,18 +42,18 @@ def test_a_short_stall_is_made_up_and_a_long_one_slips() -> None:
     start=st.floats(0.0, 1e7),
     waits=st.lists(st.floats(0.0, 0.02), max_size=50),
     period=st.sampled_from([2e-4, 1e-3, 1 / 3000]),
-    burst=st.integers(1, 20),
+    max_catch_up=st.integers(1, 20),
 )
 def test_nothing_is_early_and_nothing_is_lost(
-    start: float, waits: list[float], period: float, burst: int
+    start: float, waits: list[float], period: float, max_catch_up: int
 ) -> None:
-    grid = WallGrid(period, start, burst)
+    grid = WallGrid(period, start, max_catch_up)
     first, now, done = grid.line, start, 0
     for wait in waits:
         now += wait
         instants = take(grid, now)
         done += len(instants)
-        assert len(instants) <= burst
+        assert len(instants) <= max_catch_up
         assert all(instant <= now + 1e-8 for instant in instants)
         assert grid.instant > now - 1e-8  # nothing that is due is left
         assert done + grid.slipped_ticks == grid.line - first

@@ -58,13 +58,13 @@ class Rig(Scripted):
         self.doors: list[str] = []
         self.lacking: Preparation | None = None
 
-    def lacks(self, step: Step) -> Preparation | None:
+    def required_restart(self, step: Step) -> Preparation | None:
         return self.lacking
 
-    def hand_over(self, kind: PromptKind) -> None:
+    def grant_access(self, kind: PromptKind) -> None:
         self.doors.append(f"{kind} open")
 
-    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+    def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         self.doors.append(f"{kind} shut")
         self.lacking = None
 

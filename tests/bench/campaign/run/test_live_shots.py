@@ -34,7 +34,7 @@ from bench.campaign.run.campaign_control import ask
 from bench.campaign.run.corrections import Drift
 from bench.campaign.run.live_shots import LiveShots, require_live
 from bench.campaign.run.plan_requirements import Profiles, require_swings
-from bench.campaign.run.runner import Hindrance, Suspended, Watcher
+from bench.campaign.run.runner import BlockingCondition, Suspended, Watcher
 from bench.campaign.run.runner_control import bench_facts, new_entry, run_campaign
 from bench.config import database_url, load_configuration
 from bench.learning.store import learned_swings
@@ -455,11 +455,11 @@ def test_a_refusal_that_passes_is_waited_for(plan: CampaignPlan, monkeypatch: py
 def test_another_profile_or_club_is_asked_for_by_a_prompt(plan: CampaignPlan) -> None:
     bench = StandingBench(profile="thesis", club="driver")
     step = a_step()
-    wish = shots_of(plan, bench).lacks(step)
+    wish = shots_of(plan, bench).required_restart(step)
     assert wish is not None
     assert wish.kind is PromptKind.BENCH
     assert "profile default" in wish.text
-    assert shots_of(plan, StandingBench(profile="default", club="driver")).lacks(step) is None
+    assert shots_of(plan, StandingBench(profile="default", club="driver")).required_restart(step) is None
 
 
 def test_a_person_gets_in_through_access_only(plan: CampaignPlan) -> None:
@@ -478,11 +478,11 @@ def test_a_person_gets_in_through_access_only(plan: CampaignPlan) -> None:
 
     bench = Doors()
     with shots_of(plan, bench) as source:
-        source.hand_over(PromptKind.CLUB)
+        source.grant_access(PromptKind.CLUB)
         assert bench.asked == ["disarm", "access", "access"]
-        source.take_back(PromptKind.CLUB, print)
+        source.resume_after_access(PromptKind.CLUB, print)
         assert bench.asked[3:] == ["secure"]
-        source.take_back(PromptKind.CLUB, print)
+        source.resume_after_access(PromptKind.CLUB, print)
         assert bench.asked[4:] == []
 
 
@@ -500,7 +500,7 @@ def test_who_comes_out_is_asked_to_close_the_guard_and_to_press_the_button(plan:
     bench = Doors(state="ACCESS")
     asked: list[str] = []
     with shots_of(plan, bench) as source:
-        source.take_back(PromptKind.CLUB, asked.append)
+        source.resume_after_access(PromptKind.CLUB, asked.append)
     assert asked == ["Leave the robot and close the guard.", "Press the reset button beside the robot."]
 
 
@@ -512,7 +512,7 @@ def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_of
         launch_monitor={**NO_LAUNCH_MONITOR, "note": "not listening"}, supply_pressure_pa=None
     )
     assert shots_of(plan, bench).hindrance(step) is None  # begun without one
-    assert shots_of(plan, bench, monitored=True).hindrance(step) == Hindrance(
+    assert shots_of(plan, bench, monitored=True).hindrance(step) == BlockingCondition(
         "no launch monitor is connected: not listening"
     )
     bench._status["launch_monitor"] = {"present": True, "note": ""}
@@ -541,7 +541,7 @@ def test_the_supply_is_judged_at_the_address_by_what_the_swing_was_designed_for(
     found = shots_of(plan, bench).hindrance(a_step())
     assert (found is not None) == hindered
     if found:
-        assert found == Hindrance("supply 7.70 bar absolute, at least 7.76 for default", True, 600.0)
+        assert found == BlockingCondition("supply 7.70 bar absolute, at least 7.76 for default", True, 600.0)
 
 
 @pytest.fixture(scope="module")
@@ -871,7 +871,7 @@ def test_a_swing_is_relearned_on_the_bench_without_a_ball(
     plan = load_plan(tmp_path / "plan.toml", configuration)
     arm = ("default", "driver")
     asked = chain([None, Drift(arm, "drifted")], repeat(None))
-    monkeypatch.setattr("bench.campaign.run.corrections.Drifts.before", lambda self, step: next(asked))
+    monkeypatch.setattr("bench.campaign.run.corrections.DriftDetector.before", lambda self, step: next(asked))
     monkeypatch.setattr("bench.learning.learn.LearningResult.within", True)
     url = database_url("", configuration.bench.data_dir)
     with running_bench(file) as bench, open_database(url) as engine:

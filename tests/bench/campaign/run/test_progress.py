@@ -13,7 +13,7 @@ import pytest
 from bench.campaign.plan.plan import CampaignPlan
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import PlannedShot, all_trials
-from bench.campaign.run.progress import Broadcast, CampaignProgress
+from bench.campaign.run.progress import CampaignProgress, ProgressPublisher
 from bench.campaign.run.runner_control import new_entry
 from bench.commands.campaign.campaign_screen import ProgressScreen, campaign_bar, progress_lines, shot_line
 from bench.config import load_configuration
@@ -135,7 +135,7 @@ def test_piped_there_is_a_plain_line_for_a_shot(
 def test_the_message_is_json_and_published_with_each_change(plan: CampaignPlan) -> None:
     sent: list[str] = []
     entry = new_entry(plan, CONFIGURATION, NOW, simulated=True, real_time={"driver": "sim"})
-    told = Broadcast(entry, plan, lambda message: sent.append(json.dumps(message)))
+    told = ProgressPublisher(entry, plan, lambda message: sent.append(json.dumps(message)))
     told.shot(_shot(all_trials(plan)[0], 1, 0.0))
     told.say("a word")
     told.standing(CampaignState.PAUSED, "paused by request of ann")

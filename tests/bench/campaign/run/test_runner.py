@@ -31,7 +31,7 @@ from bench.campaign.plan.shot_sequence import Arm, PlannedShot, Role, Step
 from bench.campaign.run.campaign_control import ask, is_running, runner_lock
 from bench.campaign.run.corrections import Drift
 from bench.campaign.run.plan_requirements import require_swings
-from bench.campaign.run.runner import Hindrance, Runner, RunOutcome, ShotPostponed, Watcher
+from bench.campaign.run.runner import BlockingCondition, Runner, RunOutcome, ShotPostponed, Watcher
 from bench.campaign.run.runner_control import (
     CANNOT_CHANGE_A_SHOT,
     course_of,
@@ -42,8 +42,8 @@ from bench.campaign.run.runner_control import (
 from bench.campaign.run.simulated_shots import Taken
 from bench.config import Configuration, database_url, load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
+from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.recorder import read_swing, write_swing
-from bench.records.telemetry.whole_file import NotStored
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
@@ -71,19 +71,19 @@ class Scripted:
     def relearn(self, drift: Drift, number: int) -> str:
         return f"learned {drift.arm} before {number}"
 
-    def hindrance(self, step: Step) -> Hindrance | None:
+    def hindrance(self, step: Step) -> BlockingCondition | None:
         return None
 
     def rest(self) -> None:
         pass
 
-    def lacks(self, step: Step) -> Preparation | None:
+    def required_restart(self, step: Step) -> Preparation | None:
         return None
 
-    def hand_over(self, kind: PromptKind) -> None:
+    def grant_access(self, kind: PromptKind) -> None:
         pass
 
-    def take_back(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
+    def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
         pass
 
     def take(self, step: Step, number: int, sample: int) -> Taken:
@@ -704,12 +704,12 @@ class Unseen(Scripted):
         super().__init__()
         self.looks, self.rests = 0, 0
 
-    def hindrance(self, step: Step) -> Hindrance | None:
+    def hindrance(self, step: Step) -> BlockingCondition | None:
         if len(self.taken) != 2:
             return None
         self.looks += 1
         away = self.looks < 5 and self.looks != 3
-        return Hindrance("no launch monitor is connected") if away else None
+        return BlockingCondition("no launch monitor is connected") if away else None
 
     def rest(self) -> None:
         self.rests += 1
@@ -754,7 +754,7 @@ def test_who_asks_while_it_is_suspended_is_heard(
     bench = make()
 
     class Away(Unseen):
-        def hindrance(self, step: Step) -> Hindrance | None:
+        def hindrance(self, step: Step) -> BlockingCondition | None:
             if len(self.taken) == 2:
                 bench.store.change(bench.entry.id, requested=request_)
             return super().hindrance(step)
@@ -770,11 +770,11 @@ class ShortOfAir(Scripted):
         super().__init__()
         self.left, self.patience, self.armed, self.log = long, patience, False, list[str]()
 
-    def hindrance(self, step: Step) -> Hindrance | None:
+    def hindrance(self, step: Step) -> BlockingCondition | None:
         if len(self.taken) != 2 or not self.armed or self.left <= 0:
             return None
         self.left -= 1
-        return Hindrance("supply 7.0 bar", armed=True, patience=self.patience)
+        return BlockingCondition("supply 7.0 bar", armed=True, patience=self.patience)
 
     def rest(self) -> None:
         self.log.append("rest")

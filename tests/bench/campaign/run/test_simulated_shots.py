@@ -17,7 +17,7 @@ from bench.campaign.run.plan_requirements import require_swings
 from bench.campaign.run.simulated_shots import MonitorResult, SimulatedShots, Taken, hear
 from bench.config import Configuration
 from bench.records.shot.shot import ShotStatus
-from bench.records.shot.shot_matcher import NOT_TOLD
+from bench.records.shot.shot_matcher import UNREPORTED
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.simulation.swing_operator import never
 from drivers.base import Launch
@@ -152,9 +152,9 @@ def test_without_faults_the_figures_are_the_balls_as_the_protocol_rounds_them() 
 
 
 def test_what_goes_wrong_has_its_reason() -> None:
-    assert heard(replace(QUIET, dropped=(3,)), 3) == (None, NOT_TOLD)
+    assert heard(replace(QUIET, dropped=(3,)), 3) == (None, UNREPORTED)
     assert heard(replace(QUIET, dropped=(3,)), 4).reason == ""
-    assert heard(replace(QUIET, missing=1.0)) == (None, NOT_TOLD)
+    assert heard(replace(QUIET, missing=1.0)) == (None, UNREPORTED)
     assert "2 different launches" in heard(replace(QUIET, double=1.0)).reason
     assert heard(replace(QUIET, repeated=1.0)).reason == ""  # sent again, not measured again
     assert heard(replace(QUIET, ghost=1.0)).reason == ""  # half a minute later: nobody's

@@ -77,7 +77,7 @@ def published_plane(port: int, state: State = State.ESTOP) -> Iterator[RunningPl
 
         def publish() -> None:
             while not ended.wait(0.05):
-                running.plane.publish_state(running.desk.status())
+                running.plane.publish_state(running.service.status())
 
         thread = threading.Thread(target=publish)
         thread.start()
@@ -232,7 +232,7 @@ def test_lost_connection_is_shown_refuses_and_is_opened_again(port: int, file: P
                 assert connection.client(stopping=False).status()["state"] == state.name
                 connection.stop()
                 until(lambda: connection.note.startswith("STOP accepted after "))
-                assert [what for what, _ in running.desk.stops] == ["stop"]
+                assert [what for what, _ in running.service.stops] == ["stop"]
                 until(lambda: "  FAULT  " in connection.line(200))
             until(lambda: connection.status is None)
             assert "NO CONNECTION: last state 1 s ago, in FAULT before" in connection.line(200)
@@ -250,7 +250,7 @@ def test_silent_bench_can_still_be_stopped(port: int, file: Path) -> None:
             with pytest.raises(NoAnswer, match="connecting"):
                 connection.client(stopping=False)
             connection.client(stopping=True).stop()
-    assert len(running.desk.stops) == 1
+    assert len(running.service.stops) == 1
 
 
 def test_day_at_the_console_takes_one_connection(
@@ -275,7 +275,7 @@ def test_day_at_the_console_takes_one_connection(
     assert ended.value.code == 0
     assert len(opened) == 1
     expected = [Request.RESET, Request.HOME, Request.RESET, Request.HOME, Request.ARM, Request.SWING]
-    assert running.desk.requests == expected
+    assert running.service.requests == expected
     assert next(lines) == "arm"
     out, err = capsys.readouterr()
     assert "swing 1: 43.05 m/s" in out
@@ -435,27 +435,27 @@ def console_process(file: Path) -> Iterator[ConsoleProcess]:
 
 def test_key_stops_while_a_command_waits_and_nothing_typed_meanwhile_moves(port: int, file: Path) -> None:
     with published_plane(port, State.READY) as running, console_process(file) as shown:
-        desk = running.desk
-        desk.vents = 10**9  # arm is retried
+        service = running.service
+        service.vents = 10**9  # arm is retried
         shown.line("lease take", answer="each command renews it")
         shown.type(b"arm --wait\r")
-        until(lambda: Request.ARM in desk.requests)
+        until(lambda: Request.ARM in service.requests)
         shown.type(b"swing\r")
         shown.type(F8)
-        until(lambda: desk.stops)
+        until(lambda: service.stops)
         shown.wait_for("refused in state FAULT")
-        desk.state = State.READY
+        service.state = State.READY
         shown.line("status --json", answer='"state": "READY"')
-        asked = len(desk.requests)
+        asked = len(service.requests)
         shown.type(b"arm --wait\r")
-        until(lambda: len(desk.requests) > asked)
+        until(lambda: len(service.requests) > asked)
         shown.type(b"\x03")
         shown.wait_for("only the waiting ended")
         shown.line("lease release", answer="lease released")
         shown.type(b"\x04")
         assert shown.process.wait(LONGEST) == 0
-        assert set(desk.requests) == {Request.ARM}
-        assert len(desk.stops) == 1
+        assert set(service.requests) == {Request.ARM}
+        assert len(service.stops) == 1
 
 
 @pytest.mark.live

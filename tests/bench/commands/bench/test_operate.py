@@ -90,7 +90,7 @@ def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None
         code, out, err = golfbench(*line.split())
         assert (code, err) == (0, "")
         assert out.startswith(f"bench bench1: {state}. ")
-    assert running.desk.requests[-3:] == [Request.SWING, Request.ARM, Request.DISARM]
+    assert running.service.requests[-3:] == [Request.SWING, Request.ARM, Request.DISARM]
     assert golfbench("lease", "release").out == "bench bench1: lease released\n"
     assert golfbench("lease", "show").out == "bench bench1: lease not held\n"
     assert running.plane.counts()["refused"] == 0
@@ -112,7 +112,7 @@ def test_swing_waits_and_prints_delivery_launch_and_carry(
     running: RunningPlane, golfbench: Golfbench
 ) -> None:
     golfbench("lease", "take")
-    running.desk.state = State.ARMED
+    running.service.state = State.ARMED
     swung = golfbench("swing")
     assert swung == Outcome(
         0,
@@ -127,7 +127,7 @@ def test_swing_without_a_record_is_refused_in_time(
     running: RunningPlane, golfbench: Golfbench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     golfbench("lease", "take")
-    running.desk.state, running.desk.publish_shot = State.ARMED, lambda message: None
+    running.service.state, running.service.publish_shot = State.ARMED, lambda message: None
     code, _, err = golfbench("swing", "--timeout", "1")
     assert code == ExitCode.REFUSED
     assert "no record within 1 s" in err
@@ -135,11 +135,11 @@ def test_swing_without_a_record_is_refused_in_time(
 
 def test_a_swing_that_was_stopped_exits_with_1(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
-    publish = running.desk.publish_shot
+    publish = running.service.publish_shot
     row = Shot(1, 1, 1, "driver", "default", ShotStatus.FAILED, "stopped by the operator")
     stopped = {"cause": "OPERATOR_STOP", "shot": shot_to_json(row)}
-    running.desk.state = State.ARMED
-    running.desk.publish_shot = lambda message: publish({**message, **stopped})  # type: ignore[typeddict-item]
+    running.service.state = State.ARMED
+    running.service.publish_shot = lambda message: publish({**message, **stopped})  # type: ignore[typeddict-item]
     code, out, _ = golfbench("swing")
     assert code == ExitCode.REFUSED
     assert out.startswith("swing 1: no delivery\nstopped by the operator\n")
@@ -159,16 +159,16 @@ def test_a_refused_swing_has_the_action_of_its_state(
     running: RunningPlane, golfbench: Golfbench, state: State, action: str
 ) -> None:
     golfbench("lease", "take")
-    running.desk.state = state
+    running.service.state = state
     code, _, err = golfbench("swing")
     assert code == ExitCode.REFUSED
     assert f"Next: {action}." in err
-    assert running.desk.requests == []
+    assert running.service.requests == []
 
 
 def test_a_disarming_is_told_with_its_cause(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
-    running.desk.state, running.desk.cause = State.READY, Cause.LEASE
+    running.service.state, running.service.cause = State.READY, Cause.LEASE
     _, _, err = golfbench("swing")
     assert "found:    READY: disarmed, as the lease lapsed or was released" in err
     assert "action:   Take it, then arm. Next: golfbench arm --wait." in err
@@ -178,7 +178,7 @@ def test_ctrl_c_while_waiting_tells_that_the_robot_continues(
     running: RunningPlane, golfbench: Golfbench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     golfbench("lease", "take")
-    running.desk.state = State.SAFE
+    running.service.state = State.SAFE
 
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -193,14 +193,14 @@ def test_ctrl_c_while_waiting_tells_that_the_robot_continues(
 
 def test_stop_of_a_moving_robot_prints_the_state_after(running: RunningPlane, golfbench: Golfbench) -> None:
     """The stop is taken in the state before; the robot brakes first."""
-    desk = running.desk
-    desk.state = State.HOMING
+    service = running.service
+    service.state = State.HOMING
 
     def stop() -> Reply:
-        threading.Timer(0.3, setattr, (desk, "state", State.FAULT)).start()
+        threading.Timer(0.3, setattr, (service, "state", State.FAULT)).start()
         return Reply(True, State.HOMING.name)
 
-    desk.stop = stop  # type: ignore[method-assign]
+    service.stop = stop  # type: ignore[method-assign]
     code, out, _ = golfbench("stop")
     assert code == 0
     first, last = out.splitlines()
@@ -213,7 +213,7 @@ def test_waiting_to_be_armed_renews_the_lease_and_ends_in_time(
     running: RunningPlane, golfbench: Golfbench
 ) -> None:
     golfbench("lease", "take", "--seconds", "5")
-    running.desk.state, running.desk.armed_phase = State.READY, "RETURN"
+    running.service.state, running.service.armed_phase = State.READY, "RETURN"
     code, _, err = golfbench("arm", "--wait", "--timeout", "6")
     assert code == ExitCode.REFUSED
     assert "bench bench1 after 6 s" in err
@@ -225,12 +225,12 @@ def test_waiting_to_be_armed_renews_the_lease_and_ends_in_time(
 
 def test_a_fault_ends_the_waiting(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
-    running.desk.state, running.desk.armed_phase = State.READY, "RETURN"
+    running.service.state, running.service.armed_phase = State.READY, "RETURN"
 
     def fail_once_armed() -> None:
-        while running.desk.state is not State.ARMED:
+        while running.service.state is not State.ARMED:
             time.sleep(0.01)
-        running.desk.stop()
+        running.service.stop()
 
     fault = threading.Thread(target=fail_once_armed)
     fault.start()
@@ -257,7 +257,7 @@ def test_stops_need_no_lease(running: RunningPlane, golfbench: Golfbench) -> Non
     code, out, _ = golfbench("estop")
     assert code == 0
     assert "convenience, not a safety function" in out
-    assert [what for what, _ in running.desk.stops] == ["stop", "estop"]
+    assert [what for what, _ in running.service.stops] == ["stop", "estop"]
 
 
 def test_a_refusal_exits_with_1_and_says_state_and_reason(
@@ -279,21 +279,21 @@ def test_what_moves_needs_the_lease(running: RunningPlane, golfbench: Golfbench)
         code, _, err = golfbench(*line.split())
         assert code == ExitCode.REFUSED
         assert "golfbench lease take" in err
-    assert running.desk.requests == []
+    assert running.service.requests == []
 
 
 def test_swing_alone_swings_only_an_armed_bench(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
-    running.desk.state = State.READY
+    running.service.state = State.READY
     code, _, err = golfbench("swing")
     assert code == ExitCode.REFUSED
     assert "found:    READY" in err
     assert "golfbench arm" in err
-    assert running.desk.requests == []
-    running.desk.state = State.ARMED
+    assert running.service.requests == []
+    running.service.state = State.ARMED
     golfbench("lease", "release")
     assert golfbench("swing").code == ExitCode.REFUSED
-    assert running.desk.requests == []
+    assert running.service.requests == []
 
 
 @pytest.mark.parametrize("words", ["list", "check default", "--no-wait show", "-- --help"])
@@ -301,11 +301,11 @@ def test_swing_with_an_argument_is_refused_and_moves_nothing(
     running: RunningPlane, golfbench: Golfbench, words: str
 ) -> None:
     golfbench("lease", "take")
-    running.desk.state = State.ARMED
+    running.service.state = State.ARMED
     code, _, err = golfbench("swing", *words.split())
     assert code == ExitCode.BAD_INPUT
     assert "golfbench profile" in err
-    assert running.desk.requests == []
+    assert running.service.requests == []
 
 
 def test_a_second_user_is_told_who_holds_the_bench(
@@ -436,12 +436,12 @@ def test_watch_follows_the_bench_until_ctrl_c(running: RunningPlane, golfbench: 
     assert watch.stdout is not None
     try:
         assert json.loads(watch.stdout.readline())["state"] == "ESTOP"
-        running.desk.state = State.READY
+        running.service.state = State.READY
         deadline = time.monotonic() + 20.0
         while not running.plane._state.matching_status.matching:  # type: ignore[attr-defined]
             assert time.monotonic() < deadline
             time.sleep(0.01)
-        running.plane.publish_state(running.desk.status())
+        running.plane.publish_state(running.service.status())
         assert json.loads(watch.stdout.readline())["state"] == "READY"
         watch.send_signal(signal.SIGINT)
         assert watch.wait(20.0) == ExitCode.INTERRUPTED

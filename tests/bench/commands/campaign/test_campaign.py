@@ -30,7 +30,7 @@ from bench.campaign.run.runner_control import new_entry, run_campaign
 from bench.campaign.run.simulated_shots import BEGIN
 from bench.commands.cli import app, main
 from bench.config import database_url, load_configuration
-from bench.records.telemetry.whole_file import NotStored
+from bench.records.telemetry.atomic_file import NotStored
 from bench.simulation.swing_operator import never
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database

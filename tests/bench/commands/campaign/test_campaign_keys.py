@@ -99,7 +99,7 @@ class Desk:
 
 
 @pytest.fixture
-def desk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
     master, slave = pty.openpty()
     with os.fdopen(slave, "r") as terminal:
         monkeypatch.setattr("sys.stdin", terminal)
@@ -108,67 +108,67 @@ def desk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
 
 
 @contextmanager
-def keys_of(desk: Desk, *, terminal: bool = True) -> Iterator[Any]:
-    console = Console(file=desk.out, force_terminal=terminal)
+def keys_of(service: Desk, *, terminal: bool = True) -> Iterator[Any]:
+    console = Console(file=service.out, force_terminal=terminal)
     bar = CampaignBar(console=console, disable=not terminal, auto_refresh=False)
-    with mark_keys(bar, "ann", lambda: desk.progress, desk.store) as keys:
+    with mark_keys(bar, "ann", lambda: service.progress, service.store) as keys:
         yield keys
 
 
-def test_a_terminal_that_a_killed_run_left_without_echo_gets_it_back(desk: Desk) -> None:
-    left = termios.tcgetattr(desk.terminal)
+def test_a_terminal_that_a_killed_run_left_without_echo_gets_it_back(service: Desk) -> None:
+    left = termios.tcgetattr(service.terminal)
     left[3] &= ~(termios.ICANON | termios.ECHO)
-    termios.tcsetattr(desk.terminal, termios.TCSANOW, left)
-    with keys_of(desk) as keys:
-        desk.until(lambda: keys._before is not None)
-        assert not desk.echoes()
+    termios.tcsetattr(service.terminal, termios.TCSANOW, left)
+    with keys_of(service) as keys:
+        service.until(lambda: keys._before is not None)
+        assert not service.echoes()
         keys.pause()
-        assert desk.echoes(), "a prompt reads lines"
+        assert service.echoes(), "a prompt reads lines"
         keys.resume()
-        desk.until(lambda: not desk.echoes())
-    assert desk.echoes()
-    assert termios.tcgetattr(desk.terminal)[3] & termios.ICANON
+        service.until(lambda: not service.echoes())
+    assert service.echoes()
+    assert termios.tcgetattr(service.terminal)[3] & termios.ICANON
 
 
-def test_keys_store_marks_as_soon_as_the_shot_is_stored(desk: Desk) -> None:
-    with keys_of(desk) as keys:
-        desk.until(lambda: not desk.echoes())
-        desk.progress["last_shot"] = {"shot": 3}
-        os.write(desk.master, b"ma gust\r")
-        desk.until(lambda: desk.out.getvalue() or not desk.notes)
-        assert desk.notes == []
-        desk.stored = 3
-        desk.until(lambda: desk.notes)
+def test_keys_store_marks_as_soon_as_the_shot_is_stored(service: Desk) -> None:
+    with keys_of(service) as keys:
+        service.until(lambda: not service.echoes())
+        service.progress["last_shot"] = {"shot": 3}
+        os.write(service.master, b"ma gust\r")
+        service.until(lambda: service.out.getvalue() or not service.notes)
+        assert service.notes == []
+        service.stored = 3
+        service.until(lambda: service.notes)
         keys.pause()
-        assert desk.echoes(), "a prompt reads lines"
+        assert service.echoes(), "a prompt reads lines"
         keys.mark("typed at a prompt")
         keys.resume()
-        desk.until(lambda: len(desk.notes) == 2 and not desk.echoes())
-        os.write(desk.master, b"mhalf of i")
-        desk.until(lambda: "half of i" in keys._line.shown)
-    assert desk.echoes()
-    assert [(mark.shot, mark.by, mark.text) for mark in desk.notes] == [
+        service.until(lambda: len(service.notes) == 2 and not service.echoes())
+        os.write(service.master, b"mhalf of i")
+        service.until(lambda: "half of i" in keys._line.shown)
+    assert service.echoes()
+    assert [(mark.shot, mark.by, mark.text) for mark in service.notes] == [
         (3, "ann", "a gust"),
         (3, "ann", "typed at a prompt"),
         (3, "ann", "half of i"),
     ]
-    assert "shot 3 marked: a gust" in desk.out.getvalue()
+    assert "shot 3 marked: a gust" in service.out.getvalue()
 
 
-def test_a_mark_that_cannot_be_stored_is_named(desk: Desk) -> None:
-    desk.progress["last_shot"] = {"shot": 9}
-    with keys_of(desk) as keys:
+def test_a_mark_that_cannot_be_stored_is_named(service: Desk) -> None:
+    service.progress["last_shot"] = {"shot": 9}
+    with keys_of(service) as keys:
         keys.mark("lost")
-    assert "The mark of shot 9 was not stored: lost" in desk.out.getvalue()
+    assert "The mark of shot 9 was not stored: lost" in service.out.getvalue()
 
 
-def test_no_key_is_read_where_progress_is_plain_lines(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    with keys_of(desk, terminal=False) as keys:
+def test_no_key_is_read_where_progress_is_plain_lines(service: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    with keys_of(service, terminal=False) as keys:
         assert keys is None
-        assert desk.echoes()
+        assert service.echoes()
     with open(os.devnull) as nothing:
         monkeypatch.setattr("sys.stdin", nothing)
-        with keys_of(desk) as keys:
+        with keys_of(service) as keys:
             assert keys is None
 
 

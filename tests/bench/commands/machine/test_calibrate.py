@@ -17,8 +17,8 @@ from bench.base.errors import ExitCode, Refused
 from bench.calibration.valve_centre import standing_counts
 from bench.commands.cli import main
 from bench.records.telemetry.cycle_record import CYCLE
+from bench.records.telemetry.encoder_preset import write_shifts
 from bench.records.telemetry.ring import NoRing, RingWriter
-from bench.records.telemetry.zero_shift import write_shifts
 from bench.supervisor.ownership import bench_folder
 from drivers.base import Launch
 from sim.ball import Ball

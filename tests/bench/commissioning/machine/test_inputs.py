@@ -21,7 +21,7 @@ from bench.commands.machine.calibrate_measured import simulated_hands
 from bench.commissioning.commissioning import begin, read_state, see_inputs
 from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.inputs import INPUTS, InputFinding, fitted, judged, stages
-from bench.commissioning.machine.step import WrongMachine
+from bench.commissioning.machine.step import MachineFault
 from bench.commissioning.steps.inputs_check import PRESSURES, check_inputs
 from bench.config import Configuration
 from bench.store.database import open_database
@@ -202,7 +202,7 @@ def test_a_spool_that_is_stuck_open_ends_the_check(wired: Configuration, measure
     stuck = broken("shoulder valve", "stuck", 0.5)
     with (
         SimulatedMachine(wired.plant, wired.plant, (stuck,), inputs_only=measured) as machine,
-        pytest.raises(WrongMachine, match=f"{words}.* with the spools centred"),
+        pytest.raises(MachineFault, match=f"{words}.* with the spools centred"),
     ):
         check_inputs(machine, simulated_hands(machine), wired)
     assert not machine.driver.applied.supply_enable
@@ -324,7 +324,7 @@ def test_commissioning_begins_with_the_inputs_and_does_them_again_when_due(
         see_inputs(state, configuration, unused, unused, lambda: NOW, in_force=in_force, keep=kept.append)
         return len(kept)
 
-    with pytest.raises(WrongMachine, match="guard closed"):
+    with pytest.raises(MachineFault, match="guard closed"):
         step_0("")
     wrong = read_state(tmp_path).wrong
     assert wrong is not None

@@ -22,22 +22,22 @@ from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Request
 from bench.commissioning.machine.driver_machine import _Log
 from bench.commissioning.machine.inputs import of_simulation
-from bench.commissioning.machine.live_robot import Hands, LiveRobot, MachineLost, live_robot
+from bench.commissioning.machine.live_robot import LiveRobot, MachineLost, OperatorIO, live_robot
 from bench.commissioning.machine.machine import MotionBounds, Segment
 from bench.commissioning.machine.machine_process import with_quick_pressures
 from bench.commissioning.machine.machine_server import (
-    ArmFor,
-    BePassive,
-    LetIn,
+    ArmBench,
     LiveSeries,
     LockGuard,
     MachineServer,
+    MakePassive,
+    ReleaseGuard,
     Run,
     Swing,
     Vent,
 )
-from bench.commissioning.swings.rising_swings import bench_of
 from bench.commissioning.swings.robot_swings import slowed
+from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration
 from bench.simulation.swing_operator import SwingOperator
 from bench.supervisor.ownership import take_bench
@@ -123,7 +123,7 @@ def test_between_sequences_the_openings_stay(server: MachineServer, driver: Watc
         server.hold()
     assert driver.commands[-1].valve == pytest.approx(OPENING)
     assert driver.commands[-1].supply_enable
-    server.obey(BePassive())
+    server.obey(MakePassive())
     for _ in range(3):
         server.hold()
     assert driver.commands[-1] == PASSIVE
@@ -201,7 +201,7 @@ def test_it_homes_arms_and_swings_as_a_bench_does(
     server: MachineServer, driver: WatchedDriver, configuration: Configuration, slow: Profile
 ) -> None:
     server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
-    server.obey(ArmFor(bench_of(configuration, slow)))
+    server.obey(ArmBench(bench_of(configuration, slow)))
     for ball in (False, True):
         made = server.obey(Swing(slow, ball=ball))
         assert made.cause is Cause.NONE  # type: ignore[attr-defined]
@@ -229,7 +229,7 @@ def test_an_arming_that_is_refused_for_a_moment_is_repeated(
         return request(operator, which)
 
     monkeypatch.setattr(SwingOperator, "request", refuse_first)
-    server.obey(ArmFor(bench_of(configuration, slow)))
+    server.obey(ArmBench(bench_of(configuration, slow)))
     assert len(refused) == 3
     assert server.obey(Swing(slow, ball=False)).cause is Cause.NONE  # type: ignore[attr-defined]
     server.obey(Vent(40.0))
@@ -248,7 +248,7 @@ def test_a_state_that_refuses_to_arm_is_named_with_its_cause(
     monkeypatch.setattr(SwingOperator, "request", swing_unarmed)
     monkeypatch.setattr(LiveSeries._ask, "__defaults__", (0.5,))
     with pytest.raises(Refused) as refused:
-        server.obey(ArmFor(bench_of(configuration, slow)))
+        server.obey(ArmBench(bench_of(configuration, slow)))
     assert refused.value.found == "not possible in this state, READY"
     assert refused.value.action == "follow the text, then --resume."
     server.obey(Vent(40.0))
@@ -265,9 +265,9 @@ def test_a_person_is_let_in_to_read_the_mark(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("bench.commissioning.machine.machine_server._PERSON", 2.0)
-    server.obey(ArmFor(bench_of(configuration, slow)))
+    server.obey(ArmBench(bench_of(configuration, slow)))
     server.obey(Swing(slow, ball=True))
-    server.obey(LetIn())
+    server.obey(ReleaseGuard())
     inside = driver.commands[-1]
     assert (inside.guard_lock, inside.supply_enable, inside.valve) == (False, False, (0.0, 0.0, 0.0))
     with SurroundingsWriter(tmp_path) as surroundings:
@@ -287,7 +287,7 @@ def test_a_person_is_let_in_to_read_the_mark(
 def test_a_swing_that_is_stopped_is_brought_to_rest(
     server: MachineServer, configuration: Configuration, slow: Profile, asked: list[bool]
 ) -> None:
-    server.obey(ArmFor(bench_of(configuration, slow)))
+    server.obey(ArmBench(bench_of(configuration, slow)))
     asked.append(True)
     with pytest.raises(Refused, match="stopped by the operator"):
         server.obey(Swing(slow, ball=False))
@@ -314,7 +314,7 @@ def test_a_swing_that_a_stall_stopped_is_repeated_and_said(
             record["encoder_valid"] = 0
 
     monkeypatch.setattr(driver, "read_record", read)
-    server.obey(ArmFor(bench_of(configuration, slow)))
+    server.obey(ArmBench(bench_of(configuration, slow)))
     start = SwingOperator.start_swing
 
     def started_once(self: SwingOperator[Any], *given: int) -> bool:
@@ -356,7 +356,7 @@ def test_an_arming_that_a_stall_stopped_is_repeated_and_said(
     monkeypatch.setattr(WatchedDriver, "operational", property(lambda self: not passive[0]))
     monkeypatch.setattr(driver, "close", reopened)
     monkeypatch.setattr(driver, "open", reopened)
-    server.obey(ArmFor(bench_of(configuration, slow)))
+    server.obey(ArmBench(bench_of(configuration, slow)))
     assert len(said) == 1
     assert "the interlocks have not been received; it is armed again" in said[0]
     assert server.obey(Swing(slow, ball=False)).cause is Cause.NONE  # type: ignore[attr-defined]
@@ -368,7 +368,7 @@ def test_an_arming_that_a_stall_stopped_is_repeated_and_said(
 def test_no_ball_is_said(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    server.obey(ArmFor(bench_of(configuration, slow)))
+    server.obey(ArmBench(bench_of(configuration, slow)))
     monkeypatch.setattr(
         "bench.commissioning.machine.machine_server.LiveSeries._sees_ball", lambda self: False
     )
@@ -385,7 +385,7 @@ def started(configuration: Configuration, folder: Path) -> Iterator[LiveRobot]:
     ours = replace(configuration, bench=bench, loop=replace(configuration.loop, realtime="off"))
     with (
         take_bench(bench.id) as owner,
-        live_robot(ours, owner, Hands(of_simulation(owner.folder), lambda text: None)) as robot,
+        live_robot(ours, owner, OperatorIO(of_simulation(owner.folder), lambda text: None)) as robot,
     ):
         yield robot
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bench.commissioning.machine.driver_machine import SimulatedMachine
-from bench.commissioning.machine.known_robot import KnownRobot
 from bench.commissioning.machine.machine import MotionTrace
+from bench.commissioning.machine.robot_estimate import RobotEstimate
 from bench.commissioning.machine.step import MOVING, PRESSING, fold, slow_bounds
 from bench.commissioning.steps.response_times import _pulses, fit_spool
 from sim.plant import PlantParameters
@@ -21,7 +21,7 @@ WRIST = 2
 @pytest.fixture(scope="module")
 def steps() -> MotionTrace:
     plant = PlantParameters()
-    known = KnownRobot(plant)
+    known = RobotEstimate(plant)
     with SimulatedMachine(plant, plant) as machine:
         machine.vent()
         fold(machine, known)
@@ -49,7 +49,7 @@ def test_a_dead_time_is_not_taken_for_a_slow_spool(
 ) -> None:
     plant = PlantParameters()
     (frequency, error), (found, _) = fit_spool(
-        replace(steps, pressure=seen(steps.pressure)), KnownRobot(plant), WRIST
+        replace(steps, pressure=seen(steps.pressure)), RobotEstimate(plant), WRIST
     )
     truth = plant.wrist.valve.natural_frequency
     assert abs(frequency - truth) < max(0.01 * truth, 3.0 * error)

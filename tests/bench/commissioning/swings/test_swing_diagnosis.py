@@ -10,13 +10,13 @@ import pytest
 
 from bench.base.errors import Refused
 from bench.base.lifecycle import Phase
-from bench.commissioning.machine.step import PredictionFails, SimulatedRobot, SimulatedSeries, WrongMachine
-from bench.commissioning.swings.rising_swings import bench_of
+from bench.commissioning.machine.step import MachineFault, PredictionFails, SimulatedRobot, SimulatedSeries
 from bench.commissioning.swings.short_predictions import RecordedSwing
+from bench.commissioning.swings.speed_ramp import bench_of
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot, Diagnosis, diagnose
 from bench.config import Configuration, load_configuration, shipped_configuration
-from bench.simulation.safety import RunEnd, SafetyLimits, dangers
-from bench.simulation.series import Bench, NotReturned
+from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
+from bench.simulation.series import Bench, ReturnFailed
 from bench.swing.profile import Profile
 from tests.bench.commissioning.wrong_machines import measured_values, swung_wrongly, true_robot
 from tests.sampling import release_except
@@ -37,10 +37,10 @@ def diagnosed(configuration: Configuration, profile: Profile, name: str) -> tupl
     series = SimulatedRobot(case.robot, case.faults).series(bench_of(configuration, profile))
     try:
         made = series.swing(profile)
-    except NotReturned as error:
+    except ReturnFailed as error:
         made = error.swing
     said = diagnose(made.cycles, plant, measured_values(plant))
-    return said, dangers(RunEnd(series.loads()), SafetyLimits())
+    return said, unsafe_reasons(RunEnd(series.loads()), SafetyLimits())
 
 
 def test_the_true_plant_predicts_its_own_swing(configuration: Configuration, default: Profile) -> None:
@@ -80,7 +80,7 @@ def test_commissioning_ends_with_the_swing_that_a_cause_explains(
     case, bench = CASES["supply sags"], bench_of(configuration, default)
     robot = SimulatedRobot(case.robot, case.faults)
     watched = DiagnosedRobot(robot, measured_values(configuration.plant), tmp_path)
-    with pytest.raises(WrongMachine, match=r"supply: it sags(?s:.)*clogged filter") as found:
+    with pytest.raises(MachineFault, match=r"supply: it sags(?s:.)*clogged filter") as found:
         watched.series(bench).swing(default)
     assert (tmp_path / "wrong-swing.npz").exists()
     assert watched.explained(found.value) is found.value, "said already"

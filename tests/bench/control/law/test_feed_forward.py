@@ -15,17 +15,17 @@ from hypothesis import strategies as st
 from bench.base.lifecycle import Cause, Phase
 from bench.config import load_configuration, shipped_configuration
 from bench.control.estimate.air import actuator_force
-from bench.control.law.demand import actuator_forces, demand_of
 from bench.control.law.feed_forward import FeedForward, force_rates, kane_gains, opening_for
+from bench.control.law.force_reference import actuator_forces, demand_of
 from bench.control.settings import ControlSettings
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
+from bench.simulation.plant_variation import WORN
 from bench.simulation.series import Bench, Series
-from bench.simulation.variation import WORN
 from bench.swing.library import find_profile
 from bench.swing.profile import Profile, load_profile
+from sim.dynamics import chambers
 from sim.kane import inverse_dynamics
-from sim.motion import chambers
 from sim.plant import PlantParameters, build_plant
 from tests.bench.control.puppet import ADDRESS, SAMPLES, STILL, Puppet
 

@@ -22,9 +22,9 @@ from bench.control.law.gain_table import (
 )
 from bench.control.law.gains import Gains
 from bench.control.law.pid import design_pid
-from bench.control.records import new_control_state
 from bench.control.settings import build_controller
 from bench.control.step import decide_tick, estimate_tick
+from bench.control.step_records import new_control_state
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base.compiled import new_record

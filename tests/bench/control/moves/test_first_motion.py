@@ -12,7 +12,7 @@ from bench.base.lifecycle import Cause, Phase
 from bench.control.estimate.estimator import ESTIMATOR_STATE
 from bench.control.law.pid import PID_STATE
 from bench.control.moves.first_motion import bound_first, first_motion_cause, forget_answers, note_answers
-from bench.control.records import CONTROL_PARAMETERS, CONTROL_STATE
+from bench.control.step_records import CONTROL_PARAMETERS, CONTROL_STATE
 from drivers.base.compiled import new_record
 
 BAND, OPENING = 0.02, 0.15

@@ -12,7 +12,7 @@ import pytest
 
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.records.shot.shot import ShotStatus
-from bench.records.shot.shot_matcher import FinishedSwing, LaunchBook, Told
+from bench.records.shot.shot_matcher import FinishedSwing, SettledOutcome, ShotMatcher
 from drivers.base import Launch
 from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
 from drivers.launch_monitor.server import LaunchMonitorServer
@@ -45,12 +45,12 @@ def test_every_shot_of_a_monitor_is_valid_with_its_club(
 ) -> None:
     site = replace(Site(), ball_x=BALL[0], ball_y=BALL[1])
     plant = PlantParameters(robot=robot, site=site)
-    book = LaunchBook(MatchWindow(), plant, FlightConditions())
+    book = ShotMatcher(MatchWindow(), plant, FlightConditions())
     cycles = make_swing(1)
     cycles["trip"] = 0
     proxy = Proxy(dialect, server.address[1])
     monitor = SimulatedMonitor(EXACT, "127.0.0.1", proxy.port)
-    told: list[Told] = []
+    told: list[SettledOutcome] = []
     try:
         for number in range(SHOTS):
             impact = time.monotonic()

@@ -15,12 +15,12 @@ from bench.records.shot.shot_matcher import (
     CLUB_ALONE,
     NO_BALL,
     NO_IMPACT,
-    NOT_TOLD,
     REFUSED,
+    UNREPORTED,
     FinishedSwing,
-    LaunchBook,
+    SettledOutcome,
+    ShotMatcher,
     SwingWatch,
-    Told,
 )
 from bench.records.telemetry.shot_id import shot_id
 from drivers.launch_monitor.matching import MatchOutcome, MatchWindow
@@ -108,9 +108,9 @@ def launch(time: float, speed: float = 52.0, **changes: Any) -> LaunchRecord:
 
 
 @pytest.fixture
-def book(robot: Any) -> LaunchBook:
+def book(robot: Any) -> ShotMatcher:
     site = replace(Site(), ball_x=BALL[0], ball_y=BALL[1])
-    return LaunchBook(WINDOW, PlantParameters(robot=robot, site=site), FlightConditions())
+    return ShotMatcher(WINDOW, PlantParameters(robot=robot, site=site), FlightConditions())
 
 
 @pytest.fixture
@@ -120,12 +120,12 @@ def swing(make_swing: Any) -> FinishedSwing:
     return FinishedSwing("r-5000", 100.0, True, cycles)
 
 
-def one(told: list[Told]) -> Told:
+def one(told: list[SettledOutcome]) -> SettledOutcome:
     (found,) = told
     return found
 
 
-def test_a_launch_of_its_time_is_the_swings(book: LaunchBook, swing: FinishedSwing) -> None:
+def test_a_launch_of_its_time_is_the_swings(book: ShotMatcher, swing: FinishedSwing) -> None:
     book.note_launches([launch(100.7)])  # told before the robot stands again
     assert book.settle(100.8) == []
     book.note_swing(swing, NOW)
@@ -146,7 +146,7 @@ def test_a_launch_of_its_time_is_the_swings(book: LaunchBook, swing: FinishedSwi
 
 
 def test_no_launch_no_ball_and_no_swing_through_its_place_are_told_apart(
-    book: LaunchBook, swing: FinishedSwing
+    book: ShotMatcher, swing: FinishedSwing
 ) -> None:
     book.note_swing(swing, NOW)
     book.note_swing(swing._replace(shot="r-6000", impact=110.0, struck=False), NOW)
@@ -155,7 +155,7 @@ def test_no_launch_no_ball_and_no_swing_through_its_place_are_told_apart(
     book.note_swing(swing._replace(shot="r-7000", impact=None, struck=False, cycles=stopped), NOW)
     told = {each.shot_id: each for each in book.settle(120.0)}
     assert {each.outcome for each in told.values()} == {MatchOutcome.NO_LAUNCH}
-    assert [told[f"r-{n}000"].reason for n in (5, 6, 7)] == [NOT_TOLD, NO_BALL, NO_IMPACT]
+    assert [told[f"r-{n}000"].reason for n in (5, 6, 7)] == [UNREPORTED, NO_BALL, NO_IMPACT]
     shots = [told[f"r-{n}000"].shot for n in (5, 6, 7)]
     assert [shot and shot.status for shot in shots] == [
         ShotStatus.EXCLUDED,
@@ -167,7 +167,7 @@ def test_no_launch_no_ball_and_no_swing_through_its_place_are_told_apart(
     assert all(shot is not None and shot.ball_speed_mps is None for shot in shots)
 
 
-def test_a_launch_of_no_swing_and_one_that_comes_late(book: LaunchBook, swing: FinishedSwing) -> None:
+def test_a_launch_of_no_swing_and_one_that_comes_late(book: ShotMatcher, swing: FinishedSwing) -> None:
     book.note_launches([launch(50.0)])
     assert one(book.settle(61.0)).outcome is MatchOutcome.NO_SWING
     book.note_swing(swing, NOW)
@@ -178,7 +178,7 @@ def test_a_launch_of_no_swing_and_one_that_comes_late(book: LaunchBook, swing: F
     assert book.counts[MatchOutcome.NO_SWING] == 2
 
 
-def test_two_monitors_make_a_shot_doubtful(book: LaunchBook, swing: FinishedSwing) -> None:
+def test_two_monitors_make_a_shot_doubtful(book: ShotMatcher, swing: FinishedSwing) -> None:
     book.note_swing(swing, NOW)
     book.note_launches([launch(100.5), replace(launch(100.9, 52.5), device="another")])
     first, second = book.settle(105.0)
@@ -189,7 +189,7 @@ def test_two_monitors_make_a_shot_doubtful(book: LaunchBook, swing: FinishedSwin
     assert second.shot is None  # one row a swing
 
 
-def test_a_misread_is_kept_and_does_not_count(book: LaunchBook, swing: FinishedSwing) -> None:
+def test_a_misread_is_kept_and_does_not_count(book: ShotMatcher, swing: FinishedSwing) -> None:
     book.note_swing(swing, NOW)
     book.note_launches([launch(100.5, 95.0)])  # more than twice the club's speed
     told = one(book.settle(105.0))
@@ -216,18 +216,18 @@ def test_a_misread_is_kept_and_does_not_count(book: LaunchBook, swing: FinishedS
 
 @pytest.mark.parametrize(("time", "hears"), [(100.4, True), (104.1, False), (99.8, False)])
 def test_a_message_refused_in_the_window_is_the_shots_reason(
-    book: LaunchBook, swing: FinishedSwing, time: float, hears: bool
+    book: ShotMatcher, swing: FinishedSwing, time: float, hears: bool
 ) -> None:
     book.note_asides([RefusedRecord(time, "no JSON"), RefusedRecord(time, "no JSON")])
     book.note_swing(swing, NOW)
     told = one(book.settle(110.0))
-    reason = f"{REFUSED}: no JSON" if hears else NOT_TOLD
+    reason = f"{REFUSED}: no JSON" if hears else UNREPORTED
     assert told.shot is not None
     assert (told.reason, told.shot.reason, told.shot.status) == (reason, reason, ShotStatus.EXCLUDED)
 
 
 def test_a_club_without_a_ball_is_the_shots_reason_and_no_launch(
-    book: LaunchBook, swing: FinishedSwing
+    book: ShotMatcher, swing: FinishedSwing
 ) -> None:
     book.note_swing(swing, NOW)
     book.note_asides([ClubRecord(100.4, "monitor", ClubFigures(speed=36.0))])
@@ -236,7 +236,7 @@ def test_a_club_without_a_ball_is_the_shots_reason_and_no_launch(
     assert book.settle(300.0) == []  # and nothing else comes of it
 
 
-def test_a_flood_of_launches_is_bounded_and_counted(book: LaunchBook) -> None:
+def test_a_flood_of_launches_is_bounded_and_counted(book: ShotMatcher) -> None:
     book.note_launches([launch(10.0 + 1e-3 * k, launch_angle=radians(10)) for k in range(1000)])
     assert len(book.settle(10.1)) == 1000 - 64
     assert len(book.settle(30.0)) == 64

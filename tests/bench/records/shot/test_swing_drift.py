@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration, shipped_configuration
-from bench.records.shot.swing_drift import LASTING, NEEDED, REFERENCE, DriftWatch, StrikeSeen, strike_seen
+from bench.records.shot.swing_drift import LASTING, NEEDED, REFERENCE, DriftWatch, ObservedImpact, strike_seen
+from bench.simulation.plant_variation import healthy_plant
 from bench.simulation.series import Bench, Series
-from bench.simulation.variation import healthy_plant
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters, build_plant
@@ -23,13 +23,13 @@ def watch_after(swings: int, scatter: float = 0.0, seed: int = 1) -> DriftWatch:
     """Return a watch that has seen healthy `swings`, 43 m/s on average."""
     random, watch = np.random.default_rng(seed), DriftWatch()
     for _ in range(swings):
-        seen = StrikeSeen(43.0 * (1.0 + scatter * random.normal()), 0.25 + 0.003 * random.normal())
+        seen = ObservedImpact(43.0 * (1.0 + scatter * random.normal()), 0.25 + 0.003 * random.normal())
         assert watch.take(seen, "a").warnings == ()
     return watch
 
 
 def lost(watch: DriftWatch, share: float, swings: int, tables: str = "a") -> list[tuple[str, ...]]:
-    return [watch.take(StrikeSeen(43.0 * (1.0 - share), 0.25), tables).warnings for _ in range(swings)]
+    return [watch.take(ObservedImpact(43.0 * (1.0 - share), 0.25), tables).warnings for _ in range(swings)]
 
 
 def test_a_loss_of_two_percent_that_lasts_is_a_warning() -> None:
@@ -66,13 +66,13 @@ def test_swings_that_scatter_by_a_percent_raise_no_alarm(seed: int) -> None:
 @pytest.mark.parametrize("off", [0.025, -0.03])
 def test_a_ball_that_is_met_elsewhere_is_a_warning_at_once(off: float) -> None:
     watch = watch_after(REFERENCE)
-    (text,) = watch.take(StrikeSeen(43.0, 0.25 + off), "a").warnings
+    (text,) = watch.take(ObservedImpact(43.0, 0.25 + off), "a").warnings
     assert "the head met the ball" in text
-    assert watch.take(StrikeSeen(43.0, nan), "a").warnings == ()  # no ball, nothing met
+    assert watch.take(ObservedImpact(43.0, nan), "a").warnings == ()  # no ball, nothing met
 
 
 def test_json_has_no_nan() -> None:
-    told = DriftWatch().take(StrikeSeen(43.0, nan), "a").as_json()
+    told = DriftWatch().take(ObservedImpact(43.0, nan), "a").as_json()
     assert told["club_speed_mps"] == 43.0
     assert told["ball_met_m"] is told["first_ball_met_m"] is None
 

@@ -14,9 +14,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from bench.base.errors import BenchError
+from bench.records.telemetry.atomic_file import atomic_file
 from bench.records.telemetry.cycle_record import CYCLE, SCHEMA_VERSION
 from bench.records.telemetry.recorder import METADATA_KEY, read_swing, write_swing
-from bench.records.telemetry.whole_file import whole_file
 
 Cycles = np.ndarray[Any, Any]
 METADATA = {"seed": 7, "profile": "thesis", "configuration": {"rate_hz": 1000}, "shot": 3}
@@ -96,7 +96,7 @@ def test_a_read_only_folder_is_told(tmp_path: Path) -> None:
 
 def test_an_interruption_leaves_nothing_behind(tmp_path: Path) -> None:
     def interrupted() -> None:
-        with whole_file(tmp_path / "report.html") as stream:
+        with atomic_file(tmp_path / "report.html") as stream:
             stream.write(b"half")
             raise KeyboardInterrupt
 

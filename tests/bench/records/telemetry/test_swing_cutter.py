@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.base.lifecycle import Cause, State
-from bench.records.telemetry.swing_cutter import Cut, SwingCutter
+from bench.records.telemetry.swing_cutter import RecordSegment, SwingSegmenter
 
 Cycles = np.ndarray[Any, Any]
 MakeDay = Callable[..., Cycles]
@@ -21,12 +21,12 @@ SWING = [(S.READY, 1000), (S.ARMED, 700), (S.SWINGING, 300), (S.RECOVERING, 400)
 
 def cut_up(
     cycles: Cycles, *, chunk: int = 17, room: int = 8192, lead: float = LEAD, tail: float = TAIL
-) -> list[Cut]:
-    cutter = SwingCutter(lead=lead, tail=tail, room=room)
+) -> list[RecordSegment]:
+    cutter = SwingSegmenter(lead=lead, tail=tail, room=room)
     return [cut for i in range(0, len(cycles), chunk) for cut in cutter.take(cycles[i : i + chunk])]
 
 
-def ticks(cut: Cut) -> tuple[int, int]:
+def ticks(cut: RecordSegment) -> tuple[int, int]:
     return int(cut.cycles["tick"][0]), int(cut.cycles["tick"][-1])
 
 
@@ -110,8 +110,8 @@ def test_it_does_not_matter_how_the_cycles_come(make_day: MakeDay, data: st.Data
     states = data.draw(st.lists(st.tuples(st.sampled_from(list(S)), st.integers(1, 400)), max_size=12))
     day = make_day(states) if states else make_day([(S.READY, 1)])
     whole = cut_up(day, chunk=1)
-    cutter = SwingCutter(lead=LEAD, tail=TAIL, room=8192)
-    cuts: list[Cut] = []
+    cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
+    cuts: list[RecordSegment] = []
     at = 0
     while at < len(day):
         count = data.draw(st.integers(1, 900))
@@ -126,16 +126,16 @@ def test_it_does_not_matter_how_the_cycles_come(make_day: MakeDay, data: st.Data
         assert any(ticks(cut)[0] <= tick <= ticks(cut)[1] for cut in [*cuts, *_rest(day)])
 
 
-def _rest(day: Cycles) -> list[Cut]:
+def _rest(day: Cycles) -> list[RecordSegment]:
     """Return what is still in the making at the end of `day`."""
-    cutter = SwingCutter(lead=LEAD, tail=TAIL, room=8192)
+    cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
     cutter.take(day)
     return cutter.finish("over", keep=True)
 
 
 def test_lost_records_are_counted_where_they_are_missing(make_day: MakeDay) -> None:
     day = make_day(SWING)
-    cutter = SwingCutter(lead=LEAD, tail=TAIL, room=8192)
+    cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
     cuts = cutter.take(day[:300])
     cuts += cutter.take(day[310:1500], lost=10)  # before the record
     cuts += cutter.take(day[1500:1500], lost=7)  # a read that found nothing but losses
@@ -149,7 +149,7 @@ def test_lost_records_are_counted_where_they_are_missing(make_day: MakeDay) -> N
 def test_finish_keeps_swings_and_what_it_is_told_to(make_day: MakeDay) -> None:
     day = make_day(SWING)
     for end, keep, kind in ((1500, False, ""), (1500, True, "stop"), (1800, False, "swing")):
-        cutter = SwingCutter(lead=LEAD, tail=TAIL, room=8192)
+        cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
         assert not cutter.take(day[:end])
         assert (cutter.moving, cutter.worth_waiting) == (True, kind == "swing")
         cuts = cutter.finish("the power failed", keep=keep)
@@ -162,7 +162,7 @@ def test_finish_keeps_swings_and_what_it_is_told_to(make_day: MakeDay) -> None:
 
 def test_a_robot_still_moving_after_finish_opens_a_record_again(make_day: MakeDay) -> None:
     day = make_day(SWING)
-    cutter = SwingCutter(lead=LEAD, tail=TAIL, room=8192)
+    cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
     cutter.take(day[:1800])
     cutter.finish("the loop fell silent", keep=True)
     (cut,) = cutter.take(day[1800:])
@@ -180,7 +180,7 @@ def test_who_begins_to_record_late_says_so(make_day: MakeDay) -> None:
 
 
 def test_finish_in_the_tail_is_no_early_end(make_day: MakeDay) -> None:
-    cutter = SwingCutter(lead=LEAD, tail=TAIL, room=8192)
+    cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
     assert not cutter.take(make_day(SWING)[:2500])
     (cut,) = cutter.finish("over", keep=False)
     assert not cut.ended

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, State
-from bench.control.records import ControlState, new_control_state
+from bench.control.step_records import ControlState, new_control_state
 from bench.loop.snapshot import SNAPSHOT, pack_snapshot, read_snapshot, unpack_snapshot
-from bench.records.telemetry.swing_cutter import Cut
+from bench.records.telemetry.swing_cutter import RecordSegment
 from bench.records.telemetry.swing_metadata import (
     RunMetadata,
     begin_of,
@@ -50,7 +50,7 @@ def some_state(seed: int) -> ControlState:
     return state
 
 
-def describe(cut: Cut, **more: Any) -> dict[str, Any]:
+def describe(cut: RecordSegment, **more: Any) -> dict[str, Any]:
     now = datetime(2026, 11, 21, 12, 0, 0, 123456, UTC)
     return swing_metadata(cut, {"run": "r"}, number=7, begin=begin_of(cut.cycles), time_utc=now, **more)
 
@@ -75,7 +75,7 @@ def test_encoder_times_that_are_absent_stay_so(make_day: MakeDay) -> None:
 def test_the_outcome_names_states_and_the_first_cause(make_day: MakeDay) -> None:
     cycles = make_day(PLAN, trip=(400, Cause.WRIST_RANGE))
     cycles["trip"][450:] = Cause.GUARD
-    metadata = describe(Cut(cycles, "swing", 0))
+    metadata = describe(RecordSegment(cycles, "swing", 0))
     assert metadata["outcome"]["states"] == [[1, "READY"], [101, "ARMED"], [301, "SWINGING"], [501, "FAULT"]]
     assert metadata["outcome"]["cause"] == "WRIST_RANGE"
     assert "wrist angle" in metadata["outcome"]["text"]
@@ -86,7 +86,7 @@ def test_the_outcome_names_states_and_the_first_cause(make_day: MakeDay) -> None
 
 def test_losses_and_skipped_ticks_are_told_apart(make_day: MakeDay) -> None:
     cycles = make_day(PLAN)
-    metadata = describe(Cut(np.concatenate([cycles[:50], cycles[57:]]), "swing", 4))
+    metadata = describe(RecordSegment(np.concatenate([cycles[:50], cycles[57:]]), "swing", 4))
     assert (metadata["lost_records"], metadata["missed_ticks"]) == (4, 3)
     assert not metadata["complete"]
 
@@ -100,12 +100,12 @@ def snapshot_at(tick: int) -> np.ndarray[Any, Any]:
 def test_the_first_snapshot_within_the_record_is_stored(make_day: MakeDay) -> None:
     cycles = make_day(PLAN, first_tick=100)
     snapshots = [snapshot_at(t) for t in (99, 400, 200, 699, 5000)]
-    metadata = describe(Cut(cycles, "swing", 0), snapshots=snapshots)
+    metadata = describe(RecordSegment(cycles, "swing", 0), snapshots=snapshots)
     assert metadata["snapshot"]["tick"] == 200
     assert metadata["replayable"]
-    assert not describe(Cut(cycles, "swing", 3), snapshots=snapshots)["replayable"]
+    assert not describe(RecordSegment(cycles, "swing", 3), snapshots=snapshots)["replayable"]
     for outside in (99, 699, 5000):
-        metadata = describe(Cut(cycles, "swing", 0), snapshots=[snapshot_at(outside)])
+        metadata = describe(RecordSegment(cycles, "swing", 0), snapshots=[snapshot_at(outside)])
         assert metadata["snapshot"] is None
         assert not metadata["replayable"]
 

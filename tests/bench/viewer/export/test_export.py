@@ -21,9 +21,9 @@ from scipy.io import loadmat
 
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase, State
+from bench.records.telemetry.atomic_file import NotStored
 from bench.records.telemetry.cycle_record import CYCLE, FIELDS, arrow_schema, from_arrow
 from bench.records.telemetry.recorder import write_swing
-from bench.records.telemetry.whole_file import NotStored
 from bench.viewer.export.mcap_file import json_schema, write_mcap
 from bench.viewer.export.record_files import (
     ExportRecord,

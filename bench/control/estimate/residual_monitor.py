@@ -1,0 +1,334 @@
+"""The model-based check: measurements against what the plant's model says must come of it.
+
+Five comparisons, each against a limit by phase that healthy swings stay below:
+
+air       each chamber's pressure against an observer, which knows the valve's command, the motion and the
+          supply: a valve that does not obey, a sagging actuator or a wrong pressure sensor
+flow      the same, smoothed: a valve that leaks, misses ticks or is off its centre, an encoder that drifts;
+          too little to be seen in one tick, and nothing that must be answered within one
+velocity  each joint against its reference, which in a swing is the plant model's own prediction: the same,
+          seen later, but without pressure sensors
+jump      each encoder's sample against what the motion so far predicts: steps, garbage, a count that stands
+effort    torque from the chambers' pressures against Kane's equations of the measured motion: an encoder
+          whose scale or time is wrong, a head that came off
+
+A pressure that is ABSENT, or the supply's, leaves out what would need it. So does an encoder that counts
+from power-up until its index has passed: without a zero a joint has no position, its chambers no volume. A
+blow is in no prediction: when a joint, or its reference, runs into its cushion, or the club's head is at the
+ball or at the turf at speed, the limits of blows hold for a while if they are wider, and efforts are not
+compared. BRAKE has limits of its own.
+All pure, time is an argument.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import Any
+
+import numpy as np
+
+from bench.base.lifecycle import Cause, Phase, State
+from bench.control.envelope import joint_coordinates
+from bench.control.estimate.air import actuator_motion
+from drivers.base.compiled import compiled
+from sim.dynamics import chambers, wrist_cylinder
+from sim.kane import kane_terms
+
+PHASES = len(Phase)
+BRAKING = PHASES
+"""Row of the limits in BRAKE, plus the phase in which it began."""
+SHOCK = 2 * PHASES
+"""Row of the limits while a blow counts."""
+ARMING = SHOCK + 1
+"""Row of the limits on the way to the address, from wherever the robot stood: in the return it comes from a
+swing."""
+LEARNING = ARMING + 1
+"""First row of the limits, as above, of a robot or reference that differs from the planned one on purpose."""
+KINDS = ("air", "flow", "velocity", "jump", "effort")
+"""Comparisons, as their limits are named."""
+
+MODEL_LIMITS = np.dtype(
+    [
+        ("check", "?"),
+        ("first_row", "i8"),
+        ("air", "f8", (2 * LEARNING, 3)),
+        ("flow", "f8", (2 * LEARNING, 3)),
+        ("velocity", "f8", (2 * LEARNING, 3)),
+        ("jump", "f8", (2 * LEARNING, 3)),
+        ("effort", "f8", (2 * LEARNING, 3)),
+    ],
+    align=True,
+)
+"""Whether to check at all; first row of the limits in force, 0 or LEARNING; limits by row and joint: Pa, Pa,
+rad/s, rad, N m. A row is that plus a phase, BRAKING + the phase in which a brake began, SHOCK or ARMING."""
+
+MODEL_STATE = np.dtype(
+    [
+        ("started", "?"),
+        ("spool", "f8", (3,)),
+        ("spool_speed", "f8", (3,)),
+        ("air", "f8", (13,)),
+        ("rate", "f8", (13,)),
+        ("measured", "f8", (6,)),
+        ("since", "f8", (6,)),
+        ("residual", "f8", (6,)),
+        ("flow", "f8", (6,)),
+        ("effort", "f8", (3,)),
+        ("settled", "f8"),
+        ("pressed", "u1", (6,)),
+        ("blow", "f8"),
+    ],
+    align=True,
+)
+"""The observer: spools, pressures as `sim.dynamics.chambers` takes them (chambers from 6 on, supply), what
+each sensor showed last and for how long (s); residuals of the chambers (Pa; NaN if unknown), the
+same smoothed and, smoothed, of the torques (N m); s since the observer began or was disturbed; which joint
+and which joint's reference is at its cushion; s for which the latest blow still counts."""
+
+_MEMORY = 0.010
+"""s in which the observer takes over what is measured."""
+_SETTLING = 0.050
+"""s from its begin, or a stall of the loop, until it is believed."""
+_SMOOTHING = 0.020
+"""s over which torques are smoothed: the estimated acceleration is noisy, and late in a jerk."""
+_FLOW_SMOOTHING = 0.050
+"""s over which chambers are smoothed: long against noise and the shocks of a swing, short against a swing."""
+_BOTH = 0.2
+"""Share of the limit that the other chamber must be off, too, for a valve to be at fault."""
+_CLOSE = 1e-4
+_BLOW = 0.030
+"""s for which a blow shakes all joints."""
+_FAST = 0.5
+"""rad/s from which on running into a cushion is a blow."""
+_FAST_HEAD = 3.0
+"""m/s from which on ball or turf give the head a blow."""
+_NEAR_BALL = (0.08, 0.12)
+"""m to either side of the ball, and over the turf: the head's way in a tick and the ball's size."""
+_NEAR_TURF = 0.010
+"""m"""
+_BRAKED_HEAD = 1.0
+"""The same in BRAKE, m/s: a stop past the no-return instant may still strike the ball, slowly, and keeps the
+limits of the phase that it began in."""
+_BRAKED_NEAR = 0.15
+"""m to either side of the ball, and over the ground."""
+
+
+@compiled
+def observe(
+    m: Any,
+    robot: Any,
+    plant: Any,
+    envelope: Any,
+    estimator: Any,
+    indexed: Any,
+    readings: Any,
+    applied: Any,
+    reference: Any,
+    head: Any,
+    vent: float,
+    braking: bool,
+    step: float,
+) -> None:
+    """Move the observer `m` on by `step` s under the openings `applied` since the last tick; set residuals.
+
+    `estimator`, `indexed` (3,) of ENCODER_STATE, `readings` and `head` (6,) of `head_motion` are this tick's,
+    `reference` (3,) rad is the last one's; `plant` is the machine's PLANT_PARAMETERS. `vent` is what a
+    chamber's vents pass, m3/(s Pa); `braking`: by BRAKE.
+    """
+    p, e, r = plant[0], estimator[0], readings[0]
+    fresh = m.started and 0.0 < step <= 1.5 * p.tick  # after a stall the observer restarts
+    m.settled = m.settled + step if fresh else 0.0
+    m.air[12] = r.supply_pressure
+    for i in range(3):
+        _move_spool(m, p, applied[i] - p.centre[i], i)
+        position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
+        a, b = 2 * i, 2 * i + 1
+        # How much open vents pass is not known well enough to judge chambers by it.
+        known = vent == 0.0 and indexed[i] != 0 and _is_shown(m, r, a) and _is_shown(m, r, b)
+        if not (fresh and known and np.isfinite(r.supply_pressure + position + speed)):
+            for k in range(a, b + 1):
+                m.air[6 + k] = m.measured[k] = r.chamber_pressure[k]
+                m.since[k], m.residual[k], m.flow[k] = 0.0, np.nan, 0.0
+            continue
+        for part in range(2):
+            back = position - (0.75 - 0.5 * part) * step * speed
+            chambers(p, i, m.air, m.rate, m.spool[i], back, speed, 0.0)
+            for k in range(a, b + 1):
+                m.air[6 + k] = max(m.air[6 + k] + 0.5 * step * m.rate[6 + k], 0.1 * p.atmosphere)
+        for k in range(a, b + 1):
+            _compare_chamber(m, r.chamber_pressure[k], k, step)
+    m.started = True
+    _note_blows(m, robot, p, e, reference, step)
+    _note_contact(m, envelope[0], head, braking)
+    if fresh:
+        _compare_efforts(m, robot, p, e, indexed, step)
+
+
+@compiled
+def _compare_chamber(m: Any, pressure: float, k: int, step: float) -> None:
+    """Set chamber `k`'s residuals by the `pressure` (Pa) that its sensor shows; draw the observer to it."""
+    m.since[k] += step
+    # A sensor may be read less often than the loop runs: only a new value counts.
+    if pressure != m.measured[k]:
+        m.residual[k] = pressure - m.air[6 + k]
+        m.air[6 + k] += m.since[k] / (m.since[k] + _MEMORY) * m.residual[k]
+        m.measured[k], m.since[k] = pressure, 0.0
+    if np.isfinite(m.residual[k]):
+        # Of a sensor that long showed the same, nothing new is known.
+        lasting = m.residual[k] if m.since[k] <= _MEMORY else 0.0
+        m.flow[k] += step / (step + _FLOW_SMOOTHING) * (lasting - m.flow[k])
+
+
+@compiled
+def _is_shown(m: Any, r: Any, k: int) -> bool:
+    """Return whether chamber `k` shows a pressure, and the observer has one to go on from."""
+    # One missing value must not stay in the observer for ever.
+    return bool(np.isfinite(r.chamber_pressure[k]) and np.isfinite(m.air[6 + k]))
+
+
+@compiled
+def _move_spool(m: Any, p: Any, wanted: float, i: int) -> None:
+    """Move the spool of actuator `i` on by a tick, exactly for an opening `wanted` held over it."""
+    for _ in range(2 * p.substeps):
+        offset, rate = m.spool[i] - wanted, m.spool_speed[i]
+        m.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate
+        m.spool_speed[i] = p.spool[i, 2] * offset + p.spool[i, 3] * rate
+
+
+@compiled
+def _note_blows(m: Any, robot: Any, p: Any, e: Any, reference: Any, step: float) -> None:
+    """Notice joints, and references, that come to their cushion at speed."""
+    m.blow = max(m.blow - step, 0.0) if step > 0.0 else m.blow
+    for i in range(3):
+        actual, _ = joint_coordinates(robot, e.angle, e.velocity, i)
+        wanted, _ = joint_coordinates(robot, reference, e.velocity, i)
+        for k, position in ((2 * i, actual), (2 * i + 1, wanted)):
+            at_cushion = not p.lower[i] + _CLOSE < position < p.upper[i] - _CLOSE
+            if at_cushion and m.pressed[k] == 0 and abs(e.velocity[i]) > _FAST:
+                m.blow = _BLOW
+            m.pressed[k] = at_cushion
+
+
+@compiled
+def _note_contact(m: Any, envelope: Any, head: Any, braking: bool) -> None:
+    """Notice a head that is at the ball or at the turf at speed."""
+    along, above = abs(head[0] - envelope.ball_x), head[1] - envelope.ground
+    over_turf = above - envelope.sole_depth
+    square = head[3] * head[3] + head[4] * head[4]
+    at_ball = along < _NEAR_BALL[0] and over_turf < _NEAR_BALL[1]
+    if square > _FAST_HEAD * _FAST_HEAD and (at_ball or over_turf < _NEAR_TURF):
+        m.blow = _BLOW
+    if braking and square > _BRAKED_HEAD * _BRAKED_HEAD and max(along, above) <= _BRAKED_NEAR:
+        m.blow = _BLOW
+
+
+@compiled
+def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, indexed: Any, step: float) -> None:
+    """Smooth the residual of Kane's equations (N m a joint) on; zero at a cushion, and in a blow for all.
+
+    Each joint's angle is in the equations of all: zero, too, until all zeros are known.
+    """
+    if indexed[0] == 0 or indexed[1] == 0 or indexed[2] == 0:
+        m.effort[0] = m.effort[1] = m.effort[2] = 0.0
+        return
+    u1, u2, u3 = e.velocity[0], e.velocity[1], e.velocity[2]
+    a1, a2, a3 = e.acceleration[0], e.acceleration[1], e.acceleration[2]
+    m11, m12, m13, m22, m23, m33, h1, h2, h3, lever = kane_terms(
+        robot[0], e.angle[0], e.angle[1], e.angle[2], u1, u2, u3
+    )
+    needed = (
+        m11 * a1 + m12 * a2 + m13 * a3 + h1,
+        m12 * a1 + m22 * a2 + m23 * a3 + h2,
+        m13 * a1 + m23 * a2 + m33 * a3 + h3,
+    )
+    _, wrist_lever = wrist_cylinder(p, sin(e.angle[2]), cos(e.angle[2]))
+    for i in range(3):
+        position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
+        to_joint = 1.0 if i == 0 else lever if i == 1 else wrist_lever
+        force = (m.air[6 + 2 * i] - p.atmosphere) * p.area_a[i] - (
+            m.air[7 + 2 * i] - p.atmosphere
+        ) * p.area_b[i]
+        stop = position if i != 2 else e.angle[2]
+        residual = needed[i] - (force - p.viscous[i] * speed) * to_joint
+        if m.blow > 0.0 or not (p.lower[i] + _CLOSE < stop < p.upper[i] - _CLOSE and np.isfinite(residual)):
+            m.effort[i] = 0.0
+        else:
+            m.effort[i] += step / (step + _SMOOTHING) * (residual - m.effort[i])
+
+
+@compiled
+def row_of(s: Any) -> int:
+    """Return the row of the limits for a robot that follows its reference, from the state CONTROL `s`."""
+    return ARMING if s.state == State.ARMED and s.phase == Phase.RETURN else int(s.phase)
+
+
+@compiled
+def model_cause(
+    limits: Any, m: Any, estimator: Any, reference_velocity: Any, row: int, doubted: int = -1
+) -> int:
+    """Return the number of the first comparison that exceeds the limits of `row`, or 0.
+
+    A row is a phase, BRAKING + a phase, or ARMING. Of joint `doubted` one chamber did not fit before: it
+    leaks, or its sensor is wrong, and only the other one's own limit shows a wrong spool.
+
+    Unknown residuals fail no comparison.
+    """
+    p, e = limits[0], estimator[0]
+    if not p.check or m.settled < _SETTLING:
+        return 0
+    row += p.first_row
+    loosest = p.first_row + SHOCK if m.blow > 0.0 else row
+    for i in range(3):
+        both = _BOTH if i != doubted else 1.0
+        if abs(e.innovation[i]) > max(p.jump[row, i], p.jump[loosest, i]):
+            return Cause.SHOULDER_JUMP + i
+        air = max(p.air[row, i], p.air[loosest, i])
+        a, b = abs(m.residual[2 * i]), abs(m.residual[2 * i + 1])
+        if max(a, b) > air:
+            # A wrong spool changes the air in both chambers, a wrong sensor only what is read in one.
+            return Cause.SHOULDER_AIR + i if min(a, b) > both * air else Cause.SHOULDER_SENSOR + i
+        if abs(reference_velocity[i] - e.velocity[i]) > max(p.velocity[row, i], p.velocity[loosest, i]):
+            return Cause.SHOULDER_VELOCITY + i
+        if abs(m.effort[i]) > max(p.effort[row, i], p.effort[loosest, i]):
+            return Cause.SHOULDER_EFFORT + i
+        flow = max(p.flow[row, i], p.flow[loosest, i])
+        a, b = abs(m.flow[2 * i]), abs(m.flow[2 * i + 1])
+        if max(a, b) > flow:
+            return Cause.SHOULDER_FLOW + i if min(a, b) > both * flow else Cause.SHOULDER_SENSOR + i
+    return 0
+
+
+@compiled
+def note_deviations(largest: Any, m: Any, estimator: Any, reference_velocity: Any, row: int) -> None:
+    """Raise `largest` (5, LEARNING, 3), KINDS in order, to what `model_cause` compares in this tick."""
+    e = estimator[0]
+    if m.settled < _SETTLING:
+        return
+    if m.blow > 0.0:
+        row = SHOCK
+    for i in range(3):
+        # A comparison with NaN, what is unknown, raises nothing.
+        for k in range(2 * i, 2 * i + 2):
+            largest[0, row, i] = max(largest[0, row, i], abs(m.residual[k]))
+            largest[1, row, i] = max(largest[1, row, i], abs(m.flow[k]))
+        largest[2, row, i] = max(largest[2, row, i], abs(reference_velocity[i] - e.velocity[i]))
+        largest[3, row, i] = max(largest[3, row, i], abs(e.innovation[i]))
+        largest[4, row, i] = max(largest[4, row, i], abs(m.effort[i]))
+
+
+@compiled
+def note_shares(shares: Any, limits: Any, m: Any, estimator: Any, reference_velocity: Any, row: int) -> None:
+    """Raise `shares` (5, 3), KINDS in order, to what `model_cause` compares, as shares of its `limits`."""
+    p, e = limits[0], estimator[0]
+    if m.settled < _SETTLING:
+        return
+    row += p.first_row
+    loosest = p.first_row + SHOCK if m.blow > 0.0 else row
+    for i in range(3):
+        for k in range(2 * i, 2 * i + 2):
+            shares[0, i] = max(shares[0, i], abs(m.residual[k]) / max(p.air[row, i], p.air[loosest, i]))
+            shares[1, i] = max(shares[1, i], abs(m.flow[k]) / max(p.flow[row, i], p.flow[loosest, i]))
+        late = abs(reference_velocity[i] - e.velocity[i])
+        shares[2, i] = max(shares[2, i], late / max(p.velocity[row, i], p.velocity[loosest, i]))
+        shares[3, i] = max(shares[3, i], abs(e.innovation[i]) / max(p.jump[row, i], p.jump[loosest, i]))
+        shares[4, i] = max(shares[4, i], abs(m.effort[i]) / max(p.effort[row, i], p.effort[loosest, i]))

@@ -1,0 +1,383 @@
+"""Records of the control step: its parameters, what it remembers, and the profile's tables."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.base.lifecycle import Cause, Phase, Request, State
+from bench.control.estimate.air import AIR_STATE
+from bench.control.estimate.encoder import ENCODER_STATE
+from bench.control.estimate.estimator import ESTIMATOR_STATE
+from bench.control.estimate.residual_monitor import MODEL_STATE
+from bench.control.law.pid import PID_STATE
+from drivers.base.compiled import new_record
+
+CONTROL_PARAMETERS = np.dtype(
+    [
+        ("downswing_damping", "f8"),
+        ("downswing_stiffness", "f8"),
+        ("dither", "f8", (3,)),
+        ("dither_period", "f8"),
+        ("dither_delay", "f8"),
+        ("move_band", "f8", (3,)),
+        ("brake_gain", "f8", (3,)),
+        ("brake_damping", "f8", (3,)),
+        ("brake_fade", "f8", (3,)),
+        ("escape_opening", "f8", (3, 3)),
+        ("escape_time", "f8", (3,)),
+        ("lift_gain", "f8"),
+        ("lift_angle", "f8"),
+        ("feed_forward", "u1"),
+        ("force_gain", "f8", (3,)),
+        ("rate_opening", "f8", (3,)),
+        ("speed_opening", "f8", (3,)),
+        ("still_speed", "f8", (3,)),
+        ("still_time", "f8"),
+        ("brake_time", "f8"),
+        ("blind_settle", "f8"),
+        ("precharge_time", "f8"),
+        ("precharge_opening", "f8"),
+        ("precharge_period", "f8"),
+        ("move_speed", "f8", (3,)),
+        ("move_timeout", "f8"),
+        ("address_tolerance", "f8", (3,)),
+        ("rest_band", "f8", (3,)),
+        ("strike_drop", "f8"),
+        ("reactions", "u1", (len(Phase), 6)),
+        ("accepted", "u1", (len(Request), len(State))),
+        ("transitions", "u1", (len(State), len(State))),
+        ("needs_lease", "u1", (len(Request),)),
+        ("emergencies", "u1", (len(Cause),)),
+        ("warning_time", "f8"),
+        ("armed_time", "f8"),
+        ("vented_pressure", "f8"),
+        ("holding_pressure", "f8"),
+        ("vent_time", "f8"),
+        ("vented_still", "f8"),
+        ("vented_blind", "f8"),
+        ("vented_sinking", "f8"),
+        ("vented_creep", "f8"),
+        ("vent_delay", "f8"),
+        ("shut_off_delay", "f8"),
+        ("lowest_pressure", "f8"),
+        ("highest_pressure", "f8"),
+        ("rest_pressure", "f8"),
+        ("air_tolerance", "f8"),
+        ("air_timeout", "f8"),
+        ("local_reset", "?"),
+        ("local_reset_time", "f8"),
+        ("series", "?"),
+        ("read_only", "?"),
+        ("home_by_index", "?"),
+        ("home_pose", "f8", (3,)),
+        ("home_tolerance", "f8", (3,)),
+        ("home_time", "f8"),
+        ("home_order", "i8", (3,)),
+        ("home_direction", "f8", (3,)),
+        ("home_travel", "f8", (3,)),
+        ("home_speed", "f8", (3,)),
+        ("home_opening", "f8"),
+        ("home_longest", "f8"),
+        ("home_stops", "?"),
+        ("home_stop", "f8", (3,)),
+        ("home_stop_tolerance", "f8", (3,)),
+        ("home_touch_speed", "f8", (3,)),
+        ("home_touch_lead", "f8", (3,)),
+        ("home_touch_time", "f8"),
+    ],
+    align=True,
+)
+"""Gains and times. `downswing_damping` is the share of the damping left in the downswing, `dither` swings the
+spools around their openings up to the top. `feed_forward` is a code of `bench.control.law.feed_forward`,
+`rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the openings that carry the spools
+out of their dead bands in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
+
+
+def _nested(*fields: tuple[Any, ...]) -> np.dtype[Any]:
+    return np.dtype(list(fields), align=True)
+
+
+HOMING = _nested(
+    ("agreed_since", "f8"),  # s: from when on all angles agree with the vented robot's pose
+    ("began", "f8"),  # s: when the joints are first turned
+    ("turn", "i8"),  # place in the order of the joint that is turned; 3: all are home
+    ("since", "f8"),  # s: when this joint set off in its direction
+    ("start", "f8", (3,)),  # rad: where each joint set off
+    ("origin", "f8", (3,)),  # rad: where homing began, and to where it goes back
+    ("free", "u1", (3,)),  # the joint's index was forgotten since homing began
+    ("way", "f8"),  # -1 once the index is searched for in the other direction, else 1
+    ("touching", "?"),  # the joint looks for its stop
+    ("pushed_since", "f8"),  # s: from when on it rests against its reference
+    ("pushed_at", "f8"),  # rad: where it does
+    ("zero_shift", "f8", (3,)),  # rad: added to an angle by a zero that was set in this tick
+    ("index_wrong", "i4"),  # cause that names an encoder whose count was wrong at its index, or 0
+)
+"""Memory of `bench.control.moves.homing`."""
+
+FIRST_MOTION = _nested(
+    ("answered", "u1", (3,)),  # the joint moved along since power-up and the guard's last opening
+    ("way", "f8", (3,)),  # direction in which its reference moves, or 0
+    ("start", "f8", (3,)),  # rad: where that began
+    ("bound", "f8", (3,)),  # opening beyond the dead band that its valve is allowed
+)
+"""Memory of `bench.control.moves.first_motion`."""
+
+VENTING = _nested(
+    ("emptied", "?"),  # chambers and manifold are proven empty
+    ("empty_since", "f8"),  # s: from when on the time for sinking counts
+    ("drained_at", "f8"),  # s: when living sensors last showed what may hold an arm up
+    ("trapped", "?"),  # air stayed in the chambers: a person reads the gauges before access
+    ("rest_angle", "f8", (3,)),  # rad: where the joints came to rest
+    ("start", "f8"),  # s: when the vents were opened
+    ("timer", "f8"),  # s for which the vents have been without power
+)
+"""Memory of `bench.control.standstill_monitor`."""
+
+SENSORS = _nested(
+    ("seen", "u1", (7,)),  # the sensor was once believable
+    ("shown", "f8", (7,)),  # Pa: its last believable value
+    ("emptied", "u1", (7,)),  # it was seen to fall at this venting
+    ("doubt", "f8", (7,)),  # s for which it has not been believable
+    ("dead", "u1", (7,)),  # for too long
+)
+"""Memory of `bench.control.monitor.pressure_monitor`: sensors of the manifold and the six chambers."""
+
+VENTS = _nested(
+    ("fitted", "u1", (2,)),  # the vent has reported its position
+    ("agreed", "f8", (2,)),  # s: when that last agreed with the command
+    ("wrong", "u1", (2,)),  # it has disagreed for too long
+)
+"""Memory of `bench.control.monitor.pressure_monitor`: the vents' positions."""
+
+SHUT_OFF = _nested(
+    ("fitted", "?"),  # the shut-off valve has reported its position
+    ("agreed", "f8"),  # s: when that last agreed with the command
+    ("wrong", "?"),  # it has disagreed for too long
+)
+"""Memory of `bench.control.monitor.pressure_monitor`: the shut-off valve's position."""
+
+MANIFOLD = _nested(
+    ("shut", "f8"),  # s since the supply was shut
+    ("start", "f8"),  # Pa: the pressure then
+    ("slow", "f8"),  # Pa: bound of the slowest venting
+    ("fast", "f8"),  # Pa: bound of the fastest
+    ("before", "f8"),  # Pa: last reading
+    ("late", "f8"),  # s for which the slow bound has been broken
+    ("early", "f8"),  # s for which the fast one has
+    ("wrong", "?"),  # it empties too slowly
+    ("unproven", "?"),  # its sensor has to prove itself at the next venting
+    ("excused", "?"),  # a reset has taken notice of that
+)
+"""Memory of `bench.control.monitor.manifold_monitor`."""
+
+EXHAUSTS = _nested(
+    ("bound", "f8", (13,)),  # Pa, as in AIR_STATE
+    ("rate", "f8", (13,)),  # Pa/s
+    ("late", "f8", (6,)),  # s for which a chamber has been above its bound
+    ("slow", "u1", (6,)),  # its exhaust was found too slow since the last reset
+)
+"""Memory of `bench.control.monitor.exhaust_monitor`."""
+
+LOCK = _nested(
+    ("agreed", "f8"),  # s: when the guard's lock last agreed with its command
+    ("wrong", "?"),  # it did not for too long, and has not been seen to since
+)
+"""Memory of `bench.control.monitor.guard_lock_monitor`."""
+
+ADDRESS_AIR = _nested(
+    ("held", "u1", (3,)),  # the joint is in its band: its valve serves its air
+    ("swung", "u1", (3,)),  # its spool is being swung
+    ("trim", "f8", (3,)),  # opening that keeps its pressure difference
+    ("good", "f8"),  # s: when the air was last not as planned
+    ("since", "f8"),  # s: since when it is waited for
+    ("ready", "?"),  # a swing may begin
+)
+"""Memory of `bench.control.moves.address_pressure`."""
+
+MOVE = _nested(
+    ("start", "f8"),  # s
+    ("duration", "f8"),  # s
+    ("origin", "f8", (3,)),  # rad
+    ("gain", "f8", (3,)),  # opening per rad/s of reference speed, of the last tick's pose
+    ("arm_first", "?"),  # arm and wrist move before the shoulder
+)
+"""Memory of `bench.control.moves.motion`: the slow move under way."""
+
+SWING = _nested(
+    ("start", "f8"),  # s
+    ("sample", "i8"),  # of the profile
+    ("fastest_head", "f8"),  # m/s
+    ("struck", "?"),  # the head has lost speed to a ball
+)
+"""Memory of the swing under way."""
+
+CONTROL_STATE = np.dtype(
+    [
+        # From outside, before a tick.
+        ("request", "u1"),
+        ("request_number", "i8"),
+        ("lease_held", "?"),
+        ("support_ready", "?"),
+        ("supervisor_alive", "?"),
+        ("device_operational", "?"),
+        ("warm", "?"),  # STARTING is over
+        ("first_cause", "i4"),  # of the ESTOP after it
+        # This tick, and what its readings are worth.
+        ("tick", "i8"),
+        ("time", "f8"),  # s
+        ("measured_step", "f8"),  # s since the last tick
+        ("started", "?"),  # there was one
+        ("lost", "i4"),  # cause that names readings which are not to be trusted, or 0
+        ("distrusted", "?"),  # since the last reset they were wrong or did not fit the model
+        ("seen", "?"),  # they were trusted once
+        # The answer to a request.
+        ("asked", "u1"),
+        ("answered_number", "i8"),
+        ("answer", "u1"),
+        ("refusal", "u1"),
+        # The lifecycle.
+        ("state", "u1"),
+        ("state_since", "f8"),  # s
+        ("phase", "u1"),
+        ("reaction", "u1"),
+        ("reaction_start", "f8"),  # s
+        ("still_since", "f8"),  # s: when a joint last moved
+        ("cause", "i4"),  # latched first
+        ("latest_cause", "i4"),
+        ("emergency", "?"),  # the stop under way ends in ESTOP
+        ("homed", "?"),
+        ("vented", "?"),  # nothing can move or sink any more
+        ("air", "?"),  # the supply is on
+        ("air_from", "f8"),  # s: when it comes on, after the warning
+        ("exhaust_closed", "?"),  # commanded last
+        ("swinging", "?"),
+        ("moving", "?"),
+        ("disarming", "?"),
+        ("securing", "?"),
+        ("entered", "?"),  # the guard was seen open in ACCESS: somebody may be inside until SECURE ends it
+        ("reset_was_low", "?"),
+        ("reset_pressed", "f8"),  # s
+        ("tee", "?"),
+        ("swings", "i8"),
+        # Motion and commands.
+        ("reference", "f8", (3,)),  # rad
+        ("reference_velocity", "f8", (3,)),  # rad/s
+        ("reference_acceleration", "f8", (3,)),  # rad/s2
+        ("feed_forward", "f8", (3,)),  # opening
+        ("desired", "f8", (3,)),  # opening
+        ("applied", "f8", (3,)),  # opening, within the limits
+        ("head", "f8", (6,)),  # x, y, theta (m, m, rad) and their speeds
+        ("low_head", "f8"),  # m less than the clearance that are enough, of a head that rested low
+        ("calm", "f8", (3,)),  # rad/s by which rest is judged
+        ("stopped_at", "f8"),  # s: when a stop was last asked for
+        ("moved_at", "f8"),  # s: when a joint last did not rest
+        ("let_off", "u1", (3,)),  # actuators that `bench.control.moves.turf_avoidance` moves even in PASSIVE
+        ("unseen", "u1", (3,)),  # joints that BLIND_BRAKE brakes without their encoder
+        ("blind_row", "i8"),  # of its patterns; -1: none
+        # One record for each monitor and move.
+        ("homing", HOMING),
+        ("first_motion", FIRST_MOTION),
+        ("venting", VENTING),
+        ("sensors", SENSORS),
+        ("vents", VENTS),
+        ("shut_off", SHUT_OFF),
+        ("manifold", MANIFOLD),
+        ("exhausts", EXHAUSTS),
+        ("lock", LOCK),
+        ("address_air", ADDRESS_AIR),
+        ("move", MOVE),
+        ("swing", SWING),
+    ],
+    align=True,
+)
+"""Memory of the step."""
+
+PROFILE = np.dtype(
+    [
+        ("samples", "i8"),
+        ("period", "f8"),
+        ("blind_spacing", "i8"),
+        ("blind_rows", "i8"),
+        ("air_planned", "?"),
+        ("air", "f8", (6,)),
+        ("air_supply", "f8"),
+        ("dither_amplitude", "f8", (3,)),
+        ("dither_period", "f8", (3,)),
+        ("dither_duty", "f8", (3,)),
+    ],
+    align=True,
+)
+"""`air_planned`: whether the chambers have planned pressures at the address: `air` (Pa) where the supply has
+`air_supply` (Pa). `dither_amplitude` are the valve commands to either side of the dither there, in
+`dither_period` (3,) s; `dither_duty` is the mean share of the stroke to each side that comes of it."""
+
+
+class ControlState(NamedTuple):
+    """Memory of the step, as records that it changes in place."""
+
+    control: Any
+    encoder: Any
+    estimator: Any
+    pid: Any
+    model: Any
+    """Of the model-based check."""
+    air: Any
+    """Of the chamber-pressure observer; moved on only where feed-forward or address take it."""
+
+
+class ControlParameters(NamedTuple):
+    """Inputs of the step that stay as they are: records and the profile's tables."""
+
+    control: Any
+    encoder: Any
+    estimator: Any
+    pid: Any
+    envelope: Any
+    model: Any
+    robot: Any
+    plant: Any
+    """The machine's data for the model-based check."""
+    profile: Any
+    angle: Any
+    """(n, 3) rad, reference at the profile's period."""
+    velocity: Any
+    valve: Any
+    phase: Any
+    """(n,) Phase of each sample."""
+    force: Any
+    """(n, 3) demanded of the actuators, N, shoulder N m; zeros where the feed-forward does not take it."""
+    force_rate: Any
+    """(n, 3) N/s, N m/s"""
+    blind_brake: Any
+    """(m, 6) openings and durations (s)."""
+
+
+def new_control_state(state: State = State.READY) -> ControlState:
+    """Return the state at power-up: standing, nothing read yet.
+
+    A simulation begins in READY, homed and with the lease; a bench begins in State.STARTING.
+    """
+    made = ControlState(
+        new_record(CONTROL_STATE),
+        new_record(ENCODER_STATE),
+        new_record(ESTIMATOR_STATE),
+        new_record(PID_STATE),
+        new_record(MODEL_STATE),
+        new_record(AIR_STATE),
+    )
+    control, powered = made.control, state != State.STARTING
+    venting, moves = control["venting"], control["first_motion"]
+    control["state"], control["first_cause"] = state, Cause.POWER_UP
+    control["homed"] = moves["answered"] = moves["bound"] = powered and state != State.SAFE
+    for name in ("lease_held", "support_ready", "supervisor_alive"):
+        control[name] = powered
+    control["device_operational"] = True
+    control["sensors"]["emptied"] = 1  # before air was on there is no decay to be seen
+    venting["rest_angle"] = np.nan
+    for name in ("reset_pressed", "stopped_at", "moved_at", "still_since"):
+        control[name] = -np.inf
+    for name in ("start", "empty_since", "drained_at"):
+        venting[name] = -np.inf
+    return made

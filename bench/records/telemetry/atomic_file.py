@@ -1,0 +1,63 @@
+"""Files that exist whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from bench.base.errors import BenchError, ExitCode
+
+
+class NotStored(BenchError):
+    """A file could not be written; what stood there before is untouched."""
+
+    exit_code = ExitCode.FILE
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Yield the path of a file to write, which takes the place of `path` only when the block has ended well.
+
+    The file is written aside in the same folder (`.NAME.….partial`), synced to the disk, renamed, and
+    the folder is synced: after a power cut `path` holds the old content or the new, never a part.
+    Raises NotStored when the disk is full, the folder missing or read-only; whatever the exception,
+    the partial file is removed.
+    """
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    try:
+        try:
+            with partial.open("xb") as stream:  # the folder is writable, and the file ours
+                yield partial
+                os.fsync(stream.fileno())
+            partial.replace(path)
+            _sync_folder(path.parent)
+        finally:
+            with suppress(OSError):
+                partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise NotStored(
+            str(path),
+            error.strerror or str(error),
+            "a folder that can be written, with space left on its disk",
+            "make the folder, free some space or name another folder; nothing was stored",
+        ) from error
+
+
+@contextmanager
+def atomic_file(path: Path) -> Iterator[BinaryIO]:
+    """Yield a stream to write, whose bytes appear at `path` all at once or never; see `atomic_path`."""
+    with atomic_path(path) as partial, partial.open("r+b") as stream:
+        yield stream
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the rename itself durable."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,533 @@
+"""The model-based check: the observer follows the plant, and each comparison fails at its limit only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bench.swing
+from bench.base.lifecycle import Cause, Phase, Request, State
+from bench.control.envelope import ENVELOPE_PARAMETERS
+from bench.control.estimate.estimator import ESTIMATOR_STATE
+from bench.control.estimate.residual_monitor import (
+    ARMING,
+    BRAKING,
+    LEARNING,
+    MODEL_LIMITS,
+    MODEL_STATE,
+    SHOCK,
+    model_cause,
+    note_deviations,
+    observe,
+    row_of,
+)
+from bench.control.settings import EnvelopeSettings, ModelSettings, build_controller
+from bench.control.step_records import new_control_state
+from bench.simulation.engine import LockstepEngine
+from bench.simulation.lockstep import Lockstep
+from bench.swing.library import find_profile
+from bench.swing.profile import load_profile
+from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
+from sim.plant import PlantParameters, build_plant
+from sim.robot import RobotParameters
+from tests.compiled_only import needs_speed
+
+PLANT = build_plant(PlantParameters()).plant
+ROBOT = RobotParameters().record
+ENVELOPE = new_record(ENVELOPE_PARAMETERS)
+ENVELOPE["ground"], ENVELOPE["sole_depth"], ENVELOPE["ball_x"] = -1.62, 0.03, 0.25
+SPEEDS = np.zeros(3)
+INDEXED = np.ones(3, dtype=np.uint8)
+AWAY = np.array([-1.0, 0.5, 0.0, 40.0, 0.0, 0.0])
+"""A fast head far from ball and turf."""
+
+
+def limits() -> np.ndarray[Any, Any]:
+    made = new_record(MODEL_LIMITS)
+    made["check"] = True
+    for k, name in enumerate(("air", "velocity", "jump", "effort", "flow"), 1):
+        made[name] = 10.0 * k
+    return made
+
+
+def settled() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    model, estimator = new_record(MODEL_STATE), new_record(ESTIMATOR_STATE)
+    model["settled"] = 0.05
+    return model, estimator
+
+
+def judged(model: Any, estimator: Any, reference: Any = SPEEDS, phase: Phase = Phase.TOP) -> Cause:
+    return Cause(model_cause(limits(), model[0], estimator, np.asarray(reference, float), int(phase)))
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("side", range(2))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_air_fails_above_its_limit(joint: int, side: int, sign: float) -> None:
+    model, estimator = settled()
+    name = ("SHOULDER", "ARM", "WRIST")[joint]
+    model["residual"][0, 2 * joint + side] = sign * 10.0
+    assert judged(model, estimator) is Cause.NONE
+    model["residual"][0, 2 * joint + side] = sign * 10.0001
+    assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
+    model["residual"][0, 2 * joint + 1 - side] = 2.0
+    assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
+    model["residual"][0, 2 * joint + 1 - side] = -2.001
+    assert judged(model, estimator) is Cause[f"{name}_AIR"]
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("side", range(2))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_flow_fails_above_its_limit(joint: int, side: int, sign: float) -> None:
+    model, estimator = settled()
+    name = ("SHOULDER", "ARM", "WRIST")[joint]
+    model["flow"][0, 2 * joint + side] = sign * 50.0
+    assert judged(model, estimator) is Cause.NONE
+    model["flow"][0, 2 * joint + side] = sign * 50.001
+    assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
+    model["flow"][0, 2 * joint + 1 - side] = 10.0
+    assert judged(model, estimator) is Cause[f"{name}_SENSOR"]
+    model["flow"][0, 2 * joint + 1 - side] = -10.001
+    assert judged(model, estimator) is Cause[f"{name}_FLOW"]
+
+
+def test_what_lasts_stays_in_the_smoothed_air_and_what_passes_does_not() -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 5)
+    readings["chamber_pressure"][0, 0] += 2e4  # one sample
+    watch(model, estimator, readings, 1)
+    once = abs(model["flow"][0, 0])
+    assert 0.0 < once < 1e3
+    for k in range(200):
+        readings["chamber_pressure"][0, 2] += 500.0 + k % 2
+        watch(model, estimator, readings, 1)
+    assert model["flow"][0, 2] == pytest.approx(model["residual"][0, 2], rel=0.3)
+    assert abs(model["flow"][0, 0]) < once
+    readings["chamber_pressure"][0, 3] = np.nan
+    watch(model, estimator, readings, 1)
+    assert (model["flow"][0, 2:4] == 0.0).all()
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("record", "field", "limit", "cause"),
+    [(1, "velocity", 20.0, "VELOCITY"), (1, "innovation", 30.0, "JUMP"), (0, "effort", 40.0, "EFFORT")],
+)
+def test_the_others_fail_above_their_limits(
+    joint: int, sign: float, record: int, field: str, limit: float, cause: str
+) -> None:
+    state = settled()
+    state[record][field][0, joint] = sign * limit
+    assert judged(*state) is Cause.NONE
+    state[record][field][0, joint] = sign * (limit + 1e-6)
+    assert judged(*state) is Cause[f"{('SHOULDER', 'ARM', 'WRIST')[joint]}_{cause}"]
+
+
+def test_velocity_counts_from_its_reference() -> None:
+    model, estimator = settled()
+    estimator["velocity"][0, 1] = 50.0
+    assert judged(model, estimator, (0.0, 45.0, 0.0)) is Cause.NONE
+    assert judged(model, estimator, (0.0, 29.0, 0.0)) is Cause.ARM_VELOCITY
+
+
+def test_what_is_not_had_fails_nothing() -> None:
+    model, estimator = settled()
+    model["residual"] = model["effort"] = np.nan
+    assert judged(model, estimator) is Cause.NONE
+
+
+def test_nothing_fails_before_it_has_settled_or_when_it_is_off() -> None:
+    model, estimator = settled()
+    estimator["innovation"] = 1e3
+    assert judged(model, estimator) is Cause.SHOULDER_JUMP
+    model["settled"] = 0.049
+    assert judged(model, estimator) is Cause.NONE
+    model["settled"] = 1.0
+    off = limits()
+    off["check"] = False
+    assert model_cause(off, model[0], estimator, SPEEDS, int(Phase.TOP)) == 0
+
+
+@pytest.mark.parametrize("name", ["residual", "flow"])
+@pytest.mark.parametrize(("other", "spool"), [(0.1, False), (0.5, False), (1.1, True)])
+def test_of_a_doubted_joint_only_the_other_chambers_own_limit_shows_a_wrong_spool(
+    name: str, other: float, spool: bool
+) -> None:
+    """A chamber that leaks draws the other one a little off, too: the shoulder was cut off in its brake."""
+    model, estimator = settled()
+    limit = 10.0 if name == "residual" else 50.0
+    model[name][0, 2], model[name][0, 3] = 3.0 * limit, other * limit
+
+    def cause(doubted: int) -> Cause:
+        return Cause(model_cause(limits(), model[0], estimator, SPEEDS, int(Phase.TOP), doubted))
+
+    valve = Cause.ARM_AIR if name == "residual" else Cause.ARM_FLOW
+    assert cause(1) is (valve if spool else Cause.ARM_SENSOR)
+    assert cause(0) is cause(-1) is (valve if other > 0.2 else Cause.ARM_SENSOR)
+
+
+@pytest.mark.parametrize("vent", [0.0, 1e-8])
+def test_no_chamber_is_judged_by_open_vents(vent: float) -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 600, vent=vent)
+    followed = model["air"][0, 6:12] == readings["chamber_pressure"][0]
+    assert bool(followed.all()) is (vent > 0.0)  # how much they pass is not known well enough to judge by
+
+
+def test_limits_are_those_of_the_phase() -> None:
+    built = limits()
+    built["jump"][0, Phase.HOLD] = 0.5
+    model, estimator = settled()
+    estimator["innovation"] = 1.0
+    assert model_cause(built, model[0], estimator, SPEEDS, int(Phase.HOLD)) == Cause.SHOULDER_JUMP
+    assert model_cause(built, model[0], estimator, SPEEDS, int(Phase.TOP)) == 0
+
+
+def still() -> tuple[Any, Any, Any]:
+    model, estimator, readings = new_record(MODEL_STATE), new_record(ESTIMATOR_STATE), new_record(READINGS)
+    estimator["angle"] = (0.3, 4.4, 6.0)
+    readings["chamber_pressure"], readings["supply_pressure"] = 4.5e5, 8e5
+    return model, estimator, readings
+
+
+def watch(
+    model: Any,
+    estimator: Any,
+    readings: Any,
+    ticks: int,
+    step: float = 1e-3,
+    valve: float = 0.0,
+    head: Any = AWAY,
+    indexed: Any = INDEXED,
+    vent: float = 0.0,
+) -> None:
+    for _ in range(ticks):
+        applied = np.array([valve, 0.0, 0.0])
+        observe(
+            *(model[0], ROBOT, PLANT, ENVELOPE, estimator, indexed, readings, applied),
+            *(SPEEDS, head, vent, False, step),
+        )
+
+
+def test_it_settles_and_begins_anew_after_a_stall() -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 51)
+    assert model["settled"][0] == pytest.approx(0.05)
+    watch(model, estimator, readings, 1, step=0.005)
+    assert model["settled"][0] == 0.0
+
+
+def run_into_cushion(model: Any, estimator: Any, readings: Any, joint: int, speed: float) -> None:
+    """Let `joint` come from its middle to its upper cushion at `speed` rad/s."""
+    watch(model, estimator, readings, 60)
+    estimator["velocity"][0, joint] = speed
+    estimator["angle"][0, joint] = (float(PLANT["upper"][0, 0]) + 0.01, 5.2, 6.5)[joint]
+    watch(model, estimator, readings, 1)
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_joint_that_runs_into_its_cushion_shakes_all_for_a_while(joint: int) -> None:
+    built = limits()
+    built["velocity"][0, SHOCK], built["jump"][0, SHOCK] = 200.0, 300.0
+    model, estimator, readings = still()
+    run_into_cushion(model, estimator, readings, joint, 5.0)
+    assert model["effort"].tolist() == [[0.0, 0.0, 0.0]]
+
+    def cause(innovation: float, speed: float) -> Cause:
+        estimator["innovation"] = innovation
+        reference = estimator["velocity"][0] + speed
+        return Cause(model_cause(built, model[0], estimator, reference, int(Phase.COMMITTED)))
+
+    assert cause(299.0, 199.0) is Cause.NONE
+    assert cause(301.0, 0.0) is Cause.SHOULDER_JUMP
+    assert cause(0.0, 201.0) is Cause.SHOULDER_VELOCITY
+    watch(model, estimator, readings, 31)  # it stays there
+    assert cause(31.0, 0.0) is Cause.SHOULDER_JUMP
+    assert cause(0.0, 21.0) is Cause.SHOULDER_VELOCITY
+
+
+@pytest.mark.parametrize(
+    ("x", "over_turf", "speed", "blow"),
+    [
+        (0.25 + 0.07, 0.05, 40.0, True),
+        (0.25 - 0.09, 0.05, 40.0, False),
+        (0.25, 0.13, 40.0, False),
+        (0.25, 0.03, 2.0, False),
+        (-0.5, 0.005, 40.0, True),
+        (-0.5, 0.02, 40.0, False),
+    ],
+)
+def test_a_fast_head_at_ball_or_turf_is_a_blow(x: float, over_turf: float, speed: float, blow: bool) -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 60)
+    head = np.array([x, -1.62 + 0.03 + over_turf, 0.0, speed, 0.0, 0.0])
+    watch(model, estimator, readings, 1, head=head)
+    assert (model["blow"][0] > 0.0) == blow
+
+
+@pytest.mark.parametrize("kind", ["air", "flow", "effort"])
+def test_a_blow_loosens_pressures_and_torques_where_its_limits_are_wider(kind: str) -> None:
+    built = limits()
+    built[kind][0, SHOCK] = 1e3
+    model, estimator = settled()
+    field = {"air": "residual", "flow": "flow", "effort": "effort"}[kind]
+    model[field] = 900.0
+    row = int(Phase.DOWNSWING)
+    assert model_cause(built, model[0], estimator, SPEEDS, row) != 0
+    model["blow"] = 0.01
+    assert model_cause(built, model[0], estimator, SPEEDS, row) == 0
+    built[kind][0, SHOCK] = 1.0
+    model[field] = 9.0
+    assert model_cause(built, model[0], estimator, SPEEDS, row) == 0  # never tighter than the phase's
+
+
+def test_braking_and_learning_have_limits_of_their_own() -> None:
+    built = limits()
+    built["jump"][0, BRAKING + Phase.TOP], built["jump"][0, LEARNING + Phase.TOP] = 1.0, 50.0
+    model, estimator = settled()
+    estimator["innovation"] = 20.0
+    top = int(Phase.TOP)
+    assert model_cause(built, model[0], estimator, SPEEDS, top) == 0
+    assert model_cause(built, model[0], estimator, SPEEDS, BRAKING + top) == Cause.SHOULDER_JUMP
+    estimator["innovation"] = 40.0
+    assert model_cause(built, model[0], estimator, SPEEDS, top) == Cause.SHOULDER_JUMP
+    built["first_row"] = LEARNING
+    assert model_cause(built, model[0], estimator, SPEEDS, top) == 0
+
+
+def test_arming_has_limits_of_its_own_and_the_return_from_a_swing_has_those_of_its_phase() -> None:
+    control = new_control_state().control
+    control["phase"] = Phase.RETURN
+    rows = {}
+    for state in (State.ARMED, State.SWINGING, State.RECOVERING):
+        control["state"] = state
+        rows[state] = row_of(control[0])
+    assert rows == {State.ARMED: ARMING, State.SWINGING: Phase.RETURN, State.RECOVERING: Phase.RETURN}
+    control["state"], control["phase"] = State.ARMED, Phase.HOLD
+    assert row_of(control[0]) == Phase.HOLD
+    built = build_controller(PlantParameters(), load_profile(find_profile("default"))).model
+    default = ModelSettings()
+    for first in (0, LEARNING):
+        assert built["air"][0, first + ARMING].tolist() == list(default.air["arming"])
+        assert built["air"][0, first + Phase.RETURN].tolist() == list(default.air["return"])
+
+
+def test_deviations_are_noted_as_they_are_compared() -> None:
+    largest = np.zeros((5, LEARNING, 3))
+    model, estimator = settled()
+    model["residual"], model["flow"] = [[3.0, -4.0, np.nan, 1.0, 0.0, 0.0]], 0.0
+    model["effort"], estimator["innovation"] = [[-7.0, np.nan, 1.0]], [[0.1, -0.2, 0.3]]
+    estimator["velocity"] = [[5.0, 0.0, 0.0]]
+    note_deviations(largest, model[0], estimator, np.array([1.0, 2.0, 3.0]), int(Phase.TOP))
+    row = largest[:, Phase.TOP]
+    assert row[[0, 2, 3, 4]].tolist() == [[4, 1, 0], [4, 2, 3], [0.1, 0.2, 0.3], [7, 0, 1]]
+    model["residual"] = 1.0
+    note_deviations(largest, model[0], estimator, SPEEDS, int(Phase.TOP))
+    assert largest[0, Phase.TOP].tolist() == [4, 1, 1]
+    model["blow"] = 0.01
+    note_deviations(largest, model[0], estimator, SPEEDS, int(Phase.TOP))
+    assert largest[0, SHOCK].tolist() == [1, 1, 1]
+    model["settled"] = 0.0
+    note_deviations(largest, model[0], estimator, SPEEDS, int(Phase.HOLD))
+    assert not largest[:, Phase.HOLD].any()
+
+
+def test_a_joint_that_creeps_into_its_cushion_shakes_nothing() -> None:
+    model, estimator, readings = still()
+    run_into_cushion(model, estimator, readings, 0, 0.4)
+    assert model["blow"][0] == 0.0
+
+
+def test_a_pressure_that_is_not_fitted_leaves_its_actuator_out() -> None:
+    model, estimator, readings = still()
+    readings["chamber_pressure"][0, 2] = np.nan
+    watch(model, estimator, readings, 5)
+    readings["chamber_pressure"][0] += 1e5
+    watch(model, estimator, readings, 1)
+    assert np.isnan(model["residual"][0, 2:4]).all()
+    assert model["residual"][0, [0, 1, 4, 5]] == pytest.approx(1e5, rel=0.05)
+
+
+def test_a_joint_whose_zero_is_unknown_has_no_volumes_to_compare_with() -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 80)
+    assert model["effort"].all()
+    readings["chamber_pressure"][0] += 1e5
+    watch(model, estimator, readings, 1, indexed=np.array([1, 1, 0], dtype=np.uint8))
+    assert np.isnan(model["residual"][0, 4:]).all()
+    assert model["residual"][0, :4] == pytest.approx(1e5, rel=0.05)
+    assert not model["effort"].any()  # the wrist's angle moves every joint's inertia
+    readings["chamber_pressure"][0] += 1e5
+    watch(model, estimator, readings, 1)
+    assert model["residual"][0, 4:] == pytest.approx(1e5, rel=0.05)
+
+
+def test_without_the_supplys_pressure_no_air_is_compared() -> None:
+    model, estimator, readings = still()
+    readings["supply_pressure"] = np.nan
+    watch(model, estimator, readings, 5)
+    assert np.isnan(model["residual"]).all()
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_an_observer_that_met_nan_once_begins_again(joint: int) -> None:
+    model, estimator, readings = still()
+
+    def run(ticks: int) -> None:
+        for _ in range(ticks):
+            readings["chamber_pressure"] += 1.0  # only a new value counts
+            watch(model, estimator, readings, 1)
+
+    run(60)
+    for spoilt, name in ((readings, "chamber_pressure"), (estimator, "angle"), (model, "air")):
+        before = spoilt[name].copy()
+        place = 6 + 2 * joint if name == "air" else 2 * joint if name == "chamber_pressure" else joint
+        spoilt[name][0, place] = np.nan
+        run(1)
+        spoilt[name] = before
+        run(60)
+        assert np.isfinite(model["air"]).all(), name
+        assert np.isfinite(model["residual"]).all(), name
+        readings["chamber_pressure"][0, 2 * joint] += 5e4
+        run(1)
+        assert abs(model["residual"][0, 2 * joint]) > 2e4, name  # it is seen again
+        readings["chamber_pressure"][0, 2 * joint] -= 5e4
+        run(60)
+
+
+@pytest.mark.parametrize(
+    ("along", "above", "speed", "braking", "blow"),
+    [
+        (0.14, 0.14, 1.1, True, 0.03),
+        (0.14, 0.14, 1.1, False, 0.0),
+        (0.14, 0.14, 0.9, True, 0.0),
+        (0.16, 0.14, 1.1, True, 0.0),
+        (0.14, 0.16, 1.1, True, 0.0),
+    ],
+)
+def test_a_braked_head_may_strike_more_slowly(
+    along: float, above: float, speed: float, braking: bool, blow: float
+) -> None:
+    model, estimator, readings = still()
+    head = np.array([0.25 + along, -1.62 + above, 0.0, speed, 0.0, 0.0])
+    for _ in range(2):
+        observe(
+            model[0],
+            ROBOT,
+            PLANT,
+            ENVELOPE,
+            estimator,
+            INDEXED,
+            readings,
+            np.zeros(3),
+            SPEEDS,
+            head,
+            0.0,
+            braking,
+            1e-3,
+        )
+    assert model["blow"][0] == blow
+
+
+def test_a_valve_that_is_told_to_open_fills_its_chamber_in_the_model() -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 5)
+    watch(model, estimator, readings, 8, valve=1.0)
+    readings["chamber_pressure"] += 1.0  # sensors that tell something new
+    watch(model, estimator, readings, 1, valve=1.0)
+    assert model["residual"][0, 0] < -3e4
+    assert abs(model["residual"][0, 4]) < 2e3
+
+
+def test_what_is_measured_is_taken_over() -> None:
+    model, estimator, readings = still()
+    watch(model, estimator, readings, 5)
+    for k in range(60):
+        readings["chamber_pressure"][0, 1] = 5e5 + k % 2
+        watch(model, estimator, readings, 1)
+    assert abs(model["residual"][0, 1]) < 2e3
+
+
+@needs_speed
+def test_of_a_healthy_swing_the_residuals_stay_far_below_their_limits() -> None:
+    profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
+    envelope = EnvelopeSettings(model=ModelSettings(check="always"))
+    parameters = build_controller(PlantParameters(), profile, envelope=envelope)
+    bench_ = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
+    engine = LockstepEngine(bench_)
+    assert engine.arm()
+    assert engine.await_air()
+    bench_.state.control["tee"] = True
+    worst, request = 0.0, int(Request.SWING)
+    for _ in range(len(profile.angle) // 5):
+        bench_.advance(5, request)
+        request = 0
+        phase = int(bench_.state.control["phase"][0])
+        model, limit = bench_.state.model[0], parameters.model[0]
+        air = np.abs(model["residual"]).reshape(3, 2).max(axis=1) / limit["air"][phase]
+        worst = max(
+            worst, float(np.nanmax(air)), float(np.nanmax(np.abs(model["effort"]) / limit["effort"][phase]))
+        )
+    assert bench_.state.control["cause"][0] == 0
+    assert worst < 0.8
+
+
+@needs_speed
+def test_the_check_changes_nothing_of_a_healthy_swing() -> None:
+    profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
+
+    def record(check: Any) -> bytes:
+        envelope = EnvelopeSettings(model=ModelSettings(check=check))
+        parameters = build_controller(PlantParameters(), profile, envelope=envelope)
+        stepper = Lockstep(build_plant(PlantParameters()), parameters, profile.angle[0])
+        engine = LockstepEngine(stepper)
+        assert engine.arm()
+        assert engine.await_air()
+        return stepper.advance(2000, Request.SWING).tobytes()
+
+    assert record("off") == record("always")
+
+
+@needs_speed
+def test_compiled_and_plain_code_agree(plain: Callable[[Callable[..., Any]], Callable[..., Any]]) -> None:
+    random = np.random.default_rng(1)
+    one, two = new_record(MODEL_STATE), new_record(MODEL_STATE).view(np.recarray)
+    robot, plant = ROBOT.view(np.recarray), PLANT.view(np.recarray)
+    slow = plain(observe)
+    for _ in range(100):
+        estimator, readings = new_record(ESTIMATOR_STATE), new_record(READINGS)
+        estimator["angle"] = np.array([0.3, 4.4, 6.0]) + 0.05 * random.normal(size=3)
+        estimator["velocity"], estimator["acceleration"] = random.normal(size=(2, 3)) * [[5.0], [50.0]]
+        readings["chamber_pressure"] = random.uniform(1e5, 8e5, 6)
+        readings["supply_pressure"] = 8e5
+        applied = random.uniform(-1.0, 1.0, 3)
+        observe(
+            *(one[0], ROBOT, PLANT, ENVELOPE, estimator, INDEXED, readings, applied),
+            *(SPEEDS, AWAY, 0.0, False, 1e-3),
+        )
+        slow(
+            two[0],
+            robot,
+            plant,
+            ENVELOPE.view(np.recarray),
+            estimator.view(np.recarray),
+            INDEXED,
+            readings.view(np.recarray),
+            applied,
+            SPEEDS,
+            AWAY,
+            0.0,
+            False,
+            1e-3,
+        )
+    for name in MODEL_STATE.names or ():
+        np.testing.assert_allclose(
+            np.asarray(one[name], float), np.asarray(two[name], float), rtol=1e-9, atol=1e-9
+        )

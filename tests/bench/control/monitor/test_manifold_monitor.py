@@ -1,0 +1,202 @@
+"""The supply manifold at each venting: it empties in the time that it takes, or is named."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bench.base.lifecycle import Cause, Refusal, Request, State
+from bench.control.monitor.manifold_monitor import LATE, MARGIN, PROOF_TIME, SHUTTING, watch_manifold
+from bench.control.step_records import CONTROL_PARAMETERS, CONTROL_STATE
+from drivers.base.compiled import new_record
+from drivers.base.records import READINGS
+from sim.plant import PlantParameters, build_plant
+from tests.bench.control.operating import asked, press, reach
+from tests.bench.control.puppet import ATMOSPHERE, SUPPLY, Puppet
+
+PLANT = build_plant(PlantParameters()).plant
+NAMED = round(1000 * (SHUTTING + LATE)) + 30
+
+
+class Manifold:
+    """The watch over a manifold whose sensor shows what a test says."""
+
+    def __init__(self) -> None:
+        """Stand under pressure."""
+        self.control, self.readings = new_record(CONTROL_STATE), new_record(READINGS)
+        self.limits = new_record(CONTROL_PARAMETERS)
+        self.limits["vented_pressure"], self.limits["highest_pressure"] = 1.3e5, 2e6
+        self.control["device_operational"] = True
+        self.control["tick"], self.shown = 10, SUPPLY
+        for _ in range(3):
+            self.tick(SUPPLY, powered=True)
+
+    def tick(self, shown: float, *, powered: bool = False, step: float = 1e-3) -> None:
+        self.shown = shown
+        self.readings["supply_pressure"] = shown
+        watch_manifold(self.control[0], self.limits[0], PLANT[0], self.readings, powered, step)
+
+    def fall(self, constant: float, seconds: float, end: float = ATMOSPHERE) -> Manifold:
+        """Shut the supply; let the sensor fall to `end` (Pa) with a time constant of `constant` s."""
+        for _ in range(round(1000 * seconds)):
+            self.tick(self.shown + (end - self.shown) * 1e-3 / max(constant, 1e-3))
+        return self
+
+    @property
+    def found(self) -> tuple[bool, bool]:
+        """Whether it empties too slowly, and whether it fell too fast."""
+        return bool(self.control["manifold"]["wrong"][0]), bool(self.control["manifold"]["unproven"][0])
+
+
+@pytest.mark.parametrize("constant", [0.02, 0.04, 0.08, 0.15])
+def test_a_manifold_that_empties_as_assumed_or_at_another_rate_is_fine(constant: float) -> None:
+    manifold = Manifold()
+    for _ in range(3000):
+        manifold.fall(constant, 1e-3)
+        assert manifold.found == (False, False)
+
+
+@pytest.mark.parametrize("end", [SUPPLY, 4e5, 2e5])
+def test_a_manifold_that_keeps_pressure_is_named_within_a_second(end: float) -> None:
+    assert Manifold().fall(0.04, 1.0, end).found == (True, False)
+
+
+def test_a_sensor_that_follows_slowly_is_named() -> None:
+    manifold = Manifold()
+    named = False
+    for _ in range(1500):
+        manifold.fall(0.5, 1e-3)
+        named = named or manifold.found[0]
+    assert named
+
+
+@pytest.mark.parametrize("end", [ATMOSPHERE, 1.2e5, 0.5e5])
+def test_a_sensor_that_falls_faster_than_the_manifold_can_is_named_and_stays_in_doubt(end: float) -> None:
+    manifold = Manifold().fall(0.0, 0.03, end)
+    assert manifold.found[1]
+    manifold.fall(0.0, 3.0, ATMOSPHERE)
+    assert manifold.found == (False, True)
+
+
+def test_a_venting_that_takes_its_time_proves_the_sensor_again() -> None:
+    manifold = Manifold().fall(0.0, 3.0)
+    for _ in range(3):
+        manifold.tick(SUPPLY, powered=True)
+    manifold.fall(0.04, PROOF_TIME - 0.1)
+    assert manifold.found == (False, True)
+    assert manifold.fall(0.04, 0.2).found == (False, False)
+
+
+def test_one_of_an_empty_manifold_proves_nothing() -> None:
+    manifold = Manifold().fall(0.0, 3.0)
+    manifold.tick(1.5e5, powered=True)
+    assert manifold.fall(0.04, 3.0).found == (False, True)
+
+
+def test_after_a_stall_of_the_loop_nothing_is_too_fast() -> None:
+    manifold = Manifold()
+    manifold.tick(SUPPLY)
+    manifold.tick(ATMOSPHERE, step=0.5)
+    assert manifold.fall(0.0, 3.0).found == (False, False)
+
+
+@pytest.mark.parametrize("at", [0, 50, 200, 350, 1000])
+def test_a_sensor_that_jumps_to_empty_at_any_time_is_named(at: int) -> None:
+    manifold = Manifold()
+    for _ in range(at):
+        manifold.tick(SUPPLY)  # the supply valve is stuck open
+    assert manifold.fall(0.0, 0.03).found[1]
+
+
+def test_one_that_jumps_under_pressure_is_named() -> None:
+    manifold = Manifold()
+    for _ in range(30):
+        manifold.tick(ATMOSPHERE, powered=True)
+    assert manifold.found == (False, True)
+
+
+def test_one_reading_that_is_too_high_is_no_pressure_to_fall_from() -> None:
+    manifold = Manifold()
+    for tick in range(200):
+        manifold.tick(1.2e6 if tick % 50 == 49 else SUPPLY, powered=True)
+    assert manifold.found == (False, False)
+
+
+def test_inputs_that_come_back_after_a_lost_link_are_fine() -> None:
+    manifold = Manifold()
+    manifold.control["lost"] = 4
+    for _ in range(50):
+        manifold.tick(SUPPLY)
+    manifold.tick(ATMOSPHERE)
+    manifold.control["lost"] = 0
+    assert manifold.fall(0.0, 0.5).found == (False, False)
+
+
+def test_noise_and_samples_that_come_seldom_are_fine() -> None:
+    manifold, held = Manifold(), SUPPLY
+    true = SUPPLY
+    for tick in range(3000):
+        true += (ATMOSPHERE - true) * 1e-3 / 0.04
+        if tick % 20 == 0:
+            held = true + (0.3 * MARGIN if tick % 40 else -0.3 * MARGIN)
+        manifold.tick(held)
+        assert manifold.found == (False, False)
+
+
+def disarmed(**settings: Any) -> Puppet:
+    puppet = reach(State.ARMED, **settings)
+    puppet.run(50)
+    assert puppet.tick(Request.DISARM)
+    return puppet
+
+
+def test_a_stuck_supply_valve_is_named_at_the_venting() -> None:
+    puppet = disarmed(vent_time=5.0)
+    puppet.give(supply_pressure=SUPPLY).run(NAMED)
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.SUPPLY_VALVE)
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.MANIFOLD
+    puppet.give(supply_pressure=ATMOSPHERE).run(200)
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.NONE
+
+
+def test_a_sensor_that_jumps_to_empty_lets_nobody_in_until_a_venting_proves_it() -> None:
+    puppet = reach(State.ARMED)
+    puppet.parameters.plant["manifold"] = PLANT["manifold"]  # as large as the assumed one
+    puppet.run(50)
+    puppet.give(supply_pressure=SUPPLY).tick(Request.DISARM)
+    puppet.give(supply_pressure=ATMOSPHERE).run(30)
+    assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.SUPPLY_DECAY)
+    puppet.run(500)
+    assert asked(puppet, Request.ACCESS) is Refusal.SENSOR
+    press(puppet)
+    assert asked(puppet, Request.RESET) is Refusal.NONE  # to arm and vent again is its proof
+    puppet.run(500)
+    assert puppet.bench is State.READY
+    assert asked(puppet, Request.ACCESS) is Refusal.SENSOR
+    puppet.give(supply_pressure=SUPPLY)
+    assert asked(puppet, Request.ARM) is Refusal.NONE
+    puppet.run(450)
+    assert puppet.tick(Request.DISARM)
+    pressure = SUPPLY
+    for _ in range(round(1000 * PROOF_TIME) + 10):
+        pressure += (ATMOSPHERE - pressure) / 40.0
+        puppet.give(supply_pressure=pressure).tick()
+    assert asked(puppet, Request.ACCESS) is Refusal.NONE
+
+
+def test_a_sensor_that_shows_less_than_the_atmosphere_at_rest_is_dead() -> None:
+    puppet = reach(State.READY, vent_time=0.3)
+    puppet.give(chamber_pressure=(ATMOSPHERE,) * 6).run(400)
+    puppet.give(chamber_pressure=(ATMOSPHERE, ATMOSPHERE, 0.7 * ATMOSPHERE, *(ATMOSPHERE,) * 3)).run(150)
+    assert puppet.cause is Cause.ARM_A_SENSOR
+
+
+def test_so_is_one_of_the_manifold() -> None:
+    puppet = reach(State.READY, vent_time=0.3)
+    puppet.run(400)
+    puppet.give(supply_pressure=0.7 * ATMOSPHERE).run(150)
+    assert puppet.cause is Cause.SUPPLY_DECAY
+    assert asked(puppet, Request.ACCESS) is Refusal.SENSOR
