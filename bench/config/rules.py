@@ -167,15 +167,15 @@ def _times(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     if c.plant.encoders.latency > longest:
         found = f"{short(c.plant.encoders.latency)} s"
         yield "plant.encoders.latency", found, f"at most {short(longest)} s with these substeps", "Lower it."
-    for name in ("lost_time", "max_gap"):
+    for name in ("encoder_timeout", "max_tick_interval"):
         value = getattr(c.envelope, name)
         if value <= c.plant.tick:
             found, wanted = f"{short(value)} s", f"more than one tick, {short(c.plant.tick)} s"
             yield f"envelope.{name}", found, wanted, "Raise it, or loop.rate."
-    lost, gap = c.envelope.lost_time, c.envelope.max_gap
+    lost, gap = c.envelope.encoder_timeout, c.envelope.max_tick_interval
     if lost > gap:
-        wanted = f"at most envelope.max_gap, {short(gap)} s"
-        yield "envelope.lost_time", f"{short(lost)} s", wanted, "Lower it."
+        wanted = f"at most envelope.max_tick_interval, {short(gap)} s"
+        yield "envelope.encoder_timeout", f"{short(lost)} s", wanted, "Lower it."
 
 
 _HAND_GAINS = ("pid.proportional", "pid.integral", "pid.derivative", "damping", "move_gain")
@@ -231,9 +231,14 @@ def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             f"at least {LEAST_RELIEF}, and less than the lowest pressure_rating, {short(rating)} Pa",
             "Set it; a valve that opens nearer to the regulated pressure takes part in a healthy swing.",
         )
-    if c.envelope.minimum_stop_margin > 1.0:
-        found = short(c.envelope.minimum_stop_margin)
-        yield "envelope.minimum_stop_margin", found, "0 to 1, a share of the cushions' travel", "Lower it."
+    if c.envelope.absorber_travel_fraction > 1.0:
+        found = short(c.envelope.absorber_travel_fraction)
+        yield (
+            "envelope.absorber_travel_fraction",
+            found,
+            "0 to 1, a share of the cushions' travel",
+            "Lower it.",
+        )
 
 
 def _site(c: Configuration, tree: Tree) -> Iterator[Mistake]:
@@ -296,17 +301,17 @@ def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
             f"at most {MAX_LOAD:.0%}",
             f"Raise it, or set loop.rate to {slower} Hz.",
         )
-    lost = c.envelope.lost_time
+    lost = c.envelope.encoder_timeout
     if lost < COST_OF_A_SYNC * period:
         found = f"{short(lost)} s at {short(c.loop.rate)} Hz"
         least, faster = short(COST_OF_A_SYNC * period), ceil(COST_OF_A_SYNC / lost)
         wanted = f"at least {COST_OF_A_SYNC:g} ticks, {least} s: a lost SYNC costs two samples"
         action = f"Set loop.rate to {faster} Hz or more, or raise it: 0.009 s was proven safe."
-        yield "envelope.lost_time", found, wanted, action
+        yield "envelope.encoder_timeout", found, wanted, action
     longest = LONGEST_ANSWER * period
-    if bus.answer_time > longest:
-        found = f"{short(bus.answer_time)} s"
-        yield "canopen.answer_time", found, f"at most {short(longest)} s, part of the period", "Lower it."
+    if bus.sync_timeout > longest:
+        found = f"{short(bus.sync_timeout)} s"
+        yield "canopen.sync_timeout", found, f"at most {short(longest)} s, part of the period", "Lower it."
 
 
 def unheard_phases(configuration: Configuration) -> list[BenchError]:

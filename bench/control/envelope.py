@@ -23,12 +23,12 @@ ENVELOPE_PARAMETERS = np.dtype(
         ("upper", "f8", (3,)),
         ("max_speed", "f8", (3,)),
         ("following", "f8", (PHASES, 3)),
-        ("stop_deceleration", "f8", (3,)),
-        ("stop_speed", "f8", (3,)),
+        ("min_deceleration", "f8", (3,)),
+        ("end_stop_max_speed", "f8", (3,)),
         ("max_opening", "f8"),
         ("max_slew", "f8"),
-        ("lost_time", "f8"),
-        ("max_gap", "f8"),
+        ("encoder_timeout", "f8"),
+        ("max_tick_interval", "f8"),
         ("min_supply_pressure", "f8"),
         ("max_supply_pressure", "f8"),
         ("ground", "f8"),
@@ -37,7 +37,7 @@ ENVELOPE_PARAMETERS = np.dtype(
         ("ball_x", "f8"),
         ("ball_window", "f8"),
         ("ball_clearance", "f8"),
-        ("frame_radius", "f8"),
+        ("min_frame_distance", "f8"),
         ("min_lever", "f8"),
         ("lever_angle", "f8"),
     ],
@@ -84,7 +84,7 @@ def readings_cause(parameters: Any, estimator: Any) -> int:
     """Return the cause that makes the joint readings untrustworthy, or 0."""
     p, e = parameters[0], estimator[0]
     for i in range(3):
-        if e.started[i] == 0 or not e.without_sample[i] < p.lost_time:
+        if e.started[i] == 0 or not e.without_sample[i] < p.encoder_timeout:
             return Cause.SHOULDER_ENCODER + i
         if not np.isfinite(e.angle[i] + e.velocity[i] + e.acceleration[i]):
             return Cause.NOT_FINITE
@@ -110,7 +110,7 @@ def motion_cause(
     """
     p, e = parameters[0], estimator[0]
     angle, velocity = e.angle, e.velocity
-    if not 0.0 <= measured_step <= p.max_gap:
+    if not 0.0 <= measured_step <= p.max_tick_interval:
         return Cause.TICK_GAP
     # Past the no-return instant stopping sooner than planned helps neither a sagging supply nor a short way.
     stoppable = phase <= Phase.DOWNSWING or phase == Phase.RETURN
@@ -125,7 +125,10 @@ def motion_cause(
             return Cause.SHOULDER_SPEED + i
         if stoppable:
             way = (p.upper[i] - position) if speed > 0.0 else (position - p.lower[i])
-            if not speed * speed <= p.stop_speed[i] * p.stop_speed[i] + 2.0 * p.stop_deceleration[i] * way:
+            if (
+                not speed * speed
+                <= p.end_stop_max_speed[i] * p.end_stop_max_speed[i] + 2.0 * p.min_deceleration[i] * way
+            ):
                 return Cause.SHOULDER_STOP_DISTANCE + i
         # The jump of the impact is in no reference.
         if phase != Phase.IMPACT and not abs(reference[i] - angle[i]) <= p.following[phase, i]:
@@ -161,7 +164,7 @@ def _clearance_cause(p: Any, robot: Any, angle: Any, low: float) -> int:
     # Nearest point of the club to the shoulder axis.
     nearest = min(max(-(wrist_x * along_x + wrist_y * along_y), 0.0), r.l3t)
     x, y = wrist_x + nearest * along_x, wrist_y + nearest * along_y
-    if not x * x + y * y >= p.frame_radius * p.frame_radius:
+    if not x * x + y * y >= p.min_frame_distance * p.min_frame_distance:
         return Cause.FRAME
     if not abs(sin(angle[2] + p.lever_angle - 1.5 * np.pi)) >= p.min_lever:
         return Cause.WRIST_LEVER

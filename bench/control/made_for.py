@@ -81,7 +81,7 @@ class LimitsFingerprint(NamedTuple):
         envelope: EnvelopeSettings,
         estimator: EstimatorSettings,
     ) -> LimitsFingerprint:
-        """Return the values of a bench: the plant's but for IGNORED_FIELDS, the envelope's bounds of commands."""
+        """Return the values of a bench; IGNORED_FIELDS of its plant are left out."""
         acting = {
             "control": _as_acting(control, plant),
             "estimator": asdict(estimator),
@@ -107,9 +107,9 @@ def _as_acting(control: ControlSettings, plant: PlantParameters) -> dict[str, An
     """
     values = asdict(control)
     if plant.site.surface == "none":
-        del values["follow_through_lift"]
-    if values["downswing_stiffness"] == 1.0:
-        del values["downswing_stiffness"]
+        del values["turf_lift_gain"]
+    if values["downswing_gain_factor"] == 1.0:
+        del values["downswing_gain_factor"]
     if values.pop("gains") == "machine":
         values |= dict.fromkeys(("pid", "damping", "move_gain"), "machine")
     return values

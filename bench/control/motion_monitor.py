@@ -132,7 +132,9 @@ def _watch_search(state: Any, parameters: Any, time: float) -> None:
     """Stop the search for an index that leaves its limits, or does not fit the model."""
     s, e, limits = state.control[0], state.estimator[0], parameters.envelope[0]
     following = limits.following[Phase.HOMING.value]
-    broken = search_cause(s, parameters.control[0], following, limits.max_gap, e.angle, e.velocity, time)
+    broken = search_cause(
+        s, parameters.control[0], following, limits.max_tick_interval, e.angle, e.velocity, time
+    )
     if broken == 0:
         broken = first_motion_cause(s, parameters.control[0], e.velocity)
     stuck = Cause.SHOULDER_FOLLOWING <= broken < Cause.SHOULDER_FOLLOWING + 3
@@ -184,7 +186,7 @@ def _watch_swing(state: Any, parameters: Any, readings: Any, time: float) -> Non
 def monitor_permission(s: Any, parameters: Any, time: float) -> None:
     """Disarm if the lease or the recorder is lost, or the address was held for too long."""
     if s.state == State.ARMED and s.reaction == Reaction.NONE:
-        waited = s.phase == Phase.HOLD and time - s.state_since > parameters.control[0].armed_time
+        waited = s.phase == Phase.HOLD and time - s.state_since > parameters.control[0].armed_timeout
         if waited or not (s.lease_held and s.support_ready):
             disarm(s, parameters, time)
     elif s.state == State.HOMING and s.reaction == Reaction.NONE and not s.lease_held:

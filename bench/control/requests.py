@@ -24,7 +24,7 @@ def near_address(parameters: Any, estimator: Any) -> bool:
     for i in range(3):
         if not abs(e.angle[i] - parameters.angle[0, i]) <= p.address_tolerance[i]:
             return False
-        if not abs(e.velocity[i]) <= 2.0 * p.still_speed[i]:
+        if not abs(e.velocity[i]) <= 2.0 * p.rest_speed[i]:
             return False
     return True
 
@@ -106,7 +106,7 @@ def _failing(s: Any, request: int) -> int:
 def _settling(p: Any, s: Any, request: int, time: float) -> int:
     """Return the refusal of `request` while a joint moves or, before arming, a chamber holds air, or 0."""
     # A joint that turns round is slow for an instant, too. A swing asks more: rest at the address.
-    if request != Request.SWING and time - s.moved_at < p.still_time:
+    if request != Request.SWING and time - s.moved_at < p.rest_time:
         return Refusal.MOVING.value
     # Trapped air holds a robot up, and lets it fall while its chambers vent further in the warning.
     if request == Request.ARM and chambers_show_pressure(s.sensors, p):
@@ -131,7 +131,7 @@ def _access_refusal(p: Any, s: Any, readings: Any, time: float) -> int:
     if s.manifold.unproven:
         return Refusal.SENSOR.value
     # A robot at power-up may still sink: nobody has seen it rest yet.
-    if not (s.vented and time - s.venting.start >= p.vented_still):
+    if not (s.vented and time - s.venting.start >= p.rest_time_vented):
         return _not_vented(p, s, readings)
     # Time and a vent's position prove no flow: what no sensor has shown to go, a person reads at the gauge.
     read = p.local_reset and _is_confirmed(p, s, time)
@@ -194,7 +194,7 @@ def check_request(state: Any, parameters: Any, readings: Any, request: int, time
         # The pose proves a zero only while no air holds the robot.
         if request == Request.HOME and not p.home_by_index:
             return _not_vented(p, s, readings)
-        if request == Request.RESET and time - s.venting.start >= p.vent_time:
+        if request == Request.RESET and time - s.venting.start >= p.vent_timeout:
             return _not_vented(p, s, readings)
     if request == Request.RESET and not _is_confirmed(p, s, time):
         return Refusal.LOCAL_RESET

@@ -96,7 +96,7 @@ class ControlSettings:
     downswing_damping: Share = 0.0
     """Share of `damping` in the downswing. The estimated acceleration is noisy: what it opens there goes into
     the club's speed, a little differently in every swing."""
-    downswing_stiffness: Positive = 2.5
+    downswing_gain_factor: Positive = 2.5
     """Factor on the PIDs' proportional and derivative gains in the downswing, which ends before what would
     grow with them has grown."""
     dither: tuple[Share, Share, Share] = (0.1, 0.1, 0.1)
@@ -113,18 +113,18 @@ class ControlSettings:
     """Opening per rad/s against the motion in BRAKE; found with `golfbench profile check`."""
     brake_damping: NotNegativeTriple = (0.0035, 0.0002, 0.00012)
     """Opening per rad/s2 against the motion in BRAKE."""
-    brake_fade: PositiveTriple = (1.2, 1.0, 1.5)
+    brake_fade_speed: PositiveTriple = (1.2, 1.0, 1.5)
     """Speed below which BRAKE eases off, rad/s."""
-    follow_through_lift: NotNegative = 6.0
+    turf_lift_gain: NotNegative = 6.0
     """Opening per rad by which the follow-through pulls the right arm in on turf or a mat, until a straight
     club passes above the ground; found with `golfbench --config bag profile check`."""
-    still_speed: PositiveTriple = (0.05, 0.05, 0.10)
+    rest_speed: PositiveTriple = (0.05, 0.05, 0.10)
     """Below it a joint rests, rad/s."""
-    still_time: Positive = 0.05
+    rest_time: Positive = 0.05
     """Rest that counts as standstill, s."""
-    brake_time: Positive = 1.5
+    brake_timeout: Positive = 1.5
     """A brake that takes longer ends in VENT all the same, s."""
-    blind_settle: NotNegative = 0.6
+    open_loop_settling_time: NotNegative = 0.6
     """Spools centred after a blind brake before the air is let out, s."""
     precharge_time: Positive = 2.0
     """Supply soft start and charging of the chambers before the first move, s."""
@@ -136,11 +136,11 @@ class ControlSettings:
     """Greatest speed of slow moves, rad/s."""
     move_timeout: Positive = 6.0
     """Longest slow move, s."""
-    rest_band: NotNegativeTriple = (0.003, 0.002, 0.005)
+    address_deadband: NotNegativeTriple = (0.003, 0.002, 0.005)
     """Error at address that is left alone, rad: dry friction would make an integral hunt."""
     address_tolerance: PositiveTriple = (0.015, 0.010, 0.020)
     """Error at address below which a swing may begin, rad."""
-    strike_drop: Annotated[float, Above(0), AtMost(0.5)] = 0.05
+    impact_speed_drop: Annotated[float, Above(0), AtMost(0.5)] = 0.05
     """Share of head speed whose loss in the impact window says that a ball was struck."""
 
 
@@ -150,23 +150,23 @@ class LifecycleSettings:
 
     warning_time: NotNegative = 2.0
     """Beacon before the air comes on, s."""
-    armed_time: Positive = 120.0
+    armed_timeout: Positive = 120.0
     """Holding the address for longer disarms, s."""
     vented_pressure: Positive = 1.3e5
     """Chambers and manifold below it are empty enough for a reset, homing and arming, Pa absolute. People are
     let in below the pressure that holds nothing up, about 1.05 bar, which follows from the plant."""
-    vent_time: Positive = 10.0
+    vent_timeout: Positive = 10.0
     """In which they are to be empty; without chamber sensors the proof itself, s."""
-    vented_still: NotNegative = 2.0
+    rest_time_vented: NotNegative = 2.0
     """For which the robot must rest with empty chambers until they count as vented, s."""
-    vented_blind: NotNegative = 10.0
+    rest_time_without_encoders: NotNegative = 10.0
     """The same without trusted encoders: as long as a raised arm may take to sink, s."""
-    vented_sinking: NotNegative = 7.0
+    access_delay: NotNegative = 7.0
     """For which chambers must hold nothing up before people are let in, whatever the encoders show, s; for as
     long as they took to vent, if that was longer."""
-    air_tolerance: Positive = 1.0e4
+    pressure_tolerance: Positive = 1.0e4
     """Max deviation of a chamber from its planned pressure at the address when a swing begins, Pa."""
-    air_timeout: Positive = 20.0
+    pressure_timeout: Positive = 20.0
     """Longest time for which the address is held until the chambers are as planned, s."""
     local_reset: bool = False
     """Reset and secure also take the button beside the robot; required with a real robot."""
@@ -174,7 +174,7 @@ class LifecycleSettings:
     """How long a press of it counts for one reset or secure, s."""
     series: bool = False
     """After a swing hold the address for the next one instead of venting."""
-    supervisor_time: Positive = 0.5
+    supervisor_timeout: Positive = 0.5
     """Silence of the supervisor that counts as its death, s."""
 
 
@@ -198,11 +198,11 @@ class HomingSettings:
     head_tolerance: Positive = 0.010
     """Max shift of the head at the ball by the error of one encoder zero (m). It sets the angle within which
     a joint pressed against its stop must rest."""
-    touch_speed: PositiveTriple = (0.8, 0.5, 1.2)
+    stop_contact_speed: PositiveTriple = (0.8, 0.5, 1.2)
     """rad/s, towards the stop and back."""
-    touch_lead: PositiveTriple = (0.15, 0.12, 0.20)
+    stop_contact_lead: PositiveTriple = (0.15, 0.12, 0.20)
     """rad that a joint lags behind its reference at its stop: as much as presses it there firmly."""
-    touch_time: Positive = 0.15
+    stop_contact_time: Positive = 0.15
     """s for which it must rest there."""
     order: tuple[JointName, JointName, JointName] = ("wrist", "arm", "shoulder")
     """In which the joints search, one at a time."""
@@ -342,17 +342,17 @@ class EnvelopeSettings:
         }
     )
     """Max following error by phase, rad."""
-    stop_deceleration: PositiveTriple = (60.0, 15.0, 150.0)
+    min_deceleration: PositiveTriple = (60.0, 15.0, 150.0)
     """What braking can count on: rad/s2, m/s2, rad/s2."""
-    stop_speed: PositiveTriple = (9.0, 5.2, 34.0)
+    end_stop_max_speed: PositiveTriple = (9.0, 5.2, 34.0)
     """Speed at the end of the range that the cushion alone takes: rad/s, m/s, rad/s."""
     max_opening: Annotated[float, Above(0), AtMost(1)] = 1.0
     """Max opening of a valve."""
     max_slew: Positive = 400.0
     """Change of opening per second."""
-    lost_time: Positive = 0.0045
+    encoder_timeout: Positive = 0.0045
     """Without a fresh reading for this long an encoder is lost (s); five ticks at 1 kHz."""
-    max_gap: Positive = 0.010
+    max_tick_interval: Positive = 0.010
     """Longest tick while moving, s."""
     min_supply_pressure: Positive = 6.5e5
     """Pa absolute, below which no swing begins."""
@@ -365,11 +365,11 @@ class EnvelopeSettings:
     """Half width of the ball's window along the target line, m."""
     ball_clearance: NotNegative = 0.005
     """Head over ground inside that window, m; where the site allows a divot, its depth below the ground."""
-    frame_radius: NotNegative = 0.10
+    min_frame_distance: NotNegative = 0.10
     """Radius around R1 that the club keeps clear of, m."""
     min_lever: Annotated[float, AtLeast(0), AtMost(1)] = 0.15
     """Min |sin beta| of the wrist's lever (thesis figure 11)."""
-    minimum_stop_margin: NotNegative = 0.9
+    absorber_travel_fraction: NotNegative = 0.9
     """Share of the cushions' travel that counts as working range in the range check."""
     model: ModelSettings = field(default_factory=ModelSettings)
 
@@ -569,7 +569,7 @@ def _control_record(
                 value = getattr(settings, setting.name)
                 record[setting.name] = CODES.index(value) if setting.name == "feed_forward" else value
     if plant.site.surface != "none":
-        record["lift_gain"], record["lift_angle"] = control.follow_through_lift, lifted_angle(plant)
+        record["lift_gain"], record["lift_angle"] = control.turf_lift_gain, lifted_angle(plant)
         record["escape_opening"], record["escape_time"] = turf_avoidance.OPENINGS, turf_avoidance.TIMES
     record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
     record["home_stop"] = pressed_stops(plant, homing.direction)
@@ -611,7 +611,7 @@ def _control_record(
 def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile: Profile) -> np.ndarray:
     record = new_record(ENVELOPE_PARAMETERS)
     for i, actuator in enumerate(plant.actuators):
-        margin = settings.minimum_stop_margin * actuator.stop.travel
+        margin = settings.absorber_travel_fraction * actuator.stop.travel
         record["lower"][0, i] = actuator.lower - margin
         record["upper"][0, i] = actuator.upper + margin
     record["following"] = inf
@@ -621,15 +621,15 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
         "max_speed",
         "max_slew",
         "max_opening",
-        "max_gap",
+        "max_tick_interval",
         "min_supply_pressure",
         "min_lever",
-        "stop_deceleration",
-        "stop_speed",
-        "lost_time",
+        "min_deceleration",
+        "end_stop_max_speed",
+        "encoder_timeout",
         "clearance",
         "ball_window",
-        "frame_radius",
+        "min_frame_distance",
     ):
         record[name] = getattr(settings, name)
     # Above it the relief valve opens, and hides a regulator that fails.

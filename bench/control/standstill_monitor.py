@@ -64,18 +64,18 @@ def _monitor_venting(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     crept = _crept(p, s, e) and s.lost == 0 and (calm or not blind)
     if not (empty and shut and (blind or (calm and not crept))):
         s.still_since = time
-    wait = p.vented_blind if blind else p.vented_still
+    wait = p.rest_time_without_encoders if blind else p.rest_time_vented
     rests = time - s.still_since >= wait or s.state == State.ACCESS
     starting = s.state == State.STARTING and not np.isfinite(s.venting.empty_since)
     if nothing_is_held_up(s.sensors, p):
         s.venting.drained_at = time
     else:
         held = time - max(s.venting.drained_at, s.venting.start)
-        s.venting.empty_since = time + max(held - p.vented_sinking, 0.0)
+        s.venting.empty_since = time + max(held - p.access_delay, 0.0)
     if not (empty and shut) or starting or (crept and s.state != State.ACCESS):
         s.venting.empty_since = max(s.venting.empty_since, time)
-    sunk = time - s.venting.empty_since >= p.vented_sinking or s.state == State.ACCESS
-    late = time - s.venting.start >= p.vent_time
+    sunk = time - s.venting.empty_since >= p.access_delay or s.state == State.ACCESS
+    late = time - s.venting.start >= p.vent_timeout
     s.venting.emptied = empty and shut and rests and emptiness_is_proven(s, p, readings, time)
     s.vented = s.venting.emptied and sunk
     if s.venting.emptied and s.cause == 0:

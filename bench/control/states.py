@@ -13,16 +13,16 @@ from bench.base.lifecycle import READINGS_LOST, READINGS_VALID, Cause, Phase, Re
 from drivers.base.compiled import compiled
 
 _CALMING = 0.03
-"""s over which a resting robot's velocities are smoothed: an encoder's noise alone passes `still_speed`."""
+"""s over which a resting robot's velocities are smoothed: an encoder's noise alone passes `rest_speed`."""
 _MOVES = 3.0
-"""Times `still_speed` that count of a velocity: after a fast motion, too, rest shows soon."""
+"""Times `rest_speed` that count of a velocity: after a fast motion, too, rest shows soon."""
 
 
 @compiled
 def filter_velocity(s: Any, p: Any, e: Any, elapsed: float) -> None:
     """Smooth the estimated velocities (rad/s) on by `elapsed` s; one that is no number counts as motion."""
     for i in range(3):
-        most = _MOVES * p.still_speed[i]
+        most = _MOVES * p.rest_speed[i]
         velocity = min(max(e.velocity[i], -most), most) if np.isfinite(e.velocity[i]) else most
         s.calm[i] += elapsed / (elapsed + _CALMING) * (velocity - s.calm[i])
 
@@ -32,16 +32,16 @@ def is_at_rest(s: Any, p: Any) -> bool:
     """Return whether the robot rests, as far as smoothed velocities show."""
     calm = True
     for i in range(3):
-        calm = calm and abs(s.calm[i]) <= p.still_speed[i]
+        calm = calm and abs(s.calm[i]) <= p.rest_speed[i]
     return calm
 
 
 @compiled
 def is_slow_now(p: Any, e: Any) -> bool:
-    """Return whether no joint is faster than `still_speed`; one whose velocity is no number may be."""
+    """Return whether no joint is faster than `rest_speed`; one whose velocity is no number may be."""
     still = True
     for i in range(3):
-        still = still and abs(e.velocity[i]) <= p.still_speed[i]
+        still = still and abs(e.velocity[i]) <= p.rest_speed[i]
     return still
 
 

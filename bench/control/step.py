@@ -248,7 +248,7 @@ def _note_impact(p: Any, s: Any) -> None:
     speed = sqrt(s.head[3] * s.head[3] + s.head[4] * s.head[4])
     if s.phase == Phase.IMPACT:
         s.swing.fastest_head = max(s.swing.fastest_head, speed)
-        if speed < (1.0 - p.strike_drop) * s.swing.fastest_head:
+        if speed < (1.0 - p.impact_speed_drop) * s.swing.fastest_head:
             s.swing.struck = True
 
 

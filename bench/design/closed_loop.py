@@ -97,7 +97,7 @@ def imprint(bench: SimulatedBench, opening: Array) -> Profile:
     state = rehearsal.bench.state.pid[0]
     gains = gains_along(rehearsal.bench.parameters.pid, cycles["angle"], float(state["supply_factor"]) or 1.0)
     damped = control.downswing_damping * gains[:, DAMPING]
-    stiff = control.downswing_stiffness * gains[:, DERIVATIVE]
+    stiff = control.downswing_gain_factor * gains[:, DERIVATIVE]
     away = _silent_velocity(cycles["velocity"], acceleration, window, profile.period, stiff, damped)
     velocity[rows] = cycles["velocity"] + away
     derivative = stiff * away

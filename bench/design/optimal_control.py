@@ -270,8 +270,8 @@ class DownswingProblem:
     """Shoulder rad/s, rod m/s, wrist rad/s."""
     shoulder_back: float
     """Max speed of the shoulder backwards, rad/s."""
-    stop_speed: tuple[float, float, float]
-    stop_deceleration: tuple[float, float, float]
+    end_stop_max_speed: tuple[float, float, float]
+    min_deceleration: tuple[float, float, float]
     """Ability of the joints to stop before their end stops, required until `committed` (rad, m, rad)."""
     committed: float
     """Time before the ball from which on it is not required, s."""
@@ -473,7 +473,7 @@ def _stop_distance(
     """
     ca = load_casadi()
     towards = speed * ca.sqrt(speed**2 + 0.01)
-    at_end, braking = np.array(p.stop_speed) ** 2, 2.0 * np.array(p.stop_deceleration)
+    at_end, braking = np.array(p.end_stop_max_speed) ** 2, 2.0 * np.array(p.min_deceleration)
     ends = np.array([[a.lower, a.upper] for a in plant.actuators])
     scale = np.tile(at_end, 2)
     upwards = 0.9 * (at_end + braking * (ends[:, 1] - place)) - towards

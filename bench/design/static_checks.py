@@ -199,7 +199,7 @@ def other_rate(profile: Profile, plant: PlantParameters) -> str:
 
 def beyond_range(profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings) -> str:
     """Return where the swing leaves the working range of a joint; empty if it does not."""
-    motion, share = Motion(profile, plant), envelope.minimum_stop_margin
+    motion, share = Motion(profile, plant), envelope.absorber_travel_fraction
     for i, actuator in enumerate(plant.actuators):
         beyond = _beyond(actuator, motion.position[:, i])
         k = int(beyond.argmax())
@@ -216,7 +216,7 @@ def _beyond(actuator: Actuator, position: Array) -> Array:
 
 def _range(plan: MachineSwing) -> Check:
     """Check the end stops: within the envelope's share of the cushion and its rated energy."""
-    share, faults, texts, ratings = plan.envelope.minimum_stop_margin, [], [], []
+    share, faults, texts, ratings = plan.envelope.absorber_travel_fraction, [], [], []
     for i, actuator in enumerate(plan.plant.actuators):
         position, unit, stop = plan.motion.position[:, i], _POSITION[i], actuator.stop
         beyond = _beyond(actuator, position)
@@ -290,11 +290,13 @@ def _clearance(plan: MachineSwing) -> Check:
     nearest = np.clip(-(wrist * along).sum(axis=1), 0.0, robot.club.length_to_face)
     distance = np.linalg.norm(wrist + nearest[:, None] * along, axis=1)
     j = int(distance.argmin())
-    if distance[j] < envelope.frame_radius:
-        found, wanted = f"club {distance[j]:.3f} m from R1", f"at least {envelope.frame_radius:g} m"
+    if distance[j] < envelope.min_frame_distance:
+        found, wanted = f"club {distance[j]:.3f} m from R1", f"at least {envelope.min_frame_distance:g} m"
         faults.append(plan.row(("angle_rad", j, None), found, wanted, "Keep the club off the frame."))
     found = f"ground {1e3 * height[k]:.0f} mm · frame {1e3 * distance[j]:.0f} mm"
-    return Check("clearance", found, f"{1e3 * needed[k]:g} · {1e3 * envelope.frame_radius:g} mm", faults)
+    return Check(
+        "clearance", found, f"{1e3 * needed[k]:g} · {1e3 * envelope.min_frame_distance:g} mm", faults
+    )
 
 
 def _lever(plan: MachineSwing) -> Check:

@@ -151,7 +151,7 @@ class Workbench:
         hold = Instant("hold", 0)
         runs = [self._healthy(hold, event) for event in _WITH_AND_WITHOUT_BALL]
         safety = SafetyLimits(
-            frame_radius=self.envelope.frame_radius,
+            min_frame_distance=self.envelope.min_frame_distance,
             access_pressure=1.01 * holding_pressure(self.configuration.plant),
         )
         return CaseLimits(self.plant, safety, max(run.loads.peak_head_speed for run in runs))

@@ -50,7 +50,8 @@ REST = 1.0
 SETTLING_TIMEOUT = 10.0
 """s for which home, arm and reset wait until the robot rests, and arm until no chamber shows pressure.
 
-As long as a raised arm may take to sink, and as chambers may take to vent as shipped (`lifecycle.vent_time`).
+As long as a raised arm may take to sink, and as chambers may take to vent as shipped
+(`lifecycle.vent_timeout`).
 """
 
 PRESSURE_TIMEOUT = 60.0

@@ -20,7 +20,7 @@ class SafetyLimits:
     ground_touch: float = 0.005
     """Depth to which the turf may be pressed, m: a club that sinks to the ground while the air leaves touches
     it at up to about 2 m/s, which the ground's stiffness turns into this depth. A site's divot adds to it."""
-    frame_radius: float = 0.0
+    min_frame_distance: float = 0.0
     """Min distance of the club from the shoulder axis, m."""
     head_share: float = 1.05
     """Share of the profile's head speed."""
@@ -59,7 +59,7 @@ def unsafe_reasons(end: RunEnd, limits: SafetyLimits) -> list[str]:
         found.append(f"a chamber reached {100 * loads.pressure_share:.0f} % of its rating")
     if not loads.lowest_clearance >= -(limits.ground_touch + loads.divot):
         found.append(f"the head went {-1e3 * loads.lowest_clearance:.0f} mm into the ground")
-    if end.frame_distance is not None and not end.frame_distance >= limits.frame_radius:
+    if end.frame_distance is not None and not end.frame_distance >= limits.min_frame_distance:
         found.append(f"the club came within {1e3 * end.frame_distance:.0f} mm of the shoulder axis")
     if end.head_share is not None and not end.head_share <= limits.head_share:
         found.append(f"the head reached {100 * end.head_share:.0f} % of the profile's speed")

@@ -141,7 +141,7 @@ class SwingOperator(Generic[AnyStepper]):
         """Return whether no joint has moved for as long as counts as rest; else the bench refuses to arm."""
         control = self.control
         since = control["time"][0] - control["moved_at"][0]
-        return bool(since >= self.stepper.parameters.control["still_time"][0])
+        return bool(since >= self.stepper.parameters.control["rest_time"][0])
 
     def is_vented(self) -> bool:
         """Return whether it is still, and no sensor shows pressure in a chamber; else nothing is armed."""
@@ -200,7 +200,7 @@ class SwingOperator(Generic[AnyStepper]):
         parameters = self.stepper.parameters
         if not parameters.profile["air_planned"][0]:
             return True
-        longest = float(parameters.control["air_timeout"][0]) + 1.0
+        longest = float(parameters.control["pressure_timeout"][0]) + 1.0
         return self.run_until(lambda: bool(self.control["address_air"]["ready"][0]), longest)
 
     def start_swing(self, attempts: int, wait: int) -> bool:

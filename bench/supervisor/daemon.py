@@ -543,10 +543,10 @@ class Daemon:
             if cause is not old[3]:
                 envelope, period = self.configuration.envelope, 1.0 / self.configuration.loop.rate
                 last = cycles[max(k - BEFORE, 0) : k + 1].copy()
-                self._explain = partial(stall_note, last, cause, envelope.lost_time, period)
+                self._explain = partial(stall_note, last, cause, envelope.encoder_timeout, period)
                 self._stall = self._explain(self._device["trouble"])
                 gap = max(self._turn_gap, time.monotonic() - self._turned)
-                silence = self.configuration.lifecycle.supervisor_time
+                silence = self.configuration.lifecycle.supervisor_timeout
                 self._stall = self._stall or supervisor_note(cause, gap, silence)
                 if self._stall:
                     _log.warning("%s: %s", cause.name, self._stall)

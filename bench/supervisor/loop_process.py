@@ -180,7 +180,7 @@ class LoopProcess:
             stack.enter_context(adopt(self.plan.lock))
             ring = RingWriter(folder / RING_FILE, ring_capacity(c.loop.rate))
             stack.callback(ring.close)
-            self.orders = Orders(folder / SUPERVISION_FILE, c.lifecycle.supervisor_time)
+            self.orders = Orders(folder / SUPERVISION_FILE, c.lifecycle.supervisor_timeout)
             stack.callback(self.orders.close)
             self.snapshots = SharedRecord.create(folder / SNAPSHOT_FILE, SNAPSHOT)
             stack.callback(self.snapshots.close)

@@ -40,15 +40,16 @@ BEFORE = 20
 
 
 def stall_note(
-    cycles: np.ndarray[Any, Any], cause: Cause, lost_time: float, period: float, trouble: str = ""
+    cycles: np.ndarray[Any, Any], cause: Cause, encoder_timeout: float, period: float, trouble: str = ""
 ) -> str:
     """Return what explains a stop with `cause` better than a broken encoder; empty if nothing does.
 
     `trouble` is why the device does not follow commands, if that is known.
 
-    `cycles` (n,) of CYCLE end with the record in which the stop begins. Without a reading for `lost_time` (s)
-    an encoder is lost; the loop's `period` is in s. A loop that stands still misses the readings of all
-    three, and so does one whose simulated robot or bus does: a cable or its plug loses one.
+    `cycles` (n,) of CYCLE end with the record in which the stop begins. Without a reading for
+    `encoder_timeout` (s) an encoder is lost; the loop's `period` is in s. A loop that stands still misses
+    the readings of all three, and so does one whose simulated robot or bus does: a cable or its plug loses
+    one.
     """
     if cause is Cause.DEVICE_PASSIVE:
         return trouble
@@ -56,10 +57,10 @@ def stall_note(
         return ""
     last = cycles[-BEFORE:]
     lost, jump = last["encoder_valid"] == 0, cause in _JUMPS
-    late = np.all(lost | (last["encoder_age"] >= lost_time / 2), axis=1).any()
-    missing = np.all(lost[-1] | (last["encoder_age"][-1] >= lost_time))
+    late = np.all(lost | (last["encoder_age"] >= encoder_timeout / 2), axis=1).any()
+    missing = np.all(lost[-1] | (last["encoder_age"][-1] >= encoder_timeout))
     gap = float(last["measured_step"].max())
-    if gap - period >= lost_time / 2:
+    if gap - period >= encoder_timeout / 2:
         return (
             f"the loop stood still for {1e3 * gap:.1f} ms just before, a stall of this machine: run "
             "golfbench doctor; a simulated robot waits for the loop with golfbench run --time paced"

@@ -1,7 +1,7 @@
 """The bench's hardware on CANopen behind the driver contract.
 
 A tick: send SYNC, receive three positions, decide, send one command. Frames have precomputed identifiers and
-are received and sent in the loop's own thread; `read` waits at most `answer_time` for positions. The startup
+are received and sent in the loop's own thread; `read` waits at most `sync_timeout` for positions. The startup
 (`drivers.canopen.setup`) may take some tenths of a second.
 
 Errors are counted (`counters`) and have one of three outcomes:
@@ -282,7 +282,7 @@ class CanopenDriver:
     def _begin(self) -> None:
         """Run the startup sequence."""
         nodes = [
-            Node(number, role, self._put, self._next, self.clock, self.settings.service_time)
+            Node(number, role, self._put, self._next, self.clock, self.settings.sdo_timeout)
             for number, role in zip(self._numbers, self._roles, strict=True)
         ]
         for node in nodes:
@@ -318,7 +318,7 @@ class CanopenDriver:
         Raises:
             DriverError: a node has not within the time-out.
         """
-        longest = _MISSED * self.settings.heartbeat + self.settings.service_time
+        longest = _MISSED * self.settings.heartbeat + self.settings.sdo_timeout
         end = self.clock() + longest
         while (left := end - self.clock()) > 0.0 and any(state != _OPERATIONAL for state in self._states):
             self._next(min(left, self._beat_period))
@@ -341,7 +341,7 @@ class CanopenDriver:
         """
         self._awaited, self._in_time = _ALL, True
         self._put(self._sync)
-        end = self.clock() + self.settings.service_time
+        end = self.clock() + self.settings.sdo_timeout
         while self._awaited and (left := end - self.clock()) > 0.0:
             self._next(min(left, self._beat_period))
             self._put(self._passive_frame)
@@ -351,7 +351,7 @@ class CanopenDriver:
                     f"canopen: node {self._numbers[joint]} ({self._roles[joint]}), object "
                     f"{self.settings.encoders.position:04X}h in "
                     f"TPDO{self.settings.encoders.position_pdo - 0x17FF}: found no answer to SYNC within "
-                    f"{self.settings.service_time:g} s, expected one; check that its SYNC identifier (1005h) "
+                    f"{self.settings.sdo_timeout:g} s, expected one; check that its SYNC identifier (1005h) "
                     "is 080h"
                 )
         self._sampled, self._seen = [ABSENT] * 3, [False] * 3  # loop time has not started
@@ -387,7 +387,7 @@ class CanopenDriver:
     def read(self, time: float) -> Readings:
         """Trigger the encoders with SYNC and return all readings at `time` (s).
 
-        Takes up to `answer_time` when a sample is missing. The time stamp of a sample is the transmission
+        Takes up to `sync_timeout` when a sample is missing. The time stamp of a sample is the transmission
         time of its SYNC, slightly after `time`: microseconds matter for velocity and acceleration.
 
         Raises:
@@ -421,7 +421,7 @@ class CanopenDriver:
                 if not math.isnan(sent):
                     counters.syncs += 1
                     self._sync_time, self._awaited, self._came, self._in_time = sent, _ALL, 0, True
-                    self._waiting_until = clock() + self.settings.answer_time
+                    self._waiting_until = clock() + self.settings.sync_timeout
             if not math.isnan(self._waiting_until):
                 while self._awaited and (left := self._waiting_until - clock()) > 0.0:
                     waiting = self._receive(link, left)
@@ -707,7 +707,7 @@ class CanopenDriver:
         values = {field: getattr(self, name) for field, name in (SHARED | FIXED).items()}
         values |= {"sync": words_of(self._sync), "beat": words_of(self._beat), "applied": self._applied}
         values |= {"descriptor": link.descriptor, "echoed": link.echoed, "ahead": link.ahead}
-        values["answer_time"] = self.settings.answer_time
+        values["sync_timeout"] = self.settings.sync_timeout
         self._native.store(values, self._pressures, self._pressures_received)
 
     def _take_over(self) -> None:

@@ -123,7 +123,7 @@ LINK_STATE = np.dtype(
         ("pressure_scale", "f8"),
         ("believable", "f8", (2,)),
         ("max_step", "f8"),
-        ("answer_time", "f8"),
+        ("sync_timeout", "f8"),
         ("beat_period", "f8"),
         ("max_silence", "f8"),
         ("max_input_gap", "f8"),
@@ -384,7 +384,7 @@ def _synchronise(states: Any, block: int) -> bool:
         return False
     s.counters[_SYNCS] += 1
     s.sync_time, s.awaited, s.came, s.in_time = sent, ALL, 0, 1
-    s.end, s.waiting = _now(block, _MONOTONIC) / 1e9 + s.answer_time, 1
+    s.end, s.waiting = _now(block, _MONOTONIC) / 1e9 + s.sync_timeout, 1
     return True
 
 

@@ -142,7 +142,7 @@ class _Scanner:
         for number in numbers:
             self._send(frame(SDO_REQUEST + number, _READ_DEVICE_TYPE))
             found |= self._listen(_GAP)
-        return found | self._listen(self._settings.service_time)
+        return found | self._listen(self._settings.sdo_timeout)
 
     def _listen(self, duration: float) -> set[int]:
         """Listen for `duration` s; return the nodes that answered a question."""
@@ -193,7 +193,7 @@ class _Scanner:
             self._send,
             self._take,
             self._clock,
-            self._settings.service_time,
+            self._settings.sdo_timeout,
         )
         device = properties = verdict = shift = ""
         try:

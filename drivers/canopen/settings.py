@@ -141,9 +141,9 @@ class CanopenSettings:
     """Bit rate (bit/s); with SocketCAN it must equal the bit rate set for the link."""
     master: NodeNumber = 127
     """Node number of the bench, used in its heartbeat."""
-    answer_time: Annotated[float, Above(0.0), AtMost(0.01)] = 0.0006
+    sync_timeout: Annotated[float, Above(0.0), AtMost(0.01)] = 0.0006
     """Time-out of a tick for the encoders' answers to SYNC, s."""
-    service_time: Annotated[float, Above(0.0), AtMost(2.0)] = 0.1
+    sdo_timeout: Annotated[float, Above(0.0), AtMost(2.0)] = 0.1
     """SDO time-out, s."""
     heartbeat: Annotated[float, AtLeast(0.005), AtMost(1.0)] = 0.05
     """Heartbeat period of a node, s; a node is lost after three missing heartbeats."""

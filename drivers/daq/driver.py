@@ -388,7 +388,7 @@ class DaqDriver:
         volts, (a, b, c), s = self._volts, command.valve, self.settings
         first, second, third = s.centre
         volts[0], volts[1], volts[2] = first + s.span * a, second + s.span * b, third + s.span * c
-        self._valves.write_one_sample(volts, s.answer_time)
+        self._valves.write_one_sample(volts, s.sync_timeout)
 
     def _write_lines(self, command: Command) -> None:
         lines = self._lines
@@ -396,11 +396,11 @@ class DaqDriver:
         lines[2], lines[3], lines[4] = not command.guard_lock, command.beacon, command.tee
         if self._sync >= 0:
             lines[self._sync] = False
-        self._outputs.write_one_sample_one_line(lines, self.settings.answer_time)
+        self._outputs.write_one_sample_one_line(lines, self.settings.sync_timeout)
 
     def _read_counters(self, time: float) -> None:
         """Sample each encoder; a missing sample leaves the last one."""
-        clock, timeout = self.clock, self.settings.answer_time
+        clock, timeout = self.clock, self.settings.sync_timeout
         begin = latched = clock()
         if self.hardware_timed:
             if self._lines[self._sync]:  # no command was written since
@@ -425,11 +425,11 @@ class DaqDriver:
             self._sampled[joint] = time + ((latched if self.hardware_timed else clock()) - begin)
 
     def _read_inputs(self) -> None:
-        self._interlocks.read_one_sample_one_line(self._inputs, self.settings.answer_time)
+        self._interlocks.read_one_sample_one_line(self._inputs, self.settings.sync_timeout)
 
     def _read_pressures(self) -> None:
         if self._analogue is not None:
-            self._analogue.read_one_sample(self._pressures, self.settings.answer_time)
+            self._analogue.read_one_sample(self._pressures, self.settings.sync_timeout)
 
     def _readings(self, time: float) -> Readings:
         s, inputs = self.settings, self._inputs.tolist()

@@ -84,7 +84,7 @@ class DaqSettings:
     """Highest believable pressure, Pa absolute: more is a short circuit."""
     pressure_ticks: Annotated[int, AtLeast(1), AtMost(240)] = 10
     """Ticks between two pressure readings."""
-    answer_time: Annotated[float, Above(0.0), AtMost(0.01)] = 0.001
+    sync_timeout: Annotated[float, Above(0.0), AtMost(0.01)] = 0.001
     """Time-out of the card for reading or writing, s."""
     sync_line: str = ""
     """Digital output that rises in each tick and is wired to `sync_terminal`: one edge latches all three

@@ -70,11 +70,11 @@ class SimulatorClient:
         device: str = "golfbench",
         *,
         clock: Callable[[], float] = wall.monotonic,
-        answer_time: float = ANSWER_TIME,
+        sync_timeout: float = ANSWER_TIME,
         reconnect: float = RECONNECT,
     ) -> None:
         self.settings, self.device = settings, device
-        self._clock, self._answer_time, self._reconnect = clock, answer_time, reconnect
+        self._clock, self._answer_time, self._reconnect = clock, sync_timeout, reconnect
         self._lock = threading.Lock()
         self._wakeup = threading.Event()
         self._stopping = threading.Event()

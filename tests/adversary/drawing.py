@@ -66,7 +66,7 @@ def drawn_setup(random: Generator) -> Setup:
         local_reset=bool(random.uniform() < 0.7),
         series=bool(random.uniform() < 0.5),
         warning_time=float(random.choice([0.5, 1.0, 2.0])),
-        armed_time=float(random.choice([8.0, 120.0])),
+        armed_timeout=float(random.choice([8.0, 120.0])),
         turned=(float(turned[0]), float(turned[1]), float(turned[2])),
         seed=int(random.integers(1, 10**6)),
     )

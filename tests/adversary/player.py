@@ -53,7 +53,7 @@ def _built(setup: Setup) -> tuple[Plant, ControlParameters]:
         local_reset=setup.local_reset,
         series=setup.series,
         warning_time=setup.warning_time,
-        armed_time=setup.armed_time,
+        armed_timeout=setup.armed_timeout,
     )
     homing = replace(c.homing, method="index" if setup.incremental else "absolute")
     envelope = c.envelope.with_model_check("always" if setup.check else "off")

@@ -41,7 +41,7 @@ def shrink(story: Story, longest: float = 120.0) -> Story:
     """Return a short story that breaks the same kind of thing, as far as `longest` seconds go."""
     wanted, end = kind_of(story.found), time.monotonic() + longest
     plain = Setup(configuration=story.setup.configuration, seed=story.setup.seed)
-    for name in ("turned", "incremental", "sensors", "check", "local_reset", "series", "armed_time"):
+    for name in ("turned", "incremental", "sensors", "check", "local_reset", "series", "armed_timeout"):
         simpler = replace(story, setup=replace(story.setup, **{name: getattr(plain, name)}))
         if simpler.setup != story.setup and kind_of(found := breaks(simpler)) == wanted:
             story = replace(simpler, found=found)

@@ -33,7 +33,7 @@ class Setup:
     local_reset: bool = True
     series: bool = False
     warning_time: float = 1.0
-    armed_time: float = 120.0
+    armed_timeout: float = 120.0
     turned: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """rad from the hanging pose at power-up."""
     seed: int = 1

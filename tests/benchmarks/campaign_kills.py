@@ -138,7 +138,7 @@ def plan_of(blocks: int) -> CampaignPlan:
         stop=replace(plan.stop, rule="fixed"),
         ball_handling=replace(plan.ball_handling, samples=1000),
         simulation=replace(
-            plan.simulation, missing_launch=(7, 30), missed_ball=(9,), feeder_jam=(12,), door_opened=(15,)
+            plan.simulation, missing_launch=(7, 30), missed_ball=(9,), feeder_jam=(12,), guard_opened=(15,)
         ),
     )
 

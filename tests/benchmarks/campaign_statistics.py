@@ -20,7 +20,7 @@ from bench.campaign.plan.plan import CampaignPlan, levels
 from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.plan.shot_sequence import Role, block_trials, sections
 from bench.campaign.statistics.analysis import analyse
-from bench.campaign.statistics.sample_size import foreseen
+from bench.campaign.statistics.sample_size import predict_precision
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot, ShotStatus
 from tests.benchmarks.row import Row
@@ -174,7 +174,7 @@ def survey(campaigns: int, swept: Sweeper = in_this_process) -> list[Row]:
     rate("two balls, equal: interval covers the truth", null.covered, null.pairs, 0.95)
     rate("two balls, equal: called different", null.found, null.campaigns, 0.05)
     a = two.analysis
-    ahead = foreseen(two, 2.0, 0.0)
+    ahead = predict_precision(two, 2.0, 0.0)
     if ahead is None:
         raise RuntimeError("nothing is foreseen")
     same = ahead.same(a.margin, 0.05)

@@ -25,7 +25,7 @@ from tests.benchmarks.row import Row
 from tests.drivers.canopen.frame_classes import CLASSES
 from tests.drivers.canopen.socket_rig import MOVING, NODE, SETTINGS, Found, Rig, found
 
-_PATIENT = replace(SETTINGS, answer_time=0.25)
+_PATIENT = replace(SETTINGS, sync_timeout=0.25)
 """An answer is missing because it was not sent, not because this machine is busy."""
 _TICKS = 150
 """Ticks of an episode."""

@@ -74,7 +74,7 @@ class NodesProcess:
 
     def __init__(self, folder: Path) -> None:
         self.settings = CanopenSettings(  # patient: the machine may be busy
-            "local_socket", str(folder / "can"), heartbeat=0.05, interlock_period=0.3, service_time=2.0
+            "local_socket", str(folder / "can"), heartbeat=0.05, interlock_period=0.3, sdo_timeout=2.0
         )
         plan = NodesPlan(
             self.settings.interface,

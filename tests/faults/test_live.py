@@ -26,8 +26,8 @@ PATIENT = """
 name = "{driver}"
 watchdog = 0.3
 [envelope]
-lost_time = 0.2
-max_gap = 0.3
+encoder_timeout = 0.2
+max_tick_interval = 0.3
 [faults.sticking]
 signal = "shoulder valve"
 kind = "stuck"

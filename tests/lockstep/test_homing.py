@@ -114,7 +114,7 @@ def test_one_joint_after_the_other(make_bench: MakeBench) -> None:
     assert names == list(HOMING.order)
     unknown = records["encoder_indexed"] == 0
     assert (np.abs(records["reference_velocity"] * unknown).max(axis=0) <= HOMING.speed).all()
-    assert (np.abs(records["reference_velocity"]).max(axis=0) <= HOMING.touch_speed).all()
+    assert (np.abs(records["reference_velocity"]).max(axis=0) <= HOMING.stop_contact_speed).all()
 
 
 def test_until_it_is_homed_nothing_else_moves(make_bench: MakeBench) -> None:

@@ -114,7 +114,7 @@ CHANGES: dict[str, tuple[Path, Change, str]] = {
     "brake gain, follow-through": (SWING, scale("control", "brake_gain", 1), "desired_valve"),
     "brake gain, stop": (STOP, scale("control", "brake_gain", 1), "desired_valve"),
     "brake damping": (STOP, scale("control", "brake_damping", 0), "desired_valve"),
-    "brake fade": (STOP, scale("control", "brake_fade", 2), "desired_valve"),
+    "brake fade": (STOP, scale("control", "brake_fade_speed", 2), "desired_valve"),
     "move speed": (SWING, scale("control", "move_speed", None), "reference_angle"),
     "process noise": (SWING, scale("estimator", "density", None), "velocity"),
     "encoder zero": (SWING, lambda p: p.encoder["zero_count"].__iadd__(0.001), "angle"),
@@ -308,11 +308,11 @@ def without(metadata: dict[str, Any], *keys: str) -> dict[str, Any]:
 
 def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> None:
     metadata = without(
-        without(swing[1], "configuration", "control", "strike_drop"), "configuration", "homing"
+        without(swing[1], "configuration", "control", "impact_speed_drop"), "configuration", "homing"
     )
     replay = replay_cycles(swing[0], metadata, "swing")
     assert set(replay.defaults) == {
-        "control.strike_drop",
+        "control.impact_speed_drop",
         *(f"homing.{setting.name}" for setting in fields(HomingSettings)),
     }
     assert wrong(replay) == {}
@@ -345,7 +345,7 @@ def test_what_is_missing_or_damaged_is_told(
 
 def test_settings_that_this_program_does_not_take_are_all_named(swing: Record) -> None:
     metadata = json.loads(json.dumps(swing[1]))
-    metadata["configuration"]["control"]["still_time"] = -1.0
+    metadata["configuration"]["control"]["rest_time"] = -1.0
     metadata["configuration"]["envelope"]["glue"] = 3
     metadata["configuration"]["plant"]["robot"]["l12"] = "long"
     with pytest.raises(ExceptionGroup) as group:
@@ -353,7 +353,7 @@ def test_settings_that_this_program_does_not_take_are_all_named(swing: Record) -
     places = [error.place for error in group.value.exceptions if isinstance(error, BenchError)]
     assert [place.split(": ")[-1] for place in places] == [
         "plant.robot.l12",
-        "control.still_time",
+        "control.rest_time",
         "envelope.glue",
     ]
 

@@ -41,12 +41,12 @@ realtime = "require"
 name = "canopen"
 [canopen]
 channel = "{channel}"
-service_time = 1.0
-answer_time = {answer_time!r}
+sdo_timeout = 1.0
+sync_timeout = {sync_timeout!r}
 [lifecycle]
 local_reset = true
 [envelope]
-lost_time = {lost_time!r}
+encoder_timeout = {encoder_timeout!r}
 [plant]
 substeps = {substeps}
 """
@@ -101,8 +101,8 @@ def configuration(rate: float, channel: str) -> str:
     return _CONFIG.format(
         rate=rate,
         channel=channel,
-        answer_time=0.5 / rate,
-        lost_time=max(0.0045, 2.5 / rate),
+        sync_timeout=0.5 / rate,
+        encoder_timeout=max(0.0045, 2.5 / rate),
         substeps=ceil(_PLANT_RATE / rate - 1e-9),
     )
 

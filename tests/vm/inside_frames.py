@@ -427,7 +427,7 @@ def main() -> int:
         bench, nodes, wire = bring_links_up(options.interface)
         start_nodes(options.rate, nodes)
         say("nodes live")
-        settings = CanopenSettings("socketcan", bench, answer_time=0.5 / options.rate, service_time=1.0)
+        settings = CanopenSettings("socketcan", bench, sync_timeout=0.5 / options.rate, sdo_timeout=1.0)
         driver = CanopenDriver(settings, period=1.0 / options.rate, watchdog=WATCHDOG)
         driver.open()
         in_real_time()

@@ -174,9 +174,9 @@ class Stop:
     """All blocks; or every interval of a difference narrow enough; or every pair shown to be the same."""
     width: Annotated[float, Range(0.0, 1e6, "")]
     """Max half width of a difference's interval, in the unit of the compared quantity."""
-    blocks_at_least: Annotated[int, Range(2, 100000, "")]
+    min_blocks: Annotated[int, Range(2, 100000, "")]
     looks: Annotated[int, Range(1, 50, "")]
-    """Number of looks at the data, evenly from blocks_at_least to blocks, the end included."""
+    """Number of looks at the data, evenly from min_blocks to blocks, the end included."""
 
 
 @dataclass(frozen=True)
@@ -312,9 +312,9 @@ class Simulation:
     feeder_jam: tuple[int, ...]
     feeder_empty: tuple[int, ...]
     wrong_ball: tuple[int, ...]
-    door_opened: tuple[int, ...]
+    guard_opened: tuple[int, ...]
     low_supply: tuple[int, ...]
-    monitor_away: tuple[int, ...]
+    monitor_disconnected: tuple[int, ...]
 
 
 @dataclass(frozen=True)

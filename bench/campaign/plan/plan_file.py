@@ -229,9 +229,9 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
 def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
     """Yield an error if the stopping rule lacks what it needs."""
     stop, d = plan.stop, plan.design
-    if stop.rule != "fixed" and stop.blocks_at_least > d.blocks:
+    if stop.rule != "fixed" and stop.min_blocks > d.blocks:
         wanted = f"up to design.blocks, {d.blocks}"
-        yield "stop.blocks_at_least", str(stop.blocks_at_least), wanted, "Lower it."
+        yield "stop.min_blocks", str(stop.min_blocks), wanted, "Lower it."
     if stop.rule != "fixed" and stop.looks < 2:
         yield "stop.looks", str(stop.looks), "at least 2: the last one is after all blocks", "Raise it."
     if stop.rule == "width" and not stop.width:

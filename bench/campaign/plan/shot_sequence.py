@@ -251,7 +251,7 @@ def looks_after(plan: CampaignPlan) -> frozenset[int]:
     stop, blocks = plan.stop, plan.design.blocks
     if stop.rule == "fixed":
         return frozenset()
-    points = np.linspace(stop.blocks_at_least, blocks, stop.looks)
+    points = np.linspace(stop.min_blocks, blocks, stop.looks)
     return frozenset(round(float(point)) for point in points) - {blocks}
 
 

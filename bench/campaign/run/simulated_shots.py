@@ -233,11 +233,11 @@ class SimulatedShots:
         """Take shot `number` with ball `sample`; a KeyboardInterrupt while arming passes."""
         s, arm = self._plan.simulation, step.trial.arm
         events = []
-        if number in s.door_opened:
+        if number in s.guard_opened:
             events.append(("guard", "guard opened; a simulated bench resets and arms itself"))
         if number in s.low_supply:
             events.append(("supply", "supply pressure too low; waited until it was back"))
-        if number in s.monitor_away:
+        if number in s.monitor_disconnected:
             events.append(("suspended", "no launch monitor is connected; it went on by itself when one was"))
         if trouble := self._feeder_trouble(arm.ball, number, sample):
             shot = self._shot(step, number, sample, None, ShotStatus.FAILED, trouble)

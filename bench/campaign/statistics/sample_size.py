@@ -246,7 +246,7 @@ def predict_precision(
     if fit.freedom < 1 or (plan.split and not enough_mountings(level, block, levels_)):
         return None
     units = units_of(level, ball, levels_)
-    errors = UnitLayout(fit, units, pooled=plan.split and are_pooled(units.balls)).predict_precision(
+    errors = UnitLayout(fit, units, pooled=plan.split and are_pooled(units.balls)).foreseen(
         np.full(levels_, deviation**2), (ball_deviation / deviation) ** 2
     )
     pairs = list(combinations(range(count), 2))

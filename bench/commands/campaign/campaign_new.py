@@ -190,7 +190,7 @@ def _write(
     if misfits:
         raise ExceptionGroup("the plan's swings do not fit", list(misfits.values()))
     if blocks is None and (needed := outlook(plan).needed):
-        sections["design"]["blocks"] = max(needed, plan.stop.blocks_at_least)
+        sections["design"]["blocks"] = max(needed, plan.stop.min_blocks)
         plan = written()
     return plan
 

@@ -46,7 +46,7 @@ def draw(
     plant = configuration.plant_with(club=club)
     output.mkdir(parents=True, exist_ok=True)
     rows = mass_rows(plant)
-    for path in _write(output, plant, configuration.envelope.frame_radius, format_):
+    for path in _write(output, plant, configuration.envelope.min_frame_distance, format_):
         typer.echo(str(path))
     path = output / "masses.csv"
     write_mass_table(path, rows)
@@ -58,7 +58,7 @@ def draw(
 
 
 def _write(
-    output: Path, plant: PlantParameters, frame_radius: float, format_: DrawingFormat | None
+    output: Path, plant: PlantParameters, min_frame_distance: float, format_: DrawingFormat | None
 ) -> list[Path]:
     """Write one format or all; return the files to name."""
     from importlib.util import find_spec
@@ -73,7 +73,7 @@ def _write(
         written.append(output / "robot.glb")
         write_gltf(written[-1], bodies)
     if format_ in (None, DrawingFormat.URDF):
-        written += write_urdf(output, plant, collision_outline(plant, frame_radius))[-2:]
+        written += write_urdf(output, plant, collision_outline(plant, min_frame_distance))[-2:]
     if format_ is DrawingFormat.STEP or (format_ is None and find_spec("build123d") is not None):
         written.append(output / "robot.step")
         write_step(written[-1], bodies)

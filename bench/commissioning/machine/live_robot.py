@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -160,9 +161,10 @@ class LiveRobot:
         while True:
             self._hear()
             if self._connection.poll(_LOOK):
-                number, done, answer = self._connection.recv()
+                number, done, pieces = self._connection.recv()
+                data = b"".join(self._connection.recv_bytes() for _ in range(pieces))
                 if number == self._number:  # an earlier order was interrupted by this one
-                    return done, answer
+                    return done, pickle.loads(data)  # noqa: S301 - of our own process
             elif not self._child.alive:
                 raise EOFError
 

@@ -14,7 +14,10 @@ to rest, and the machine passive.
 
 from __future__ import annotations
 
+import pickle
+import select
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -35,6 +38,8 @@ from drivers.canopen.frames import MAX_LOAD, bus_load
 
 _PRESSURE_TICKS = 2
 """Least ticks between two readings of the pressures; three missed ones are a lost sensor."""
+_PIECE = 32 << 10
+"""Bytes of an answer sent at once: a socket that is writable takes them without waiting."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +109,32 @@ def serve(plan: MachinePlan, parent: Parent) -> None:
                 number, order = connection.recv()
             except EOFError:
                 return
-            connection.send((number, *_answer(server, order)))
+            _send(connection, number, *_answer(server, order), hold=server.hold, ends=interrupted)
+
+
+def _send(
+    connection: Connection,
+    number: int,
+    done: bool,
+    answer: Any,
+    *,
+    hold: Callable[[], None],
+    ends: _Interruption,
+) -> None:
+    """Send the answer to order `number` as its reader takes it, ticks in between.
+
+    The reader has no real-time priority: a tick that waits for it stops the robot.
+    """
+    data = pickle.dumps(answer)
+    pieces = range(0, len(data), _PIECE)
+    connection.send((number, done, len(pieces)))
+    for begin in pieces:
+        while not select.select((), (connection,), (), 0.0)[1]:
+            if ends.ends:
+                return
+            hold()
+        connection.send_bytes(data[begin : begin + _PIECE])
+        hold()
 
 
 def with_quick_pressures(c: Configuration) -> Configuration:

@@ -20,6 +20,7 @@ from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_TEXT, Cause, Phase, Refusa
 from bench.commissioning.machine.driver_machine import DriverMachine, stopped_by_operator
 from bench.commissioning.machine.machine import MotionBounds, Segment
 from bench.config import Configuration
+from bench.control.requests import near_address
 from bench.control.settings import (
     HomingSettings,
     LifecycleSettings,
@@ -108,6 +109,8 @@ class LiveSeries:
         for permission in ("supervisor_alive", "lease_held", "support_ready"):
             control[permission] = True  # who asks has this bench alone, and keeps what it returns
         self._operator = SwingOperator(Loop(cycle, clock), stop=stop, name=bench.profile.name)
+        self._operator.is_vented()  # compiled, or read from the cache, before a tick has to wait for it
+        near_address(cycle.parameters, cycle.state.estimator)
         self._operator.advance(round(_WARM_UP / clock.period))
         control["warm"] = True
         self._operator.advance(1)
@@ -149,9 +152,14 @@ class LiveSeries:
             operator.advance(round(HOLD / operator.period))
             loop.parameters = with_tables_of(loop.parameters, profile, self.bench.control, self.bench.model)
             operator.await_air()  # a joint that friction lets go may take the club to the ball
-            self._tee_up(ball=ball)
-            if operator.start_swing(_SWINGS, _CHUNK):
-                break
+            try:
+                self._tee_up(ball=ball)
+            except Refused:
+                if not (tries_left and self._stall()):
+                    raise
+            else:
+                if operator.start_swing(_SWINGS, _CHUNK):
+                    break
             self._require_no_stop()
             if not (tries_left and operator.cause):
                 raise operator.refusal("the robot does not come to rest there")
@@ -184,7 +192,7 @@ class LiveSeries:
         stopped = np.flatnonzero(cycles["trip"])
         if not len(stopped):
             return ""
-        first, lost = int(stopped[0]), self.bench.envelope.lost_time
+        first, lost = int(stopped[0]), self.bench.envelope.encoder_timeout
         cause, trouble = Cause(int(cycles["trip"][first])), getattr(self._driver, "trouble", "")
         if cause is Cause.TICK_GAP:
             return CAUSE_WORDS[cause][1]

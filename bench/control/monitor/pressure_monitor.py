@@ -57,7 +57,7 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
     r, sensors, vents = readings[0], s.sensors, s.vents
     passed = min(step, _LONGEST)
     # Nothing that has been open to the air for so long holds less than the atmosphere.
-    emptied = s.phase == Phase.STANDING and time - s.venting.start > p.vent_time
+    emptied = s.phase == Phase.STANDING and time - s.venting.start > p.vent_timeout
     for k in range(SENSORS):
         pressure = r.supply_pressure if k == 0 else r.chamber_pressure[k - 1]
         if _is_believable(p, pressure) and not (emptied and pressure < p.rest_pressure):
@@ -219,7 +219,7 @@ def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
     if fitted and not opened and s.state != State.ACCESS:
         return False
     if dead:
-        return bool(opened and passed >= p.vent_time + p.vented_blind)
+        return bool(opened and passed >= p.vent_timeout + p.rest_time_without_encoders)
     if whole:
-        return bool(fell or passed >= p.vent_time)
-    return bool(passed >= p.vent_time and (opened or not fitted))
+        return bool(fell or passed >= p.vent_timeout)
+    return bool(passed >= p.vent_timeout and (opened or not fitted))

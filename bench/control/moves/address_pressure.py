@@ -41,9 +41,9 @@ _STOPPING = 0.04
 _LOOSENING = 2.0
 """Times the dry friction that a force beyond the load comes to until a joint breaks away; static is less."""
 _SLIPS = 2.0
-"""Multiple of `still_speed` above which a joint slips; less may be a single count of its encoder."""
+"""Multiple of `rest_speed` above which a joint slips; less may be a single count of its encoder."""
 _CAUGHT = 8.0
-"""Times `still_speed` at which a joint may be caught."""
+"""Times `rest_speed` at which a joint may be caught."""
 _FIRM = 0.5
 """Share of the dry friction by which a stuck joint's force may be off: beyond friction it slides."""
 _NEARER = 0.5
@@ -101,7 +101,7 @@ def take_over_unsettled_move(s: Any, parameters: Any, estimator: Any, time: floa
         return False
     for i in range(3):
         away, speed = abs(parameters.angle[0, i] - estimator.angle[i]), abs(estimator.velocity[i])
-        if not (away <= _REACH * following[Phase.HOLD, i] and speed <= 2.0 * p.still_speed[i]):
+        if not (away <= _REACH * following[Phase.HOLD, i] and speed <= 2.0 * p.rest_speed[i]):
             return False
     for i in range(3):
         if not abs(parameters.angle[0, i] - estimator.angle[i]) <= p.address_tolerance[i]:
@@ -202,28 +202,28 @@ def regulate_address_pressure(state: Any, parameters: Any, time: float) -> None:
     for i in range(3):
         side = square_wave((time - s.address_air.since) / profile.dither_period[i])
         away, speed = parameters.angle[0, i] - e.angle[i], abs(e.velocity[i])
-        slips = speed > _SLIPS * p.still_speed[i]
+        slips = speed > _SLIPS * p.rest_speed[i]
         if time - s.address_air.since >= _PATIENCE:
             s.address_air.held[i] |= LATE
-        if time - s.address_air.since >= _PASSED and slips and abs(away) <= p.rest_band[i]:
+        if time - s.address_air.since >= _PASSED and slips and abs(away) <= p.address_deadband[i]:
             s.address_air.held[i] |= SLIPPED
         late, held = s.address_air.held[i] & LATE != 0, s.address_air.held[i] & HELD != 0
         stopped = s.address_air.held[i] & (LATE | SLIPPED) != 0
         ahead = away - _STOPPING * e.velocity[i] if slips and stopped else away
-        caught = (_CAUGHT if stopped else 1.0) * p.still_speed[i]
-        if not held and abs(ahead) <= p.rest_band[i] and speed <= caught:
+        caught = (_CAUGHT if stopped else 1.0) * p.rest_speed[i]
+        if not held and abs(ahead) <= p.address_deadband[i] and speed <= caught:
             held = True
-        elif not min(abs(away), abs(ahead)) <= min(_BAND * p.rest_band[i], p.address_tolerance[i]):
+        elif not min(abs(away), abs(ahead)) <= min(_BAND * p.address_deadband[i], p.address_tolerance[i]):
             held = False
         s.address_air.held[i] = (s.address_air.held[i] & (LATE | SLIPPED)) | (HELD if held else 0)
         missing = _missing(profile, air, i)
         force = _planned_force(plant, profile, air, i) - actuator_force(plant, air.pressure, i)
         firm = _FIRM * plant.coulomb[i] if late else np.inf
-        if not (missing <= p.air_tolerance and abs(force) <= firm and held):
+        if not (missing <= p.pressure_tolerance and abs(force) <= firm and held):
             s.address_air.swung[i] = 1
-        elif missing <= _NEARER * p.air_tolerance and abs(force) <= _NEARER * firm:
+        elif missing <= _NEARER * p.pressure_tolerance and abs(force) <= _NEARER * firm:
             s.address_air.swung[i] = 0
-        enough = _LEAKING * p.air_tolerance if late else 0.0
+        enough = _LEAKING * p.pressure_tolerance if late else 0.0
         settled = settled and held and (s.address_air.swung[i] == 0 or missing <= enough)
         rate = _CHARGING_RATE if slips and stopped else _RATE
         if held:
@@ -282,7 +282,7 @@ def dither_move(state: Any, parameters: Any, time: float) -> None:
     s, p, e, profile = state.control[0], parameters.control[0], state.estimator[0], parameters.profile[0]
     missed = _has_missed(s, time)
     for i in range(3):
-        if missed and abs(e.velocity[i]) > _SLIPS * p.still_speed[i]:
+        if missed and abs(e.velocity[i]) > _SLIPS * p.rest_speed[i]:
             state.pid[0].integral[i] = 0.0
         side = square_wave((time - s.move.start) / profile.dither_period[i])
         s.desired[i] += side * profile.dither_amplitude[i]
@@ -295,9 +295,9 @@ def address_air_cause(state: Any, parameters: Any, time: float) -> int:
     """Return the cause that names the chamber whose air is not as planned in time, or 0."""
     s, p, profile = state.control[0], parameters.control[0], parameters.profile[0]
     holding = s.phase == Phase.HOLD and not s.swinging
-    if not (profile.air_planned and holding and time - s.address_air.since > p.air_timeout):
+    if not (profile.air_planned and holding and time - s.address_air.since > p.pressure_timeout):
         return 0
     chamber, away = worst_chamber(profile, state.air[0])
-    if away <= p.air_tolerance:
+    if away <= p.pressure_tolerance:
         return Cause.ADDRESS_TIMEOUT.value  # a joint never came into its band
     return int(Cause.SHOULDER_A_AIR + chamber)

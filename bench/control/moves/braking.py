@@ -43,7 +43,7 @@ def brake_openings(s: Any, p: Any, e: Any) -> None:
     """Set the desired openings (3,) of the braking law."""
     for i in range(3):
         s.desired[i] = brake_opening(
-            p.brake_gain[i], p.brake_damping[i], p.brake_fade[i], e.velocity[i], e.acceleration[i]
+            p.brake_gain[i], p.brake_damping[i], p.brake_fade_speed[i], e.velocity[i], e.acceleration[i]
         )
 
 
@@ -64,7 +64,7 @@ def _rest_or_wait(s: Any, parameters: Any, e: Any, trusted: bool, time: float) -
     p = parameters.control[0]
     if not (trusted and is_slow_now(p, e)):
         s.still_since = time
-    if time - s.still_since >= p.still_time or time - s.reaction_start >= p.brake_time:
+    if time - s.still_since >= p.rest_time or time - s.reaction_start >= p.brake_timeout:
         enter_standstill(s, parameters, time)
 
 
@@ -96,10 +96,10 @@ def wait_passive(state: Any, parameters: Any, trusted: bool, time: float) -> Non
 
 
 @compiled
-def _note_unseen(s: Any, lost_time: float, e: Any) -> None:
+def _note_unseen(s: Any, encoder_timeout: float, e: Any) -> None:
     """Note the joints whose encoder gives nothing to brake by; one that comes back stays doubtful."""
     for i in range(3):
-        seen = e.without_sample[i] < lost_time and np.isfinite(e.velocity[i] + e.acceleration[i])
+        seen = e.without_sample[i] < encoder_timeout and np.isfinite(e.velocity[i] + e.acceleration[i])
         if not seen:
             s.unseen[i] = 1
 
@@ -110,21 +110,21 @@ def brake_blind(state: Any, parameters: Any, time: float) -> None:
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     since = time - s.reaction_start
     longest = 0.0
-    _note_unseen(s, parameters.envelope[0].lost_time, e)
+    _note_unseen(s, parameters.envelope[0].encoder_timeout, e)
     for i in range(3):
         s.desired[i] = s.feed_forward[i] = 0.0
         if s.unseen[i] == 0:
             s.reference[i], s.reference_velocity[i] = e.angle[i], 0.0
             s.desired[i] = brake_opening(
-                p.brake_gain[i], p.brake_damping[i], p.brake_fade[i], e.velocity[i], e.acceleration[i]
+                p.brake_gain[i], p.brake_damping[i], p.brake_fade_speed[i], e.velocity[i], e.acceleration[i]
             )
-            if not abs(e.velocity[i]) <= p.still_speed[i]:
+            if not abs(e.velocity[i]) <= p.rest_speed[i]:
                 s.still_since = time
         elif s.blind_row >= 0:
             duration = parameters.blind_brake[s.blind_row, 3 + i]
             longest = max(longest, duration)
             if since < duration:
                 s.desired[i] = parameters.blind_brake[s.blind_row, i]
-    rests = time - s.still_since >= p.still_time or since >= p.brake_time
-    if since >= longest + p.blind_settle and rests:
+    rests = time - s.still_since >= p.rest_time or since >= p.brake_timeout
+    if since >= longest + p.open_loop_settling_time and rests:
         enter_standstill(s, parameters, time)

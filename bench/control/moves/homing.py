@@ -197,7 +197,7 @@ def bounded(p: Any, opening: float) -> float:
 
 @compiled
 def search_cause(
-    s: Any, p: Any, following: Any, max_gap: float, angle: Any, velocity: Any, time: float
+    s: Any, p: Any, following: Any, max_tick_interval: float, angle: Any, velocity: Any, time: float
 ) -> int:
     """Return the cause that ends the search, or 0; `following` (3,) rad is the max following error.
 
@@ -205,7 +205,7 @@ def search_cause(
     stuck. While zeros are unknown the model-based check is blind to it.
     """
     h = s.homing
-    if not 0.0 <= s.measured_step <= max_gap:
+    if not 0.0 <= s.measured_step <= max_tick_interval:
         return Cause.TICK_GAP
     if not time - h.began <= p.home_longest:
         return Cause.HOMING_FAILED

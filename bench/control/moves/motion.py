@@ -62,7 +62,7 @@ def follow(state: Any, parameters: Any, time: float, measured_step: float) -> No
         for i in range(3):
             # Near enough is left alone: with dry friction an integral would hunt for ever.
             away = parameters.angle[0, i] - e.angle[i]
-            moved = abs(away) > p.rest_band[i] and s.address_air.held[i] & HELD == 0
+            moved = abs(away) > p.address_deadband[i] and s.address_air.held[i] & HELD == 0
             s.reference[i] = parameters.angle[0, i] if moved else e.angle[i]
             s.reference_velocity[i] = s.reference_acceleration[i] = s.feed_forward[i] = 0.0
     if s.phase == Phase.FOLLOW_THROUGH:
@@ -136,8 +136,8 @@ def _take_gains(s: Any, c: Any, d: Any, p: Any) -> None:
         interpolate_gains(d.gains, p, middle_pose(p), factor)
     if s.phase in (Phase.DOWNSWING, Phase.COMMITTED):
         for i in range(3):
-            d.gains[PROPORTIONAL, i] *= c.downswing_stiffness
-            d.gains[DERIVATIVE, i] *= c.downswing_stiffness
+            d.gains[PROPORTIONAL, i] *= c.downswing_gain_factor
+            d.gains[DERIVATIVE, i] *= c.downswing_gain_factor
     for i in range(3):
         s.move.gain[i] = d.gains[MOVE, i]
 

@@ -279,7 +279,7 @@ def _envelope(hardware: Hardware, ratings: list[float], speed: float) -> dict[st
     stops = zip((9.0, 5.2, 34.0), ratings, strict=True)
     return {
         "max_speed": [faster * limit for limit in (26.0, 6.0, 48.0)],
-        "stop_speed": [limit * sqrt(rating) for limit, rating in stops],
+        "end_stop_max_speed": [limit * sqrt(rating) for limit, rating in stops],
         "min_supply_pressure": _MIN_SUPPLY * hardware.pressure,
         "max_supply_pressure": _MAX_SUPPLY * hardware.pressure,
     }

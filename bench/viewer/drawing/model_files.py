@@ -13,8 +13,8 @@ the bench: shoulder, arm, wrist; rod and cylinder follow from them.
 
 The outlines that can collide are those of the clearance checks. `bench/control/envelope.py` and
 `bench/design/static_checks.py` take the club as the line from the wrist to the centre of the face with a sole
-at `plant.site.sole_depth` below it, the frame as a disc of `envelope.frame_radius` round R1, and the ground
-as a line. Here the same settings become solids; the checks' numbers stay their own.
+at `plant.site.sole_depth` below it, the frame as a disc of `envelope.min_frame_distance` round R1, and the
+ground as a line. Here the same settings become solids; the checks' numbers stay their own.
 """
 
 from __future__ import annotations
@@ -144,18 +144,23 @@ class CollisionOutline(NamedTuple):
     club_radius: float
     sole_radius: float
     """Ball round the centre of the face whose lowest point is the sole."""
-    frame_radius: float
+    min_frame_distance: float
     """Cylinder round R1, `frame_length` long across the swing plane."""
     frame_length: float
     ground: float
     """Height of the ground line in the swing plane."""
 
 
-def collision_outline(plant: PlantParameters, frame_radius: float) -> CollisionOutline:
-    """Return the outlines of a plant; `frame_radius` is the envelope's (m)."""
+def collision_outline(plant: PlantParameters, min_frame_distance: float) -> CollisionOutline:
+    """Return the outlines of a plant; `min_frame_distance` is the envelope's (m)."""
     club, site = plant.robot.club, plant.site
     return CollisionOutline(
-        club.length_to_face, club.shaft_radius, site.sole_depth, frame_radius, _FRAME_LENGTH, site.ground
+        club.length_to_face,
+        club.shaft_radius,
+        site.sole_depth,
+        min_frame_distance,
+        _FRAME_LENGTH,
+        site.ground,
     )
 
 
@@ -216,7 +221,7 @@ def write_urdf(folder: Path, plant: PlantParameters, outline: CollisionOutline) 
         _fixed(robot, "ground", body.name, rotation=Y_UP_TO_Z_UP)
     axes, origin = plane_to_golf(plant.robot, plant.site)
     plane = _link(robot, "swing_plane")
-    _cylinder(SubElement(plane, "collision"), outline.frame_radius, outline.frame_length)
+    _cylinder(SubElement(plane, "collision"), outline.min_frame_distance, outline.frame_length)
     _fixed(robot, "ground", "swing_plane", Y_UP_TO_Z_UP @ origin, Y_UP_TO_Z_UP @ axes)
     for body in drawing.fixed_in_plane:
         files += _visuals(_link(robot, body.name), folder, body)

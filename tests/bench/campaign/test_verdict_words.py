@@ -15,7 +15,7 @@ from bench.campaign.report.findings import findings
 from bench.campaign.report.verdicts import Verdict
 from bench.campaign.statistics.analysis import analyse
 from bench.campaign.statistics.block_model import scatter_ratios, successive_scatter
-from bench.campaign.statistics.sample_size import foreseen, series_needed
+from bench.campaign.statistics.sample_size import predict_precision, series_needed
 from bench.config import load_configuration
 from bench.records.shot.shot import Shot
 from tests.bench.campaign.known_truth import Case, Known, cases, drawn
@@ -173,7 +173,7 @@ def test_more_hits_of_the_same_balls_do_not_replace_balls() -> None:
 
 def test_power_is_foretold_by_the_same_degrees_of_freedom() -> None:
     plan = _case("2 levels, 12 balls").plan
-    ahead = foreseen(plan, 2.0, 1.0)
+    ahead = predict_precision(plan, 2.0, 1.0)
     assert ahead is not None
     assert ahead.freedom == pytest.approx(11)
     assert ahead.error == pytest.approx(np.sqrt(2 * (1 / 12 + 4 / 96)))

@@ -87,9 +87,9 @@ def test_a_real_robot_is_bounded_at_least_as_tightly(bound: Bound) -> None:
     ("name", "value"),
     [
         ("lifecycle.vented_pressure", 9e5),
-        ("envelope.max_gap", 100.0),
-        ("control.still_speed", 1e3),
-        ("control.brake_time", 1e-6),
+        ("envelope.max_tick_interval", 100.0),
+        ("control.rest_speed", 1e3),
+        ("control.brake_timeout", 1e-6),
         ("control.address_tolerance", 3.0),
     ],
 )

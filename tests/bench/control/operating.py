@@ -25,11 +25,11 @@ VENT, HOMING, SECURING = 0.02, 0.02, 2.0
 """s."""
 TIMES = replace(
     SIMULATED,
-    vented_still=0.0,
-    vented_blind=0.0,
-    vented_sinking=0.0,
-    vent_time=VENT,
-    armed_time=1.0,
+    rest_time_vented=0.0,
+    rest_time_without_encoders=0.0,
+    access_delay=0.0,
+    vent_timeout=VENT,
+    armed_timeout=1.0,
     series=False,
 )
 CONTROL = replace(QUICK, precharge_time=0.01)
@@ -105,7 +105,7 @@ def _reached(state: State, homed: bool, fitted: bool, given: tuple[tuple[str, An
     if state is State.STARTING:
         return puppet
     puppet.control["warm"] = True
-    puppet.run(round(1000 * puppet.parameters.control["vent_time"][0]) + 20)  # vented
+    puppet.run(round(1000 * puppet.parameters.control["vent_timeout"][0]) + 20)  # vented
     if state is State.ESTOP and not homed:
         return puppet
     press(puppet)

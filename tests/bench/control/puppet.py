@@ -33,7 +33,7 @@ ADDRESS = np.array([0.40, 4.30, 6.10])
 SAMPLES, SPACING = 700, 20
 BEGINS = (0, 100, 200, 300, 400, 500, 600)
 COUNTS = PlantParameters().encoders.counts_per_revolution
-QUICK = ControlSettings(gains="hand", precharge_time=0.02, move_timeout=0.2, blind_settle=0.1)
+QUICK = ControlSettings(gains="hand", precharge_time=0.02, move_timeout=0.2, open_loop_settling_time=0.1)
 """Its gains are those by hand: the machine's take a minute of plain Python, and these joints need none."""
 UNMODELLED = EnvelopeSettings(model=ModelSettings(check="off"))
 """These joints obey no law of motion."""

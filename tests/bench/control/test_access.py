@@ -38,7 +38,7 @@ def stick_open(puppet: Puppet, pressure: float = SUPPLY) -> None:
 
 def test_a_bench_that_is_started_beside_a_hanging_arm_waits_until_it_has_sunk() -> None:
     """Who restarted it a second after a stop may find the last air, and friction, still holding an arm."""
-    puppet = at_power_up(vented_still=0.05, vented_sinking=0.5)
+    puppet = at_power_up(rest_time_vented=0.05, access_delay=0.5)
     puppet.control["warm"] = True
     assert until(puppet, *LATCHED) in LATCHED
     puppet.run(400)
@@ -62,7 +62,7 @@ def test_the_guard_is_not_released_before_a_full_manifold(source: State) -> None
 
 @pytest.mark.parametrize("pressure", [HOLDING + 1.0, EMPTY_AT + 1.0, SUPPLY, inf])
 def test_any_pressure_in_the_manifold_counts(pressure: float) -> None:
-    puppet = reach(State.READY, vent_time=5.0)
+    puppet = reach(State.READY, vent_timeout=5.0)
     stick_open(puppet, pressure)
     puppet.tick()
     assert asked(puppet, Request.ACCESS) is Refusal.MANIFOLD
@@ -71,7 +71,7 @@ def test_any_pressure_in_the_manifold_counts(pressure: float) -> None:
 
 
 def test_after_a_swing_access_waits_for_the_manifold() -> None:
-    puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05)
+    puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05)
     stick_open(puppet)
     puppet.tick(Request.DISARM)
     puppet.run(490)
@@ -130,7 +130,7 @@ def test_an_emergency_stays_one_when_trapped_pressure_is_named() -> None:
 
 
 def test_a_manifold_without_a_sensor_is_judged_by_time() -> None:
-    puppet = reach(State.ARMED, vent_time=0.3)
+    puppet = reach(State.ARMED, vent_timeout=0.3)
     puppet.give(supply_pressure=nan)
     puppet.control["sensors"]["seen"] = 0  # it never was there
     puppet.tick(Request.DISARM)
@@ -147,7 +147,7 @@ def test_an_armed_bench_is_not_judged_by_its_manifold() -> None:
 
 
 def test_a_sensor_that_showed_no_pressure_at_the_venting_is_no_proof_before_time() -> None:
-    puppet = reach(State.ARMED, vent_time=5.0)
+    puppet = reach(State.ARMED, vent_timeout=5.0)
     full, empty = (5.0e5,) * 6, (ATMOSPHERE,) * 6
     puppet.give(chamber_pressure=(ATMOSPHERE, *full[1:])).run(20)  # the first one sticks
     puppet.tick(Request.DISARM)
@@ -159,7 +159,7 @@ def test_a_sensor_that_showed_no_pressure_at_the_venting_is_no_proof_before_time
 
 
 def test_a_sensor_that_jumps_to_empty_is_no_proof_before_time() -> None:
-    puppet = reach(State.ARMED, vent_time=5.0)
+    puppet = reach(State.ARMED, vent_timeout=5.0)
     full = (5.0e5,) * 6
     puppet.give(chamber_pressure=full).run(20)
     puppet.tick(Request.DISARM)
@@ -174,7 +174,7 @@ def test_a_sensor_that_jumps_to_empty_is_no_proof_before_time() -> None:
 
 
 def test_nobody_is_let_in_at_power_up_before_the_robot_was_seen_to_rest() -> None:
-    puppet = reach(State.SAFE, vented_still=2.0)
+    puppet = reach(State.SAFE, rest_time_vented=2.0)
     puppet.control["venting"]["start"] = puppet.time
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
     puppet.run(2100)
@@ -183,7 +183,7 @@ def test_nobody_is_let_in_at_power_up_before_the_robot_was_seen_to_rest() -> Non
 
 def test_access_waits_as_long_as_an_arm_may_sink_whatever_the_encoders_show() -> None:
     """A stuck encoder shows rest: only the time with empty chambers tells that a raised arm has sunk."""
-    puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, vented_sinking=3.0)
+    puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05, access_delay=3.0)
     vent(puppet).run(2900)
     assert puppet.control["venting"]["emptied"]
     assert not puppet.control["vented"]
@@ -195,7 +195,7 @@ def test_access_waits_as_long_as_an_arm_may_sink_whatever_the_encoders_show() ->
 
 def emptied(creep: float) -> Puppet:
     """Return a robot that has vented for 3 s while its shoulder crept at `creep` rad/s."""
-    puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, vented_sinking=2.0)
+    puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05, access_delay=2.0)
     vent(puppet)
     for _ in range(300):
         puppet.angle = puppet.angle + np.array([0.01 * creep, 0.0, 0.0])
@@ -218,7 +218,7 @@ def test_an_arm_that_crept_has_sunk_once_it_rests() -> None:
 
 @pytest.mark.parametrize("shown", [ATMOSPHERE, 5.0e5], ids=["stuck empty", "full"])
 def test_that_time_begins_with_the_venting_and_again_with_pressure(shown: float) -> None:
-    puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, vented_sinking=3.0)
+    puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05, access_delay=3.0)
     puppet.give(chamber_pressure=(shown,) * 6).run(20)
     puppet.tick(Request.DISARM)
     puppet.run(400)
@@ -227,13 +227,13 @@ def test_that_time_begins_with_the_venting_and_again_with_pressure(shown: float)
 
 
 def test_sensors_that_fell_with_the_air_are_a_proof_at_once() -> None:
-    puppet = reach(State.ARMED, vent_time=5.0)
+    puppet = reach(State.ARMED, vent_timeout=5.0)
     vent(puppet).run(3000)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
 def test_access_after_trapped_air_with_a_button_takes_a_press_beside_the_gauge() -> None:
-    puppet = reach(State.ARMED, vent_time=0.5, vented_still=0.05, local_reset=True)
+    puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05, local_reset=True)
     puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
     puppet.tick(Request.DISARM)
     puppet.run(600)
@@ -276,7 +276,7 @@ def test_access_waits_for_a_pressure_that_holds_nothing_up(above: float, let_in:
 
 
 def test_air_that_comes_back_for_an_instant_long_after_the_venting_costs_no_more_than_the_sinking() -> None:
-    puppet = reach(State.READY, vented_sinking=0.5)
+    puppet = reach(State.READY, access_delay=0.5)
     puppet.run(2000)
     puppet.give(chamber_pressure=(HOLDING + 1.0,) * 6).run(10)
     puppet.give(chamber_pressure=(ATMOSPHERE,) * 6).run(400)
@@ -287,7 +287,7 @@ def test_air_that_comes_back_for_an_instant_long_after_the_venting_costs_no_more
 
 def test_access_waits_for_as_long_again_as_the_chambers_took_to_vent() -> None:
     """Behind a throttled exhaust the last air, which may hold an arm, goes as slowly as the first."""
-    puppet = reach(State.ARMED, vent_time=5.0, vented_still=0.05, vented_sinking=0.5)
+    puppet = reach(State.ARMED, vent_timeout=5.0, rest_time_vented=0.05, access_delay=0.5)
     vent(puppet).give(chamber_pressure=(HOLDING + 1.0,) * 6)
     puppet.run(700)
     puppet.give(chamber_pressure=(ATMOSPHERE,) * 6).run(900)

@@ -83,8 +83,8 @@ def good(template: Situation) -> Callable[[Request], Situation]:
         s["venting"]["emptied"] = s["vented"] = True
         s["sensors"]["seen"] = 1
         s["venting"]["start"] = 0.0
-        p["vent_time"], p["local_reset_time"], p["home_by_index"] = VENT_TIME, RESET_TIME, False
-        p["address_tolerance"], p["still_speed"], p["still_time"] = TOLERANCE, STILL, STILL_TIME
+        p["vent_timeout"], p["local_reset_time"], p["home_by_index"] = VENT_TIME, RESET_TIME, False
+        p["address_tolerance"], p["rest_speed"], p["rest_time"] = TOLERANCE, STILL, STILL_TIME
         parameters.angle[0] = 0.0
         e["angle"] = e["velocity"] = 0.0
         return Situation(state, parameters, template.readings.copy())

@@ -8,7 +8,9 @@ from tests.bench.control.puppet import ATMOSPHERE
 
 
 def test_a_reset_leaves_a_doubt_about_an_encoder_until_the_air_is_out() -> None:
-    puppet = timed(reach(State.ARMED), vent_time=0.3, vented_still=0.05, vented_blind=0.1)
+    puppet = timed(
+        reach(State.ARMED), vent_timeout=0.3, rest_time_vented=0.05, rest_time_without_encoders=0.1
+    )
     puppet.give(chamber_pressure=(6e5,) * 6)
     puppet.give(encoder_valid=(0, 1, 1)).run(30)
     puppet.give(encoder_valid=1)

@@ -60,9 +60,9 @@ def generous() -> Record:
     """Return limits that nothing breaks."""
     p = new_record(ENVELOPE_PARAMETERS)
     p["lower"], p["upper"] = -100.0, 100.0
-    p["following"] = p["stop_deceleration"] = p["stop_speed"] = p["max_speed"] = 1e3
+    p["following"] = p["min_deceleration"] = p["end_stop_max_speed"] = p["max_speed"] = 1e3
     p["max_opening"], p["max_slew"] = 0.75, 50.0
-    p["lost_time"], p["max_gap"], p["min_supply_pressure"] = 0.0045, 0.010, 6.5e5
+    p["encoder_timeout"], p["max_tick_interval"], p["min_supply_pressure"] = 0.0045, 0.010, 6.5e5
     p["max_supply_pressure"] = 8.8e5
     p["ground"] = -100.0
     return p
@@ -125,7 +125,7 @@ def test_limits_are_one_a_joint() -> None:
     shapes = {name: ENVELOPE_PARAMETERS[name].shape for name in ENVELOPE_PARAMETERS.names or ()}
     several = {name: shape for name, shape in shapes.items() if shape}
     assert several == {"following": (len(Phase), 3)} | dict.fromkeys(
-        ("lower", "upper", "max_speed", "stop_deceleration", "stop_speed"), (3,)
+        ("lower", "upper", "max_speed", "min_deceleration", "end_stop_max_speed"), (3,)
     )
 
 
@@ -288,7 +288,7 @@ def test_the_way_to_the_end_stop_exactly(phase: Phase, joint: int, up: bool) -> 
     motion = Motion(phase=phase)
     p, e = motion.parameters[0], motion.estimator[0]
     e["velocity"][joint] = 2.5 if up else -2.5
-    p["stop_speed"][joint], p["stop_deceleration"][joint] = 1.5, 2.0
+    p["end_stop_max_speed"][joint], p["min_deceleration"][joint] = 1.5, 2.0
     bound, sign = (p["upper"], 1.0) if up else (p["lower"], -1.0)
     at = POSE[joint] + sign
     broken = nth(Cause.SHOULDER_STOP_DISTANCE, joint) if phase in STOPPABLE else Cause.NONE
@@ -297,7 +297,7 @@ def test_the_way_to_the_end_stop_exactly(phase: Phase, joint: int, up: bool) -> 
     bound[joint] = at - sign * 1e-12
     assert motion.cause() is broken
     bound[joint] = at
-    p["stop_deceleration"][joint] = nan
+    p["min_deceleration"][joint] = nan
     assert motion.cause() is broken
 
 
@@ -310,7 +310,7 @@ def test_the_way_counts_ahead_of_a_slow_joint_and_not_behind_it(
     motion = Motion(phase=phase)
     p, e = motion.parameters[0], motion.estimator[0]
     e["velocity"][joint] = speed
-    p["stop_speed"][joint], p["stop_deceleration"][joint] = 0.0, 1.0
+    p["end_stop_max_speed"][joint], p["min_deceleration"][joint] = 0.0, 1.0
     ahead, behind = ("upper", "lower") if speed > 0.0 else ("lower", "upper")
     p[behind][joint] = POSE[joint]
     assert motion.cause() is Cause.NONE
@@ -328,10 +328,10 @@ def test_the_way_of_the_rod(phase: Phase, velocity: float) -> None:
     bound, sign = ("upper", 1.0) if speed > 0 else ("lower", -1.0)
     p = motion.parameters
     p[bound][0, 1] = position + 0.05 * sign
-    p["stop_speed"][0, 1] = 0.0
+    p["end_stop_max_speed"][0, 1] = 0.0
     needed = speed**2 / 0.1
     for deceleration, enough in ((needed * (1 + TINY), True), (needed * (1 - TINY), False)):
-        p["stop_deceleration"][0, 1] = deceleration
+        p["min_deceleration"][0, 1] = deceleration
         broken = not enough and phase in STOPPABLE
         assert motion.cause() is (Cause.ARM_STOP_DISTANCE if broken else Cause.NONE)
 
@@ -372,8 +372,8 @@ def test_the_following_error_is_that_of_the_phase(phase: Phase) -> None:
         ({"ground": -0.5, "sole_depth": 0.25, "clearance": above(0.25)}, Cause.GROUND),
         ({"ground": -0.5, "clearance": 1.0, "ball_window": 1.0}, Cause.NONE),
         ({"ground": -0.5, "clearance": 1.0, "ball_window": below(1.0)}, Cause.GROUND),
-        ({"frame_radius": 1.0}, Cause.NONE),
-        ({"frame_radius": above(1.0)}, Cause.FRAME),
+        ({"min_frame_distance": 1.0}, Cause.NONE),
+        ({"min_frame_distance": above(1.0)}, Cause.FRAME),
         ({"min_lever": 1.0}, Cause.NONE),
         ({"min_lever": above(1.0)}, Cause.WRIST_LEVER),
     ],
@@ -382,7 +382,7 @@ def test_what_is_just_clear_is_clear(changes: dict[str, float], cause: Cause) ->
     robot = ROBOT.record[0]
     wrist = float(robot["l12"]) + float(robot["l23"])
     motion = Motion(estimator=moving(STRETCHED), reference=np.array(STRETCHED))
-    lengths = {"ball_window": wrist + CLUB_REACH, "frame_radius": wrist}
+    lengths = {"ball_window": wrist + CLUB_REACH, "min_frame_distance": wrist}
     for name, value in changes.items():
         motion.parameters[name] = value * lengths.get(name, 1.0)
     assert motion.cause() is cause
@@ -421,7 +421,7 @@ def test_a_site_with_a_divot_lets_the_sole_into_the_turf_by_the_ball(slow_swing:
 @given(st.floats(-2.0, 2.0), st.floats(pi, 1.5 * pi), st.floats(4.8, 6.2), st.floats(0.0, 1.2))
 def test_frame(a: float, b: float, c: float, radius: float) -> None:
     motion = Motion(estimator=moving((a, b, c)), reference=np.array((a, b, c)))
-    motion.parameters["frame_radius"] = radius
+    motion.parameters["min_frame_distance"] = radius
     x, y, theta = forward_kinematics(ROBOT, np.array((a, b, c)))
     along = np.linspace(0.0, CLUB_REACH, 20001)
     distance = np.hypot(x - along * np.cos(theta), y - along * np.sin(theta)).min()
@@ -441,7 +441,7 @@ def test_frame_at_its_limit(phase: Phase, angle: tuple[float, float, float]) -> 
         (distance + TINY, Cause.FRAME),
         (nan, Cause.FRAME),
     ):
-        motion.parameters["frame_radius"] = radius
+        motion.parameters["min_frame_distance"] = radius
         assert motion.cause() is expected
 
 
@@ -600,9 +600,13 @@ def test_compiled_and_plain_code_agree(
 ) -> None:
     p, e, r = generous(), moving(angle), readings()
     p["lower"], p["upper"] = (-1.5, 0.0, 4.8), (1.5, 0.4, 6.2)
-    p["following"], p["stop_deceleration"], p["stop_speed"] = 0.4, (60.0, 15.0, 150.0), (9.0, 5.0, 34.0)
+    p["following"], p["min_deceleration"], p["end_stop_max_speed"] = (
+        0.4,
+        (60.0, 15.0, 150.0),
+        (9.0, 5.0, 34.0),
+    )
     p["max_speed"], p["ground"] = (26.0, 6.0, 48.0), ground
-    p["frame_radius"], p["min_lever"] = radius, 0.15
+    p["min_frame_distance"], p["min_lever"] = radius, 0.15
     e["velocity"], e["without_sample"], r["supply_pressure"] = velocity, silence, pressure
     reference = np.array(angle) + np.array(miss)
     robot = ROBOT.record

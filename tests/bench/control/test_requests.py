@@ -62,7 +62,7 @@ HOLDING = holding_pressure(PlantParameters())
 
 
 def test_access_needs_the_proof_that_the_chambers_are_empty() -> None:
-    puppet = timed(reach(State.ARMED), vent_time=0.1)
+    puppet = timed(reach(State.ARMED), vent_timeout=0.1)
     puppet.tick(Request.DISARM)
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
     puppet.run(110)
@@ -71,7 +71,7 @@ def test_access_needs_the_proof_that_the_chambers_are_empty() -> None:
 
 
 def test_access_waits_for_the_last_chamber() -> None:
-    puppet = timed(reach(State.READY), vent_time=0.1)
+    puppet = timed(reach(State.READY), vent_timeout=0.1)
     empty, full = HOLDING - 1.0, HOLDING + 1.0
     puppet.give(chamber_pressure=(empty,) * 5 + (full,)).tick()
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
@@ -80,7 +80,7 @@ def test_access_waits_for_the_last_chamber() -> None:
 
 
 def test_arming_waits_for_the_last_chamber() -> None:
-    puppet = timed(reach(State.ARMED), vent_time=0.1)
+    puppet = timed(reach(State.ARMED), vent_timeout=0.1)
     puppet.tick(Request.DISARM)
     empty, full = TIMES.vented_pressure - 1.0, TIMES.vented_pressure + 1.0
     puppet.give(chamber_pressure=(empty,) * 5 + (full,)).run(50)
@@ -91,7 +91,7 @@ def test_arming_waits_for_the_last_chamber() -> None:
 
 
 def test_access_waits_until_the_robot_has_rested_with_empty_chambers() -> None:
-    puppet = reach(State.READY, vent_time=1.0, vented_still=0.05, local_reset=True)
+    puppet = reach(State.READY, vent_timeout=1.0, rest_time_vented=0.05, local_reset=True)
     puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6).tick()
     puppet.give(chamber_pressure=(HOLDING - 1.0,) * 6).run(42)
     press(puppet)  # air so late was trapped: a person reads the gauges
@@ -101,7 +101,7 @@ def test_access_waits_until_the_robot_has_rested_with_empty_chambers() -> None:
 
 
 def test_a_raised_arm_that_sinks_is_not_vented_yet() -> None:
-    puppet = reach(State.READY, vented_still=0.05)
+    puppet = reach(State.READY, rest_time_vented=0.05)
     puppet.give(chamber_pressure=(HOLDING - 1.0,) * 6).run(60)
     assert puppet.control["vented"]
     puppet.follows = False
@@ -115,7 +115,7 @@ def test_a_raised_arm_that_sinks_is_not_vented_yet() -> None:
 
 @pytest.mark.parametrize("doubt", [{"distrusted": True}, {}])
 def test_where_encoders_cannot_tell_it_waits_for_as_long_as_an_arm_may_sink(doubt: dict[str, bool]) -> None:
-    puppet = reach(State.FAULT, vented_still=0.05, vented_blind=0.3, local_reset=True)
+    puppet = reach(State.FAULT, rest_time_vented=0.05, rest_time_without_encoders=0.3, local_reset=True)
     puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6, **doubt).tick()
     if not doubt:
         lose(puppet)
@@ -153,7 +153,7 @@ def test_a_reset_waits_until_the_chambers_are_empty() -> None:
 
 
 def test_a_reset_need_not_wait_while_the_chambers_are_emptying() -> None:
-    puppet = timed(reach(State.ARMED), vent_time=0.1)
+    puppet = timed(reach(State.ARMED), vent_timeout=0.1)
     puppet.tick(Request.STOP)
     assert until(puppet, State.FAULT) is State.FAULT
     puppet.give(chamber_pressure=(5e5,) * 6).tick()
@@ -167,7 +167,7 @@ def test_a_reset_need_not_wait_while_the_chambers_are_emptying() -> None:
 @pytest.mark.parametrize("fitted", [True, False])
 def test_homing_by_the_vented_pose_needs_empty_chambers(fitted: bool) -> None:
     """A sensor in each chamber proves them empty, or the time for venting."""
-    puppet = reach(State.SAFE, fitted=fitted, vent_time=0.1)
+    puppet = reach(State.SAFE, fitted=fitted, vent_timeout=0.1)
     shown = TIMES.vented_pressure + 1.0 if fitted else nan
     puppet.give(**{"venting.start": puppet.time}, chamber_pressure=(shown,) * 6).tick()
     assert asked(puppet, Request.HOME) is Refusal.NOT_VENTED

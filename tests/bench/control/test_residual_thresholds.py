@@ -157,7 +157,7 @@ def test_without_limits_the_default_tables_are_used(limits: ModelLimits, tmp_pat
     [
         ("plant", {"plant": replace(PLANT, wrist_lever=0.9 * PLANT.wrist_lever)}),
         ("plant", {"plant": replace(PLANT, wrist_lever_angle=0.1)}),
-        ("controller", {"control": ControlSettings(brake_time=1.4)}),
+        ("controller", {"control": ControlSettings(brake_timeout=1.4)}),
         ("controller", {"estimator": EstimatorSettings(noise=(1e-5, 0.0, 0.0))}),
         ("controller", {"envelope": EnvelopeSettings(max_slew=300.0)}),
     ],
@@ -278,7 +278,7 @@ def test_a_tee_moved_less_is_felt_far_within_the_limits(default_profile: Profile
 
 def test_a_lift_counts_only_where_it_acts(default_profile: Profile) -> None:
     turf = replace(PLANT, site=replace(PLANT.site, surface="turf"))
-    without = ControlSettings(follow_through_lift=0.0)
+    without = ControlSettings(turf_lift_gain=0.0)
     assert made_for(default_profile, control=without) == made_for(default_profile)
     assert made_for(default_profile, plant=turf, control=without) != made_for(default_profile, plant=turf)
 

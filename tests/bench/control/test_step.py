@@ -565,7 +565,7 @@ def test_a_brake_works_against_the_motion_until_it_rests() -> None:
 
 
 def test_a_brake_has_an_end_also_without_rest() -> None:
-    puppet = Puppet(control=replace(QUICK, brake_time=0.3)).swing(250)
+    puppet = Puppet(control=replace(QUICK, brake_timeout=0.3)).swing(250)
     puppet.follows = False
     puppet.tick(Request.STOP)
     for k in range(305):
@@ -578,7 +578,7 @@ def test_a_brake_has_an_end_also_without_rest() -> None:
 @pytest.mark.parametrize("circuit", ["emergency_stop_clear", "guard_closed"])
 def test_a_brake_ends_when_an_open_relay_opens_the_vents(circuit: str) -> None:
     """Also where the model-based check is off, as with hardware."""
-    puppet = Puppet(control=replace(QUICK, brake_time=3.0)).swing(250)
+    puppet = Puppet(control=replace(QUICK, brake_timeout=3.0)).swing(250)
     assert not puppet.parameters.model["check"][0]
     puppet.follows = False
     puppet.give(**{circuit: False})
@@ -592,7 +592,7 @@ def test_a_brake_ends_when_an_open_relay_opens_the_vents(circuit: str) -> None:
 
 def test_a_brake_goes_on_while_both_vents_report_shut() -> None:
     """A machine without the relay is braked until it rests."""
-    puppet = Puppet(control=replace(QUICK, brake_time=1.0)).swing(250)
+    puppet = Puppet(control=replace(QUICK, brake_timeout=1.0)).swing(250)
     puppet.follows = False
     puppet.give(emergency_stop_clear=False, vent_open=0.0)
     for k in range(1000):
@@ -636,7 +636,7 @@ def test_a_blind_brake_is_its_pattern_by_time_alone(sample: int) -> None:
     expected = np.where(since < duration, opening, 0.0)
     edge = np.abs(since - duration) < 1.5e-3
     assert np.where(edge, 0.0, desired - expected) == pytest.approx(0.0)
-    ended = duration.max() + QUICK.blind_settle
+    ended = duration.max() + QUICK.open_loop_settling_time
     assert not applied[round(ended * 1000) + 2 :].any()
 
 

@@ -144,7 +144,7 @@ def test_each_reason_is_named(
     ("limits", "place", "expected"),
     [
         ({"max_speed": (0.1, 6.0, 48.0)}, "velocity_rad_per_s[1000][0]", "at most 0.1 rad/s"),
-        ({"frame_radius": 1.0}, "angle_rad[", "at least 1 m"),
+        ({"min_frame_distance": 1.0}, "angle_rad[", "at least 1 m"),
         ({"min_lever": 1.0}, "angle_rad[0][2]", "at least 1"),
         ({"ball_window": 0.01, "clearance": 0.1}, "angle_rad[", "at least 100 mm"),
     ],

@@ -14,7 +14,7 @@ from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from sim.plant import PlantParameters, build_plant, initial_state
 
 LIGHT = Loads(np.zeros((3, 2)), np.full(6, 5e5), 0.02, 40.0, 0.5, "wrist lower stop", 0.1, 0.6)
-LIMITS = SafetyLimits(frame_radius=0.1, access_pressure=1.2e5)
+LIMITS = SafetyLimits(min_frame_distance=0.1, access_pressure=1.2e5)
 SAFE = RunEnd(LIGHT, True, 0.3, 1.0, 0.001, 1.0e5)
 
 

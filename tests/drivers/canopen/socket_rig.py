@@ -23,7 +23,7 @@ from drivers.canopen.settings import CanopenSettings
 
 PERIOD = 0.001
 PATIENCE = 20.0
-SETTINGS = CanopenSettings(answer_time=0.15)
+SETTINGS = CanopenSettings(sync_timeout=0.15)
 NODE = SETTINGS.valve_node.node
 MOVING = Command((0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, guard_lock=False, beacon=True)
 

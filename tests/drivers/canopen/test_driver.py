@@ -157,7 +157,7 @@ def test_waiting_for_a_missing_sample_ends_at_its_time(bench: Bench) -> None:
     bench.wire.meddle = lambda identifier, data: []
     before = bench.wire.now
     bench.driver.read(bench.tick * PERIOD)
-    assert bench.wire.now - before == pytest.approx(PERIOD + SETTINGS.answer_time, abs=1e-5)
+    assert bench.wire.now - before == pytest.approx(PERIOD + SETTINGS.sync_timeout, abs=1e-5)
 
 
 def hold_back(bench: Bench) -> list[tuple[int, bytes]]:

@@ -37,7 +37,7 @@ import sys, time
 from drivers.base import Command
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-driver = CanopenDriver(CanopenSettings("local_socket", sys.argv[1], service_time=2.0))
+driver = CanopenDriver(CanopenSettings("local_socket", sys.argv[1], sdo_timeout=2.0))
 driver.open()
 print("open", flush=True)
 while True:
@@ -53,7 +53,7 @@ class Nodes:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.settings = CanopenSettings(  # patient: the machine may be busy
-            "local_socket", str(folder / "can"), service_time=2.0, heartbeat=0.1, interlock_period=0.1
+            "local_socket", str(folder / "can"), sdo_timeout=2.0, heartbeat=0.1, interlock_period=0.1
         )
         s = self.settings
         plan = NodesPlan(

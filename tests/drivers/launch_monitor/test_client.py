@@ -27,7 +27,10 @@ def gspro() -> Iterator[socket.socket]:
 @pytest.fixture
 def client(gspro: socket.socket) -> Iterator[SimulatorClient]:
     made = SimulatorClient(
-        SimulatorSettings(True, "127.0.0.1", gspro.getsockname()[1]), "bench", answer_time=1.0, reconnect=0.05
+        SimulatorSettings(True, "127.0.0.1", gspro.getsockname()[1]),
+        "bench",
+        sync_timeout=1.0,
+        reconnect=0.05,
     )
     made.open()
     yield made

@@ -267,9 +267,7 @@ def test_balls_take_turns_and_are_never_hit_too_often(make: Callable[..., Bench]
 
 
 def test_the_stopping_rule_ends_a_section_early(make: Callable[..., Bench]) -> None:
-    bench = make(
-        design={"blocks": 12}, stop={"rule": "width", "width": 5.0, "blocks_at_least": 3, "looks": 4}
-    )
+    bench = make(design={"blocks": 12}, stop={"rule": "width", "width": 5.0, "min_blocks": 3, "looks": 4})
     outcome = bench.run(Scripted())
     assert outcome.state is CampaignState.FINISHED
     assert "section 1 after 3 of 12 blocks" in outcome.reason

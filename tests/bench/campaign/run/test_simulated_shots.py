@@ -30,7 +30,7 @@ from tests.bench.campaign.as_designed import AsDesigned
 def plan(configuration: Configuration) -> CampaignPlan:
     plan = load_plan(Path("clubs"), configuration)
     faulty = replace(
-        plan.simulation, missing_launch=(2,), missed_ball=(3,), feeder_jam=(4,), door_opened=(5,)
+        plan.simulation, missing_launch=(2,), missed_ball=(3,), feeder_jam=(4,), guard_opened=(5,)
     )
     return replace(plan, simulation=faulty)
 
@@ -84,7 +84,7 @@ def test_what_goes_wrong_is_an_outcome_of_its_own(source: SimulatedShots, plan: 
 def test_the_simulated_monitor_misreads_doubles_and_goes_away_as_planned(
     plan: CampaignPlan, configuration: Configuration
 ) -> None:
-    faulty = replace(plan.simulation, launch_misread=1.0, missing_launch=(), monitor_away=(6,))
+    faulty = replace(plan.simulation, launch_misread=1.0, missing_launch=(), monitor_disconnected=(6,))
     source = SimulatedShots(
         replace(plan, simulation=faulty),
         configuration,

@@ -87,8 +87,8 @@ def test_only_the_canopen_driver_takes_the_settings_of_the_bus(file: Path) -> No
     ("text", "place", "told"),
     [
         ("bitrate = 500_000", "canopen.bitrate", "a bus load of 10"),
-        ("answer_time = 0.0009", "canopen.answer_time", "0.0009 s"),
-        ("answer_time = 0.0", "canopen.answer_time", "0.0"),
+        ("sync_timeout = 0.0009", "canopen.sync_timeout", "0.0009 s"),
+        ("sync_timeout = 0.0", "canopen.sync_timeout", "0.0"),
         ("master = 22", "canopen", "contradictory values"),
         ("bitrate = 2_000_000", "canopen.bitrate", "2000000"),
     ],

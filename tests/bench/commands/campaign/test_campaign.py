@@ -55,7 +55,7 @@ at_most = 4
 [simulation]
 missing_launch = [5]
 feeder_jam = [7]
-door_opened = [9]
+guard_opened = [9]
 """
 
 

@@ -134,7 +134,7 @@ def test_planned_openings_leave_the_observer_alone() -> None:
 
 
 QUICK_PNEUMATIC = ControlSettings(
-    precharge_time=0.02, move_timeout=0.2, blind_settle=0.1, feed_forward="kane+pneumatic"
+    precharge_time=0.02, move_timeout=0.2, open_loop_settling_time=0.1, feed_forward="kane+pneumatic"
 )
 
 

@@ -149,7 +149,7 @@ def test_without_a_supply_sensor_the_manifold_counts_as_empty() -> None:
 
 
 def test_a_slow_exhaust_is_latched_until_a_reset_and_lets_nobody_in_without_a_press() -> None:
-    puppet = reach(State.READY, vent_time=5.0, local_reset=True)
+    puppet = reach(State.READY, vent_timeout=5.0, local_reset=True)
     puppet.control["exhausts"]["slow"][3] = 1
     puppet.tick()
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.ARM_B_EXHAUST)

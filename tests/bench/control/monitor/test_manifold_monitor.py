@@ -152,7 +152,7 @@ def disarmed(**settings: Any) -> Puppet:
 
 
 def test_a_stuck_supply_valve_is_named_at_the_venting() -> None:
-    puppet = disarmed(vent_time=5.0)
+    puppet = disarmed(vent_timeout=5.0)
     puppet.give(supply_pressure=SUPPLY).run(NAMED)
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.SUPPLY_VALVE)
     press(puppet)
@@ -188,14 +188,14 @@ def test_a_sensor_that_jumps_to_empty_lets_nobody_in_until_a_venting_proves_it()
 
 
 def test_a_sensor_that_shows_less_than_the_atmosphere_at_rest_is_dead() -> None:
-    puppet = reach(State.READY, vent_time=0.3)
+    puppet = reach(State.READY, vent_timeout=0.3)
     puppet.give(chamber_pressure=(ATMOSPHERE,) * 6).run(400)
     puppet.give(chamber_pressure=(ATMOSPHERE, ATMOSPHERE, 0.7 * ATMOSPHERE, *(ATMOSPHERE,) * 3)).run(150)
     assert puppet.cause is Cause.ARM_A_SENSOR
 
 
 def test_so_is_one_of_the_manifold() -> None:
-    puppet = reach(State.READY, vent_time=0.3)
+    puppet = reach(State.READY, vent_timeout=0.3)
     puppet.run(400)
     puppet.give(supply_pressure=0.7 * ATMOSPHERE).run(150)
     assert puppet.cause is Cause.SUPPLY_DECAY

@@ -117,7 +117,7 @@ def test_nobody_is_let_in_on_time_alone_past_a_dead_sensor(sensor: Cause) -> Non
 def test_an_open_vent_the_longest_time_and_a_person_prove_what_a_dead_chamber_sensor_cannot(
     sensor: Cause,
 ) -> None:
-    puppet = fit(reach(State.READY, vented_blind=0.5, local_reset=True), vents=True)
+    puppet = fit(reach(State.READY, rest_time_without_encoders=0.5, local_reset=True), vents=True)
     puppet.control["venting"]["start"] = puppet.time
     kill(puppet, sensor)
     puppet.run(400)
@@ -130,7 +130,7 @@ def test_an_open_vent_the_longest_time_and_a_person_prove_what_a_dead_chamber_se
 
 
 def test_a_shut_vent_proves_nothing() -> None:
-    puppet = fit(reach(State.READY, vented_blind=0.5), vents=True)
+    puppet = fit(reach(State.READY, rest_time_without_encoders=0.5), vents=True)
     puppet.give(vent_open=(0.0, 0.0))
     kill(puppet, Cause.ARM_A_SENSOR)
     puppet.run(5000)
@@ -147,7 +147,7 @@ def test_low_pressure_behind_two_shut_vents_is_no_proof_of_empty_chambers() -> N
 
 
 def test_without_chamber_sensors_an_open_vent_is_needed_where_vents_report() -> None:
-    puppet = reach(State.ARMED, fitted=False, vent_time=0.3)
+    puppet = reach(State.ARMED, fitted=False, vent_timeout=0.3)
     puppet.give(vent_open=(0.0, 0.0)).tick(Request.DISARM)
     puppet.run(400)
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
@@ -156,7 +156,7 @@ def test_without_chamber_sensors_an_open_vent_is_needed_where_vents_report() -> 
 
 
 def test_a_sensor_that_is_unplugged_in_access_sends_nobody_out() -> None:
-    puppet = fit(reach(State.READY, vented_blind=0.1), vents=True)
+    puppet = fit(reach(State.READY, rest_time_without_encoders=0.1), vents=True)
     puppet.run(200)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
     puppet.give(guard_locked=False)
@@ -259,7 +259,7 @@ def test_vents_that_an_open_emergency_stop_circuit_releases_are_not_wrong() -> N
 
 
 def test_a_shut_off_valve_that_stays_open_is_named_at_the_venting_and_lets_nobody_in() -> None:
-    puppet = reach(State.ARMED, vent_time=0.05)
+    puppet = reach(State.ARMED, vent_timeout=0.05)
     puppet.give(shut_off_open=1.0).run(300)
     assert puppet.bench is State.ARMED
     puppet.tick(Request.DISARM)
@@ -276,7 +276,7 @@ def test_a_shut_off_valve_that_stays_open_is_named_at_the_venting_and_lets_nobod
 
 
 def test_a_shut_off_valve_that_opens_beside_a_released_guard_ends_the_access() -> None:
-    puppet = reach(State.READY, vent_time=0.05)
+    puppet = reach(State.READY, vent_timeout=0.05)
     puppet.give(shut_off_open=0.0).run(100)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
     puppet.give(shut_off_open=1.0, guard_locked=False).run(

@@ -36,7 +36,7 @@ Array = np.ndarray[Any, Any]
 PLANT = PlantParameters()
 NEAR_GROUND = replace(PLANT, site=replace(PLANT.site, ground=-1.62))
 """The robot on ground to which its club hangs down."""
-TOLERANCE = SIMULATED.air_tolerance
+TOLERANCE = SIMULATED.pressure_tolerance
 LOOKED_AT = 1.02 * TOLERANCE
 """Pa, where the engine looks every ten ticks only: chambers leak."""
 compiled_only = pytest.mark.skipif(
@@ -228,7 +228,7 @@ def test_a_time_out_names_the_chamber(profile: Profile, chamber: int) -> None:
     air = list(profile.air)
     air[chamber] -= 1.0e5  # no spool that swings leads there
     bench = bench_on(replace(profile, air=tuple(air)))
-    bench.stepper.parameters.control["air_timeout"] = 2.0
+    bench.stepper.parameters.control["pressure_timeout"] = 2.0
     bench.arm()
     assert not bench.await_air()
     assert bench.cause in (
@@ -241,9 +241,9 @@ def test_a_time_out_names_the_chamber(profile: Profile, chamber: int) -> None:
 def test_a_joint_that_never_comes_to_its_band_is_no_fault_of_the_air() -> None:
     puppet = Puppet(replace(STILL, air=(1.0132e5,) * 6, air_supply=8e5))
     puppet.hold()
-    puppet.parameters.control["air_timeout"] = 0.05
-    puppet.parameters.control["air_tolerance"] = 1e6
-    puppet.parameters.control["rest_band"] = 0.0
+    puppet.parameters.control["pressure_timeout"] = 0.05
+    puppet.parameters.control["pressure_tolerance"] = 1e6
+    puppet.parameters.control["address_deadband"] = 0.0
     puppet.parameters.control["address_tolerance"] = 1.0
     puppet.follows = False
     puppet.give(**{"address_air.held": 0})
