@@ -43,7 +43,7 @@ pytestmark = [
 Result = TypeVar("Result")
 LOST_SAMPLE = 0.0025
 """Age of an encoder's sample beyond which one was lost, s."""
-SLOW_MOVES = "[envelope]\nlost_time = 0.04\nmax_gap = 0.05\n"
+SLOW_MOVES = "[envelope]\nencoder_timeout = 0.04\nmax_tick_interval = 0.05\n"
 """Where nothing swings at full speed, stalls of this machine may last longer."""
 
 
@@ -62,7 +62,7 @@ def patient_configuration(folder: Path, name: str, text: str = "") -> Path:
         folder,
         name,
         f'[driver]\nname = "canopen"\nwatchdog = 0.3\n[canopen]\ninterface = "local_socket"\n'
-        f'channel = "{folder / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n{text}',
+        f'channel = "{folder / "bus"}"\nsdo_timeout = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n{text}',
     )
 
 

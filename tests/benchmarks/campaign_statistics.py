@@ -137,14 +137,16 @@ def plans() -> tuple[CampaignPlan, CampaignPlan]:
         two,
         design=replace(two.design, blocks=12),
         stop=replace(two.stop, rule="fixed"),
-        analysis=replace(two.analysis, deviation=2.0, difference=2.5, margin=2.5, power=0.8),
+        analysis=replace(
+            two.analysis, expected_sd=2.0, target_difference=2.5, equivalence_margin=2.5, power=0.8
+        ),
     )
     ten = load_plan(Path("ten-balls"), configuration)
     four = replace(
         ten,
         design=replace(ten.design, balls=("a", "b", "c", "d"), blocks=10),
         control=replace(ten.control, ball=""),
-        analysis=replace(ten.analysis, deviation=2.0, difference=3.0, margin=0.0),
+        analysis=replace(ten.analysis, expected_sd=2.0, target_difference=3.0, equivalence_margin=0.0),
     )
     return two, four
 
@@ -177,11 +179,11 @@ def survey(campaigns: int, swept: Sweeper = in_this_process) -> list[Row]:
     ahead = predict_precision(two, 2.0, 0.0)
     if ahead is None:
         raise RuntimeError("nothing is foreseen")
-    same = ahead.same(a.margin, 0.05)
+    same = ahead.same(a.equivalence_margin, 0.05)
     foretold("two balls, equal: called the same (TOST)", null.same, null.campaigns, same)
-    real = tally(two, replace(drifting, difference=a.difference), campaigns)
+    real = tally(two, replace(drifting, difference=a.target_difference), campaigns)
     rate("two balls, different: interval covers the truth", real.covered, real.pairs, 0.95)
-    power = ahead.power(a.difference)
+    power = ahead.power(a.target_difference)
     foretold("two balls, different: found", real.found, real.campaigns, power)
     rate("two balls, at the margin: called the same", real.same, real.campaigns, 0.05)
     raw = replace(two, analysis=replace(two.analysis, drift="none"))

@@ -85,7 +85,7 @@ def test_nodes_that_break_are_noticed_over_the_bus(tmp_path: Path) -> None:
         tmp_path,
         "nodes",
         f'{PATIENT.format(driver="canopen")}[canopen]\ninterface = "local_socket"\n'
-        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
+        f'channel = "{tmp_path / "bus"}"\nsdo_timeout = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n',
     )
     with played_nodes(file), running_bench(file, clock="wall") as bench:
         assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
@@ -96,7 +96,7 @@ def test_a_node_without_readings_lets_nobody_reset(tmp_path: Path) -> None:
         tmp_path,
         "cable",
         f'{PATIENT.format(driver="canopen")}[canopen]\ninterface = "local_socket"\n'
-        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n'
+        f'channel = "{tmp_path / "bus"}"\nsdo_timeout = 2.0\nheartbeat = 0.1\ninterlock_period = 0.1\n'
         '[faults.cable]\nsignal = "wrist encoder"\nkind = "off"\n',
     )
     with played_nodes(file), running_bench(file, clock="wall") as bench, bench.client.lease("test"):

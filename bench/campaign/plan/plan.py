@@ -119,9 +119,9 @@ class Learning:
 class SupplyRequirement:
     """The air that a running bench must have before each swing."""
 
-    least: Annotated[float, Range(0.0, 1.5, "")]
+    min_pressure_ratio: Annotated[float, Range(0.0, 1.5, "")]
     """Share of the pressure that the swing was designed for; 0: not checked."""
-    patience: Annotated[float, Range(0.0, 86400.0, "s")]
+    timeout: Annotated[float, Range(0.0, 86400.0, "s")]
     """Held at its address until the pressure is back; then the robot is vented and a person is needed."""
 
 
@@ -154,7 +154,7 @@ class InterruptionSettings:
 class Gate:
     """Tolerances (half widths) of the delivery; 0: not checked. Never the ball's result."""
 
-    centre: Literal["warm-up", "planned"]
+    reference: Literal["warm-up", "planned"]
     """Centre: the median of the warm-up's last shots, or the designed delivery."""
     club_speed: Annotated[float, Range(0.0, 50.0, "m/s")]
     attack_angle: Annotated[float, Range(0.0, pi / 4, "rad")]
@@ -175,7 +175,7 @@ class Stop:
     width: Annotated[float, Range(0.0, 1e6, "")]
     """Max half width of a difference's interval, in the unit of the compared quantity."""
     min_blocks: Annotated[int, Range(2, 100000, "")]
-    looks: Annotated[int, Range(1, 50, "")]
+    interim_analyses: Annotated[int, Range(1, 50, "")]
     """Number of looks at the data, evenly from min_blocks to blocks, the end included."""
 
 
@@ -187,7 +187,7 @@ class Analysis:
     carry: Literal["", "reference", "monitor", "measured"]
     """Which carry `carry_m` is, see `bench.campaign.plan.carry`; empty: the simulated ball's, none on
     hardware."""
-    deviation: Annotated[float, Range(0.0, 1e6, "")]
+    expected_sd: Annotated[float, Range(0.0, 1e6, "")]
     """Expected standard deviation of one shot, unit of the quantity; 0: unknown, no power is predicted."""
     ball_deviation: Annotated[float, Range(0.0, 1e6, "")]
     """Expected standard deviation between balls of one model, in the same unit; 0: one ball is as another."""
@@ -195,11 +195,11 @@ class Analysis:
     """Expected standard deviation between mountings of one club, in the same unit."""
     covariates: tuple[Delivered, ...]
     """Figures of the delivery by which a ball's result is corrected, fixed before the first shot."""
-    explained: Annotated[float, Range(0.0, 0.9999, "")]
+    expected_r_squared: Annotated[float, Range(0.0, 0.9999, "")]
     """Expected share of `deviation` squared that the covariates explain."""
-    difference: Annotated[float, Range(1e-9, 1e6, "")]
+    target_difference: Annotated[float, Range(1e-9, 1e6, "")]
     """Difference worth finding."""
-    margin: Annotated[float, Range(0.0, 1e6, "")]
+    equivalence_margin: Annotated[float, Range(0.0, 1e6, "")]
     """Differences below it count as the same (TOST); 0: not asked."""
     confidence: Annotated[float, Range(0.5, 0.9999, "")]
     power: Annotated[float, Range(0.5, 0.9999, "")]

@@ -210,8 +210,13 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
         found = f"{plan.interruption.restart_after:g}"
         expected = f"more than design.seconds_per_shot, {d.seconds_per_shot:g}; or 0"
         yield "interruption.restart_after", found, expected, "Every shot would restart its block."
-    if plan.gate.centre == "warm-up" and not plan.warm_up.at_most:
-        yield "gate.centre", '"warm-up"', '"planned", as warm_up.at_most is 0', 'Set gate.centre = "planned".'
+    if plan.gate.reference == "warm-up" and not plan.warm_up.at_most:
+        yield (
+            "gate.reference",
+            '"warm-up"',
+            '"planned", as warm_up.at_most is 0',
+            'Set gate.reference = "planned".',
+        )
     if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
         found = str(plan.warm_up.at_most)
         yield "warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it."
@@ -232,12 +237,17 @@ def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
     if stop.rule != "fixed" and stop.min_blocks > d.blocks:
         wanted = f"up to design.blocks, {d.blocks}"
         yield "stop.min_blocks", str(stop.min_blocks), wanted, "Lower it."
-    if stop.rule != "fixed" and stop.looks < 2:
-        yield "stop.looks", str(stop.looks), "at least 2: the last one is after all blocks", "Raise it."
+    if stop.rule != "fixed" and stop.interim_analyses < 2:
+        yield (
+            "stop.interim_analyses",
+            str(stop.interim_analyses),
+            "at least 2: the last one is after all blocks",
+            "Raise it.",
+        )
     if stop.rule == "width" and not stop.width:
         yield "stop.width", "0", "a half width above 0 for the rule width", "Set it."
-    if stop.rule == "equivalence" and not plan.analysis.margin:
-        yield "analysis.margin", "0", "a margin above 0 for the rule equivalence", "Set it."
+    if stop.rule == "equivalence" and not plan.analysis.equivalence_margin:
+        yield "analysis.equivalence_margin", "0", "a margin above 0 for the rule equivalence", "Set it."
     if stop.rule != "fixed" and len(levels(plan)) < 2:
         yield (
             "stop.rule",
@@ -339,9 +349,9 @@ def _covariates(plan: CampaignPlan) -> Iterator[Mistake]:
         yield "analysis.covariates", found, "none unless balls are compared", action
     if a.quantity in a.covariates:
         yield "analysis.covariates", format_value(a.quantity), "not the quantity", "Leave it out."
-    if a.explained and not a.covariates:
+    if a.expected_r_squared and not a.covariates:
         wanted = "0 without analysis.covariates"
-        yield "analysis.explained", f"{a.explained:g}", wanted, "Name what explains it."
+        yield "analysis.expected_r_squared", f"{a.expected_r_squared:g}", wanted, "Name what explains it."
 
 
 def _hits(plan: CampaignPlan) -> Iterator[Mistake]:

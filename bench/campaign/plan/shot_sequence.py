@@ -235,7 +235,7 @@ def _warmed_up(
         settled, why = found
         if why:
             return centres, why
-        if plan.gate.centre == "warm-up":
+        if plan.gate.reference == "warm-up":
             centres[arm.swing, arm.club] = median_delivery(settled, plan.clubs[arm.club])
     return centres, ""
 
@@ -251,7 +251,7 @@ def looks_after(plan: CampaignPlan) -> frozenset[int]:
     stop, blocks = plan.stop, plan.design.blocks
     if stop.rule == "fixed":
         return frozenset()
-    points = np.linspace(stop.min_blocks, blocks, stop.looks)
+    points = np.linspace(stop.min_blocks, blocks, stop.interim_analyses)
     return frozenset(round(float(point)) for point in points) - {blocks}
 
 

@@ -301,8 +301,8 @@ def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Pi
         axes.set_visible(False)
     for axes, column in zip(grid.ravel(), table.columns, strict=False):
         axes.axvline(0, color=_INK, linewidth=0.8)
-        if plan.analysis.margin:
-            margin = plan.analysis.margin / unit.size
+        if plan.analysis.equivalence_margin:
+            margin = plan.analysis.equivalence_margin / unit.size
             axes.axvspan(-margin, margin, color=_GREY, alpha=0.12, linewidth=0)
         for row, place in enumerate(places):
             pair = column.compared[place].pair
@@ -326,7 +326,9 @@ def _forest(plan: CampaignPlan, table: DifferenceTable, units: UnitSystem) -> Pi
         f"Differences of all {table.factor}s to {table.reference} with their intervals.",
         f"Difference to {table.reference} with its interval, all pairs of a panel simultaneously.",
         "Filled: declared different; open: not.",
-        "Grey band: the margin within which they count as the same." if plan.analysis.margin else "",
+        "Grey band: the margin within which they count as the same."
+        if plan.analysis.equivalence_margin
+        else "",
     )
 
 

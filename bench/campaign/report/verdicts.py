@@ -91,7 +91,7 @@ def section_notes(
     if needed[0] is not None:
         words = (
             f"With this scatter {series_words(needed[0], plan)} find a difference of "
-            f"{_size_in(a.difference, unit)} with a chance of {100 * a.power:.0f} %"
+            f"{_size_in(a.target_difference, unit)} with a chance of {100 * a.power:.0f} %"
         )
         if needed[1] is not None:
             words += (
@@ -99,7 +99,9 @@ def section_notes(
             )
         notes.append(f"{words}.")
     else:
-        notes.append(f"With this scatter it takes too many shots to find {_size_in(a.difference, unit)}.")
+        notes.append(
+            f"With this scatter it takes too many shots to find {_size_in(a.target_difference, unit)}."
+        )
     return tuple(notes)
 
 
@@ -161,7 +163,9 @@ def _all_pairs(
         if alike:
             headline += f"{then}{alike} {'are' if alike > 1 else 'is'} the same within {_margin(plan, unit)}"
         if count["open"]:
-            what = "neither different nor the same" if plan.analysis.margin else "not seen to differ"
+            what = (
+                "neither different nor the same" if plan.analysis.equivalence_margin else "not seen to differ"
+            )
             headline += f"{then}{count['open']} {'are' if count['open'] > 1 else 'is'} {what}"
         if count["not enough shots"]:
             headline += f"{then}for {count['not enough shots']} there are not enough shots"
@@ -173,7 +177,7 @@ def _all_pairs(
         f"{_size(plan, comparison.pairs)} All pairs together at {confidence_words(comparison.confidence)} %"
     )
     if count["not enough shots"] and needed[0]:
-        wanted = _size_in(plan.analysis.difference, unit)
+        wanted = _size_in(plan.analysis.target_difference, unit)
         detail += f"; a difference of {wanted} would need {series_words(needed[0], plan)}"
     detail = f"{detail.rstrip(',')}. {_validity(plan, comparison.pairs)}{_look(analysis)}"
     return Verdict(not open_, f"{headline}.", f"{detail}All {pairs} pairs with intervals: table of pairs.")
@@ -253,10 +257,10 @@ def _pair(
             headline = f"{pair.first} and {pair.second} are the same in {name}, within {_margin(plan, unit)}."
         case "open":
             headline = f"No difference in {name} between {pair.first} and {pair.second} was found."
-            if a.margin:
+            if a.equivalence_margin:
                 headline = f"{headline[:-1]}, nor that they are the same within {_margin(plan, unit)}."
             seen += (
-                f". One of {_size_in(a.difference, unit)} would have been seen with a chance of "
+                f". One of {_size_in(a.target_difference, unit)} would have been seen with a chance of "
                 f"{100 * pair.power:.0f} %"
             )
         case _:
@@ -266,7 +270,7 @@ def _pair(
             if different:
                 outlook.append(
                     f"about {series_words(different, plan)} to find a difference of "
-                    f"{_size_in(a.difference, unit)}"
+                    f"{_size_in(a.target_difference, unit)}"
                 )
             if same:
                 outlook.append(
@@ -292,14 +296,14 @@ def _covariate_words(
     if needed is not None and without is not None:
         words += (
             f"; without it {without.shots} valid shots of each, not {needed.shots}, would be needed for "
-            f"{_size_in(plan.analysis.difference, unit)}"
+            f"{_size_in(plan.analysis.target_difference, unit)}"
         )
     missed = f" {found.missing} valid shots without it are left out." if found.missing else ""
     return f"{words}.{missed}"
 
 
 def _margin(plan: CampaignPlan, unit: DisplayUnit) -> str:
-    return _size_in(plan.analysis.margin, unit)
+    return _size_in(plan.analysis.equivalence_margin, unit)
 
 
 def _size_in(size: float, unit: DisplayUnit) -> str:

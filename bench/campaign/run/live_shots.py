@@ -211,11 +211,11 @@ class LiveShots:
         if pressure is None or (status["state"], status["phase"]) != ("ARMED", "HOLD"):
             return None
         profile = self._swings.designed((step.trial.arm.swing, step.trial.arm.club))
-        least = supply.least * profile.limits.get("supply_pressure_pa", 0.0)
+        least = supply.min_pressure_ratio * profile.limits.get("supply_pressure_pa", 0.0)
         if pressure >= least:
             return None
         text = f"supply {pressure / 1e5:.2f} bar absolute, at least {least / 1e5:.2f} for {profile.name}"
-        return BlockingCondition(text, armed=True, patience=supply.patience)
+        return BlockingCondition(text, armed=True, patience=supply.timeout)
 
     def rest(self) -> None:
         """Disarm: vent the robot."""

@@ -415,15 +415,16 @@ def _judged(
     """Adjust all pairs together and put each into one word."""
     a, single = plan.analysis, joint.single(alpha)
     same: Sequence[float | None] = [None] * len(found)
-    if a.margin:
-        same = list[float | None](holm([pair.contrast.p_same(a.margin) for pair in found]))
+    if a.equivalence_margin:
+        same = list[float | None](holm([pair.contrast.p_same(a.equivalence_margin) for pair in found]))
     pairs = []
     for pair, equal in zip(found, same, strict=True):
         c = pair.contrast
         adjusted = joint.adjusted(c.p)
-        power = power_of_shift(a.difference / c.error, c.freedom, single) if c.error else 1.0
+        power = power_of_shift(a.target_difference / c.error, c.freedom, single) if c.error else 1.0
         enough = power >= a.power and (
-            not a.margin or same_power_of_error(a.margin, c.error, c.freedom, alpha / len(found)) >= a.power
+            not a.equivalence_margin
+            or same_power_of_error(a.equivalence_margin, c.error, c.freedom, alpha / len(found)) >= a.power
         )
         pairs.append(
             Pair(

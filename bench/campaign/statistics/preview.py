@@ -80,28 +80,28 @@ def outlook(plan: CampaignPlan) -> Outlook:
     """Return the resolution of a section of `plan` after all its blocks, with all shots valid."""
     a, count, blocks = plan.analysis, len(levels(plan)), plan.design.blocks
     pairs, alpha = len(list(combinations(range(count), 2))), alpha_at_end(plan)
-    deviation = a.deviation * sqrt(1 - (a.explained if a.covariates else 0.0))
+    deviation = a.expected_sd * sqrt(1 - (a.expected_r_squared if a.covariates else 0.0))
     between = a.mounting_deviation if plan.split else a.ball_deviation
     if plan.design.compare == "club" and not plan.split and deviation:
         deviation = hypot(deviation, a.mounting_deviation)  # nearly each shot has a mounting of its own
     known = predict_precision(plan, deviation or 1.0, between)
-    if known is None or not a.deviation:
+    if known is None or not a.expected_sd:
         freedom = known.freedom if known else 0.0
         return Outlook(count, pairs, blocks, freedom, alpha / max(pairs, 1), *[None] * 6)
     needed, _ = series_needed(plan, deviation, between)
-    plain, _ = series_needed(plan, a.deviation, a.ball_deviation) if a.covariates else (None, None)
+    plain, _ = series_needed(plan, a.expected_sd, a.ball_deviation) if a.covariates else (None, None)
     return Outlook(
         count,
         pairs,
         blocks,
         known.freedom,
         known.single,
-        known.power(a.difference),
+        known.power(a.target_difference),
         known.resolution(a.power),
         needed and needed.shots,
         needed and needed.balls,
         plain and plain.shots,
-        known.same(a.margin, alpha) if a.margin else None,
+        known.same(a.equivalence_margin, alpha) if a.equivalence_margin else None,
     )
 
 
@@ -236,25 +236,25 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
     unit = UNITS[a.quantity]
     if not found.pairs:
         return ["One level only: it is described, nothing is compared."]
-    if not a.deviation:
-        return ["No standard deviation is stated (analysis.deviation): what can be resolved is not known."]
+    if not a.expected_sd:
+        return ["No standard deviation is stated (analysis.expected_sd): what can be resolved is not known."]
     together = f", {found.pairs} pairs together" if found.pairs > 1 else ""
     between = f" and {a.ball_deviation:g} {unit} between balls" if a.ball_deviation else ""
     if plan.design.compare == "club" and a.mounting_deviation:
         between = f" and {a.mounting_deviation:g} {unit} between mountings"
     needed = None if found.needed is None else SeriesSize(found.balls or 0, found.needed)
     lines = [
-        f"Expected: with a standard deviation of {a.deviation:g} {unit} a shot{between}, a difference of "
+        f"Expected: with a standard deviation of {a.expected_sd:g} {unit} a shot{between}, a difference of "
         f"{_figure(found.resolution)} {unit} is found with a chance of {100 * a.power:.0f} %"
         f" at {100 * a.confidence:g} % confidence{together}.",
-        f"A difference of {a.difference:g} {unit} is found with a chance of "
+        f"A difference of {a.target_difference:g} {unit} is found with a chance of "
         f"{100 * (found.power or 0):.0f} %; "
         f"{series_words(needed, plan)} would make it {100 * a.power:.0f} %.",
     ]
     if a.covariates:
         lines.append(
             f"Corrected by {', '.join(COVARIATES[name] for name in a.covariates)}, expected to explain "
-            f"{100 * a.explained:.0f} % of a shot's variance; without it would take "
+            f"{100 * a.expected_r_squared:.0f} % of a shot's variance; without it would take "
             f"{found.without or 'too many'} valid shots of each."
         )
     if plan.design.compare == "ball":
@@ -275,7 +275,7 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
             lines.append(f"Balls within {plan.design.clubs[0]}: {words}")
     if found.same is not None:
         lines.append(
-            f"If they are truly equal, they are called the same (within {a.margin:g} {unit}) with a chance "
+            f"If they are truly equal, they are called the same (within {a.equivalence_margin:g} {unit}) with a chance "
             f"of {100 * found.same:.0f} %."
         )
     if (found.power or 0) < a.power:

@@ -282,7 +282,7 @@ def series_needed(
     """
     a = plan.analysis
     if deviation <= 0:
-        return SeriesSize(2, 2), SeriesSize(2, 2) if a.margin else None
+        return SeriesSize(2, 2), SeriesSize(2, 2) if a.equivalence_margin else None
     known = predict_precision(plan, deviation, ball_deviation, min(plan.design.blocks, _REFERENCE))
     if known is None:
         return None, None
@@ -298,14 +298,14 @@ def series_needed(
 
     def found(shots: int, most: int) -> float:
         error, freedom = scaled(shots, most)
-        return power_of_shift(a.difference / error, freedom, known.single)
+        return power_of_shift(a.target_difference / error, freedom, known.single)
 
     def same(shots: int, most: int) -> float:
         error, freedom = scaled(shots, most)
-        return same_power_of_error(a.margin, error, freedom, alpha / known.pairs)
+        return same_power_of_error(a.equivalence_margin, error, freedom, alpha / known.pairs)
 
     results: list[SeriesSize | None] = []
-    for chance in (found, same) if a.margin else (found,):
+    for chance in (found, same) if a.equivalence_margin else (found,):
         most = balls or 1
         limit = balls * plan.ball_handling.hits if balls else 1_000_000
         shots = blocks_needed(lambda n: chance(n, most), a.power)  # noqa: B023 - called at once
@@ -316,7 +316,7 @@ def series_needed(
         if balls > 1:
             more = blocks_needed(lambda n: chance(n * hits, n), a.power)  # noqa: B023 - called at once
         results.append(None if more is None else SeriesSize(more, more * hits))
-    return results[0], results[1] if a.margin else None
+    return results[0], results[1] if a.equivalence_margin else None
 
 
 def _mountings_needed(
@@ -327,15 +327,17 @@ def _mountings_needed(
 
     def found(mountings: int) -> float:
         error, freedom = _scaled(known, mountings * hits, mountings)
-        return power_of_shift(a.difference / error, freedom, known.single)
+        return power_of_shift(a.target_difference / error, freedom, known.single)
 
     def same(mountings: int) -> float:
         error, freedom = _scaled(known, mountings * hits, mountings)
-        return same_power_of_error(a.margin, error, freedom, alpha / known.pairs)
+        return same_power_of_error(a.equivalence_margin, error, freedom, alpha / known.pairs)
 
-    sizes = [blocks_needed(chance, a.power) for chance in ((found, same) if a.margin else (found,))]
+    sizes = [
+        blocks_needed(chance, a.power) for chance in ((found, same) if a.equivalence_margin else (found,))
+    ]
     results = [None if n is None else SeriesSize(n, n * hits) for n in sizes]
-    return results[0], results[1] if a.margin else None
+    return results[0], results[1] if a.equivalence_margin else None
 
 
 def _scaled(known: PredictedPrecision, shots: int, units: int) -> tuple[float, float]:

@@ -201,7 +201,7 @@ def cases() -> list[Case]:
             design=replace(ten.design, balls=names, blocks=blocks),
             control=replace(ten.control, ball="tour" if control else ""),
             ball_handling=replace(ten.ball_handling, samples=balls),
-            analysis=replace(ten.analysis, margin=0.0, deviation=2.0, **analysis),
+            analysis=replace(ten.analysis, equivalence_margin=0.0, expected_sd=2.0, **analysis),
         )
 
     uneven = Known(scale=(3.0, 1.0), missing=0.15, ball=1.0)
@@ -241,7 +241,9 @@ def _split_cases() -> list[Case]:
     def plan(count: int, blocks: int, hits: int, balls: int = 1) -> CampaignPlan:
         names, hit = tuple("ABCDE"[:count]), tuple("abc"[:balls])
         design = replace(clubs.design, clubs=names, balls=hit, blocks=blocks, hits_per_mounting=hits)
-        return replace(clubs, design=design, analysis=replace(clubs.analysis, margin=0.0, deviation=2.0))
+        return replace(
+            clubs, design=design, analysis=replace(clubs.analysis, equivalence_margin=0.0, expected_sd=2.0)
+        )
 
     half, whole = Known(ball=1.0, mounting=1.0), Known(ball=1.0, mounting=2.0)
     holes = Known(ball=1.0, mounting=2.0, drift=0.02, missing=0.1)

@@ -50,7 +50,7 @@ repeats = 3
 at_most = 0
 practice = false                  # every swing is a shot on record
 [gate]
-centre = "planned"
+reference = "planned"
 club_speed = 4.0
 strike_x = 0.03
 strike_y = 0.03

@@ -57,7 +57,7 @@ def test_a_balls_hits_are_no_new_balls() -> None:
 @pytest.fixture(scope="module")
 def ten() -> Case:
     plan = _case("10 levels, 12 balls").plan
-    plan = replace(plan, analysis=replace(plan.analysis, margin=4.0, difference=4.0))
+    plan = replace(plan, analysis=replace(plan.analysis, equivalence_margin=4.0, target_difference=4.0))
     return Case("ten equal ones", plan, Known(deviation=1.0))
 
 
@@ -129,7 +129,7 @@ def test_a_covariate_takes_out_what_it_explains() -> None:
     case = _case("club speed as covariate")
     shots, _ = drawn(case, 0.0, 7)
     with_it = analyse(case.plan, shots, 1, "", ()).confirmatory
-    plan = replace(case.plan, analysis=replace(case.plan.analysis, covariates=(), explained=0.0))
+    plan = replace(case.plan, analysis=replace(case.plan.analysis, covariates=(), expected_r_squared=0.0))
     without = analyse(plan, shots, 1, "", ()).confirmatory
     assert with_it is not None
     assert without is not None
@@ -161,7 +161,7 @@ def test_a_covariate_is_refused_where_it_is_what_is_compared(tmp_path: Path) -> 
 
 def test_more_hits_of_the_same_balls_do_not_replace_balls() -> None:
     plan = _case("ball SD half").plan
-    plan = replace(plan, analysis=replace(plan.analysis, difference=1.0))
+    plan = replace(plan, analysis=replace(plan.analysis, target_difference=1.0))
     few, _ = series_needed(plan, 1.0, 0.2)
     assert few is not None
     assert few.balls <= 12

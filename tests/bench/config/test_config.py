@@ -344,16 +344,21 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
             "0.002 s",
             "at most 0.00096875 s",
         ),
-        ("[envelope]\nlost_time = 0.0005", "envelope.encoder_timeout", "0.0005 s", "more than one tick"),
         (
-            "[envelope]\nlost_time = 0.011",
+            "[envelope]\nencoder_timeout = 0.0005",
+            "envelope.encoder_timeout",
+            "0.0005 s",
+            "more than one tick",
+        ),
+        (
+            "[envelope]\nencoder_timeout = 0.011",
             "envelope.encoder_timeout",
             "0.011 s",
             "at most envelope.max_tick_interval",
         ),
         (
             '[loop]\nrate_hz = 333\n[driver]\nname = "canopen"\n[plant]\nsubsteps = 13\n'
-            "[envelope]\nlost_time = 0.006",
+            "[envelope]\nencoder_timeout = 0.006",
             "envelope.encoder_timeout",
             "0.006 s at 333 Hz",
             "2.2 ticks, 0.00660661 s",
@@ -382,7 +387,7 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
             "1.5, 1.2e6 Pa",
             "less than the lowest pressure_rating, 1.2e6 Pa",
         ),
-        ("[envelope]\nminimum_stop_margin = 1.5", "envelope.absorber_travel_fraction", "1.5", "0 to 1"),
+        ("[envelope]\nabsorber_travel_fraction = 1.5", "envelope.absorber_travel_fraction", "1.5", "0 to 1"),
         ("[envelope.following]\nswing = [1, 1, 1]", "envelope.following.swing", "an unknown phase", "hold"),
         ("[plant.site]\nball_y = -1.7", "plant.site.ball_y", "-1.7 m", "at least -1.6127 m"),
         ("[plant.site]\nball_y = -2.0\nground = -2.1", "plant.site.ball_y", "2.016 m", "at most 1.900 m"),

@@ -27,14 +27,14 @@ seed = 2
 [warm_up]
 at_most = 0
 [gate]
-centre = "planned"
+reference = "planned"
 shaft_lean_deg = 0.0
 club_speed = 2.5
 [analysis]
 quantity = "carry_m"
 carry = "reference"
-deviation = 2.0
-difference = 3.0
+expected_sd = 2.0
+target_difference = 3.0
 drift = "none"
 [clubs.driver-9]
 like = "driver"

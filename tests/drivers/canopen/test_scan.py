@@ -127,7 +127,7 @@ def test_a_node_without_heartbeat_is_refused_as_by_the_startup(role: str) -> Non
 
 def test_the_command_fails_on_an_empty_bus_and_names_each_node(tmp_path: Path) -> None:
     file = tmp_path / "bench.toml"
-    file.write_text(f'base = "local_can"\n[canopen]\nchannel = "{tmp_path}/bus"\nservice_time = 0.05\n')
+    file.write_text(f'base = "local_can"\n[canopen]\nchannel = "{tmp_path}/bus"\nsdo_timeout = 0.05\n')
     result = CliRunner().invoke(app, ["--config", str(file), "nodes", "--scan"], obj=Session())
     assert result.exit_code != 0
     for number in (1, 2, 3, 10):

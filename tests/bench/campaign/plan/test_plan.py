@@ -96,9 +96,13 @@ def test_the_examples_are_there() -> None:
         (('name = "two"', 'name = "../two"'), "campaign.name", "../two"),
         (('ball = "tour"', 'ball = "tuor"'), "control.ball", "tuor"),
         (('ball = "tour"', 'ball = "tour"\n[stop]\nrule = "width"'), "stop.width", "0"),
-        (('ball = "tour"', 'ball = "tour"\n[stop]\nrule = "equivalence"'), "analysis.margin", "0"),
+        (
+            ('ball = "tour"', 'ball = "tour"\n[stop]\nrule = "equivalence"'),
+            "analysis.equivalence_margin",
+            "0",
+        ),
         (('ball = "tour"', 'ball = "tour"\n[gate]\nclub_speed = nan'), "gate.club_speed", "nan"),
-        (('ball = "tour"', 'ball = "tour"\n[warm_up]\nat_most = 0'), "gate.centre", "warm-up"),
+        (('ball = "tour"', 'ball = "tour"\n[warm_up]\nat_most = 0'), "gate.reference", "warm-up"),
         (('ball = "tour"', 'ball = "tour"\n[rules]\napply = ["ods-1066"]'), "rules.apply", "ods-1066"),
         (
             ('ball = "tour"', 'ball = "tour"\n[set_up]\ncontrol_restitution = 0.8'),
@@ -146,8 +150,16 @@ def test_mistakes_across_keys_are_told_with_those_in_values(
     tmp_path: Path, configuration: Configuration
 ) -> None:
     wrong = TWO.replace('"range"', '"rnage"').replace("blocks = 4", 'blocks = "four"\nmany = 3')
-    faults = _faults(tmp_path, configuration, wrong + '\n[stop]\nlooks = 0\n[preparation]\ndrivr = "x"\n')
-    assert set(faults) == {"design.balls", "design.blocks", "design.many", "stop.looks", "preparation.drivr"}
+    faults = _faults(
+        tmp_path, configuration, wrong + '\n[stop]\ninterim_analyses = 0\n[preparation]\ndrivr = "x"\n'
+    )
+    assert set(faults) == {
+        "design.balls",
+        "design.blocks",
+        "design.many",
+        "stop.interim_analyses",
+        "preparation.drivr",
+    }
 
 
 def test_a_swing_for_another_club_is_refused(tmp_path: Path, configuration: Configuration) -> None:
@@ -265,7 +277,7 @@ def test_power_of_no_difference_is_the_error_level_and_of_a_large_one_certain() 
 
 
 def test_a_plan_too_small_says_so(tmp_path: Path, configuration: Configuration) -> None:
-    text = TWO + "[analysis]\ndeviation = 5.0\ndifference = 1.0\n"
+    text = TWO + "[analysis]\nexpected_sd = 5.0\ntarget_difference = 1.0\n"
     words = " ".join(outlook_words(_plan(tmp_path, configuration, text)))
     assert "Not enough shots" in words
     assert str(outlook(_plan(tmp_path, configuration, text)).needed) in words

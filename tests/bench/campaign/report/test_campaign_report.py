@@ -49,7 +49,7 @@ balls = ["tour", "range", "slow"]
 clubs = ["driver", "driver-12"]
 [analysis]
 carry = "monitor"
-difference = 2.0
+target_difference = 2.0
 drift = "none"
 [balls.slow]
 like = "tour"

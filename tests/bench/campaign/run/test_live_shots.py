@@ -70,7 +70,7 @@ blocks = 1
 at_most = 0
 practice = false
 [gate]
-centre = "planned"
+reference = "planned"
 club_speed = 4.0
 strike_x = 0.03
 strike_y = 0.03
@@ -536,7 +536,7 @@ def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_of
 def test_the_supply_is_judged_at_the_address_by_what_the_swing_was_designed_for(
     plan: CampaignPlan, state: str, phase: str, pressure: float | None, least: float, hindered: bool
 ) -> None:
-    plan = replace(plan, supply=replace(plan.supply, least=least))
+    plan = replace(plan, supply=replace(plan.supply, min_pressure_ratio=least))
     bench = StandingBench(state=state, phase=phase, supply_pressure_pa=pressure)
     found = shots_of(plan, bench).hindrance(a_step())
     assert (found is not None) == hindered
@@ -670,7 +670,7 @@ seed = 1                          # driver first
 at_most = 0
 practice = false
 [gate]
-centre = "planned"
+reference = "planned"
 club_speed = 4.0
 shaft_lean_deg = 0.0
 strike_x = 0.03

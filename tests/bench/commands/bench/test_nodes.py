@@ -29,7 +29,7 @@ def file(tmp_path: Path) -> Path:
     path = tmp_path / "can.toml"
     path.write_text(
         f'base = "shipped"\n[driver]\nname = "canopen"\n[canopen]\ninterface = "local_socket"\n'
-        f'channel = "{tmp_path / "bus"}"\nservice_time = 2.0\n'
+        f'channel = "{tmp_path / "bus"}"\nsdo_timeout = 2.0\n'
         "[canopen.encoders]\nnodes = [21, 22, 23]\n[canopen.valve_node]\nnode = 40\n"
     )
     return path

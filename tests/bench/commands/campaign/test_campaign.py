@@ -217,7 +217,7 @@ blocks = 1
 [warm_up]
 at_most = 0
 [gate]
-centre = "planned"
+reference = "planned"
 """
 
 

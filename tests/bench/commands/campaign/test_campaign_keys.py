@@ -199,7 +199,7 @@ at_most = 0
 [ball_handling]
 hits = 999
 [gate]
-centre = "planned"
+reference = "planned"
 """
 
 
