@@ -44,19 +44,24 @@ class BenchError(Exception):
 
     exit_code = ExitCode.BAD_INPUT
 
-    def __init__(self, place: str, found: str, expected: str, action: str) -> None:
-        super().__init__(place, found, expected, action)
-        self.place = place
+    def __init__(self, location: str, found: str, expected: str, action: str) -> None:
+        super().__init__(location, found, expected, action)
+        self.location = location
         self.found = found
         self.expected = expected
         self.action = action
 
     def __str__(self) -> str:
-        return f"{self.place}: found {self.found}, expected {self.expected}. {self.action}"
+        return f"{self.location}: found {self.found}, expected {self.expected}. {self.action}"
 
     def record(self) -> dict[str, str]:
         """Return the parts by their names."""
-        return {"place": self.place, "found": self.found, "expected": self.expected, "action": self.action}
+        return {
+            "location": self.location,
+            "found": self.found,
+            "expected": self.expected,
+            "action": self.action,
+        }
 
 
 class Refused(BenchError):

@@ -155,7 +155,7 @@ def values_of(kind: CalibrationKind, content: Mapping[str, Any], place: str) -> 
     values = builder.build(KINDS[kind])
     if faults:
         for fault in faults:
-            fault.place = fault.place.removesuffix(": ")  # of the values as a whole
+            fault.location = fault.location.removesuffix(": ")  # of the values as a whole
         raise ExceptionGroup(f"{place} is invalid", faults)
     return values  # type: ignore[no-any-return]
 
@@ -267,7 +267,7 @@ class CalibrationProblem(Refused):
     @property
     def text(self) -> str:
         """Problem and action in one sentence."""
-        return f"{self.place} {self.found}: {self.action}"
+        return f"{self.location} {self.found}: {self.action}"
 
 
 @dataclass(frozen=True)

@@ -335,7 +335,11 @@ def explain(error: Exception) -> tuple[list[str], ExitCode]:
         case BenchError() if for_programs:
             return [json.dumps(error.record())], error.exit_code
         case BenchError():
-            lines = (f"error: {error.place}", f"  found:    {error.found}", f"  expected: {error.expected}")
+            lines = (
+                f"error: {error.location}",
+                f"  found:    {error.found}",
+                f"  expected: {error.expected}",
+            )
             return ["\n".join((*lines, f"  action:   {error.action}"))], error.exit_code
         case DriverError():
             return [f"error: {error}"], ExitCode.DEVICE

@@ -81,7 +81,7 @@ class FaultRecord(NamedTuple):
 
     step: str
     date: str
-    place: str
+    location: str
     found: str
     expected: str
     action: str
@@ -342,7 +342,7 @@ def _noting_what_is_wrong(
         yield
     except MachineFault as error:
         state.wrong = FaultRecord(
-            step.name, now().isoformat(), error.place, error.found, error.expected, error.action
+            step.name, now().isoformat(), error.location, error.found, error.expected, error.action
         )
         state.save()
         raise

@@ -50,7 +50,7 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         try:
             database_url(c.bench.database, c.bench.data_dir)
         except BenchError as error:
-            yield error.place, error.found, error.expected, error.action
+            yield error.location, error.found, error.expected, error.action
     for key, entries in (("club", c.clubs), ("ball", c.balls)):
         name = getattr(c.swing, key)
         if name not in entries:

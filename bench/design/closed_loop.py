@@ -49,7 +49,7 @@ class Rehearsal:
                 cause = CAUSE_TEXT[engine.cause] if engine.cause else "the robot does not come to rest"
                 raise engine.refusal(cause)
         except Refused as refused:
-            raise LoopFailed(f"{refused.place}: {refused.found}") from None
+            raise LoopFailed(f"{refused.location}: {refused.found}") from None
         self.bench, self._first = engine.stepper, engine.latest
 
     def advance(self, ticks: int) -> NDArray[Any]:

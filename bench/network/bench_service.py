@@ -20,7 +20,7 @@ class ArmingBlock(TypedDict):
     """A reason that blocks arming, in the parts of an error message."""
 
     code: Block
-    place: str
+    location: str
     found: str
     expected: str
     action: str

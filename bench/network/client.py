@@ -86,7 +86,8 @@ class CommandRefused(Refused):
             found, expected, actions = (
                 dict.fromkeys(parts)
                 for parts in zip(
-                    *((f"{b['place']} {b['found']}", b["expected"], b["action"]) for b in blocks), strict=True
+                    *((f"{b['location']} {b['found']}", b["expected"], b["action"]) for b in blocks),
+                    strict=True,
                 )
             )
             super().__init__(

@@ -317,7 +317,7 @@ class ArmContent(TypedDict):
 class ErrorParts(TypedDict):
     """Parts of an error in a message."""
 
-    place: str
+    location: str
     found: str
     expected: str
     action: str
@@ -387,7 +387,7 @@ def parse_error(payload: bytes) -> BenchError:
         case {
             "version": 1,
             "error": {
-                "place": str(place),
+                "location": str(place),
                 "found": str(found),
                 "expected": str(expected),
                 "action": str(action),

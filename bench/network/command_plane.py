@@ -305,7 +305,7 @@ class CommandPlane:
                 parse_command(message.verb, message.payload)
             except BenchError as error:
                 stopped = BenchError(
-                    error.place, error.found, error.expected, f"{error.action} {_STOPS_ANYWAY}"
+                    error.location, error.found, error.expected, f"{error.action} {_STOPS_ANYWAY}"
                 )
                 self._answer_error(message.query, stopped)
             else:

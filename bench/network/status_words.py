@@ -155,7 +155,7 @@ def interlock_conditions(status: BenchStatus) -> list[StatusCondition]:
 
 def block_text(block: ArmingBlock) -> str:
     """Return a reason that blocks arming as an error message."""
-    return str(BenchError(block["place"], block["found"], block["expected"], block["action"]))
+    return str(BenchError(block["location"], block["found"], block["expected"], block["action"]))
 
 
 _POSITION = {True: "open", False: "shut", None: "no feedback"}

@@ -80,7 +80,7 @@ def refusal_answer(error: BenchError) -> Response:
         return json_answer(
             {"what": what, "action": "Look at the robot. Nothing is sent again by itself."}, 504
         )
-    what = f"{error.place}: {error.found}; expected {error.expected}."
+    what = f"{error.location}: {error.found}; expected {error.expected}."
     return json_answer({"what": f"{what[:1].upper()}{what[1:]}", "action": error.action}, 409)
 
 

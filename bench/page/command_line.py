@@ -132,10 +132,10 @@ def fault_of(place: str, code: int, text: str) -> BenchError:
         return faults[0]
     if faults:
         action = _cut(" ".join(dict.fromkeys(one.action for one in faults)))
-        if len({(one.place, one.expected) for one in faults}) == 1:
+        if len({(one.location, one.expected) for one in faults}) == 1:
             found = _cut("; ".join(one.found for one in faults))
-            return BenchError(faults[0].place, found, faults[0].expected, action)
-        found = "; ".join(f"{one.place}: {one.found}, expected {one.expected}" for one in faults)
+            return BenchError(faults[0].location, found, faults[0].expected, action)
+        found = "; ".join(f"{one.location}: {one.found}, expected {one.expected}" for one in faults)
         return BenchError(place, _cut(found), "a valid input", action)
     lines = [line.strip(" │╭╰─╮╯") for line in text.strip().splitlines()]
     said = next((line for line in reversed(lines) if line), "")
@@ -232,7 +232,7 @@ class BackgroundCommand:
                 with suppress(OSError, ValueError):  # ended before it printed
                     return self._outcome(json.loads(self._log.with_suffix(".json").read_bytes()))
         fault = fault_of(what, code, text)
-        return f"{fault.place}: {fault.found}; expected {fault.expected}. {fault.action}"
+        return f"{fault.location}: {fault.found}; expected {fault.expected}. {fault.action}"
 
 
 TOPIC = "viewer"

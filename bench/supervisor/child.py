@@ -153,7 +153,7 @@ class Child:
 
     def _failure(self, event: dict[str, Any]) -> NotStarted:
         error = NotStarted(
-            str(event.get("place", f"{self.name} process")),
+            str(event.get("location", f"{self.name} process")),
             str(event.get("found", event.get("reason", event.get("text", "it failed")))),
             str(event.get("expected", "it to become ready")),
             str(event.get("action", "See its output above.")),

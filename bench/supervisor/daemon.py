@@ -182,7 +182,7 @@ class Daemon:
             blocks.append(
                 ArmingBlock(
                     code=Block.CALIBRATION_NOT_LOADED,
-                    place=f"calibrations of bench {self.configuration.bench.id}",
+                    location=f"calibrations of bench {self.configuration.bench.id}",
                     found=f"{calibration.summary()}, since the start",
                     expected=f"{self.calibration.summary()}, as the loop was started with",
                     action="Restart the bench: golfbench run.",

@@ -10,7 +10,7 @@ JSON line each:
 `link`       `link`: status of the connections (`LaunchMonitorStatus`); on change and every second
 `trouble`    `text`: it cannot listen and retries
 `relieved`   it listens again
-`failed`     `place`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
+`failed`     `location`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
 `ended`      no further keys
 
 It ends on SIGTERM or when its supervisor is gone. Outcomes not settled by then stay unsettled.

@@ -3,7 +3,7 @@
 `python -m bench.supervisor.loop_process` reads a pickled LoopPlan on stdin and writes JSON lines on stdout:
 
 `ready`      `real_time` (requested and granted settings), `tick_ns` (median of the warm-up)
-`failed`     `place`, `found`, `expected`, `action`, `exit_code`: it cannot work
+`failed`     `location`, `found`, `expected`, `action`, `exit_code`: it cannot work
 `exception`  `text`: a tick failed, the passive command was sent in it
 `device`     `trouble`, `counters`: why the device is not operational, its counters; once a second on change
 `ended`      `reason`

@@ -5,7 +5,7 @@ Plan: a pickled PublisherPlan on stdin. Output on stdout, one JSON line each:
 `ready`      connected to the daemon
 `trouble`    `text`: the connection is lost; it reconnects by itself
 `relieved`   it is reconnected
-`failed`     `place`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
+`failed`     `location`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
 `ended`      `batches`, `lost`
 
 It sends `golfbench/<id>/telemetry` (`bench.records.telemetry.batches`) about 50 times a second and

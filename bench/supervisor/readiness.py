@@ -96,7 +96,7 @@ class Readiness:
 def arming_block(code: Block, fault: BenchError) -> ArmingBlock:
     """Return `fault` as the bench reports it."""
     return ArmingBlock(
-        code=code, place=fault.place, found=fault.found, expected=fault.expected, action=fault.action
+        code=code, location=fault.location, found=fault.found, expected=fault.expected, action=fault.action
     )
 
 

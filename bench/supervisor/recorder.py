@@ -9,7 +9,7 @@ Plan: a pickled RecorderPlan on stdin. Output on stdout, one JSON line each:
 `trouble`    `text`, `waiting`: records cannot be stored; they wait in memory and are retried
 `relieved`   records can be stored again
 `dropped`    `count`: records lost so far because memory was full
-`failed`     `place`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
+`failed`     `location`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
 `ended`      `waiting`: records that could not be stored
 
 It ends on SIGTERM or when its supervisor is gone, after the current swing. Exit codes: 0; DEVICE, the ring or

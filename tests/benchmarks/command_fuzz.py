@@ -208,7 +208,7 @@ def _send(
         elif reply.err is not None and reply.err.encoding == zenoh.Encoding.APPLICATION_JSON:
             answer = reply.err.payload.to_bytes()
             outcomes.append("malformed")
-            if parse_error(answer).place == "answer of the bench":
+            if parse_error(answer).location == "answer of the bench":
                 tally.unreadable.append(answer)
 
     def done() -> None:

@@ -340,7 +340,7 @@ def test_what_is_missing_or_damaged_is_told(
     node[keys[-1]] = value
     with pytest.raises(BenchError) as refusal:
         replay_cycles(swing[0], metadata, "swing")
-    assert refusal.value.place == place
+    assert refusal.value.location == place
 
 
 def test_settings_that_this_program_does_not_take_are_all_named(swing: Record) -> None:
@@ -350,7 +350,7 @@ def test_settings_that_this_program_does_not_take_are_all_named(swing: Record) -
     metadata["configuration"]["plant"]["robot"]["l12"] = "long"
     with pytest.raises(ExceptionGroup) as group:
         replay_cycles(swing[0], metadata, "swing")
-    places = [error.place for error in group.value.exceptions if isinstance(error, BenchError)]
+    places = [error.location for error in group.value.exceptions if isinstance(error, BenchError)]
     assert [place.split(": ")[-1] for place in places] == [
         "plant.robot.l12",
         "control.rest_time",

@@ -483,7 +483,7 @@ def _suspending() -> Iterator[None]:
     try:
         yield
     except BenchError as error:
-        raise Suspended(f"{error.place}: {error.found}") from error
+        raise Suspended(f"{error.location}: {error.found}") from error
 
 
 def _judged(metadata: dict[str, Any], delivery: Delivery | None, struck: bool) -> tuple[ShotStatus, str]:

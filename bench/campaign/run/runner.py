@@ -246,7 +246,7 @@ class Runner:
             try:
                 state, reason = self._go_on(course, step, interrupted, writer)
             except BenchError as error:
-                self._end(f"the run ended with an error: {error.place}: {error.found}")
+                self._end(f"the run ended with an error: {error.location}: {error.found}")
                 raise
             finally:
                 with suppress(BenchError):  # report the first error
@@ -667,7 +667,7 @@ class Runner:
             stored = self.taken - len(pending) + len(shots)
             resume = f"golfbench campaign resume {self._entry.id}"
             action = f"Free some space, then {resume}: {stored} shots are stored."
-            raise NotStored(error.place, error.found, error.expected, action) from error
+            raise NotStored(error.location, error.found, error.expected, action) from error
         finally:
             if shots:
                 try:

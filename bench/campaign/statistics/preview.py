@@ -275,8 +275,8 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
             lines.append(f"Balls within {plan.design.clubs[0]}: {words}")
     if found.same is not None:
         lines.append(
-            f"If they are truly equal, they are called the same (within {a.equivalence_margin:g} {unit}) with a chance "
-            f"of {100 * found.same:.0f} %."
+            f"If they are truly equal, they are called the same (within {a.equivalence_margin:g} {unit}) "
+            f"with a chance of {100 * found.same:.0f} %."
         )
     if (found.power or 0) < a.power:
         lines.append("Not enough shots for what is asked: take more blocks, or ask for less.")

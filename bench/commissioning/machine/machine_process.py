@@ -5,7 +5,7 @@ numbered on the plan's connection, and each is answered with its number, whether
 or exception. JSON lines on stdout:
 
 `ready`   `real_time`
-`failed`  `place`, `found`, `expected`, `action`, `exit_code`: it cannot work
+`failed`  `location`, `found`, `expected`, `action`, `exit_code`: it cannot work
 `say`     `text`: a person is to do something
 
 Whatever runs ends once another order waits, on SIGTERM, or when its parent is gone; the robot is then brought

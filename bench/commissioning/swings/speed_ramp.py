@@ -157,7 +157,7 @@ def swung_slowly(
     except MachineFault as wrong:
         if slow.designed or not isinstance(wrong, SwingStopped):
             raise
-        note = f"{wrong.place} {wrong.found}: designed instead"
+        note = f"{wrong.location} {wrong.found}: designed instead"
     slow = slow_swing(known, full, share, speed, stretched=False)
     return [note, _swung(robot, slow.bench, slow.share, folder)]
 

@@ -289,7 +289,7 @@ class DiagnosedRobot:
         """Return `error` of a step with what the last swing says, where that says no cause."""
         if self.last is None or self.last.named is not None or isinstance(error, PredictionFails):
             return error
-        return type(error)(error.place, f"{error.found}; {self.last.text}", error.expected, error.action)
+        return type(error)(error.location, f"{error.found}; {self.last.text}", error.expected, error.action)
 
 
 class DiagnosedSeries:

@@ -132,7 +132,7 @@ function step(s, at) {
 }
 
 function wrong(w) {
-  return make("div", { class: "prompt", role: "alert" }, make("p", {}, make("strong", {}, `Machine fault: ${w.place}`)),
+  return make("div", { class: "prompt", role: "alert" }, make("p", {}, make("strong", {}, `Machine fault: ${w.location}`)),
     make("p", {}, `Found ${w.found}; expected ${w.expected}.`), make("p", {}, w.action));
 }
 

@@ -53,4 +53,4 @@ def test_load_address_with_a_mistake_in_it_is_refused(tmp_path: Path, text: str,
         load_address(file)
     (fault,) = caught.value.exceptions
     assert isinstance(fault, BenchError)
-    assert place in fault.place
+    assert place in fault.location

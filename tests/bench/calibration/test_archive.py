@@ -125,7 +125,7 @@ def test_an_older_one_does_not_supersede(database: Engine) -> None:
 def test_who_how_and_until_when_must_be_said(database: Engine, more: dict[str, Any], place: str) -> None:
     with pytest.raises(BenchError) as refusal:
         add(database, BALL, **more)
-    assert place in refusal.value.place
+    assert place in refusal.value.location
     assert list_calibrations(database, "b") == []
 
 
@@ -215,7 +215,7 @@ def test_every_wrong_value_is_named(
 ) -> None:
     with pytest.raises(ExceptionGroup) as group:
         values_of(kind, content, "here")
-    found = [error.place for error in group.value.exceptions if isinstance(error, BenchError)]
+    found = [error.location for error in group.value.exceptions if isinstance(error, BenchError)]
     assert len(found) == len(places)
     for place, start in zip(found, places, strict=True):
         assert place.startswith(start)

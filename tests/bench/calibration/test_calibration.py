@@ -170,7 +170,7 @@ def test_what_cannot_be_true_of_this_bench_is_refused(
 ) -> None:
     with pytest.raises(BenchError) as refusal:
         require_plausible(values, shipped)
-    assert refusal.value.place == place
+    assert refusal.value.location == place
 
 
 def test_a_ball_below_the_ground_contradicts_the_configuration(shipped: Configuration) -> None:

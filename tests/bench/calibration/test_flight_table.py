@@ -189,5 +189,5 @@ def test_a_table_that_is_not_clear_is_refused_with_its_place(
 ) -> None:
     with pytest.raises(BenchError) as raised:
         read(tmp_path, text)
-    assert place in raised.value.place
+    assert place in raised.value.location
     assert found in raised.value.found

@@ -138,7 +138,7 @@ def test_a_bad_file_is_refused_without_showing_what_is_in_it(
 ) -> None:
     with pytest.raises(BenchError) as error:
         read_services(url_file(tmp_path, text, mode))
-    assert error.value.place.endswith(place)
+    assert error.value.location.endswith(place)
     assert found in error.value.found
     assert HIDDEN not in str(error.value)
 

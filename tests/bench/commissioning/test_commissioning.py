@@ -268,7 +268,7 @@ def test_a_wrong_machine_is_named_by_the_first_step(name: str) -> None:
 
         with pytest.raises(MachineFault) as error:
             take()
-        assert case.place in error.value.place
+        assert case.place in error.value.location
         assert case.words in str(error.value)
         assert machine.loads.stop_share < 1.0
 

@@ -126,19 +126,19 @@ def test_a_site_that_cannot_be_is_refused(
 ) -> None:
     text = IRON7.replace(*change)
     (fault,) = faults(overlay(text))
-    assert fault.place.endswith(f": {key}")
+    assert fault.location.endswith(f": {key}")
     assert found in fault.found
     assert wanted in fault.expected
 
 
 def test_a_divot_needs_a_surface(overlay: Overlay) -> None:
     (fault,) = faults(overlay(IRON7 + "divot = 0.012\n"))
-    assert fault.place.endswith("sites.iron7.divot")
+    assert fault.location.endswith("sites.iron7.divot")
     assert "0.012 m into a bare floor" in fault.found
     assert load_configuration(overlay(IRON7 + 'divot = 0.012\nsurface = "mat"\n')).plant.site.divot == 0.0
 
 
 def test_a_site_must_be_complete(overlay: Overlay) -> None:
     (fault,) = faults(overlay(IRON7.replace("ball_x = 0.14\n", "")))
-    assert fault.place.endswith("sites.iron7.ball_x")
+    assert fault.location.endswith("sites.iron7.ball_x")
     assert fault.found == "nothing"

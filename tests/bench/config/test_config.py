@@ -185,7 +185,7 @@ def test_a_file_without_base_must_be_complete(tmp_path: Path) -> None:
     path = tmp_path / "bare.toml"
     path.write_text(TEXT.replace("pressure = 800000.0", ""))
     (fault,) = faults(path)
-    assert fault.place == f"{path}: plant.supply.pressure"
+    assert fault.location == f"{path}: plant.supply.pressure"
     assert (fault.found, fault.expected) == ("nothing", "a finite number, 200000 to 1.2e6 Pa absolute")
     assert 'base = "shipped"' in fault.action
 
@@ -208,7 +208,7 @@ def test_a_new_ball_without_like_must_be_complete(overlay: Overlay) -> None:
 def test_a_bad_base_is_refused(text: str, found: str, tmp_path: Path) -> None:
     (tmp_path / "loop.toml").write_text(text)
     (fault,) = faults(tmp_path / "loop.toml")
-    assert fault.place.endswith("loop.toml: base")
+    assert fault.location.endswith("loop.toml: base")
     assert fault.found == found
 
 
@@ -242,7 +242,7 @@ def check_each(overlay: Overlay, bad: Callable[[tuple[str, ...], Any], str | Non
     """Set every key of the shipped file to what `bad` makes of it and its value; each is named."""
     wrong = {".".join(keys): text for keys, value in LEAVES if (text := bad(keys, value)) is not None}
     path = overlay("\n".join(f"{key} = {text}" for key, text in wrong.items()))
-    named = {fault.place.removeprefix(f"{path}: ").partition("[")[0] for fault in faults(path)}
+    named = {fault.location.removeprefix(f"{path}: ").partition("[")[0] for fault in faults(path)}
     assert wrong.keys() - named == set()
 
 
@@ -283,14 +283,14 @@ def test_no_setting_of_control_is_negative(overlay: Overlay) -> None:
             value, float
         ):
             (fault,) = faults(overlay(setting(keys, "-1.0")))
-            assert fault.place.endswith(".".join(keys))
+            assert fault.location.endswith(".".join(keys))
 
 
 def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
     for keys in [keys for keys, _ in LEAVES if not {"following", "model", "like"} & {*keys}][::7]:
         text = setting((*keys[:-1], keys[-1] + "x"), "1.0")
         (fault,) = faults(overlay(text))
-        assert fault.place.endswith(".".join(keys) + "x")
+        assert fault.location.endswith(".".join(keys) + "x")
         assert fault.found == "an unknown key"
         assert keys[-1].removesuffix("_deg").removesuffix("_hz") in fault.action
 
@@ -400,8 +400,8 @@ def test_each_mistake_names_place_found_and_expected(
     text: str, place: str, found: str, expected: str, overlay: Overlay
 ) -> None:
     path = overlay(text)
-    fault = next(fault for fault in faults(path) if fault.place.endswith(f": {place}"))
-    assert fault.place == f"{path}: {place}"
+    fault = next(fault for fault in faults(path) if fault.location.endswith(f": {place}"))
+    assert fault.location == f"{path}: {place}"
     assert found in fault.found
     assert expected in fault.expected
     assert fault.action
@@ -413,7 +413,7 @@ def test_each_mistake_names_place_found_and_expected(
 def test_a_gain_set_by_hand_beside_those_of_the_machine_is_refused(text: str, overlay: Overlay) -> None:
     key = text.partition(" ")[0]
     (fault,) = faults(overlay(f'[control]\ngains = "machine"\n{text}'))
-    assert fault.place.endswith(f"control.{key}")
+    assert fault.location.endswith(f"control.{key}")
     assert fault.action == 'Delete it, or set control.gains = "hand".'
     assert faults(overlay(f'[control]\ngains = "hand"\n{text}')) == []
 
@@ -425,14 +425,14 @@ def test_gains_of_the_machine_may_lie_over_those_set_by_hand(overlay: Overlay, t
     assert faults(over) == []
     over.write_text('base = "mine.toml"\n[control]\ngains = "machine"\nmove_gain = [0.1, 0.1, 0.1]\n')
     (fault,) = faults(over)
-    assert fault.place == f"{over}: control.move_gain"
+    assert fault.location == f"{over}: control.move_gain"
 
 
 def test_all_mistakes_come_at_once_each_with_its_file(overlay: Overlay, tmp_path: Path) -> None:
     lower = overlay("[air]\nhumidity = 0.5\n[loop]\nrate_hz = 5")
     upper = tmp_path / "upper.toml"
     upper.write_text('base = "mine.toml"\n[turf]\nfriction = -1.0\n')
-    assert {fault.place for fault in faults(upper)} == {
+    assert {fault.location for fault in faults(upper)} == {
         f"{lower}: air.humidity",
         f"{lower}: loop.rate_hz",
         f"{upper}: turf.friction",
@@ -457,7 +457,7 @@ def test_what_is_no_toml_is_told_with_its_line(content: bytes, found: str, tmp_p
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     (fault,) = faults(path)
-    assert fault.place == str(path)
+    assert fault.location == str(path)
     assert found in fault.found
 
 
@@ -528,7 +528,7 @@ def test_any_value_is_taken_or_refused_in_words(
     ],
 )
 def test_faults_that_cannot_be_are_refused(overlay: Overlay, text: str, place: str) -> None:
-    assert any(place in fault.place for fault in faults(overlay(text)))
+    assert any(place in fault.location for fault in faults(overlay(text)))
 
 
 @pytest.mark.parametrize("driver", ['name = "canopen"', 'time = "wall"'])
@@ -536,7 +536,7 @@ def test_a_phase_is_nothing_to_a_plant_on_its_own_clock(overlay: Overlay, driver
     text = f'[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"\n[driver]\n{driver}\n'
     configuration = load_configuration(overlay(text + '[canopen]\ninterface = "local_socket"'))
     (fault,) = unheard_phases(configuration)
-    assert fault.place.endswith("faults.a.phase")
+    assert fault.location.endswith("faults.a.phase")
     assert "--time paced" in fault.action
     assert not unheard_phases(
         configuration.with_driver(replace(configuration.driver, name="sim", time="paced"))

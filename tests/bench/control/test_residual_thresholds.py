@@ -114,8 +114,8 @@ def test_a_bad_file_is_named_with_its_place(file: Path, edit: Edit, place: str, 
     file.write_text(edit(file.read_text()))
     with pytest.raises(BenchError) as error:
         load_limits(file)
-    assert str(file) in error.value.place
-    assert error.value.place.endswith(place)
+    assert str(file) in error.value.location
+    assert error.value.location.endswith(place)
     assert found in error.value.found
 
 

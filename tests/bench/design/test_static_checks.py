@@ -133,7 +133,7 @@ def test_each_reason_is_named(
     profile, machine = change(slow_swing, plant)
     faults = profile_faults(profile, machine, envelope, "slow.toml")
     texts = [str(fault) for fault in faults]
-    fault = next((fault for fault in faults if fault.place.startswith(f"slow.toml: {place}")), None)
+    fault = next((fault for fault in faults if fault.location.startswith(f"slow.toml: {place}")), None)
     assert fault is not None, texts
     assert found in fault.found
     assert expected in fault.expected
@@ -153,7 +153,7 @@ def test_the_envelopes_limits_are_kept_in_the_plan(
     limits: dict[str, Any], place: str, expected: str, slow_swing: Profile, plant: PlantParameters
 ) -> None:
     (fault,) = profile_faults(slow_swing, plant, EnvelopeSettings(**limits))
-    assert fault.place.startswith(f"slow: {place}")
+    assert fault.location.startswith(f"slow: {place}")
     assert expected in fault.expected
 
 
@@ -192,7 +192,7 @@ def test_a_swing_that_asks_for_more_air_than_the_valves_pass_is_refused(
     slow_swing: Profile, plant: PlantParameters, envelope: EnvelopeSettings
 ) -> None:
     faults = profile_faults(faster(slow_swing, 40), plant, envelope)
-    shoulder = next(fault for fault in faults if "shoulder" in fault.place)
+    shoulder = next(fault for fault in faults if "shoulder" in fault.location)
     assert "N m of air needed at" in shoulder.found
     assert "7.9e-08 m3/(s Pa)" in shoulder.expected
     assert "plant.shoulder" in shoulder.action
@@ -219,7 +219,7 @@ def test_valves_too_small_for_the_speed_are_refused(
 
     assert air_faults(plant.right_arm.valve.conductance) == []
     (fault,) = air_faults(1e-9)
-    assert "arm" in fault.place
+    assert "arm" in fault.location
     assert "plant.right_arm" in fault.action
 
 

@@ -116,9 +116,9 @@ def test_a_damaged_recording_is_refused(change: Change, found: str, marker: str,
     with pytest.raises(BenchError) as refused:
         imported(path)
 
-    assert str(path) in refused.value.place
+    assert str(path) in refused.value.location
     assert found in f"{refused.value.found} {refused.value.expected}"
-    assert marker in refused.value.place
+    assert marker in refused.value.location
     assert len(refused.value.action.split()) > 3
 
 
@@ -169,7 +169,7 @@ def test_a_damaged_csv_is_refused_with_its_line(
 
     refusal = _refusal(path)
 
-    assert place in refusal.place
+    assert place in refusal.location
     assert found in refusal.found
 
 
@@ -203,7 +203,7 @@ def test_a_cut_file_is_refused(suffix: str, part: float, tmp_path: Path) -> None
     content = path.read_bytes()
     path.write_bytes(content[: int(part * len(content))])
 
-    assert str(path) in _refusal(path).place
+    assert str(path) in _refusal(path).location
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ def test_a_file_of_something_else_is_refused(suffix: str, content: bytes, tmp_pa
     path = tmp_path / f"other{suffix}"
     path.write_bytes(content)
 
-    assert str(path) in _refusal(path).place
+    assert str(path) in _refusal(path).location
 
 
 def test_a_declared_unit_that_is_wrong_is_refused_with_the_one_that_fits(tmp_path: Path) -> None:
@@ -280,7 +280,7 @@ def test_a_stated_value_that_contradicts_the_file_is_refused(
     with pytest.raises(BenchError) as refused:
         imported(_csv(tmp_path), options=options)
 
-    assert place in refused.value.place
+    assert place in refused.value.location
 
 
 def test_c3d_without_its_package_is_refused_with_the_action(

@@ -172,7 +172,7 @@ def test_a_refusal_says_state_reason_and_action(bench: BenchClient) -> None:
         bench.swing()
     error = caught.value
     assert error.exit_code == ExitCode.REFUSED
-    assert error.place == "swing of bench bench1"
+    assert error.location == "swing of bench bench1"
     assert error.found == "refused in state ESTOP: not possible in this state"
     assert error.expected == "state ARMED"
     assert error.answer.state == "ESTOP"

@@ -80,12 +80,12 @@ def test_a_correction_is_bounded_weights_for_one_profile() -> None:
     "weights", [None, 1.0, "1", [1.6], [-1.6], ["1"], [True], [[1.0]], [0.0] * (MOST_WEIGHTS + 1)]
 )
 def test_weights_beyond_their_bounds_are_no_correction(weights: Any) -> None:
-    assert refused("correct", correct(weights=weights)).place == "command correct: weights"
+    assert refused("correct", correct(weights=weights)).location == "command correct: weights"
 
 
 @pytest.mark.parametrize("profile", [None, "", "0123456789ABCDEF", "0123456789abcde", 7])
 def test_a_correction_names_its_profile(profile: Any) -> None:
-    assert refused("correct", correct(profile=profile)).place == "command correct: profile"
+    assert refused("correct", correct(profile=profile)).location == "command correct: profile"
 
 
 def test_leases() -> None:
@@ -137,7 +137,7 @@ def test_an_unknown_verb_is_told_the_known_ones() -> None:
 )
 def test_what_does_not_hold_is_named(verb: str, payload: bytes, place: str, found: str) -> None:
     error = refused(verb, payload)
-    assert error.place == place
+    assert error.location == place
     assert error.found.startswith(found)
     assert error.expected
     assert error.action
@@ -146,25 +146,25 @@ def test_what_does_not_hold_is_named(verb: str, payload: bytes, place: str, foun
 @pytest.mark.parametrize("sequence", ["0", "-1", "1.0", '"1"', "true", "null", "[1]", "9007199254740992"])
 def test_sequences_are_whole_and_positive(sequence: str) -> None:
     error = refused("arm", f'{{"version": 1, "key": "{KEY}", "sequence": {sequence}}}')
-    assert (error.place, error.found) == ("command arm: sequence", sequence)
+    assert (error.location, error.found) == ("command arm: sequence", sequence)
 
 
 @pytest.mark.parametrize("seconds", ["4.9", "601", "true", '"30"', "null", "-30", "1e308", "9" * 400])
 def test_leases_last_five_seconds_to_ten_minutes(seconds: str) -> None:
     payload = f'{{"version": 1, "action": "take", "holder": "Ann", "seconds": {seconds}}}'
-    assert refused("lease", payload).place == "command lease: seconds"
+    assert refused("lease", payload).location == "command lease: seconds"
 
 
 @pytest.mark.parametrize("holder", ['""', '" Ann"', '"A\\nB"', '"\\u001b[31m"', '"\\ud800"', "1", "null"])
 def test_holders_are_printable_names(holder: str) -> None:
     payload = f'{{"version": 1, "action": "take", "holder": {holder}}}'
-    assert refused("lease", payload).place == "command lease: holder"
+    assert refused("lease", payload).location == "command lease: holder"
 
 
 def test_an_error_never_repeats_a_key() -> None:
     almost = KEY[:-1] + "!"
     error = refused("arm", json.dumps({"version": 1, "key": almost, "sequence": 1}))
-    assert error.place == "command arm: key"
+    assert error.location == "command arm: key"
     assert almost not in str(error)
 
 
@@ -188,7 +188,7 @@ def parsed(verb: str, payload: bytes) -> Command | BenchError:
     except BenchError as caught:
         error = caught
     again = parse_error(encode_error(error))
-    assert (again.place, again.found, again.expected, again.action) == error.args
+    assert (again.location, again.found, again.expected, again.action) == error.args
     assert len(encode_error(error)) < 2048
     return error
 
@@ -232,4 +232,4 @@ def test_answers_come_back_as_they_were(answer: CommandAnswer) -> None:
 def test_what_is_no_answer_is_told_so(payload: bytes) -> None:
     with pytest.raises(BenchError, match="answer of the bench"):
         parse_answer(payload)
-    assert parse_error(payload).place == "answer of the bench"
+    assert parse_error(payload).location == "answer of the bench"

@@ -271,7 +271,7 @@ def test_what_does_not_hold_is_answered_with_an_error(asker: Asker) -> None:
     assert asker.error("fly", b"{}").expected.startswith("one of status, lease, home")
     assert asker.error("a/b", b"{}").found == "an unknown verb"
     assert asker.error("status", b"\xff").found == "a byte at 0 that is no UTF-8"
-    assert asker.error("arm", b'{"version": 1}').place == "command arm: key"
+    assert asker.error("arm", b'{"version": 1}').location == "command arm: key"
     assert asker.error("status", b" " * (LONGEST_MESSAGE + 1)).found == "4097 bytes"
     assert asker.error("status", b" " * 500_000).found == "500000 bytes"
     assert asker.error("golfbench/**", b"{}").found == "an unknown verb"

@@ -278,7 +278,7 @@ def test_a_missing_or_wrong_file_is_told(lacking: str, tmp_path: Path) -> None:
             with pytest.raises(BenchError, match="golfbench certificates") as caught:
                 open_client(client, "b") if is_client else open_daemon(daemon)
             assert caught.value.exit_code == ExitCode.BAD_INPUT
-            assert caught.value.place == f"network.identity {identity}"
+            assert caught.value.location == f"network.identity {identity}"
             if lacking == "authority.pem":
                 assert lacking in caught.value.found
 

@@ -24,7 +24,7 @@ def test_a_port_in_use_is_told_with_its_action() -> None:
     network = loopback_configuration().network
     with open_daemon(network), pytest.raises(BenchError) as caught:
         open_daemon(network)
-    assert caught.value.place == f"network.endpoint {network.endpoint}"
+    assert caught.value.location == f"network.endpoint {network.endpoint}"
     assert caught.value.found == "already in use"
     assert "golfbench status" in caught.value.action
 
@@ -120,7 +120,7 @@ def test_other_endpoints_do_not_hold(endpoint: str, key: str, tmp_path: Path) ->
         configured(tmp_path, identity="bench1", **{key: endpoint})
     (fault,) = caught.value.exceptions
     assert isinstance(fault, BenchError)
-    assert fault.place.endswith(f"network.{key}")
+    assert fault.location.endswith(f"network.{key}")
     assert "tls/HOST:PORT" in fault.expected
     if key == "endpoint":
         assert "an address of this machine only" in fault.expected
@@ -140,7 +140,7 @@ def test_tls_needs_a_certificate(key: str, tmp_path: Path) -> None:
         configured(tmp_path, **{key: "tls/192.0.2.5:7452"})
     (fault,) = caught.value.exceptions
     assert isinstance(fault, BenchError)
-    assert fault.place.endswith("network.identity")
+    assert fault.location.endswith("network.identity")
     assert "golfbench certificates" in fault.action
 
 
@@ -152,7 +152,7 @@ def test_roles_are_of_names(name: str, tmp_path: Path) -> None:
         load_configuration(path)
     (fault,) = caught.value.exceptions
     assert isinstance(fault, BenchError)
-    assert fault.place.endswith("network.operators")
+    assert fault.location.endswith("network.operators")
     assert fault.found == f'"{name}"'
 
 

@@ -11,7 +11,7 @@ import json, os, sys, time
 from pathlib import Path
 def fail(place, found, expected, action):
     assert os.environ["GOLFBENCH_ERRORS"] == "json"
-    sys.exit(json.dumps({"place": place, "found": found, "expected": expected, "action": action}))
+    sys.exit(json.dumps({"location": place, "found": found, "expected": expected, "action": action}))
 folder, given = Path(sys.argv[1]), sys.argv[2:]
 with (folder / "asked").open("a") as file:
     file.write(json.dumps(given) + "\\n")

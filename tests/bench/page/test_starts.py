@@ -80,7 +80,7 @@ def test_the_words_of_a_refused_command_are_kept() -> None:
     merged = fault_of("golfbench campaign", 2, said_of(*names))
     assert merged.found.startswith("a ")
     assert "; b " in merged.found
-    assert (merged.place, merged.expected, merged.action) == (fault.place, fault.expected, fault.action)
+    assert (merged.location, merged.expected, merged.action) == (fault.location, fault.expected, fault.action)
     usage = fault_of("golfbench calibrate", 2, "Usage: ...\n╭─ Error ─╮\n│ No such option: --z │\n╰────╯")
     assert "No such option: --z" in usage.found
     assert fault_of("x", 70, "").found == "exit code 70"

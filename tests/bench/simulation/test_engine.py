@@ -60,7 +60,7 @@ def test_a_robot_without_air_is_refused_and_brought_to_rest(profile: Profile) ->
     bench = LockstepEngine(stepper, name="without air")
     with pytest.raises(Refused) as refused:
         bench.arm()
-    assert "'without air'" in refused.value.place
+    assert "'without air'" in refused.value.location
     assert "hold at address" in refused.value.expected
     assert bench.phase is Phase.STANDING
     assert not stepper.command["valve"].any()

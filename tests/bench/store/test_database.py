@@ -114,7 +114,7 @@ def test_what_is_no_database_of_golfbench_is_told(tmp_path: Path, content: bytes
         file.write_bytes(content)
     with pytest.raises(BenchError) as refusal, open_database(database_url("", tmp_path), NOW):
         pass
-    assert str(file) == refusal.value.place
+    assert str(file) == refusal.value.location
     assert found in refusal.value.found
 
 
@@ -221,7 +221,7 @@ def _tables(database: Any) -> list[str]:
 def test_a_wrong_url_is_refused(tmp_path: Path, url: str) -> None:
     with pytest.raises(BenchError) as refusal:
         database_url(url, tmp_path)
-    assert refusal.value.place == "bench.database"
+    assert refusal.value.location == "bench.database"
 
 
 def test_a_missing_driver_is_named_and_no_password_shown(

@@ -351,7 +351,7 @@ def test_without_a_daemon_it_says_so(bench: Bench) -> None:
     publisher = bench.start_anyhow()
     told = event(publisher)
     assert (told["event"], told["exit_code"]) == ("failed", 75)
-    assert bench.network.endpoint in told["place"]
+    assert bench.network.endpoint in told["location"]
     assert publisher.wait(HURRY) == 75
 
 

@@ -105,7 +105,7 @@ def test_assess_ball_calibrated_off_the_profile_blocks(
     found = assess_bench(configuration, NOW, running=True)
     (block,) = found.blocks(NOW)
     assert block["code"] == Block.SWING
-    assert block["place"].endswith("default.toml: ball_m")
+    assert block["location"].endswith("default.toml: ball_m")
     assert "107.7 mm off" in block["found"]
     assert "plant.site" in block["expected"]
     assert block["action"]
@@ -156,7 +156,7 @@ def test_assess_machine_whose_check_is_off_without_reason_blocks(machine: Machin
     c = machine(f"[envelope.model]\n{check}")
     (block,) = assess_bench(c, NOW, running=True).blocks(NOW)
     assert block["code"] == Block.CONFIGURATION
-    assert block["place"].endswith("machine.toml: envelope.model.check")
+    assert block["location"].endswith("machine.toml: envelope.model.check")
     assert "envelope.model.off_reason" in block["expected"]
     assert assess_bench(c, NOW).faults == []  # a simulation of it is watched, or need not be
 
@@ -179,7 +179,7 @@ def test_assess_stale_limits_block_a_machine_and_warn_a_simulated_bench(
 ) -> None:
     stiffer = "[plant.wrist.friction]\ncoulomb = 49.0\n"
     (block,) = assess_bench(machine(f'{UNWATCHED}check = "always"\n{stiffer}'), NOW, running=True).blocks(NOW)
-    assert block["place"] == "limits of default"
+    assert block["location"] == "limits of default"
     assert "another plant (wrist.friction.coulomb 45, here 49)" in block["found"]
     assert "golfbench profile limits default" in block["action"]
     wrist = configuration.plant.wrist
@@ -194,7 +194,7 @@ def test_assess_standard_error_of_no_value_blocks(configuration: Configuration) 
     model = replace(configuration.envelope.model, standard_errors={"shoulder.aera_a": 1e-6})
     c = replace(configuration, envelope=replace(configuration.envelope, model=model))
     (block,) = assess_bench(c, NOW, running=True).blocks(NOW)
-    assert block["place"].endswith("envelope.model.standard_errors.shoulder.aera_a")
+    assert block["location"].endswith("envelope.model.standard_errors.shoulder.aera_a")
 
 
 def test_assess_expired_and_future_calibrations_block(
@@ -229,7 +229,7 @@ def test_assess_other_rate_warns_a_running_bench_and_refuses_lock_step(configura
     assert codes(c) == []
     assert any("values between the samples" in text for text in assess_bench(c, NOW, running=True).warnings)
     (fault,) = assess_bench(c, NOW).faults
-    assert fault.place.endswith("default.toml: period_s")
+    assert fault.location.endswith("default.toml: period_s")
 
 
 def test_assess_club_that_differs_in_its_face_only_does_not_block(configuration: Configuration) -> None:
@@ -348,7 +348,7 @@ def blocked_status() -> Any:
     status["arming_blocks"] = [
         {
             "code": Block.SWING,
-            "place": "default.toml: ball_m",
+            "location": "default.toml: ball_m",
             "found": "107.7 mm off",
             "expected": "0.5 mm",
             "action": "Move the tee.",
@@ -372,7 +372,7 @@ def test_refused_arming_raises_the_parts_of_its_block() -> None:
     content = {"arming_blocks": blocked_status()["arming_blocks"]}
     answer = CommandAnswer(False, "READY", Refusal.BLOCKED.name, content=content)
     error = CommandRefused("b", Verb.ARM, answer)
-    assert (error.place, error.found) == ("arm of bench b", "default.toml: ball_m 107.7 mm off")
+    assert (error.location, error.found) == ("arm of bench b", "default.toml: ball_m 107.7 mm off")
     assert (error.expected, error.action) == ("0.5 mm", "Move the tee.")
 
 

@@ -374,7 +374,7 @@ def test_without_a_ring_it_says_why_it_cannot_work(bench: Bench, tmp_path: Path)
     bench.start_anyhow(ring=tmp_path / "absent")
     told = bench.event()
     assert (told["event"], told["exit_code"]) == ("failed", 69)
-    assert str(tmp_path / "absent") in told["place"]
+    assert str(tmp_path / "absent") in told["location"]
     assert bench.recorder is not None
     assert bench.recorder.wait(HURRY) == 69
 

@@ -152,7 +152,7 @@ def test_a_changed_table_is_refused_with_both_digests(path: Path) -> None:
     table.write_bytes(content)
     with pytest.raises(BenchError) as raised:
         load_profile(path)
-    assert raised.value.place == str(table)
+    assert raised.value.location == str(table)
     assert raised.value.found == f"SHA-256 {sha256(content).hexdigest()}"
     assert wanted[1][:50] in raised.value.expected
     assert f"as {path} says" in raised.value.expected
@@ -176,7 +176,7 @@ def test_a_missing_or_foreign_table_is_refused(path: Path) -> None:
         return file.getvalue()
 
     found = refused(b"no table")
-    assert found.place == str(table)
+    assert found.location == str(table)
     assert found.found.startswith("no Parquet file: ")
     assert refused(parquet_of({"a": [1]})).found == "no column angle_shoulder_rad"
     names = ("shoulder", "arm", "wrist")
@@ -272,7 +272,7 @@ def test_bad_planned_pressures_are_refused(
     one_file.write_text(f"{one_file.read_text()}\n[address]\n{table}\n")
     with pytest.raises(BenchError) as raised:
         load_profile(one_file)
-    assert raised.value.place == f"{one_file}: {place}"
+    assert raised.value.location == f"{one_file}: {place}"
     assert expected in raised.value.expected
 
 
@@ -323,7 +323,7 @@ def test_each_bad_profile_is_refused_with_its_place(
     one_file.write_text(bad)
     with pytest.raises(BenchError) as raised:
         load_profile(one_file)
-    assert raised.value.place == f"{one_file}: {place}"
+    assert raised.value.location == f"{one_file}: {place}"
     assert found in raised.value.found
     assert expected in raised.value.expected
     assert raised.value.action

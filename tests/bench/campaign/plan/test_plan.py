@@ -57,7 +57,7 @@ def _faults(folder: Path, configuration: Configuration, text: str) -> dict[str, 
     with pytest.raises(ExceptionGroup) as caught:
         _plan(folder, configuration, text)
     faults = [fault for fault in caught.value.exceptions if isinstance(fault, BenchError)]
-    return {fault.place.rsplit(": ", 1)[-1]: fault for fault in faults}
+    return {fault.location.rsplit(": ", 1)[-1]: fault for fault in faults}
 
 
 @pytest.mark.parametrize("name", campaign_names())

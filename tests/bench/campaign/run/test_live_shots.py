@@ -401,7 +401,7 @@ def refused(verb: Verb, state: str, refusal: Refusal) -> CommandRefused:
 
 BLOCK = ArmingBlock(
     code=Block.CALIBRATION_MISSING,
-    place="club driver of bench b",
+    location="club driver of bench b",
     found="never calibrated",
     expected="a calibration in force",
     action="golfbench calibrate club",

@@ -119,7 +119,7 @@ def test_line_is_the_arguments_of_a_command(line: str, arguments: list[str]) -> 
 def test_line_that_is_no_command_is_refused(line: str, place: str, action: str) -> None:
     with pytest.raises(BenchError) as refused:
         arguments_of(line, command_line().commands)
-    assert (refused.value.place, refused.value.action) == (place, action)
+    assert (refused.value.location, refused.value.action) == (place, action)
 
 
 @pytest.mark.parametrize(

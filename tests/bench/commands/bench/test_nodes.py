@@ -104,7 +104,7 @@ def test_a_bus_that_cannot_work_is_told_before_it_is_opened(
         load_configuration(file)
     (fault,) = raised.value.exceptions
     assert isinstance(fault, BenchError)
-    assert fault.place == f"{file}: {place}"
+    assert fault.location == f"{file}: {place}"
     assert told in fault.found
 
 

@@ -77,7 +77,7 @@ def test_new_plan_with_a_zero_is_refused_at_its_key(call: Call) -> None:
     assert isinstance(error, ExceptionGroup)
     (told,) = error.exceptions
     assert isinstance(told, BenchError)
-    assert told.place.endswith("two.toml: analysis.target_difference")
+    assert told.location.endswith("two.toml: analysis.target_difference")
     assert told.found == "0.0"
 
 

@@ -242,7 +242,7 @@ def test_who_stopped_the_check_begins_it_again(wired: Configuration) -> None:
         machine._stop = lambda: True
         with pytest.raises(Refused) as refused:
             check_inputs(machine, hands, wired)
-    assert (refused.value.place, refused.value.action) == ("check of the inputs", "Begin again.")
+    assert (refused.value.location, refused.value.action) == ("check of the inputs", "Begin again.")
 
 
 def test_without_a_person_nothing_is_checked(wired: Configuration) -> None:
@@ -328,7 +328,7 @@ def test_commissioning_begins_with_the_inputs_and_does_them_again_when_due(
         step_0("")
     wrong = read_state(tmp_path).wrong
     assert wrong is not None
-    assert (wrong.step, wrong.place, len(kept)) == ("inputs", "guard closed", 1)
+    assert (wrong.step, wrong.location, len(kept)) == ("inputs", "guard closed", 1)
     found.clear()
     assert step_0("") == 2
     assert [step.name for step in read_state(tmp_path).done] == ["inputs"]

@@ -74,7 +74,7 @@ LAUNCH = launch_to_json(FULL)
 def test_what_is_no_shot_is_refused_at_its_place(changes: dict[str, Any], place: str, found: str) -> None:
     with pytest.raises(BenchError) as refused:
         read_shot_message(json.dumps({**MESSAGE, **changes}).encode())
-    assert refused.value.place == f"shot message{place}"
+    assert refused.value.location == f"shot message{place}"
     assert refused.value.found.startswith(found)
 
 

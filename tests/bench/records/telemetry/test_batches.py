@@ -123,7 +123,7 @@ def test_what_is_no_such_message_is_refused(name: str) -> None:
     message, text = bad_messages()[name]
     with pytest.raises(BenchError, match=text) as error:
         decode_batch(message)
-    assert error.value.place == "telemetry message"
+    assert error.value.location == "telemetry message"
 
 
 @given(st.data())
