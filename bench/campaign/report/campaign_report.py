@@ -464,9 +464,9 @@ def _limits(record: CampaignRecord, units: UnitSystem) -> list[str]:
         )
     if record.plan.stop.rule != "fixed":
         limits.append(
-            f"The plan's rule looks at the data up to {record.plan.stop.interim_analyses} times. Each look, of "
-            "the rule or of a person, has its share of the error (alpha spending like O'Brien and Fleming's), so that "
-            "all together keep the confidence."
+            f"The plan's rule looks at the data up to {record.plan.stop.interim_analyses} times. Each look, "
+            "of the rule or of a person, has its share of the error (alpha spending like O'Brien and "
+            "Fleming's), so that all together keep the confidence."
         )
     return limits
 
