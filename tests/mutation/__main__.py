@@ -30,14 +30,14 @@ TARGETS = {
     "bench.control.requests": (
         f"{_CONTROL}/test_answers.py",
         f"{_CONTROL}/test_requests.py",
-        f"{_CONTROL}/test_edges.py",
+        f"{_CONTROL}/test_transitions.py",
     ),
-    "bench.control.states": (f"{_CONTROL}/test_states.py", f"{_CONTROL}/test_edges.py"),
+    "bench.control.states": (f"{_CONTROL}/test_states.py", f"{_CONTROL}/test_transitions.py"),
     "bench.base.lifecycle": (
         "tests/bench/base/test_lifecycle.py",
         f"{_CONTROL}/test_answers.py",
         f"{_CONTROL}/test_requests.py",
-        f"{_CONTROL}/test_edges.py",
+        f"{_CONTROL}/test_transitions.py",
     ),
 }
 """Modules and the tests that must notice."""
