@@ -60,8 +60,8 @@ def monitor_motion(
         # With a clock that stands still, runs backwards or is NaN a timed reaction would never end.
         react(state, parameters, Cause.TICK_GAP, READINGS_VALID, time)
         s.reaction = Reaction.PASSIVE
-    elif s.lost != 0:
-        react(state, parameters, int(s.lost), READINGS_LOST, time)
+    elif s.encoder_fault != 0:
+        react(state, parameters, int(s.encoder_fault), READINGS_LOST, time)
         if not s.device_operational:
             react(state, parameters, Cause.DEVICE_PASSIVE, ACTUATOR_FAULT, time)
     else:
@@ -121,10 +121,10 @@ def _note_doubted(s: Any, limits: Any, e: Any, broken: int) -> None:
     found, row = False, limits.first_row + BRAKING + s.phase
     for i in range(3):
         if e.without_sample[i] > 0.0 or abs(e.innovation[i]) > limits.jump[row, i]:
-            s.unseen[i] = 1
+            s.open_loop_joints[i] = 1
             found = True
     if not found:
-        s.unseen[(broken - Cause.SHOULDER_JUMP) % 3] = 1
+        s.open_loop_joints[(broken - Cause.SHOULDER_JUMP) % 3] = 1
 
 
 @compiled

@@ -45,7 +45,7 @@ def is_released(s: Any) -> bool:
 
     A cause found in ACCESS ends that state, but does not lock in who may be inside.
     """
-    return bool((s.state == State.ACCESS or s.entered) and not s.securing)
+    return bool((s.state == State.ACCESS or s.guard_was_opened) and not s.securing)
 
 
 @compiled
@@ -149,7 +149,7 @@ def check_request(state: Any, parameters: Any, readings: Any, request: int, time
         return Refusal.READ_ONLY
     if request >= len(p.accepted) or p.accepted[request, s.state] == 0:
         return Refusal.STATE
-    if request == Request.SECURE and s.state != State.ACCESS and not s.entered:
+    if request == Request.SECURE and s.state != State.ACCESS and not s.guard_was_opened:
         return Refusal.STATE
     if s.reaction > Reaction.COMPLETE and s.phase != Phase.STANDING:
         return Refusal.STOPPING
@@ -168,7 +168,7 @@ def check_request(state: Any, parameters: Any, readings: Any, request: int, time
         interlock = interlock_cause(readings)
         if interlock != 0:
             return Refusal.EMERGENCY_STOP if interlock == Cause.EMERGENCY_STOP else Refusal.GUARD
-        if s.lost != 0:
+        if s.encoder_fault != 0:
             return Refusal.READINGS
         if not s.supervisor_alive:
             return Refusal.SUPERVISOR
@@ -207,7 +207,7 @@ def handle_request(state: Any, parameters: Any, readings: Any, time: float) -> i
     s = state.control[0]
     request = s.request
     s.request = 0
-    s.asked = request
+    s.handled_request = request
     if request == 0:
         return 0
     if request in (Request.STOP, Request.EMERGENCY_STOP):

@@ -56,12 +56,12 @@ def _monitor_venting(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     pressure that holds nothing up, and is as long as it took to get there: behind a throttled exhaust the
     last air goes as slowly as the first.
     """
-    blind = s.lost != 0 or s.distrusted
+    blind = s.encoder_fault != 0 or s.encoders_suspect
     empty = not chambers_show_pressure(s.sensors, p)
     shut = not manifold_shows_pressure(s.sensors, p)
     calm = is_at_rest(s, p)
     # Of an encoder that is not trusted a slow way is believed, no fast one.
-    crept = _crept(p, s, e) and s.lost == 0 and (calm or not blind)
+    crept = _crept(p, s, e) and s.encoder_fault == 0 and (calm or not blind)
     if not (empty and shut and (blind or (calm and not crept))):
         s.still_since = time
     wait = p.rest_time_without_encoders if blind else p.rest_time_vented
@@ -79,7 +79,7 @@ def _monitor_venting(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
     s.venting.emptied = empty and shut and rests and emptiness_is_proven(s, p, readings, time)
     s.vented = s.venting.emptied and sunk
     if s.venting.emptied and s.cause == 0:
-        s.distrusted = False  # not by the reset: chambers may still be full then
+        s.encoders_suspect = False  # not by the reset: chambers may still be full then
     slow = exhaust_cause(s.exhausts)
     s.venting.trapped = s.venting.trapped or slow != 0 or (late and not empty)
     if slow != 0:
@@ -137,7 +137,7 @@ def _cause_in_access(p: Any, s: Any, readings: Any) -> int:
 def _end_securing(s: Any, interlock: int, time: float) -> None:
     """End the locking of a guard whose ACCESS a cause has ended; released again if it is not seen locked."""
     if interlock == 0:
-        s.securing = s.entered = False
+        s.securing = s.guard_was_opened = False
     elif time - s.state_since >= _SECURING_TIME:
         s.securing = False
 
@@ -158,7 +158,7 @@ def _watch_access(s: Any, parameters: Any, readings: Any, interlock: int, time: 
     elif lock_is_late(s, time):
         latch(s, parameters, Cause.GUARD_LOCK, time)
     elif s.securing and interlock == 0:
-        s.securing = s.entered = False
+        s.securing = s.guard_was_opened = False
         change_state(s, parameters, resting_state(s), time)
     elif s.securing and time - s.state_since >= _SECURING_TIME:
         latch(s, parameters, Cause.GUARD, time)
@@ -176,11 +176,11 @@ def monitor_standstill(
         jumped = int(s.homing.index_wrong) if s.homing.index_wrong != 0 else resting_jump(state.estimator[0])
     _forget_lost_index(s, readings)
     if s.state == State.STARTING:
-        if s.warm:
+        if s.is_warmed_up:
             latch(s, parameters, int(s.first_cause), time)
         return
     if is_released(s) and not readings[0].guard_closed:
-        s.entered = True
+        s.guard_was_opened = True
         forget_answers(s)
     elif s.securing and s.state != State.ACCESS:
         _end_securing(s, interlock, time)
@@ -205,10 +205,10 @@ def monitor_standstill(
         latch(s, parameters, interlock, time)
     elif asked != 0 and s.state == State.HOMING:
         latch(s, parameters, asked, time)
-    elif s.lost != 0 and s.seen and s.state != State.SAFE:
-        latch(s, parameters, int(s.lost), time)
+    elif s.encoder_fault != 0 and s.encoders_seen_valid and s.state != State.SAFE:
+        latch(s, parameters, int(s.encoder_fault), time)
     elif s.state == State.READY and jumped != 0:
-        s.homed, s.distrusted = False, True  # whatever turned there, it was not the joint
+        s.homed, s.encoders_suspect = False, True  # whatever turned there, it was not the joint
         latch(s, parameters, jumped, time)
     elif trapped != 0:
         latch(s, parameters, trapped, time)

@@ -24,7 +24,7 @@ def filter_velocity(s: Any, p: Any, e: Any, elapsed: float) -> None:
     for i in range(3):
         most = _MOVES * p.rest_speed[i]
         velocity = min(max(e.velocity[i], -most), most) if np.isfinite(e.velocity[i]) else most
-        s.calm[i] += elapsed / (elapsed + _CALMING) * (velocity - s.calm[i])
+        s.filtered_velocity[i] += elapsed / (elapsed + _CALMING) * (velocity - s.filtered_velocity[i])
 
 
 @compiled
@@ -32,7 +32,7 @@ def is_at_rest(s: Any, p: Any) -> bool:
     """Return whether the robot rests, as far as smoothed velocities show."""
     calm = True
     for i in range(3):
-        calm = calm and abs(s.calm[i]) <= p.rest_speed[i]
+        calm = calm and abs(s.filtered_velocity[i]) <= p.rest_speed[i]
     return calm
 
 
@@ -60,9 +60,9 @@ def begin_reaction(s: Any, parameters: Any, reaction: int, time: float) -> bool:
         row = s.swing.sample // profile.blind_spacing
         s.blind_row = min(row, profile.blind_rows - 1) if s.swinging and planned else -1
         if planned:
-            s.unseen[0] = s.unseen[1] = s.unseen[2] = 1
+            s.open_loop_joints[0] = s.open_loop_joints[1] = s.open_loop_joints[2] = 1
     elif reaction == Reaction.BRAKE:
-        s.unseen[0] = s.unseen[1] = s.unseen[2] = 0
+        s.open_loop_joints[0] = s.open_loop_joints[1] = s.open_loop_joints[2] = 0
     s.reaction = reaction
     s.reaction_start = s.still_since = time
     return True
@@ -143,7 +143,7 @@ def react(state: Any, parameters: Any, cause: int, column: int, time: float) -> 
         or Cause.SHOULDER_AIR <= cause <= Cause.WRIST_SENSOR
         or Cause.SHOULDER_ZERO <= cause <= Cause.WRIST_ZERO
     )
-    s.distrusted = s.distrusted or column == READINGS_LOST or misfit
+    s.encoders_suspect = s.encoders_suspect or column == READINGS_LOST or misfit
     if Cause.SHOULDER_INDEX <= cause <= Cause.WRIST_INDEX:
         s.homed = False
     if s.cause == 0:

@@ -73,9 +73,9 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     )
     _observe(state, parameters, readings, elapsed)
     _watch_inputs(state, parameters, readings, elapsed, time)
-    s.lost = readings_cause(parameters.envelope, state.estimator)
+    s.encoder_fault = readings_cause(parameters.envelope, state.estimator)
     _note_lost_index(s, readings)
-    s.seen = s.seen or s.lost == 0
+    s.encoders_seen_valid = s.encoders_seen_valid or s.encoder_fault == 0
     filter_velocity(s, parameters.control[0], e, elapsed)
     _note_impact(parameters.control[0], s)
 
@@ -132,9 +132,9 @@ def _watch_inputs(state: Any, parameters: Any, readings: Any, elapsed: float, ti
 def _note_lost_index(s: Any, readings: Any) -> None:
     """Distrust a count that is no longer absolute, as after a loss of the encoder's power."""
     for i in range(3):
-        if s.lost == 0 and s.homed and readings[0].encoder_valid[i] != 0:
+        if s.encoder_fault == 0 and s.homed and readings[0].encoder_valid[i] != 0:
             if readings[0].encoder_indexed[i] == 0:
-                s.lost = Cause.SHOULDER_ENCODER + i
+                s.encoder_fault = Cause.SHOULDER_ENCODER + i
 
 
 @compiled
@@ -165,9 +165,9 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
         monitor_motion(state, parameters, readings, interlock, asked, time)
         monitor_permission(s, parameters, time)
     if s.reaction == Reaction.BRAKE:
-        brake(state, parameters, readings, s.lost == 0, time)
+        brake(state, parameters, readings, s.encoder_fault == 0, time)
     elif s.reaction == Reaction.PASSIVE:
-        wait_passive(state, parameters, s.lost == 0, time)
+        wait_passive(state, parameters, s.encoder_fault == 0, time)
     elif s.reaction == Reaction.BLIND_BRAKE:
         brake_blind(state, parameters, time)
     escape(s, parameters.control[0], time)
@@ -185,7 +185,7 @@ def limit_tick(
     obeyed = s.air and s.phase != Phase.STANDING and not p.read_only
     powered = obeyed and s.reaction != Reaction.PASSIVE
     for i in range(3):
-        if not (powered or (obeyed and s.let_off[i] != 0)):
+        if not (powered or (obeyed and s.turf_override[i] != 0)):
             s.desired[i] = 0.0
             s.applied[i] = 0.0
         else:
@@ -257,7 +257,7 @@ def _record(state: ControlState, readings: Any, command: Any, cycle: Any) -> Non
     """Write the tick's CYCLE record, but for the fields that only the plant knows."""
     s, e, d, r, c, out = state.control[0], state.estimator[0], state.pid[0], readings[0], command[0], cycle[0]
     out.tick, out.time, out.measured_step = s.tick, s.time, s.measured_step
-    out.state, out.request, out.request_number = s.state, s.asked, s.answered_number
+    out.state, out.request, out.request_number = s.state, s.handled_request, s.answered_number
     out.answer, out.refusal = s.answer, s.refusal
     out.lease_held, out.support_ready, out.supervisor_alive, out.device_operational = (
         s.lease_held,

@@ -222,18 +222,18 @@ CONTROL_STATE = np.dtype(
         ("support_ready", "?"),
         ("supervisor_alive", "?"),
         ("device_operational", "?"),
-        ("warm", "?"),  # STARTING is over
+        ("is_warmed_up", "?"),  # STARTING is over
         ("first_cause", "i4"),  # of the ESTOP after it
         # This tick, and what its readings are worth.
         ("tick", "i8"),
         ("time", "f8"),  # s
         ("measured_step", "f8"),  # s since the last tick
         ("started", "?"),  # there was one
-        ("lost", "i4"),  # cause that names readings which are not to be trusted, or 0
-        ("distrusted", "?"),  # since the last reset they were wrong or did not fit the model
-        ("seen", "?"),  # they were trusted once
+        ("encoder_fault", "i4"),  # cause that names readings which are not to be trusted, or 0
+        ("encoders_suspect", "?"),  # since the last reset they were wrong or did not fit the model
+        ("encoders_seen_valid", "?"),  # they were trusted once
         # The answer to a request.
-        ("asked", "u1"),
+        ("handled_request", "u1"),
         ("answered_number", "i8"),
         ("answer", "u1"),
         ("refusal", "u1"),
@@ -256,7 +256,10 @@ CONTROL_STATE = np.dtype(
         ("moving", "?"),
         ("disarming", "?"),
         ("securing", "?"),
-        ("entered", "?"),  # the guard was seen open in ACCESS: somebody may be inside until SECURE ends it
+        (
+            "guard_was_opened",
+            "?",
+        ),  # the guard was seen open in ACCESS: somebody may be inside until SECURE ends it
         ("reset_was_low", "?"),
         ("reset_pressed", "f8"),  # s
         ("tee", "?"),
@@ -269,12 +272,16 @@ CONTROL_STATE = np.dtype(
         ("desired", "f8", (3,)),  # opening
         ("applied", "f8", (3,)),  # opening, within the limits
         ("head", "f8", (6,)),  # x, y, theta (m, m, rad) and their speeds
-        ("low_head", "f8"),  # m less than the clearance that are enough, of a head that rested low
-        ("calm", "f8", (3,)),  # rad/s by which rest is judged
+        ("clearance_relief", "f8"),  # m less than the clearance that are enough, of a head that rested low
+        ("filtered_velocity", "f8", (3,)),  # rad/s by which rest is judged
         ("stopped_at", "f8"),  # s: when a stop was last asked for
         ("moved_at", "f8"),  # s: when a joint last did not rest
-        ("let_off", "u1", (3,)),  # actuators that `bench.control.moves.turf_avoidance` moves even in PASSIVE
-        ("unseen", "u1", (3,)),  # joints that BLIND_BRAKE brakes without their encoder
+        (
+            "turf_override",
+            "u1",
+            (3,),
+        ),  # actuators that `bench.control.moves.turf_avoidance` moves even in PASSIVE
+        ("open_loop_joints", "u1", (3,)),  # joints that BLIND_BRAKE brakes without their encoder
         ("blind_row", "i8"),  # of its patterns; -1: none
         # One record for each monitor and move.
         ("homing", HOMING),

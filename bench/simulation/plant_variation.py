@@ -307,7 +307,7 @@ class _StopTrial:
                 break
             copy.advance(_LOOK)
         self.number += 1
-        if severe or control["distrusted"][0]:
+        if severe or control["encoders_suspect"][0]:
             self.escalated.append(f"{phase.name}, {'emergency stop' if emergency else 'stop'}")
         if self.number == self._armed_again:
             if cause := _arm_again(copy):

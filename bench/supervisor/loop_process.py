@@ -211,7 +211,7 @@ class LoopProcess:
     def _bind(self) -> None:
         """Look up the fields that every tick needs: by name each costs a microsecond."""
         control, record = self.cycle.state.control, self.cycle.record
-        self._phase, self._request, self._warm = (numbers(control[k]) for k in ("phase", "request", "warm"))
+        self._phase, self._request, self._warm = (numbers(control[k]) for k in ("phase", "request", "is_warmed_up"))
         self._wake_latency, self._work_time = numbers(record["wake_latency"]), numbers(record["work_time"])
         self._answer, self._answered = numbers(record["answer"]), numbers(record["request"])
         self._marks = numbers(self.cycle.marks)
@@ -247,7 +247,7 @@ class LoopProcess:
                 if not tries_left:
                     raise
         self.tick_ns = median((durations[:, -1] - durations[:, 0]).tolist())
-        self.cycle.state.control["warm"] = True
+        self.cycle.state.control["is_warmed_up"] = True
 
     def _live(self, clock: GridClock | PacedClock) -> str:
         """Run ticks until a stop is requested and the robot is at rest; return the reason of the end."""

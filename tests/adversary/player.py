@@ -217,7 +217,7 @@ class Player:
 
     def _advance(self, ticks: int, request: int = 0) -> NDArray[Any]:
         if self.bench.tick >= 10:
-            self.control["warm"] = True
+            self.control["is_warmed_up"] = True
         cycles = self.bench.advance(ticks, request)
         first = self.bench.tick - ticks
         self.judge.look(cycles, first, request, self.number, self.bench.plant_state, self.ever)

@@ -79,7 +79,7 @@ def test_who_went_in_during_access_can_leave_and_the_bench_goes_on() -> None:
 
 def test_the_judge_sees_who_is_locked_in() -> None:
     player = play(Story(Setup(), ENTERED), recover=False)
-    player.control["entered"] = False
+    player.control["guard_was_opened"] = False
     player.do(("wait", 10, None))
     assert any("locked in" in text for text in player.broken)
 

@@ -56,8 +56,8 @@ _HOMED = 90.0
 """s in which homing ends by itself."""
 _FEED = 3.0
 """s of a ball to the tee."""
-_REPEATED = 3
-"""Max swings whose record has gaps."""
+_REPEATED = 10
+"""Max tries of an arming or a swing that stalls of this machine end, or that leave gaps in the record."""
 _SWINGS, _CHUNK = 300, 10
 """Max requests for a swing, and ticks between two."""
 
@@ -112,7 +112,7 @@ class LiveSeries:
         self._operator.is_vented()  # compiled, or read from the cache, before a tick has to wait for it
         near_address(cycle.parameters, cycle.state.estimator)
         self._operator.advance(round(_WARM_UP / clock.period))
-        control["warm"] = True
+        control["is_warmed_up"] = True
         self._operator.advance(1)
         self._arm()
 

@@ -37,7 +37,7 @@ def watch_exhausts(s: Any, p: Any, robot: Any, plant: Any, e: Any, readings: Any
     """
     opened = s.venting.timer - SWITCHING
     vent = SLOWEST * conductance_of_vents(plant, readings[0], opened)
-    known = s.lost == 0 and not s.distrusted and np.isfinite(e.angle.sum() + e.velocity.sum())
+    known = s.encoder_fault == 0 and not s.encoders_suspect and np.isfinite(e.angle.sum() + e.velocity.sum())
     judged = vent > 0.0 and s.phase == Phase.STANDING and known
     supply = readings[0].supply_pressure
     s.exhausts.bound[12] = supply if p.lowest_pressure <= supply <= p.highest_pressure else plant.atmosphere

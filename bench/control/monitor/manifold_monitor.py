@@ -82,7 +82,7 @@ def _is_too_low(s: Any, plant: Any, shown: float, known: bool, step: float) -> b
     if not known:
         m.fast = bound
         return False
-    if s.lost != 0 or not s.device_operational or step > _LONGEST:
+    if s.encoder_fault != 0 or not s.device_operational or step > _LONGEST:
         bound = -np.inf
     # One reading that is too high is no pressure to fall from.
     m.fast = max(bound, min(shown, m.before))

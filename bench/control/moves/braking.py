@@ -101,7 +101,7 @@ def _note_unseen(s: Any, encoder_timeout: float, e: Any) -> None:
     for i in range(3):
         seen = e.without_sample[i] < encoder_timeout and np.isfinite(e.velocity[i] + e.acceleration[i])
         if not seen:
-            s.unseen[i] = 1
+            s.open_loop_joints[i] = 1
 
 
 @compiled
@@ -113,7 +113,7 @@ def brake_blind(state: Any, parameters: Any, time: float) -> None:
     _note_unseen(s, parameters.envelope[0].encoder_timeout, e)
     for i in range(3):
         s.desired[i] = s.feed_forward[i] = 0.0
-        if s.unseen[i] == 0:
+        if s.open_loop_joints[i] == 0:
             s.reference[i], s.reference_velocity[i] = e.angle[i], 0.0
             s.desired[i] = brake_opening(
                 p.brake_gain[i], p.brake_damping[i], p.brake_fade_speed[i], e.velocity[i], e.acceleration[i]

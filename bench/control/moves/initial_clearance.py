@@ -23,9 +23,9 @@ def watch_low_head(s: Any, envelope: Any, time: float) -> float:
     """
     p = envelope[0]
     if not (s.state == State.ARMED and s.phase == Phase.RETURN):
-        s.low_head = 0.0
+        s.clearance_relief = 0.0
         return 0.0
     missing = max(_SLACK - spare_clearance(p, s.head[0], s.head[1]), 0.0)
-    if time <= s.air_from or missing < s.low_head:
-        s.low_head = missing
-    return float(s.low_head)
+    if time <= s.air_from or missing < s.clearance_relief:
+        s.clearance_relief = missing
+    return float(s.clearance_relief)

@@ -43,7 +43,7 @@ def disobeying(cause: int) -> int:
 def escape(s: Any, p: Any, time: float) -> None:
     """Set the desired openings that keep the head off the turf at `time` (s), and `let_off`."""
     for i in range(3):
-        s.let_off[i] = 0
+        s.turf_override[i] = 0
     joint = disobeying(s.latest_cause)
     stopping = s.reaction in (Reaction.BRAKE, Reaction.PASSIVE)
     around_ball = Phase.DOWNSWING <= s.phase <= Phase.FOLLOW_THROUGH
@@ -51,4 +51,4 @@ def escape(s: Any, p: Any, time: float) -> None:
         return
     for i in range(3):
         if np.isfinite(p.escape_opening[joint, i]):
-            s.desired[i], s.let_off[i] = p.escape_opening[joint, i], 1
+            s.desired[i], s.turf_override[i] = p.escape_opening[joint, i], 1

@@ -104,7 +104,7 @@ def _reached(state: State, homed: bool, fitted: bool, given: tuple[tuple[str, An
     puppet.run(15)
     if state is State.STARTING:
         return puppet
-    puppet.control["warm"] = True
+    puppet.control["is_warmed_up"] = True
     puppet.run(round(1000 * puppet.parameters.control["vent_timeout"][0]) + 20)  # vented
     if state is State.ESTOP and not homed:
         return puppet

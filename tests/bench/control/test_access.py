@@ -39,7 +39,7 @@ def stick_open(puppet: Puppet, pressure: float = SUPPLY) -> None:
 def test_a_bench_that_is_started_beside_a_hanging_arm_waits_until_it_has_sunk() -> None:
     """Who restarted it a second after a stop may find the last air, and friction, still holding an arm."""
     puppet = at_power_up(rest_time_vented=0.05, access_delay=0.5)
-    puppet.control["warm"] = True
+    puppet.control["is_warmed_up"] = True
     assert until(puppet, *LATCHED) in LATCHED
     puppet.run(400)
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED

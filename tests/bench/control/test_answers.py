@@ -344,7 +344,7 @@ def test_a_swing_begins_once_its_planned_air_is_ready(good: Make) -> None:
 @pytest.mark.parametrize("entered", [False, True])
 def test_a_latched_bench_locks_the_guard_only_after_somebody_went_in(good: Make, entered: bool) -> None:
     situation = good(Request.SECURE)
-    situation.state.control["state"], situation.state.control["entered"] = State.FAULT, entered
+    situation.state.control["state"], situation.state.control["guard_was_opened"] = State.FAULT, entered
     assert situation.refusal(Request.SECURE) is (Refusal.NONE if entered else Refusal.STATE)
 
 

@@ -16,16 +16,16 @@ def test_a_reset_leaves_a_doubt_about_an_encoder_until_the_air_is_out() -> None:
     puppet.give(encoder_valid=1)
     assert until(puppet, State.FAULT) is State.FAULT
     puppet.run(150)
-    assert puppet.control["distrusted"]
+    assert puppet.control["encoders_suspect"]
     press(puppet)
     assert asked(puppet, Request.RESET) is Refusal.NONE
     for bar in (5.5, 5.0, 4.5, 4.0, 3.5, 3.0, 2.5, 2.0, 1.5):
         puppet.give(chamber_pressure=(1e5 * bar,) * 6).run(1)
     puppet.give(chamber_pressure=(ATMOSPHERE,) * 6).run(50)
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
-    assert puppet.control["distrusted"]
+    assert puppet.control["encoders_suspect"]
     puppet.run(55)
-    assert not puppet.control["distrusted"]
+    assert not puppet.control["encoders_suspect"]
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED  # the venting took longer
     puppet.run(200)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE

@@ -63,7 +63,7 @@ def test_a_press_and_secure_lock_it_and_the_cause_stays(name: str) -> None:
     assert not released(puppet)
     puppet.give(guard_locked=True).run(5)
     assert puppet.bench is state
-    assert not puppet.control["entered"]
+    assert not puppet.control["guard_was_opened"]
     assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET  # one press, one answer
     press(puppet)
     assert asked(puppet, Request.RESET) is Refusal.NONE

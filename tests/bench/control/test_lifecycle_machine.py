@@ -275,7 +275,7 @@ class Bench(RuleBasedStateMachine):
             assert control["lease_held"] or request not in NEEDS_LEASE
             if request in CLEARED:
                 assert self.puppet.readings[list(GOOD)].tolist() == [(True,) * 3]
-                assert control["lost"] == 0
+                assert control["encoder_fault"] == 0
                 assert control["supervisor_alive"]
             if request in {Request.ARM, Request.SWING}:
                 assert control["support_ready"]
@@ -360,7 +360,7 @@ class Bench(RuleBasedStateMachine):
         if record["guard_lock"]:
             return
         if after.state in LATCHED:
-            assert self.puppet.control["entered"]
+            assert self.puppet.control["guard_was_opened"]
             return
         assert after.state is State.ACCESS
         assert self.puppet.control["vented"]

@@ -113,7 +113,7 @@ def test_a_raised_arm_that_sinks_is_not_vented_yet() -> None:
     assert puppet.control["vented"]
 
 
-@pytest.mark.parametrize("doubt", [{"distrusted": True}, {}])
+@pytest.mark.parametrize("doubt", [{"encoders_suspect": True}, {}])
 def test_where_encoders_cannot_tell_it_waits_for_as_long_as_an_arm_may_sink(doubt: dict[str, bool]) -> None:
     puppet = reach(State.FAULT, rest_time_vented=0.05, rest_time_without_encoders=0.3, local_reset=True)
     puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6, **doubt).tick()
@@ -131,7 +131,7 @@ def test_a_reset_trusts_the_readings_again() -> None:
     puppet.give(distrusted=True)
     press(puppet)
     assert asked(puppet, Request.RESET) is Refusal.NONE
-    assert not puppet.control["distrusted"]
+    assert not puppet.control["encoders_suspect"]
 
 
 def test_pressure_in_the_chambers_while_the_guard_is_unlocked_locks_it() -> None:
@@ -183,7 +183,7 @@ def test_homing_by_the_vented_pose_needs_empty_chambers(fitted: bool) -> None:
 
 def test_a_button_that_is_held_since_the_start_is_no_press() -> None:
     puppet = at_power_up(local_reset=True)
-    puppet.readings["local_reset"], puppet.control["warm"] = True, True
+    puppet.readings["local_reset"], puppet.control["is_warmed_up"] = True, True
     puppet.run(30)
     assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET
     puppet.give(local_reset=False).tick()

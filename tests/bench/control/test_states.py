@@ -146,17 +146,17 @@ def test_a_pattern_brakes_all_joints_without_their_encoders(bench: Bench, before
     s["swinging"], s["swing"]["sample"] = True, 32
     begin_reaction(s, parameters, before, 1.0)
     begin_reaction(s, parameters, Reaction.BLIND_BRAKE, 1.1)
-    assert (s["blind_row"], s["unseen"].tolist()) == (1, [1, 1, 1])
+    assert (s["blind_row"], s["open_loop_joints"].tolist()) == (1, [1, 1, 1])
 
 
 def test_a_blind_brake_out_of_a_brake_plays_no_pattern(bench: Bench) -> None:
     state, parameters = bench
     s = state.control[0]
-    s["swinging"], s["swing"]["sample"], s["unseen"] = True, 32, 1
+    s["swinging"], s["swing"]["sample"], s["open_loop_joints"] = True, 32, 1
     begin_reaction(s, parameters, Reaction.BRAKE, 1.0)
     begin_reaction(s, parameters, Reaction.BLIND_BRAKE, 1.1)
     assert (s["reaction"], s["reaction_start"], s["still_since"]) == (Reaction.BLIND_BRAKE, 1.1, 1.1)
-    assert (s["blind_row"], s["unseen"].tolist()) == (-1, [0, 0, 0])
+    assert (s["blind_row"], s["open_loop_joints"].tolist()) == (-1, [0, 0, 0])
     begin_reaction(s, parameters, Reaction.PASSIVE, 1.2)
     assert (s["reaction_start"], s["still_since"]) == (1.2, 1.2)
 
@@ -214,7 +214,7 @@ def test_a_cause_while_standing_vents_and_a_lost_reading_is_distrusted(bench: Be
     s = state.control[0]
     react(state, parameters, int(Cause.ARM_ENCODER), READINGS_LOST, 1.0)
     assert (s["state"], s["reaction"], s["cause"]) == (State.FAULT, Reaction.VENT, Cause.ARM_ENCODER)
-    assert s["distrusted"]
+    assert s["encoders_suspect"]
     react(state, parameters, int(Cause.GUARD), READINGS_VALID, 2.0)
     assert (s["cause"], s["latest_cause"]) == (Cause.ARM_ENCODER, Cause.GUARD)
 
@@ -223,7 +223,7 @@ def test_a_cause_while_standing_vents_and_a_lost_reading_is_distrusted(bench: Be
 def test_a_joint_that_does_not_follow_may_have_an_encoder_that_is_stuck(joint: int) -> None:
     puppet = reach(State.SWINGING)
     react(puppet.state, puppet.parameters, int(Cause.SHOULDER_FOLLOWING) + joint, READINGS_VALID, 1.0)
-    assert puppet.control["distrusted"]
+    assert puppet.control["encoders_suspect"]
 
 
 @pytest.mark.parametrize(

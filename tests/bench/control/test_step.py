@@ -442,7 +442,7 @@ def test_a_valve_that_passes_too_much_is_a_joint_that_does_not_obey(phase: Phase
     puppet.tick()
     assert puppet.cause == Cause.SHOULDER_FLOW + joint
     assert puppet.reaction is STOP_REACTIONS[phase][WRIST_FAULT if joint == 2 else ACTUATOR_FAULT]
-    assert puppet.control["distrusted"]
+    assert puppet.control["encoders_suspect"]
 
 
 @pytest.mark.parametrize("kind", ["jump", "effort"])

@@ -57,7 +57,7 @@ def warming(busy: int) -> Any:
     """Return a loop whose first `busy` ticks take 1.2 ms, the others 0.2 ms."""
     loop: Any = object.__new__(LoopProcess)
     marks = np.zeros(len(STAMPS), np.int64)
-    loop.cycle = SimpleNamespace(marks=marks, state=SimpleNamespace(control={"warm": False}))
+    loop.cycle = SimpleNamespace(marks=marks, state=SimpleNamespace(control={"is_warmed_up": False}))
     loop.paced, loop._period_ns, loop.ticks = False, PERIOD_NS, 0
 
     def tick(clock: object) -> float:
@@ -72,7 +72,7 @@ def warming(busy: int) -> Any:
 def test_a_machine_that_is_busy_at_the_start_is_measured_again() -> None:
     loop = warming(busy=3 * WARM_UP)
     loop._warm_up(None)
-    assert loop.cycle.state.control["warm"]
+    assert loop.cycle.state.control["is_warmed_up"]
     assert loop.ticks == 4 * WARM_UP
     assert loop.tick_ns == 200_000
 
@@ -81,5 +81,5 @@ def test_ticks_that_are_always_too_long_are_refused() -> None:
     loop = warming(busy=1_000_000)
     with pytest.raises(Refused, match=r"loop\.rate"):
         loop._warm_up(None)
-    assert not loop.cycle.state.control["warm"]
+    assert not loop.cycle.state.control["is_warmed_up"]
     assert loop.ticks < 20 * WARM_UP

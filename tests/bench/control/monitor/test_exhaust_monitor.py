@@ -116,7 +116,7 @@ def test_a_sensor_whose_zero_is_off_shows_as_an_exhaust(zero: float, found: list
     [
         ("control", {"phase": Phase.HOLD}),
         ("control", {"lost": Cause.ARM_ENCODER}),
-        ("control", {"distrusted": True}),
+        ("control", {"encoders_suspect": True}),
         ("control", {"sensors.seen": 0}),
         ("control", {"sensors.dead": 1}),
         ("estimator", {"angle": nan}),

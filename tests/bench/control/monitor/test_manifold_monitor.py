@@ -125,11 +125,11 @@ def test_one_reading_that_is_too_high_is_no_pressure_to_fall_from() -> None:
 
 def test_inputs_that_come_back_after_a_lost_link_are_fine() -> None:
     manifold = Manifold()
-    manifold.control["lost"] = 4
+    manifold.control["encoder_fault"] = 4
     for _ in range(50):
         manifold.tick(SUPPLY)
     manifold.tick(ATMOSPHERE)
-    manifold.control["lost"] = 0
+    manifold.control["encoder_fault"] = 0
     assert manifold.fall(0.0, 0.5).found == (False, False)
 
 

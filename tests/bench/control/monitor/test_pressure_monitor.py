@@ -189,7 +189,7 @@ def test_a_sensor_that_dies_stops_whatever_moves_as_other_trusted_causes_do(sens
             puppet.tick()
     assert puppet.cause is sensor
     assert puppet.reaction is Reaction.BRAKE
-    assert not puppet.control["distrusted"]  # joints and encoders are not in doubt
+    assert not puppet.control["encoders_suspect"]  # joints and encoders are not in doubt
     puppet.give(supply_pressure=ATMOSPHERE, chamber_pressure=(ATMOSPHERE,) * CHAMBERS)
     kill(puppet, sensor)
     assert until(puppet, State.FAULT) is State.FAULT

@@ -203,7 +203,7 @@ def test_a_head_that_lies_low_is_lifted(profile: Profile, shoulder: float) -> No
     clearance = bench.loads().lowest_clearance
     bench.arm()
     assert bench.cause is Cause.NONE
-    assert bench.control["low_head"][0] == 0.0
+    assert bench.control["clearance_relief"][0] == 0.0
     assert bench.loads().lowest_clearance > clearance - 0.001
 
 

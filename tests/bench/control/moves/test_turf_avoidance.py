@@ -29,10 +29,10 @@ def acting(
     s, p = new_record(CONTROL_STATE), new_record(CONTROL_PARAMETERS)
     p["escape_opening"], p["escape_time"] = OPENINGS, TIMES
     s["latest_cause"], s["phase"], s["reaction"], s["reaction_start"] = cause, phase, reaction, 5.0
-    s["desired"], s["let_off"] = 0.123, 1
+    s["desired"], s["turf_override"] = 0.123, 1
     escape(s[0], p[0], 5.0 + since)
-    assert np.all((s["desired"][0] == 0.123) | (s["let_off"][0] != 0))
-    return [float(s["desired"][0, i]) if s["let_off"][0, i] else None for i in range(3)]
+    assert np.all((s["desired"][0] == 0.123) | (s["turf_override"][0] != 0))
+    return [float(s["desired"][0, i]) if s["turf_override"][0, i] else None for i in range(3)]
 
 
 @pytest.mark.parametrize(
