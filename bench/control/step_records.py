@@ -83,9 +83,9 @@ CONTROL_PARAMETERS = np.dtype(
         ("home_stops", "?"),
         ("home_stop", "f8", (3,)),
         ("home_stop_tolerance", "f8", (3,)),
-        ("home_touch_speed", "f8", (3,)),
-        ("home_touch_lead", "f8", (3,)),
-        ("home_touch_time", "f8"),
+        ("home_stop_contact_speed", "f8", (3,)),
+        ("home_stop_contact_lead", "f8", (3,)),
+        ("home_stop_contact_time", "f8"),
     ],
     align=True,
 )

@@ -211,7 +211,9 @@ class LoopProcess:
     def _bind(self) -> None:
         """Look up the fields that every tick needs: by name each costs a microsecond."""
         control, record = self.cycle.state.control, self.cycle.record
-        self._phase, self._request, self._warm = (numbers(control[k]) for k in ("phase", "request", "is_warmed_up"))
+        self._phase, self._request, self._warm = (
+            numbers(control[k]) for k in ("phase", "request", "is_warmed_up")
+        )
         self._wake_latency, self._work_time = numbers(record["wake_latency"]), numbers(record["work_time"])
         self._answer, self._answered = numbers(record["answer"]), numbers(record["request"])
         self._marks = numbers(self.cycle.marks)

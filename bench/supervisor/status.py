@@ -57,10 +57,11 @@ def stall_note(
         return ""
     last = cycles[-BEFORE:]
     lost, jump = last["encoder_valid"] == 0, cause in _JUMPS
-    late = np.all(lost | (last["encoder_age"] >= encoder_timeout / 2), axis=1).any()
+    least = period if jump else encoder_timeout / 2  # a moving joint is elsewhere after a single missed tick
+    late = np.all(lost | (last["encoder_age"] >= least + period), axis=1).any()
     missing = np.all(lost[-1] | (last["encoder_age"][-1] >= encoder_timeout))
     gap = float(last["measured_step"].max())
-    if gap - period >= encoder_timeout / 2:
+    if gap - period >= least:
         return (
             f"the loop stood still for {1e3 * gap:.1f} ms just before, a stall of this machine: run "
             "golfbench doctor; a simulated robot waits for the loop with golfbench run --time paced"

@@ -190,6 +190,7 @@ class Judge:
         for k in np.flatnonzero(changed):
             before, after, tick = int(trips[k]), int(trips[k + 1]), int(ticks[k])
             on_top = after in (Cause.NOT_VENTED, Cause.MANIFOLD)
+            on_top |= Cause.SHOULDER_A_EXHAUST <= after <= Cause.WRIST_B_EXHAUST
             on_top |= Cause(after) in EMERGENCIES and Cause(before) not in EMERGENCIES
             if before not in (0, after) and not reset[k] and not on_top:
                 self._say(tick, f"cause {Cause(before).name} replaced by {Cause(after).name}")

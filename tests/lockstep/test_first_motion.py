@@ -24,7 +24,7 @@ from sim.plant import PlantParameters, build_plant
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="seconds of the plant take minutes without compilation"
 )
-SLOW = {"shoulder": 2.7, "arm": 1.8, "wrist": 3.9}
+SLOW = {"shoulder": 2.7, "arm": 2.0, "wrist": 3.9}
 """Speed below which the joint is stopped (rad/s). With valves as open as homing may it passes 6, 3 and 9."""
 
 

@@ -32,12 +32,13 @@ _LONGEST = 0.02
 def watch_exhausts(s: Any, p: Any, robot: Any, plant: Any, e: Any, readings: Any, step: float) -> None:
     """Judge each chamber that a living sensor shows, `step` s after the last tick.
 
-    `plant` is one of PLANT_PARAMETERS, `e` the estimator's state. Without trusted encoders a chamber's volume
-    is unknown: nothing is judged, and what was found stays.
+    `plant` is one of PLANT_PARAMETERS, `e` the estimator's state. Without trusted encoders, or before
+    incremental ones are homed, a chamber's volume is unknown: nothing is judged, and what was found stays.
     """
     opened = s.venting.timer - SWITCHING
     vent = SLOWEST * conductance_of_vents(plant, readings[0], opened)
-    known = s.encoder_fault == 0 and not s.encoders_suspect and np.isfinite(e.angle.sum() + e.velocity.sum())
+    known = s.encoder_fault == 0 and not s.encoders_suspect and (s.homed or not p.home_by_index)
+    known = known and np.isfinite(e.angle.sum() + e.velocity.sum())
     judged = vent > 0.0 and s.phase == Phase.STANDING and known
     supply = readings[0].supply_pressure
     s.exhausts.bound[12] = supply if p.lowest_pressure <= supply <= p.highest_pressure else plant.atmosphere

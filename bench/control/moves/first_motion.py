@@ -26,6 +26,9 @@ charged would throw a joint whose valve opens at once."""
 _FASTER = 3.0
 """Max speed of a joint that has not answered, in terms of its speed towards its stop."""
 
+_THROWN = 1.9
+"""Speed (rad/s) at which the others, at their stops, throw a joint whose reference has not moved yet."""
+
 
 @compiled
 def note_answers(s: Any, d: Any, e: Any) -> None:
@@ -70,6 +73,8 @@ def bound_first(s: Any, p: Any, i: int, opening: float) -> float:
 def first_motion_cause(s: Any, p: Any, velocity: Any) -> int:
     """Return the cause that ends a first motion: a joint that has not answered and is fast; or 0."""
     for i in range(3):
-        if s.first_motion.answered[i] == 0 and not abs(velocity[i]) <= _FASTER * p.home_touch_speed[i]:
+        thrown = _THROWN if s.first_motion.way[i] == 0.0 else 0.0
+        most = max(_FASTER * p.home_stop_contact_speed[i], thrown)
+        if s.first_motion.answered[i] == 0 and not abs(velocity[i]) <= most:
             return Cause.SHOULDER_FOLLOWING + i
     return 0

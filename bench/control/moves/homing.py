@@ -90,7 +90,7 @@ def search(s: Any, p: Any, e: Any, d: Any, indexed: Any, time: float, measured_s
         if time < s.air_from:  # a vented robot may still sink while it warns
             s.reference[i] = h.origin[i] = e.angle[i]
         if time < s.move.start:
-            leash = _LEASH * p.home_touch_lead[i]
+            leash = _LEASH * p.home_stop_contact_lead[i]
             s.reference[i] = min(max(s.reference[i], e.angle[i] - leash), e.angle[i] + leash)
         elif time - measured_step < s.move.start:
             s.reference[i] = h.start[i] = e.angle[i]
@@ -143,9 +143,9 @@ def _push(
     """
     h = s.homing
     lead = abs(s.reference[joint] - e.angle[joint])
-    if lead < p.home_touch_lead[joint]:
+    if lead < p.home_stop_contact_lead[joint]:
         _turn(s, p, joint, speed, time, measured_step)
-    pushed = is_free(s, p, joint) and lead >= _FIRM * p.home_touch_lead[joint]
+    pushed = is_free(s, p, joint) and lead >= _FIRM * p.home_stop_contact_lead[joint]
     # By its angle, not its velocity, which the other joints shake.
     if not pushed or abs(e.angle[joint] - h.pushed_at) > rests:
         h.pushed_since, h.pushed_at = time, e.angle[joint]
@@ -167,9 +167,18 @@ def _seek(s: Any, p: Any, e: Any, d: Any, joint: int, time: float, measured_step
 @compiled
 def _press(s: Any, p: Any, e: Any, joint: int, time: float, measured_step: float) -> bool:
     """Turn `joint` to its stop; return True once it has been pressed against it, at the stop's angle."""
-    _push(s, p, e, joint, p.home_direction[joint] * p.home_touch_speed[joint], _PRESSED, time, measured_step)
+    _push(
+        s,
+        p,
+        e,
+        joint,
+        p.home_direction[joint] * p.home_stop_contact_speed[joint],
+        _PRESSED,
+        time,
+        measured_step,
+    )
     there = abs(e.angle[joint] - p.home_stop[joint]) <= p.home_stop_tolerance[joint]
-    return bool(there and time - s.homing.pushed_since >= p.home_touch_time)
+    return bool(there and time - s.homing.pushed_since >= p.home_stop_contact_time)
 
 
 @compiled
@@ -181,10 +190,10 @@ def _go_back(s: Any, p: Any, e: Any, time: float, measured_step: float) -> bool:
     back = True
     for i in range(3):
         way = s.homing.origin[i] - s.reference[i]
-        if abs(way) > p.home_touch_speed[i] * measured_step:
+        if abs(way) > p.home_stop_contact_speed[i] * measured_step:
             back = False
-            speed = p.home_touch_speed[i] if way > 0.0 else -p.home_touch_speed[i]
-            if abs(s.reference[i] - e.angle[i]) < _EASE * p.home_touch_lead[i]:
+            speed = p.home_stop_contact_speed[i] if way > 0.0 else -p.home_stop_contact_speed[i]
+            if abs(s.reference[i] - e.angle[i]) < _EASE * p.home_stop_contact_lead[i]:
                 _turn(s, p, i, speed, time, measured_step)
     return back
 
@@ -225,7 +234,7 @@ def search_cause(
         if h.touching and p.home_stops:
             beyond = p.home_direction[i] * (angle[i] - p.home_stop[i])
             rested = time - h.pushed_since
-            most = p.home_stop_tolerance[i] if rested >= p.home_touch_time else _OVERSHOOT
+            most = p.home_stop_tolerance[i] if rested >= p.home_stop_contact_time else _OVERSHOOT
             if not (beyond <= most and rested <= _LONGEST_PUSH):
                 return Cause.SHOULDER_ZERO + i
         elif not time - h.pushed_since <= 1.1 * _LONGEST_PUSH:

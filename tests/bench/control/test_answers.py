@@ -156,7 +156,7 @@ CONDITIONS = (
         "readings",
         {"guard_closed": False},
     ),
-    Condition("readings", Refusal.READINGS, MOVES_OR_RESETS, "control", {"lost": Cause.ARM_ENCODER}),
+    Condition("readings", Refusal.READINGS, MOVES_OR_RESETS, "control", {"encoder_fault": Cause.ARM_ENCODER}),
     Condition("supervisor", Refusal.SUPERVISOR, MOVES_OR_RESETS, "control", {"supervisor_alive": False}),
     Condition("lock", Refusal.LOCK, MOVES_OR_RESETS, "control", {"lock.wrong": True}),
     Condition("manifold's sensor", Refusal.SENSOR, MOVES_OR_RESETS, "control", {"sensors.dead": one_dead(0)}),
@@ -430,7 +430,7 @@ def told(situation: Situation) -> tuple[int, Answer, Refusal, int, int]:
         int(s["answered_number"]),
         Answer(int(s["answer"])),
         Refusal(int(s["refusal"])),
-        int(s["asked"]),
+        int(s["handled_request"]),
         int(s["request"]),
     )
 

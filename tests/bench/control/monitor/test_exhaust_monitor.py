@@ -115,11 +115,12 @@ def test_a_sensor_whose_zero_is_off_shows_as_an_exhaust(zero: float, found: list
     ("record", "values"),
     [
         ("control", {"phase": Phase.HOLD}),
-        ("control", {"lost": Cause.ARM_ENCODER}),
+        ("control", {"encoder_fault": Cause.ARM_ENCODER}),
         ("control", {"encoders_suspect": True}),
         ("control", {"sensors.seen": 0}),
         ("control", {"sensors.dead": 1}),
         ("estimator", {"angle": nan}),
+        ("limits", {"home_by_index": True}),
         ("readings", {"vent_open": 0.0}),
     ],
     ids=str,

@@ -26,7 +26,7 @@ class Joints:
         self.estimator, self.parameters = new_record(ESTIMATOR_STATE), new_record(CONTROL_PARAMETERS)
         self.state["phase"], self.state["measured_step"] = Phase.HOMING, 0.1
         self.parameters["move_band"], self.parameters["home_opening"] = BAND, OPENING
-        self.parameters["home_touch_speed"] = 0.5
+        self.parameters["home_stop_contact_speed"] = 0.5
 
     def tick(self, reference_speed: float, angle: float) -> None:
         self.state["reference_velocity"][0, 1] = reference_speed
@@ -116,8 +116,9 @@ def test_opened_guard_has_all_joints_answer_again(joints: Joints) -> None:
     assert joints.bound(1.0) == pytest.approx(BAND + 0.005)
 
 
-@pytest.mark.parametrize("speed", [1.51, -1.51, nan, inf])
-def test_fast_joint_that_has_not_answered_ends_the_motion(joints: Joints, speed: float) -> None:
+@pytest.mark.parametrize(("speed", "way"), [(1.51, 1.0), (-1.51, -1.0), (1.91, 0.0), (nan, 0.0), (inf, 1.0)])
+def test_fast_joint_that_has_not_answered_ends_the_motion(joints: Joints, speed: float, way: float) -> None:
+    joints.state["first_motion"]["way"][0, 2] = way
     velocity = np.array([1.4, 0.0, speed])
     cause: Any = first_motion_cause(joints.state[0], joints.parameters[0], velocity)
     assert cause == Cause.WRIST_FOLLOWING
