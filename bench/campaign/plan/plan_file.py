@@ -167,13 +167,8 @@ def _unknown_action(section: str, name: str, known: Mapping[str, Any]) -> str:
 def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str, Club]) -> Iterator[Mistake]:
     d = plan.design
     if not CAMPAIGN_NAME.fullmatch(plan.campaign.name):
-        found = format_value(plan.campaign.name)
-        yield (
-            "campaign.name",
-            found,
-            "small letters, digits and -",
-            "Rename it: the name is part of file names.",
-        )
+        found, wanted = format_value(plan.campaign.name), "small letters, digits and -"
+        yield "campaign.name", found, wanted, "Rename it: the name is part of file names."
     for key, names, known in (
         ("design.balls", d.balls, balls),
         ("control.ball", filter(None, (plan.control.ball,)), balls),
@@ -211,12 +206,8 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
         expected = f"more than design.seconds_per_shot, {d.seconds_per_shot:g}; or 0"
         yield "interruption.restart_after", found, expected, "Every shot would restart its block."
     if plan.gate.reference == "warm-up" and not plan.warm_up.at_most:
-        yield (
-            "gate.reference",
-            '"warm-up"',
-            '"planned", as warm_up.at_most is 0',
-            'Set gate.reference = "planned".',
-        )
+        wanted = '"planned", as warm_up.at_most is 0'
+        yield "gate.reference", '"warm-up"', wanted, 'Set gate.reference = "planned".'
     if plan.warm_up.at_most and plan.warm_up.at_most < plan.warm_up.window:
         found = str(plan.warm_up.at_most)
         yield "warm_up.at_most", found, f"at least window, {plan.warm_up.window}", "Raise it."

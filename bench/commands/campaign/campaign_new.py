@@ -91,8 +91,10 @@ def _answered(
     if given["swing"] or compared == "swing":
         design["swings"] = _given(given["swing"], "Swings, separated by commas", _names)
     return design, {
-        "deviation": _given(given["deviation"], "Expected standard deviation of one shot, m", _length),
-        "difference": _given(given["difference"], "Smallest difference of carry worth finding, m", _length),
+        "expected_sd": _given(given["deviation"], "Expected standard deviation of one shot, m", _length),
+        "target_difference": _given(
+            given["difference"], "Smallest difference of carry worth finding, m", _length
+        ),
     }
 
 

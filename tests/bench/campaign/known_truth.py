@@ -208,7 +208,7 @@ def cases() -> list[Case]:
     driven = Known(deviation=2 * sqrt(0.2), speed=2 * sqrt(0.8) / 3)
     holes, some = Known(ball=1.0, drift=0.05, missing=0.1), Known(ball=1.0, drift=0.02, missing=0.05)
     half, whole, big = Known(ball=1.0), Known(ball=2.0), (4.0, 4.0) + (1.0,) * 8
-    speed: dict[str, Any] = {"covariates": ("club_speed_mps",), "explained": 0.8}
+    speed: dict[str, Any] = {"covariates": ("club_speed_mps",), "expected_r_squared": 0.8}
     return [
         Case("2 levels, 12 balls x 8 hits, ball SD half the shot's", plan(2, 96, 12), half),
         Case("2 levels, 12 balls x 8 hits, ball SD as the shot's", plan(2, 96, 12), whole),

@@ -217,7 +217,7 @@ def test_where_the_ball_goes_excludes_nothing(make: Callable[..., Bench]) -> Non
 
 def test_a_source_that_the_plan_does_not_accept_is_excluded(make: Callable[..., Bench]) -> None:
     bench = make(
-        gate={"sources": ("launch monitor",), "centre": "planned"},
+        gate={"sources": ("launch monitor",), "reference": "planned"},
         warm_up={"at_most": 0},
         design={"blocks": 1, "failures_in_a_row": 100},
     )
@@ -267,7 +267,9 @@ def test_balls_take_turns_and_are_never_hit_too_often(make: Callable[..., Bench]
 
 
 def test_the_stopping_rule_ends_a_section_early(make: Callable[..., Bench]) -> None:
-    bench = make(design={"blocks": 12}, stop={"rule": "width", "width": 5.0, "min_blocks": 3, "looks": 4})
+    bench = make(
+        design={"blocks": 12}, stop={"rule": "width", "width": 5.0, "min_blocks": 3, "interim_analyses": 4}
+    )
     outcome = bench.run(Scripted())
     assert outcome.state is CampaignState.FINISHED
     assert "section 1 after 3 of 12 blocks" in outcome.reason
@@ -519,13 +521,13 @@ def test_a_gap_within_the_bound_or_before_a_warm_up_restarts_nothing(make: Calla
     assert bench.run(Clock({7: 1700.0})).shots == 18
     never_restarted = make(interruption={"restart_after": 0.0})
     assert never_restarted.run(Clock({7: 1e6})).shots == 18
-    between = make(warm_up={"at_most": 0}, gate={"centre": "planned"})
+    between = make(warm_up={"at_most": 0}, gate={"reference": "planned"})
     assert between.run(Clock({1: 1e6, 6: 1e6})).shots == 15
     assert [(at, kind) for at, kind, _ in _events(between)] == [(6, "gap")]
 
 
 def test_a_block_that_always_takes_long_ends_nevertheless(make: Callable[..., Bench]) -> None:
-    bench = make(warm_up={"at_most": 0}, gate={"centre": "planned"})
+    bench = make(warm_up={"at_most": 0}, gate={"reference": "planned"})
     outcome = bench.run(Clock(dict.fromkeys(range(3, 200), 4000.0)))
     assert outcome.state is CampaignState.FINISHED
     kinds = Counter(kind for _, kind, _ in _events(bench))

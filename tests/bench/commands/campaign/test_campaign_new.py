@@ -89,7 +89,7 @@ def test_new_plan_asks_at_the_terminal_again_after_a_wrong_answer(
     assert done.exit_code == 0, done.output
     plan = tomllib.loads((tmp_path / "two.toml").read_text())
     assert plan["design"]["balls"] == ["tour", "range"]
-    assert plan["analysis"]["deviation"] == 0.5
+    assert plan["analysis"]["expected_sd"] == 0.5
     assert "found 'bal', expected one of ball, club, swing" in done.output
 
 
