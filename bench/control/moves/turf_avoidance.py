@@ -41,7 +41,7 @@ def disobeying(cause: int) -> int:
 
 @compiled
 def escape(s: Any, p: Any, time: float) -> None:
-    """Set the desired openings that keep the head off the turf at `time` (s), and `let_off`."""
+    """Set the desired openings that keep the head off the turf at `time` (s), and `turf_override`."""
     for i in range(3):
         s.turf_override[i] = 0
     joint = disobeying(s.latest_cause)

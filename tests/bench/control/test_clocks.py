@@ -82,7 +82,7 @@ def test_no_value_of_the_record_is_lost_to_a_tick_without_a_time(wrong: float) -
 def test_a_latched_bench_can_be_reset_after_it(wrong: float, state: State) -> None:
     puppet = reach(state)
     tell(puppet, wrong)
-    puppet.give(warm=True).run(60)
+    puppet.give(is_warmed_up=True).run(60)
     assert is_well(puppet)
     assert reset(puppet) is Refusal.NONE
 

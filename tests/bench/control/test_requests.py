@@ -128,7 +128,7 @@ def test_where_encoders_cannot_tell_it_waits_for_as_long_as_an_arm_may_sink(doub
 
 def test_a_reset_trusts_the_readings_again() -> None:
     puppet = reach(State.FAULT)
-    puppet.give(distrusted=True)
+    puppet.give(encoders_suspect=True)
     press(puppet)
     assert asked(puppet, Request.RESET) is Refusal.NONE
     assert not puppet.control["encoders_suspect"]

@@ -116,7 +116,9 @@ def regained(name: str) -> Act:
 def cases() -> list[Case]:
     """Return all ways along all edges."""
     made = [
-        Case(edge(S.STARTING, "warmed up", S.ESTOP), lambda: reach(S.STARTING), give(warm=True), 0, {}),
+        Case(
+            edge(S.STARTING, "warmed up", S.ESTOP), lambda: reach(S.STARTING), give(is_warmed_up=True), 0, {}
+        ),
         Case(
             edge(S.HOMING, "homed", S.READY),
             lambda: reach(S.HOMING),
@@ -126,10 +128,10 @@ def cases() -> list[Case]:
         ),
         Case(
             edge(S.READY, "index missing", S.SAFE),
-            lambda: reach(S.READY).give(seen=False),
+            lambda: reach(S.READY).give(encoders_seen_valid=False),
             give(encoder_indexed=0),
             0,
-            {"a reading trusted before": give(seen=True)},
+            {"a reading trusted before": give(encoders_seen_valid=True)},
         ),
         Case(
             edge(S.READY, "arm", S.ARMED),
