@@ -168,8 +168,8 @@ class Shooter:
         self.state = without_history(state)
         self.silences = silences
         self.law = new_record(BRAKE_LAW)
-        for name in ("gain", "damping", "fade"):
-            self.law[name] = getattr(control, f"brake_{name}")
+        self.law["gain"], self.law["damping"] = control.brake_gain, control.brake_damping
+        self.law["fade"] = control.brake_fade_speed
         self.passive = command.copy()
         pack_command(PASSIVE, self.passive)
 

@@ -141,5 +141,5 @@ def send_failure(error: BenchError | SharedMemoryError | DriverError) -> int:
     else:
         place, found, expected, action = error.args
     code = error.exit_code if isinstance(error, BenchError) else ExitCode.DEVICE
-    send_event("failed", place=place, found=found, expected=expected, action=action, exit_code=int(code))
+    send_event("failed", location=place, found=found, expected=expected, action=action, exit_code=int(code))
     return int(code)

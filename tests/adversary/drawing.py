@@ -15,7 +15,7 @@ from sim.faults import MEANINGS, SIGNALS, Fault, sort_of
 from tests.adversary.player import INPUTS, PERMITS, Player
 from tests.adversary.story import Setup, Step, Story, fault_entry
 
-CONFIGURATIONS = ("shipped", "bag", "golfers", "high_speed", "small_plant")
+CONFIGURATIONS = ("shipped", "bag", "golfers", "high_speed")
 _RAISED = np.array([1.42, 0.66, 1.40])
 """rad from the hanging pose to the lower end stops."""
 _VALUES = {

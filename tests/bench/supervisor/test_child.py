@@ -78,7 +78,7 @@ def test_lines_that_are_no_events_are_passed_over(start: Start) -> None:
 
 
 def test_why_it_failed_is_told_with_its_own_exit_code(start: Start) -> None:
-    child = start("send_event('failed', place='p', found='f', expected='e', action='c', exit_code=2)")
+    child = start("send_event('failed', location='p', found='f', expected='e', action='c', exit_code=2)")
     with pytest.raises(NotStarted, match=r"p: found f, expected e. c") as caught:
         child.wait_until_ready(30.0)
     assert caught.value.exit_code is ExitCode(2)
