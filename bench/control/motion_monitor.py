@@ -77,9 +77,8 @@ def monitor_motion(
         elif air_cause(s) != 0:
             react(state, parameters, air_cause(s), READINGS_VALID, time)
         elif s.homing.index_wrong != 0:
-            react(
-                state, parameters, int(s.homing.index_wrong), READINGS_VALID, time
-            )  # from here on the count is right
+            # From here on the count is right.
+            react(state, parameters, int(s.homing.index_wrong), READINGS_VALID, time)
         # A stop needs its valves and encoders as much as a swing does: it is monitored, too.
         if s.reaction > Reaction.COMPLETE:
             _watch_braking(state, parameters, readings, time)

@@ -161,10 +161,11 @@ class LiveRobot:
         while True:
             self._hear()
             if self._connection.poll(_LOOK):
-                number, done, pieces = self._connection.recv()
+                pieces = self._connection.recv()
                 data = b"".join(self._connection.recv_bytes() for _ in range(pieces))
+                number, done, answer = pickle.loads(data)  # noqa: S301 - of our own process
                 if number == self._number:  # an earlier order was interrupted by this one
-                    return done, pickle.loads(data)  # noqa: S301 - of our own process
+                    return done, answer
             elif not self._child.alive:
                 raise EOFError
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 import pickle
 import select
 import sys
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -109,32 +108,26 @@ def serve(plan: MachinePlan, parent: Parent) -> None:
                 number, order = connection.recv()
             except EOFError:
                 return
-            _send(connection, number, *_answer(server, order), hold=server.hold, ends=interrupted)
+            _send(connection, (number, *_answer(server, order)), server, interrupted)
 
 
 def _send(
-    connection: Connection,
-    number: int,
-    done: bool,
-    answer: Any,
-    *,
-    hold: Callable[[], None],
-    ends: _Interruption,
+    connection: Connection, message: tuple[int, bool, Any], server: MachineServer, interrupted: _Interruption
 ) -> None:
-    """Send the answer to order `number` as its reader takes it, ticks in between.
+    """Send number, success and answer of an order as their reader takes them, ticks of `server` in between.
 
     The reader has no real-time priority: a tick that waits for it stops the robot.
     """
-    data = pickle.dumps(answer)
+    data = pickle.dumps(message)
     pieces = range(0, len(data), _PIECE)
-    connection.send((number, done, len(pieces)))
+    connection.send(len(pieces))
     for begin in pieces:
         while not select.select((), (connection,), (), 0.0)[1]:
-            if ends.ends:
+            if interrupted.ends:
                 return
-            hold()
+            server.hold()
         connection.send_bytes(data[begin : begin + _PIECE])
-        hold()
+        server.hold()
 
 
 def with_quick_pressures(c: Configuration) -> Configuration:

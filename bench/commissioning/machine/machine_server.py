@@ -109,7 +109,7 @@ class LiveSeries:
         for permission in ("supervisor_alive", "lease_held", "support_ready"):
             control[permission] = True  # who asks has this bench alone, and keeps what it returns
         self._operator = SwingOperator(Loop(cycle, clock), stop=stop, name=bench.profile.name)
-        self._operator.is_vented()  # compiled, or read from the cache, before a tick has to wait for it
+        self._operator.shows_no_pressure()  # compiled, or read from the cache, before a tick waits for it
         near_address(cycle.parameters, cycle.state.estimator)
         self._operator.advance(round(_WARM_UP / clock.period))
         control["is_warmed_up"] = True

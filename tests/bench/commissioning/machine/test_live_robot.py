@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 import os
+import pickle
 import signal
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numba
@@ -24,7 +27,7 @@ from bench.commissioning.machine.driver_machine import _Log
 from bench.commissioning.machine.inputs import of_simulation
 from bench.commissioning.machine.live_robot import LiveRobot, MachineLost, OperatorIO, live_robot
 from bench.commissioning.machine.machine import MotionBounds, Segment
-from bench.commissioning.machine.machine_process import with_quick_pressures
+from bench.commissioning.machine.machine_process import _PIECE, _send, with_quick_pressures
 from bench.commissioning.machine.machine_server import (
     ArmBench,
     LiveSeries,
@@ -416,6 +419,31 @@ def test_a_process_that_is_killed_is_said(tmp_path: Path, configuration: Configu
         with pytest.raises(MachineLost, match="--resume"):
             robot.vent()
         robot.make_passive()
+
+
+def test_the_loop_ticks_while_its_answer_is_not_read() -> None:
+    ours, theirs = Pipe()
+    ticks: list[float] = []
+    read: list[bytes] = []
+
+    def read_all() -> None:
+        read.extend(theirs.recv_bytes() for _ in range(theirs.recv()))
+
+    reader = threading.Thread(target=read_all)
+
+    def hold() -> None:
+        ticks.append(time.monotonic())
+        if len(ticks) == 100:
+            reader.start()
+
+    answer = bytes(2 << 20)
+    with ours, theirs:
+        pieces = len(pickle.dumps((7, True, answer))) // _PIECE + 1
+        _send(ours, (7, True, answer), SimpleNamespace(hold=hold), SimpleNamespace(ends=False))  # type: ignore[arg-type]
+        reader.join(10.0)
+    assert b"".join(read) == pickle.dumps((7, True, answer))
+    assert len(read) == pieces
+    assert len(ticks) >= 100
 
 
 # What a busy machine and a bus do to a record ----------------------------------------------------------
