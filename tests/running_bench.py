@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -171,14 +171,12 @@ def write_configuration(folder: Path, name: str, text: str = "", base: str = "sh
 
 
 @contextmanager
-def running_bench(
-    file: Path, *arguments: str, clock: Literal["wall", "paced"] = "paced", **environment: Any
-) -> Iterator[BenchProcess]:
+def running_bench(file: Path, *arguments: str, **environment: Any) -> Iterator[BenchProcess]:
     """Run the bench of the configuration `file`; it is up, in ESTOP, when this yields."""
     log = file.with_suffix(".log")
     with log.open("ab") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "bench", "--config", str(file), "run", "--time", clock, *arguments],
+            [sys.executable, "-m", "bench", "--config", str(file), "run", *arguments],
             stdout=output,
             stderr=output,
             env={**os.environ, **environment},

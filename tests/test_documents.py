@@ -131,7 +131,7 @@ def test_commands_parse(path: Path, golfbench: Any) -> None:
 
 @pytest.mark.parametrize(
     "line",
-    ["profile nowhere", "swing list", "run --tmie paced", "run --time never", "status more", "demo --seed"],
+    ["profile nowhere", "swing list", "run --porfile default", "run --driver", "status more", "demo --seed"],
 )
 def test_a_wrong_command_is_found(line: str, golfbench: Any) -> None:
     assert _commands(f"```\n$ golfbench {line}   # comment\n```") == [line]

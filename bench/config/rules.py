@@ -324,7 +324,7 @@ def unheard_phases(configuration: Configuration) -> list[BenchError]:
             f"{place}: faults.{name}.phase",
             format_value(fault.phase),
             '"any": a plant on its own clock does not know the phase',
-            "Name a time, or a joint and an angle; or run with --time paced.",
+            'Name a time, or a joint and an angle; or run with driver "sim".',
         )
         for name, fault in configuration.faults.items()
         if fault.phase != "any"

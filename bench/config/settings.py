@@ -60,15 +60,13 @@ class DriverSettings:
     name: str
     """Driver: "sim", the simulated plant; "canopen", "daq", hardware; "mock", whose valves move the joints at
     once; or the name of a plug-in."""
-    time: Literal["wall", "paced"]
-    """Time of "sim": "paced", the plant in step with the ticks; "wall", on its own clock in a process."""
     watchdog: Annotated[float, Range(0.005, 0.5, "s")]
     """Silence after which the device goes passive by itself (s)."""
 
     @property
     def paced(self) -> bool:
-        """Whether a simulated plant runs in step with the loop's ticks; otherwise in wall time."""
-        return self.name == "sim" and self.time == "paced"
+        """Whether a simulated plant runs in step with the loop's ticks; otherwise the clock decides."""
+        return self.name == "sim"
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,6 @@ from bench.supervisor.status import (
 from bench.supervisor.timing_record import TimingReader, summary
 from bench.swing.correction import basis_of, digest_of
 from drivers.launch_monitor.open_connect import club_code
-from sim.live.exchange import PlantPlan
 
 _log = logging.getLogger("golfbench")
 
@@ -82,8 +81,6 @@ _STOP_TIMEOUT = 20.0
 """Time-out of the loop for bringing the robot to rest and ending, s."""
 _RECORDED = 65.0
 """Time that the longest record may take, s; at 1 kHz 40 MB of memory."""
-_PLANT_RUN_ON = 1.5
-"""Time for which a simulated plant continues after its loop has died, s, as a real robot would."""
 _STATISTICS = 1.0
 """Period of the loop statistics, s."""
 
@@ -252,7 +249,7 @@ class Daemon:
 
     @property
     def _attending(self) -> list[ManagedProcess]:
-        """All processes except loop and plant; arming does not depend on the launch monitor's."""
+        """All processes except the loop; arming does not depend on the launch monitor's."""
         return [*self._support, *filter(None, [self._launch_monitor])]
 
     def _launch_monitor_status(self) -> LaunchMonitorStatus | None:
@@ -277,7 +274,7 @@ class Daemon:
         `ready` is called once commands are answered, and recorder and publisher work or are in trouble.
 
         Raises:
-            BenchError: a process did not start, the plant's too, or the loop died (LoopDied).
+            BenchError: a process did not start, or the loop died (LoopDied).
         """
         c = self.configuration
         with ExitStack() as stack:
@@ -295,27 +292,16 @@ class Daemon:
                 notifier.stopping()
                 self._bring_to_end()
                 clean = True
-            except LoopDied:
-                time.sleep(_PLANT_RUN_ON)
-                raise
             except Exception:
                 clean = "loop" not in self.children  # nothing could move yet
                 raise
 
     def _start(self, stack: ExitStack, owner: Ownership) -> None:
-        """Start plant and loop, open the command plane, then start recorder and publisher."""
+        """Start the loop, open the command plane, then start recorder and publisher."""
         c, folder = self.configuration, owner.folder
         self._link = LoopLink(folder)
         stack.callback(self._link.close)
         stack.callback(self._kill_all)
-        if c.driver.name == "sim" and self.wall:
-            _log.info("starting the plant")
-            priority = c.loop.priority - 1 if c.loop.realtime != "off" else 0
-            plan = PlantPlan(
-                folder, c.plant, c.driver.watchdog, priority=priority, faults=tuple(c.faults.values())
-            )
-            self.children["plant"] = plant = Child.start("plant", "sim.live.process", plan)
-            plant.wait_until_ready(_START)
         first = Cause.RESTART if self._marker.was_killed else Cause.POWER_UP
         loop = Child.start(
             "loop",
@@ -632,8 +618,6 @@ class Daemon:
             raise self._loop_died(loop.ending)
         for supporter in self._attending:
             supporter.end()
-        if (plant := self.children.get("plant")) is not None:
-            plant.end(2.0)
 
     def _kill_all(self) -> None:
         for supporter in self._attending:

@@ -47,7 +47,6 @@ from drivers.base import Driver, DriverError
 from drivers.base.compiled import new_record, numbers
 from drivers.base.shared_record import SharedMemoryError, SharedRecord
 from drivers.registry import choose_driver, find_drivers
-from sim.live.driver import ProcessPlantDriver
 from sim.live.paced_driver import PacedPlantDriver
 
 
@@ -128,8 +127,6 @@ def configured_driver(c: Configuration, folder: Path) -> Driver:
     """
     settings = c.driver
     if settings.name == "sim":
-        if settings.time == "wall":
-            return ProcessPlantDriver(folder, watchdog=settings.watchdog)
         return PacedPlantDriver(folder, c.plant, faults=tuple(c.faults.values()), watchdog=settings.watchdog)
     return choose_driver(settings.name, find_drivers())(**c.driver_arguments())
 

@@ -64,15 +64,15 @@ def stall_note(
     if gap - period >= least:
         return (
             f"the loop stood still for {1e3 * gap:.1f} ms just before, a stall of this machine: run "
-            "golfbench doctor; a simulated robot waits for the loop with golfbench run --time paced"
+            'golfbench doctor; the simulated robot of driver "sim" waits for the loop'
         )
     if trouble and not jump:
         return trouble
     if missing or (jump and late):
         return (
             f"all three encoders were {'late' if jump else 'lost'} at once: check their bus and supply; with "
-            "a simulated robot its process stood still, a stall of this machine: golfbench run --time paced "
-            "waits for it"
+            "a simulated robot its process stood still, a stall of this machine: that of driver "
+            '"sim" waits for the loop'
         )
     return ""
 

@@ -1,59 +1,18 @@
-"""Interface between loop and plant process: a plan, and three shared records.
+"""Records that a simulated plant shares with others, in one folder of shared memory.
 
-All are in one folder of shared memory. `PLANT_COMMAND` goes from the loop to the plant, `PLANT_REPORT` back,
-and `PLANT_SURROUNDINGS` carries operator actions and faults (`sim.live.surroundings`).
+`PLANT_REPORT` comes from the plant; `PLANT_SURROUNDINGS` carries operator actions and faults to it
+(`sim.live.surroundings`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import numpy as np
 
-from drivers.base import Triple
 from drivers.base.records import COMMAND, READINGS, TRUTH
-from sim.faults import Fault
-from sim.plant import PlantParameters
 
-COMMAND_FILE = "plant-command"
 REPORT_FILE = "plant-report"
 SURROUNDINGS_FILE = "plant-surroundings"
 
-
-@dataclass(frozen=True)
-class PlantPlan:
-    """Parameters of the plant process."""
-
-    folder: Path
-    """Folder of shared memory, in which the plant creates, replaces and finally removes its files."""
-    plant: PlantParameters
-    watchdog: float
-    """Watchdog time of the valve node, s."""
-    angle: Triple | None = None
-    """Joint angles at the start, rad; None for the hanging pose."""
-    priority: int = 0
-    """Requested SCHED_FIFO priority, one below the loop's; 0 for none."""
-    cpu: int = -1
-    """Processor core; -1 for any."""
-    max_catch_up: int = 5
-    """Max ticks caught up at once after a stall; the rest slips."""
-    orphan_timeout: float = 5.0
-    """Time without a command after which an orphaned plant ends, s."""
-    faults: tuple[Fault, ...] = ()
-    """Faults; no onset by phase, as the plant does not know phases."""
-
-
-PLANT_COMMAND = np.dtype(
-    [
-        ("counter", "i8"),
-        ("session", "i8"),
-        ("mode", "u1"),
-        ("command", COMMAND),
-    ],
-    align=True,
-)
-"""`counter` changes with every command; `session` and `mode` are explained in `sim.live.valve_watchdog`."""
 
 CONTACT = np.dtype(
     [
@@ -69,23 +28,16 @@ CONTACT = np.dtype(
 
 NODE = np.dtype(
     [
-        ("watchdog", "f8"),
-        ("session", "i8"),
         ("operational", "?"),
-        ("passive_by_watchdog", "?"),
         ("watchdog_trips", "i8"),
-        ("counter", "i8"),
         ("command_tick", "i8"),
         ("passive_tick", "i8"),
         ("applied", COMMAND),
     ],
     align=True,
 )
-"""The valve node, fields as in `sim.live.valve_watchdog`.
-
-`counter` of the last command received, the ticks of the last applied command and of the last watchdog trip,
-and the command in force. `watchdog` is in s.
-"""
+"""The valve node: the ticks of the last applied command and of the last watchdog trip, and the command in
+force."""
 
 PLANT_REPORT = np.dtype(
     [

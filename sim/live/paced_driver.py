@@ -1,6 +1,6 @@
 """Driver of a plant paced by the loop, with controllable surroundings and reported contacts.
 
-The files are those of a plant process (`sim.live.exchange`), so that operator and launch monitor simulations
+The files are those of simulated nodes (`sim.live.exchange`), so that operator and launch monitor simulations
 work with both. Only the contact is updated in the report.
 """
 
@@ -24,7 +24,7 @@ from sim.driver import SimDriver, read_plant, write_plant
 from sim.faults import Fault
 from sim.live.exchange import CONTACT, PLANT_REPORT, PLANT_SURROUNDINGS
 from sim.live.handled_plant import HandledPlant
-from sim.live.process import PlantFiles
+from sim.live.plant_files import PlantFiles
 from sim.plant import PLANT_STATE, PlantParameters
 
 _SIZE = READINGS.itemsize

@@ -1,4 +1,4 @@
-"""Surroundings of a plant process: operator actions and injected faults."""
+"""Surroundings of a simulated plant: operator actions and injected faults."""
 
 from __future__ import annotations
 

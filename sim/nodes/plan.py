@@ -7,7 +7,6 @@ from pathlib import Path
 
 from drivers.base import Triple
 from sim.faults import Fault
-from sim.live.exchange import PlantPlan
 from sim.nodes.personality import Personality
 from sim.plant import PlantParameters
 
@@ -40,17 +39,3 @@ class NodesPlan:
     """Device family that all encoders play; None for the plain one of the EDS file."""
     io_personality: Personality | None = None
     """Device family that the valve node plays; None for the plain one of the EDS file."""
-
-    @property
-    def plant_plan(self) -> PlantPlan:
-        """Parameters of the plant; its own valve node is unused."""
-        return PlantPlan(
-            self.folder,
-            self.plant,
-            1.0,
-            self.angle,
-            self.priority,
-            self.cpu,
-            self.max_catch_up,
-            faults=self.faults,
-        )

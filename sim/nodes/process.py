@@ -3,7 +3,7 @@
 Three encoders (CiA 406) and a node of valves and interlocks (CiA 401) as described by their EDS files. A SYNC
 samples the shafts at that instant: the plant's last tick, extrapolated with its speed. Frames that waited
 while this process stood still are taken at their own time, the plant's ticks in between. Operator actions and
-faults come from `sim.live.surroundings`; the plant reports as in `sim.live.process`.
+faults come from `sim.live.surroundings`; the plant reports as in `sim.live.exchange`.
 
 `python -m sim.nodes.process` takes a pickled NodesPlan on stdin and reports "ready", "failed" or "stopped"
 as a JSON line on stdout. It ends on SIGTERM, or when its parent is gone.
@@ -11,8 +11,10 @@ as a JSON line on stdout. It ends on SIGTERM, or when its parent is gone.
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import gc
+import json
 import os
 import pickle
 import signal
@@ -33,13 +35,13 @@ from drivers.base.compiled import new_record
 from drivers.base.records import unpack_readings
 from drivers.base.shared_record import SharedMemoryError
 from sim.live.exchange import PLANT_SURROUNDINGS
-from sim.live.process import PlantFiles, ask_for_scheduling, send_event
-from sim.live.wall_grid import WallGrid
-from sim.live.wall_plant import WallPlant
+from sim.live.plant_files import PlantFiles
 from sim.nodes.device import OPERATIONAL, SYNC, CanopenDevice
 from sim.nodes.encoder import EncoderNode
 from sim.nodes.plan import NodesPlan
 from sim.nodes.valves import ValveNode401
+from sim.nodes.wall_grid import WallGrid
+from sim.nodes.wall_plant import WallPlant
 
 EDS = Path(__file__).resolve().parents[2] / "drivers" / "canopen"
 """Folder of the EDS files."""
@@ -57,6 +59,8 @@ _LEAD, _PULL, _MAX_PULL = 0.3, 0.05, 20e-6
 share of a tick, correction per SYNC as a share of the deviation, and max correction per SYNC (s)."""
 _FRAMES_AT_ONCE = 64
 """Max frames processed between two ticks of the plant: a babbling participant does not stop it."""
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_PR_SET_TIMERSLACK, _PR_SET_THP_DISABLE = 29, 41
 _GONE = frozenset({errno.ENODEV, errno.ENXIO, errno.EBADF})
 
 
@@ -122,7 +126,7 @@ class BenchNodes:
 
     def __init__(self, plan: NodesPlan, send: Callable[[int, bytes], None]) -> None:
         """Start vented and unpowered; ValueError if the plan is invalid."""
-        self.plant = plant = WallPlant(plan.plant_plan)
+        self.plant = plant = WallPlant(plan)
 
         def speak(identifier: int, data: bytes) -> None:
             if plant.link_up:
@@ -135,7 +139,7 @@ class BenchNodes:
         self._frozen = False
         self._scale: list[float] = self.plant.plant.plant["encoder_scale"][0].tolist()
         self._speed = self._speed_before = [0.0, 0.0, 0.0]
-        self.readings = unpack_readings(self.plant.report["readings"])
+        self.readings = unpack_readings(plant.report["readings"])
         self.encoders = [
             EncoderNode(
                 number,
@@ -188,12 +192,12 @@ class BenchNodes:
 
     def update_report(self) -> None:
         """Update the devices and the plant's report from the plant."""
-        node = self.plant.node
-        node.operational = self.valve_node.state == OPERATIONAL
-        if node.trips != self.valve_node.errors:
-            node.trips, node.passive_tick = self.valve_node.errors, self.plant.ticks
-        self.plant.update_report()
-        self.readings = unpack_readings(self.plant.report["readings"])
+        plant = self.plant
+        plant.operational = self.valve_node.state == OPERATIONAL
+        if plant.trips != self.valve_node.errors:
+            plant.trips, plant.passive_tick = self.valve_node.errors, plant.ticks
+        plant.update_report()
+        self.readings = unpack_readings(plant.report["readings"])
         for encoder, valid in zip(self.encoders, self.readings.encoder_valid, strict=True):
             encoder.set_health(valid)
         self.valve_node.sense(self.readings)
@@ -205,10 +209,9 @@ class BenchNodes:
                 device.run_timers(now)
 
     def _obey(self, command: Command) -> None:
-        node = self.plant.node
-        node.applied = command
+        self.plant.applied = command
         if self.valve_node.state == OPERATIONAL:
-            node.command_tick = self.plant.ticks
+            self.plant.command_tick = self.plant.ticks
 
     def _count(self, joint: int) -> int | None:
         """Return the joint's present count: the last tick's, extrapolated with speed and acceleration."""
@@ -237,7 +240,7 @@ def run_nodes(plan: NodesPlan, ready: Callable[[str], None], stop_requested: Cal
     _warm_up(plan)
     with PlantFiles(plan.folder) as files, _open_bus(plan) as bus:
         nodes = BenchNodes(plan, bus.send)
-        scheduling = ask_for_scheduling(plan.plant_plan)
+        scheduling = _ask_for_scheduling(plan)
         gc.collect()
         gc.freeze()
         gc.disable()
@@ -248,6 +251,27 @@ def run_nodes(plan: NodesPlan, ready: Callable[[str], None], stop_requested: Cal
         finally:
             gc.enable()
             gc.unfreeze()
+
+
+def _ask_for_scheduling(plan: NodesPlan) -> str:
+    """Request the plan's core and priority; return what was granted."""
+    ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # 1 ns; by default a sleep may last 50 us longer
+    granted = []
+    if plan.cpu >= 0:
+        with suppress(OSError):
+            os.sched_setaffinity(0, {plan.cpu})
+    if plan.priority > 0:
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(plan.priority))
+    is_fifo = os.sched_getscheduler(0) == os.SCHED_FIFO
+    granted.append(f"SCHED_FIFO {os.sched_getparam(0).sched_priority}" if is_fifo else "SCHED_OTHER")
+    # Lock all memory: a page fault from disk stalls a tick for milliseconds, collapsing small pages into a
+    # huge one for one millisecond.
+    ctypes.CDLL(None).prctl(_PR_SET_THP_DISABLE, 1, 0, 0, 0)
+    locked = ctypes.CDLL(None).mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0
+    granted.append("memory locked" if locked else "memory not locked")
+    granted.append("cpu " + ",".join(map(str, sorted(os.sched_getaffinity(0)))))
+    return ", ".join(granted)
 
 
 @contextmanager
@@ -315,6 +339,13 @@ def _live(
                 return
 
 
+def _send_event(event: str, **fields: object) -> None:
+    """Send an event to the parent, if it still reads."""
+    with suppress(OSError):
+        sys.stdout.write(json.dumps({"event": event, **fields}) + "\n")
+        sys.stdout.flush()
+
+
 class StopRequest:
     """Stop request: by a signal, or by the parent's death."""
 
@@ -340,8 +371,8 @@ def main() -> int:
         plan = pickle.load(sys.stdin.buffer)  # noqa: S301 - the parent's own data
         if not isinstance(plan, NodesPlan):
             raise TypeError(f"plan: found {type(plan).__name__}, expected a NodesPlan")
-        run_nodes(plan, lambda scheduling: send_event("ready", pid=os.getpid(), scheduling=scheduling), stop)
-        send_event("stopped", reason="SIGTERM, or the parent or the plant's files are gone")
+        run_nodes(plan, lambda scheduling: _send_event("ready", pid=os.getpid(), scheduling=scheduling), stop)
+        _send_event("stopped", reason="SIGTERM, or the parent or the plant's files are gone")
         return 0
     except (
         ValueError,
@@ -352,7 +383,7 @@ def main() -> int:
         can.CanError,
         SharedMemoryError,
     ) as error:
-        send_event("failed", reason=f"{error}")
+        _send_event("failed", reason=f"{error}")
     return 1
 
 

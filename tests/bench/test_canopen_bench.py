@@ -71,7 +71,7 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
     file = patient_configuration(tmp_path, "bus", SLOW_MOVES)
     with (
         played_nodes(file, "--folder", str(tmp_path)),
-        running_bench(file, clock="wall") as bench,
+        running_bench(file) as bench,
         bench.client.lease("test"),
     ):
         report, plant = np.zeros(1, PLANT_REPORT), SharedRecord.open(tmp_path / REPORT_FILE, PLANT_REPORT)
@@ -110,7 +110,7 @@ def test_a_replaced_node_that_stores_for_seconds_is_taken_by_a_reset(tmp_path: P
     file = patient_configuration(tmp_path, "store", SLOW_MOVES)
     with ExitStack() as first:
         first.enter_context(played_nodes(file, "--io", "wago-750"))
-        with running_bench(file, clock="wall") as bench, bench.client.lease("test"):
+        with running_bench(file) as bench, bench.client.lease("test"):
             bench.recover()
             first.close()  # the nodes lose their memory with their process, as replaced ones
             bench.wait_until(lambda record: record["state"] in (State.FAULT, State.ESTOP))
@@ -135,9 +135,9 @@ def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp
     calibrate = ("calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "0", "0", "0")
     with ExitStack() as first:
         first.enter_context(played_nodes(file))
-        with running_bench(file, "--read-only", clock="wall"):
+        with running_bench(file, "--read-only"):
             assert said(file, *calibrate) == (0, "")
-        with running_bench(file, clock="wall") as bench, bench.client.lease("test"):
+        with running_bench(file) as bench, bench.client.lease("test"):
             bench.recover()
             first.close()
             bench.wait_until(lambda record: record["state"] in (State.FAULT, State.ESTOP))
@@ -151,11 +151,11 @@ def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp
                     bench.client.home()
                 assert bench.now()["state"] in (State.FAULT, State.ESTOP)
     with played_nodes(file, "--encoder", "preset-17"):
-        code, told = said(file, "run", "--time", "wall")
+        code, told = said(file, "run")
         assert (code, "encoder of the shoulder: found preset 32768" in told) == (ExitCode.DEVICE, True)
         code, told = said(file, "nodes", "--scan")
         assert (code, "node 1, 2, 3 missing or refused" in told) == (ExitCode.REFUSED, True)
-        with running_bench(file, "--read-only", clock="wall"):
+        with running_bench(file, "--read-only"):
             assert said(file, *calibrate) == (0, "")
         assert said(file, "nodes", "--scan")[0] == 0
 
@@ -214,7 +214,7 @@ def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) ->
     file = patient_configuration(tmp_path, "sold")
     with (
         played_nodes(file, "--encoder", "reversed-17", "--io", "inverted-io"),
-        running_bench(file, clock="wall") as bench,
+        running_bench(file) as bench,
         bench.client.lease("test", 60.0),
     ):
         assert said(file, "nodes", "--scan")[0] == 0

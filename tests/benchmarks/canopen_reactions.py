@@ -194,13 +194,13 @@ def run_case(configuration: Configuration, fault: str, phase: Phase) -> Case:
     bench, driver, wire = on_canopen(configuration)
     bench.reach(phase)
     bench.reset_peaks()
-    node, first = wire.nodes.plant.node, bench.tick
+    plant, first = wire.nodes.plant, bench.tick
     reacted: list[tuple[int, Reaction]] = []
 
     def look() -> None:
         reaction = Reaction(int(bench.cycle.state.control["reaction"][0]))
         arrives = not wire.deaf and wire.refuse is None
-        if not node.applied.supply_enable:  # in all these phases the air is on
+        if not plant.applied.supply_enable:  # in all these phases the air is on
             reaction, arrives = Reaction.PASSIVE, True
         if not reacted and arrives and reaction > Reaction.COMPLETE:
             reacted.append((bench.tick - first - 1, reaction))
@@ -226,12 +226,12 @@ def run_case(configuration: Configuration, fault: str, phase: Phase) -> Case:
 
 def _stay_silent(bench: SwingBench, wire: Wire, look: Callable[[], None]) -> None:
     """Let the plant live on without the loop until the node has let go and it rests."""
-    node = wire.nodes.plant.node
+    plant = wire.nodes.plant
     for _ in range(LONGEST):
         wire.pass_time(PERIOD)
         bench.tick += 1
         look()
-        if not node.applied.supply_enable and np.all(np.abs(bench.state["speed"][0]) < 0.01):
+        if not plant.applied.supply_enable and np.all(np.abs(bench.state["speed"][0]) < 0.01):
             return
 
 

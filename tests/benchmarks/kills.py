@@ -1,7 +1,8 @@
 """Each process of a bench killed and frozen in each phase of a swing: what became of the robot, and after.
 
-The loop and the supervisor are struck with the plant on its own clock, where a dead loop is an event for the
-valve node; recorder and publisher with the plant in step, where the machine's own stalls do not matter.
+The loop and the supervisor are struck with the plant behind simulated CANopen nodes, where a dead loop is an
+event for the valve node; recorder and publisher with the plant in step, where the machine's own stalls do not
+matter.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import psutil
@@ -28,7 +29,7 @@ from bench.simulation.loads import stop_shares
 from drivers.base.shared_record import SharedRecord
 from sim.live.exchange import PLANT_REPORT, REPORT_FILE
 from tests.benchmarks.row import Row
-from tests.running_bench import BenchProcess, running_bench, write_configuration
+from tests.running_bench import BenchProcess, played_nodes, running_bench, write_configuration
 
 PHASES = (
     Phase.STANDING,
@@ -107,9 +108,9 @@ class PlantWatch:
 
 
 @contextmanager
-def bench_in(folder: Path, phase: Phase, clock: Literal["wall", "paced"]) -> Iterator[BenchProcess]:
-    """Yield a bench in `phase`, with the lease held."""
-    with running_bench(write_configuration(folder, "kills"), clock=clock) as bench, ExitStack() as stack:
+def bench_in(file: Path, phase: Phase) -> Iterator[BenchProcess]:
+    """Yield a bench of the configuration `file` in `phase`, with the lease held."""
+    with running_bench(file) as bench, ExitStack() as stack:
         for attempt in range(1, _ATTEMPTS + 1):
             try:
                 stack.enter_context(bench.client.lease("kills", 300.0))
@@ -134,7 +135,7 @@ def _bring_to(bench: BenchProcess, phase: Phase) -> None:
 
 def strike_support(folder: Path, name: str, number: signal.Signals, phase: Phase) -> Case:
     """Strike recorder or publisher; the swing completes, and nothing is armed before it is back."""
-    with bench_in(folder, phase, "paced") as bench:
+    with bench_in(write_configuration(folder, "kills"), phase) as bench:
         struck = psutil.Process(bench.pid(name))
         struck.send_signal(number)
         begun = time.monotonic()
@@ -169,11 +170,13 @@ def strike_support(folder: Path, name: str, number: signal.Signals, phase: Phase
 
 
 def strike_loop(folder: Path, name: str, number: signal.Signals, phase: Phase) -> Case:
-    """Strike the loop or its supervisor, with the plant on its own clock; then start the bench anew."""
-    with bench_in(folder, phase, "wall") as bench:
+    """Strike the loop or its supervisor, with the plant behind nodes; then start the bench anew."""
+    bus = f'[canopen]\nchannel = "{folder / "bus"}"\n'
+    file = write_configuration(folder, "kills", bus, base="local_can")
+    with played_nodes(file, "--folder", str(folder)), bench_in(file, phase) as bench:
         tick = bench.configuration.plant.tick
         parameters = bench.configuration.plant
-        plant = PlantWatch(bench.folder)
+        plant = PlantWatch(folder)
         pid = bench.pid(name)
         plant.look()
         os.kill(pid, number)
@@ -192,8 +195,7 @@ def strike_loop(folder: Path, name: str, number: signal.Signals, phase: Phase) -
         plant.close()
         silence, travel = plant.letting_go(tick)
         share = float(stop_shares(plant.samples[-1]["stop_energy"], parameters).max())
-        file = Path(folder / "kills.toml")
-    with running_bench(file, clock="paced") as again:
+    with played_nodes(file), running_bench(file) as again:
         after = f"{again.client.status()['state']}, {again.cause}"
         bad = again.client.status()["state"] != "ESTOP"
         again.end()

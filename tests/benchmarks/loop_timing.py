@@ -2,9 +2,9 @@
 
     python -m tests.benchmarks loop_timing --pairs 20 --seconds 15 --rate 1000
 
-Long, so only by name. A pair is one run of the loop process against the plant's process, swinging all the
-time, and one of `cyclictest` at the same priority, interval and core; which comes first changes from pair to
-pair. A busy process holds another core throughout. Percentiles of both are rounded up to their resolution:
+Long, so only by name. A pair is one run of the loop process against simulated CANopen nodes, swinging all
+the time, and one of `cyclictest` at the same priority, interval and core; which comes first changes from pair
+to pair. A busy process holds another core throughout. Percentiles of both are rounded up to their resolution:
 1 us for `cyclictest`, a sixteenth for the loop. Late: a wake-up later than 1 ms, at any rate. Steal is what
 the hypervisor took from the loop's core, in ticks of the kernel's accounting (10 ms).
 """
@@ -21,6 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.lifecycle import Request, State
+from bench.commands.bench.nodes import nodes_plan
 from bench.commands.common.progress import progress_bar
 from bench.config import Configuration, load_configuration
 from bench.supervisor.child import Child
@@ -40,7 +42,6 @@ from bench.supervisor.timing_record import SEGMENTS, TIMING, TimingReader, perce
 from bench.swing.correction import basis_of
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
-from sim.live.exchange import PlantPlan
 from tests.benchmarks.row import Row
 from tests.ready_child import ready_child
 
@@ -173,12 +174,12 @@ class RunningLoop:
 def configured(rate: float, priority: int, cpu: int) -> Configuration:
     """Return the shipped configuration at `rate` (Hz), real time required, swing following on swing.
 
-    The plant has a clock of its own: one in step with the loop would let it be late.
+    The plant has a clock of its own, behind nodes: one in step with the loop would let it be late.
     """
-    c = load_configuration(Path("shipped"))
+    c = load_configuration(Path("local_can"))
     return replace(
         c,
-        driver=replace(c.driver, time="wall"),
+        canopen=replace(c.canopen, channel=f"benchmark-{os.getpid()}"),
         loop=replace(c.loop, rate=rate, realtime="require", priority=priority, cpu=cpu),
         plant=replace(c.plant, tick=1.0 / rate, substeps=max(1, round(PLANT_RATE / rate))),
         lifecycle=replace(c.lifecycle, series=True, warning_time=0.1),
@@ -193,8 +194,8 @@ def running_loop(configuration: Configuration) -> Iterator[RunningLoop]:
         owner = stack.enter_context(take_bench(f"benchmark-{os.getpid()}"))
         link = LoopLink(owner.folder)
         stack.callback(link.close)
-        plan = PlantPlan(owner.folder, c.plant, c.driver.watchdog, priority=c.loop.priority - 1)
-        stack.callback(ready_child("sim.live.process", plan, START).end, 2.0)
+        files = Path(stack.enter_context(TemporaryDirectory()))
+        stack.callback(ready_child("sim.nodes.process", nodes_plan(c, files), START).end, 2.0)
         profile = load_profile(find_profile(c.swing.profile))
         loop = Child.start(
             "loop",

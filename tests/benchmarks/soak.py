@@ -324,7 +324,6 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser.add_argument("--every", type=float, default=15.0, metavar="S", help="between two swings")
     parser.add_argument("--campaigns", type=float, default=10.0, metavar="MIN", help="between two of them")
     parser.add_argument("--sample", type=float, default=60.0, metavar="S", help="between two looks")
-    parser.add_argument("--clock", choices=("wall", "paced"), default="paced", help="of the plant")
     parser.add_argument("--set-clock", action="store_true", help="change the date, set the clock back")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep all files there")
     options = parser.parse_args(arguments)
@@ -339,9 +338,9 @@ def _soak(options: argparse.Namespace, folder: Path) -> list[Row]:
     file = write_configuration(folder, "soak", text)
     clock = WallClock(folder) if options.set_clock else None
     environment = {} if clock is None else clock.environment
-    title = f"soak of {options.minutes:g} min at {options.rate:g} Hz, {options.clock}"
+    title = f"soak of {options.minutes:g} min at {options.rate:g} Hz"
     with ExitStack() as stack:
-        bench = stack.enter_context(running_bench(file, "--series", clock=options.clock, **environment))
+        bench = stack.enter_context(running_bench(file, "--series", **environment))
         beside = Beside(file, folder, {**os.environ, **environment})
         beside.start(stack)
         course = Course(bench, file, {**os.environ, **environment})
@@ -471,7 +470,7 @@ def _after_the_change(
 ) -> list[Row]:
     """Start the bench again by the clock that was set back; return whether all data are right."""
     content = {path: path.stat().st_mtime_ns for path in before}
-    with running_bench(file, "--series", clock=options.clock, **clock.environment) as bench:
+    with running_bench(file, "--series", **clock.environment) as bench:
         course = Course(bench, file, {**os.environ, **clock.environment})
         course.swing(1.0, lambda: _swings(bench) >= _AFTER)
         bench.end()

@@ -24,8 +24,7 @@ from drivers.canopen.settings import CanopenSettings
 from drivers.daq.driver import DaqDriver
 from drivers.mock import MockDriver
 from sim.driver import SimDriver
-from sim.live.driver import ProcessPlantDriver
-from sim.live.exchange import PLANT_REPORT, REPORT_FILE, PlantPlan
+from sim.live.exchange import PLANT_REPORT, REPORT_FILE
 from sim.nodes.plan import NodesPlan
 from sim.plant import PlantParameters
 from tests.drivers.canopen.in_step import Wire, make
@@ -49,24 +48,6 @@ def _applied(driver: Driver) -> Command:
     applied = driver.applied  # type: ignore[attr-defined]  # the probe of simulated drivers
     assert isinstance(applied, Command)
     return applied
-
-
-class PlantProcess:
-    """A plant on its own clock; it lives as long as this module."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        plan = PlantPlan(folder, PlantParameters(), watchdog=0.5, angle=(0.2, 4.3, 6.0))
-        self.process = ready_child("sim.live.process", plan)
-        self._shared = SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
-
-    def in_force(self) -> Command:
-        """Return the command in force once the plant has heard all that was sent before."""
-        return newest_command(self._shared)
-
-    def end(self) -> None:
-        self._shared.close()
-        self.process.end(5.0)
 
 
 class NodesProcess:
@@ -146,21 +127,16 @@ def command_on_card(driver: Driver) -> Command:
     return rounded(command_of(_SYSTEM.cards[driver.settings.device], driver.settings))
 
 
-_PLANTS: list[PlantProcess] = []
-"""The plant process of this module while a live test needs it."""
-
 _NODES: list[NodesProcess] = []
 """The nodes of this module while a live test needs them."""
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _devices(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Put simulated cards behind NI's driver; run plant and nodes as processes if a live test is selected."""
+    """Put simulated cards behind NI's driver; run nodes as a process if a live test is selected."""
     here = (item for item in request.session.items if item.path == request.path)
     with ExitStack() as stack:
         if any(item.get_closest_marker("live") for item in here):
-            _PLANTS.append(PlantProcess(tmp_path_factory.mktemp("plant")))
-            stack.callback(lambda: _PLANTS.pop().end())
             _NODES.append(NodesProcess(tmp_path_factory.mktemp("nodes")))
             stack.callback(lambda: _NODES.pop().end())
         patched = stack.enter_context(pytest.MonkeyPatch.context())
@@ -172,11 +148,6 @@ def _devices(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 DRIVERS: dict[str, Case] = {
     "mock": Case(MockDriver, _applied),
     "sim": Case(lambda: SimDriver(angle=(0.2, 4.3, 6.0)), _applied),
-    "plant process": Case(
-        lambda: ProcessPlantDriver(_PLANTS[0].folder, watchdog=0.5),
-        lambda _: _PLANTS[0].in_force(),
-        on_wall=True,
-    ),
     "canopen in step": Case(in_step, lambda driver: _WIRES[id(driver)].in_force),
     "canopen": Case(
         lambda: CanopenDriver(_NODES[0].settings, watchdog=0.5),
@@ -211,7 +182,7 @@ def opened(driver: Driver) -> Driver:
 
 def times(driver: Driver, count: int) -> Iterator[float]:
     """Give the times of ticks: counted, or the wall's."""
-    on_wall = isinstance(driver, ProcessPlantDriver) or getattr(driver, "clock", None) is time.monotonic
+    on_wall = getattr(driver, "clock", None) is time.monotonic
     start = time.monotonic()
     for k in range(count):
         if on_wall:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -15,10 +15,6 @@ from bench.commands.common.session import Session
 def run(
     context: typer.Context,
     driver: Annotated[str | None, option("Driver of the robot.", "NAME", shown="the configuration's")] = None,
-    time: Annotated[
-        Literal["wall", "paced"] | None,
-        option("Clock of the simulated plant: wall clock, or in step with the loop's ticks."),
-    ] = None,
     profile: Annotated[
         str | None, option("Profile to swing.", "PROFILE", shown="the configuration's")
     ] = None,
@@ -47,8 +43,6 @@ def run(
     settings = configuration.driver
     if driver is not None:
         settings = replace(settings, name=driver)
-    if time is not None:
-        settings = replace(settings, time=time)
     swing = configuration.swing
     if profile is not None:
         swing = replace(swing, profile=profile)

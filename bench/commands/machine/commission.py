@@ -109,9 +109,6 @@ def _require_possible(
     if regulator is not None and simulated:
         action = "Leave it out: the simulated regulator is turned without it."
         raise BenchError("commission --regulator", "a simulated robot", "a real one", action)
-    if not sim and driver.name == "sim" and not driver.paced:
-        action = 'Set driver.time = "paced", or add --sim.'
-        raise BenchError("driver.time", repr(driver.time), "'paced'", action)
 
 
 def _require_somebody_at_the_regulator(*, simulated: bool, regulator: str | None) -> None:

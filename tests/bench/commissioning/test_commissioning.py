@@ -358,7 +358,6 @@ def test_without_a_learned_swing_the_command_does_not_exit_with_0(
 @pytest.mark.parametrize(
     ("configured", "options", "place"),
     [
-        ('[driver]\nname = "sim"\ntime = "wall"\n', [], "driver.time"),
         ('[driver]\nname = "mock"\n', ["--robot", "other.toml"], "commission --robot"),
         ("", ["--regulator", "turn"], "commission --regulator"),
         ('[driver]\nname = "mock"\n', ["--sim", "--regulator", "turn"], "commission --regulator"),

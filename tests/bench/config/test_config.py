@@ -531,20 +531,17 @@ def test_faults_that_cannot_be_are_refused(overlay: Overlay, text: str, place: s
     assert any(place in fault.location for fault in faults(overlay(text)))
 
 
-@pytest.mark.parametrize("driver", ['name = "canopen"', 'time = "wall"'])
-def test_a_phase_is_nothing_to_a_plant_on_its_own_clock(overlay: Overlay, driver: str) -> None:
-    text = f'[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"\n[driver]\n{driver}\n'
+def test_a_phase_is_nothing_to_a_plant_on_its_own_clock(overlay: Overlay) -> None:
+    text = '[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"\n[driver]\nname = "canopen"\n'
     configuration = load_configuration(overlay(text + '[canopen]\ninterface = "local_socket"'))
     (fault,) = unheard_phases(configuration)
     assert fault.location.endswith("faults.a.phase")
-    assert "--time paced" in fault.action
-    assert not unheard_phases(
-        configuration.with_driver(replace(configuration.driver, name="sim", time="paced"))
-    )
+    assert '"sim"' in fault.action
+    assert not unheard_phases(configuration.with_driver(replace(configuration.driver, name="sim")))
 
 
 def test_a_fault_gives_only_what_it_needs(overlay: Overlay) -> None:
-    text = '[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"\n[driver]\ntime = "paced"'
+    text = '[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"'
     configuration = load_configuration(overlay(text))
     assert not unheard_phases(configuration)
     (fault,) = configuration.faults.values()
@@ -563,9 +560,9 @@ def test_the_models_limits_are_the_simulated_plants(overlay: Overlay) -> None:
     simulated = '[envelope.model]\ncheck = "simulated"'
     assert load_configuration(overlay(simulated)).envelope.model.check == "simulated"
     mock = f'[driver]\nname = "mock"\n{simulated}'
-    for time, check in (("paced", "simulated"), ("wall", "off")):
-        running = load_configuration(overlay(f'[driver]\ntime = "{time}"\n{simulated}')).running()
-        assert running.envelope.model.check == check
+    assert load_configuration(overlay(simulated)).running().envelope.model.check == "simulated"
+    nodes = f'[driver]\nname = "canopen"\n[canopen]\ninterface = "local_socket"\n{simulated}'
+    assert load_configuration(overlay(nodes)).running().envelope.model.check == "off"
     assert load_configuration(overlay(mock)).envelope.model.check == "off"
     always = '[driver]\nname = "mock"\n[envelope.model]\ncheck = "always"'
     assert load_configuration(overlay(always)).envelope.model.check == "always"

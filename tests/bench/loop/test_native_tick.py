@@ -28,15 +28,7 @@ from drivers.base.records import COMMAND, pack_command, unpack_command
 from drivers.base.shared_record import SharedRecord
 from sim.driver import SimDriver
 from sim.faults import Fault
-from sim.live.driver import ProcessPlantDriver
-from sim.live.exchange import (
-    COMMAND_FILE,
-    PLANT_COMMAND,
-    PLANT_REPORT,
-    PLANT_SURROUNDINGS,
-    REPORT_FILE,
-    SURROUNDINGS_FILE,
-)
+from sim.live.exchange import PLANT_REPORT, PLANT_SURROUNDINGS, REPORT_FILE, SURROUNDINGS_FILE
 from sim.live.paced_driver import PacedPlantDriver
 from sim.plant import PlantParameters
 
@@ -51,11 +43,6 @@ class PlainSim(SimDriver):
 
 
 class PlainPaced(PacedPlantDriver):
-    def native_calls(self) -> NativeCalls:
-        return NativeCalls()
-
-
-class PlainProcess(ProcessPlantDriver):
     def native_calls(self) -> NativeCalls:
         return NativeCalls()
 
@@ -203,61 +190,6 @@ def test_surroundings_and_contacts_of_a_paced_plant(parameters: ControlParameter
     assert_same(*benches)
     assert found[0] == found[1]
     assert benches[0].calls[-1] == OVER
-
-
-class PlantOfFiles:
-    """A plant process's files, written by hand."""
-
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir()
-        self.command = SharedRecord.create(folder / COMMAND_FILE, PLANT_COMMAND)
-        self.report = SharedRecord.create(folder / REPORT_FILE, PLANT_REPORT)
-        self.record = new_record(PLANT_REPORT)
-        self.record["node"]["watchdog"], self.record["node"]["operational"] = 0.01, True
-        self.record["node"]["session"] = 1
-        self.report.write(np.asarray(self.record))
-
-    def answer(self, *_: object) -> None:
-        """Begin the session that the driver waits for."""
-        self.record["node"]["session"] = 2
-        self.report.write(np.asarray(self.record))
-
-    def move(self, k: int, operational: bool = True) -> None:
-        random = np.random.default_rng(k)
-        readings, truth = self.record["readings"], self.record["truth"]
-        readings["encoder_count"], readings["encoder_time"] = random.integers(0, 1000, 3), 5.0 + k * PERIOD
-        readings["encoder_valid"], readings["chamber_pressure"] = 1, random.uniform(1e5, 5e5, 6)
-        truth["plant_angle"], truth["plant_head_speed"] = random.uniform(0, 1, 3), k
-        self.record["node"]["operational"] = operational
-        self.report.write(np.asarray(self.record))
-
-    def close(self) -> None:
-        self.command.close()
-        self.report.close()
-
-
-def test_a_plant_in_its_own_process(parameters: ControlParameters, tmp_path: Path) -> None:
-    benches, sent = [], []
-    for kind in (ProcessPlantDriver, PlainProcess):
-        plant = PlantOfFiles(tmp_path / kind.__name__)
-        bench = Bench(kind(tmp_path / kind.__name__), parameters)
-        bench.driver._wait = plant.answer
-        bench.driver.open()
-        command = np.zeros(1, PLANT_COMMAND)
-        for k in range(60):
-            if k % 7:  # else the plant has stalled
-                plant.move(k, operational=k < 40)
-            bench.run(k, k + 1, 5.0)
-            plant.command.read(command)
-            sent.append(command.tobytes())
-        with pytest.raises(DriverError, match="invalid time"):
-            bench.driver.read(4.0)
-        benches.append(bench)
-        bench.driver.close()
-        plant.close()
-    assert_same(*benches)
-    assert sent[:60] == sent[60:]
-    assert set(benches[0].calls) == {OVER}
 
 
 finite_or_not = st.floats(allow_nan=True, allow_infinity=True)

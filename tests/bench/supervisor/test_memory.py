@@ -21,7 +21,6 @@ ALLOWED = {
     "bench.supervisor.recorder": CALCULATES | {"pyarrow"},
     "bench.supervisor.publisher": {"pyarrow", "zenoh"},
     "bench.supervisor.launch_monitor": CALCULATES,
-    "sim.live.process": CALCULATES,
 }
 """Modules of the processes with the heavy packages that each may import; numba imports the top of scipy.
 

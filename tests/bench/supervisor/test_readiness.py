@@ -216,7 +216,8 @@ def test_assess_contradiction_with_a_calibration_blocks(
 def test_assess_fault_of_a_phase_on_a_plant_of_its_own_clock_blocks(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(
-        f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n[driver]\ntime = "wall"\n'
+        f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n[driver]\nname = "canopen"\n'
+        '[canopen]\ninterface = "local_socket"\n'
         '[faults.late]\nsignal = "shoulder valve"\nkind = "stuck"\nvalue = 0.0\nphase = "downswing"\n',
         encoding="utf-8",
     )

@@ -143,7 +143,7 @@ class Wire:
     @property
     def in_force(self) -> Command:
         """The command that the valves obey, to the output's resolution."""
-        command = self.nodes.plant.node.applied
+        command = self.nodes.plant.applied
         a, b, c = (round(opening, 4) + 0.0 for opening in command.valve)
         return command._replace(valve=(a, b, c))
 

@@ -21,7 +21,7 @@ from drivers.base.shared_record import SharedRecord
 from drivers.can_bus import switch
 from drivers.canopen.driver import CanopenDriver
 from drivers.canopen.settings import CanopenSettings
-from sim.live.exchange import PLANT_REPORT, REPORT_FILE
+from sim.live.exchange import PLANT_REPORT, REPORT_FILE, SURROUNDINGS_FILE
 from sim.live.surroundings import SurroundingsWriter
 from sim.nodes.plan import NodesPlan
 from sim.plant import PlantParameters
@@ -210,6 +210,29 @@ def test_somebody_else_on_the_bus(driver: CanopenDriver, nodes: Nodes) -> None:
         run(driver, lambda: driver.counters.bus_off == 1)
         assert "bus-off" in driver.trouble
         run(driver, lambda: nodes.in_force == PASSIVE)
+
+
+def nodes_in(folder: Path) -> Child:
+    plan = NodesPlan("virtual", folder.name, 125_000, (1, 2, 3), 10, PlantParameters(), folder)
+    child = Child.start("nodes", "sim.nodes.process", plan)
+    child.wait_until_ready(100.0)
+    return child
+
+
+def test_others_in_their_folder_end_nodes_and_the_last_ones_leave_nothing(tmp_path: Path) -> None:
+    first = nodes_in(tmp_path)
+    last = nodes_in(tmp_path)
+    try:
+        assert first.process.wait(LONGEST) == 0
+        assert set(os.listdir(tmp_path)) == {REPORT_FILE, SURROUNDINGS_FILE}
+        last.process.send_signal(signal.SIGINT)  # the terminal's Ctrl-C is not for them
+        last.process.terminate()
+        assert last.process.wait(LONGEST) == 0
+        assert last.take_events()[-1]["event"] == "stopped"
+        assert os.listdir(tmp_path) == []
+    finally:
+        first.kill()
+        last.kill()
 
 
 def test_nodes_without_a_bus_tell_why_they_failed(tmp_path: Path) -> None:

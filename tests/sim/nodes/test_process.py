@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.canopen.frames import SYNC, TPDO2
-from sim.live.wall_grid import WallGrid
 from sim.nodes.process import BenchNodes
+from sim.nodes.wall_grid import WallGrid
 from tests.drivers.canopen.in_step import nodes_plan
 
 FALL, STALL = 0.25, 0.012

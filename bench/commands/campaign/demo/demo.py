@@ -1,6 +1,6 @@
 """`golfbench demo`: the shipped test of two balls on a bench that runs for it alone, or in lock-step.
 
-The bench is the daemon with the plant in step (`paced`); the campaign swings it over the network as any
+The bench is the daemon with the plant in step (driver "sim"); the campaign swings it over the network as any
 campaign does. Everything that is started here ends here, also after Ctrl-C.
 """
 
@@ -245,7 +245,7 @@ def demo_configuration(configuration: Configuration, data_dir: Path, *, live: bo
     return replace(
         c,
         bench=replace(c.bench, id=f"demo-{os.getpid()}"),
-        driver=replace(c.driver, name="sim", time="paced"),
+        driver=replace(c.driver, name="sim"),
         network=replace(c.network, endpoint=f"tcp/127.0.0.1:{free_port()}", beyond="", router=""),
         lifecycle=replace(c.lifecycle, series=True, local_reset=False),
     )

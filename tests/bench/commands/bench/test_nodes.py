@@ -15,7 +15,7 @@ from drivers.base.compiled import new_record
 from drivers.canopen.driver import CanopenDriver
 from drivers.registry import choose_driver, find_drivers
 from sim.live.exchange import PLANT_SURROUNDINGS
-from sim.live.process import PlantFiles
+from sim.live.plant_files import PlantFiles
 from tests.running_bench import command_beside
 
 pytestmark = pytest.mark.live

@@ -92,7 +92,7 @@ def test_the_demo_swings_what_is_configured_on_a_simulated_bench_of_its_own(tmp_
     configuration = demo_configuration(shipped, tmp_path, live=True)
     assert configuration.bench.id != shipped.bench.id
     assert configuration.network.endpoint != shipped.network.endpoint
-    assert (configuration.driver.name, configuration.driver.time) == ("sim", "paced")
+    assert configuration.driver.name == "sim"
     plan = demo_plan(configuration, 10, 7)
     assert (plan.design.balls, plan.design.blocks, plan.design.seed) == (("tour", "range"), 5, 7)
     assert demo_plan(configuration, 3, 1).design.blocks == 2

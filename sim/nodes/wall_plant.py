@@ -1,4 +1,4 @@
-"""The plant with its valve node and surroundings, advanced tick by tick at given times."""
+"""The plant behind the nodes, with its surroundings, advanced tick by tick at given times."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.base import PASSIVE
 from drivers.base.compiled import new_record
-from drivers.base.records import COMMAND, pack_command, unpack_command
+from drivers.base.records import COMMAND, pack_command
 from sim.driver import hanging_pose
 from sim.faults import (
     Faults,
@@ -20,37 +20,29 @@ from sim.faults import (
     notice_onsets,
     own_records,
 )
-from sim.live.exchange import CONTACT, PLANT_REPORT, PlantPlan
+from sim.live.exchange import CONTACT, PLANT_REPORT
 from sim.live.handled_plant import HandledPlant
-from sim.live.valve_watchdog import ValveNode
+from sim.nodes.plan import NodesPlan
 from sim.plant import advance, build_plant, initial_state, sense
 from sim.truth import note_truth
 
-_NEAR = 1e-6
-"""Rounding tolerance of the watchdog time, as a share of a tick."""
-
 
 class WallPlant:
-    """The logic of the plant process, without clock and shared memory.
+    """A plant that applies the valve node's command, without clock and shared memory.
 
     `report` (PLANT_REPORT) describes the last tick.
     """
 
-    def __init__(self, plan: PlantPlan) -> None:
+    def __init__(self, plan: NodesPlan) -> None:
         """Start vented at the plan's angles.
 
         Raises:
-            ValueError: parameters, angles or watchdog are invalid.
+            ValueError: parameters or angles are invalid.
         """
         self.plant = build_plant(plan.plant)
         angle = np.asarray(hanging_pose(plan.plant) if plan.angle is None else plan.angle, dtype=float)
         if angle.shape != (3,) or not np.all(np.isfinite(angle)):
             raise ValueError(f"plant: start angles are {plan.angle!r}, expected three finite numbers in rad")
-        watchdog_ticks = int(plan.watchdog / plan.plant.tick + _NEAR)
-        if watchdog_ticks < 1:
-            raise ValueError(
-                f"plant: watchdog {plan.watchdog} s is shorter than its tick of {plan.plant.tick} s"
-            )
         self.faults: Faults | None = None
         if plan.faults:
             self.plant = own_records(self.plant)
@@ -58,24 +50,19 @@ class WallPlant:
         self.link_up = True
         """Whether commands are received in this tick."""
         self.state = initial_state(self.plant, angle)
-        self.node = ValveNode(watchdog_ticks)
+        self.applied, self.operational = PASSIVE, False
+        """Command of the valve node, and its state."""
+        self.command_tick = self.passive_tick = self.trips = 0
+        """Ticks of its last command and of its last fallback; how often it fell back."""
         self.ticks = 0
         self.contacts = 0
         self.report = new_record(PLANT_REPORT)
         self._readings, self._truth = self.report["readings"], self.report["truth"]
         self._node, self._contact = self.report["node"], self.report["contact"]
-        self._node["watchdog"] = watchdog_ticks * plan.plant.tick
         self._command, self._in_force = new_record(COMMAND), PASSIVE
         pack_command(PASSIVE, self._command)
         self._handled = HandledPlant(self.plant, self.state, self.faults)
         sense(self.plant.plant, self.state, self._readings)
-
-    def receive(self, record: np.ndarray[Any, Any]) -> None:
-        """Pass a PLANT_COMMAND record to the valve node."""
-        if not self.link_up:
-            return
-        counter, session, mode, _ = record.item()
-        self.node.receive(self.ticks, counter, session, mode, unpack_command(record["command"]))
 
     def set_surroundings(self, record: np.ndarray[Any, Any]) -> None:
         """Apply a PLANT_SURROUNDINGS record."""
@@ -83,11 +70,10 @@ class WallPlant:
 
     def move(self, instant: float) -> None:
         """Advance by one tick, which ends at `instant` (s, wall clock)."""
-        node, state = self.node, self.state
-        node.watch(self.ticks)
-        if node.applied is not self._in_force:
-            self._in_force = node.applied
-            pack_command(node.applied, self._command)
+        state = self.state
+        if self.applied is not self._in_force:
+            self._in_force = self.applied
+            pack_command(self.applied, self._command)
         was_struck = state["struck"][0]
         state["time"] = instant - self.plant.parameters.tick
         advance(
@@ -99,7 +85,7 @@ class WallPlant:
 
     def update_report(self) -> None:
         """Update `report` except for the timing fields of the process."""
-        state, report, node = self.state, self.report, self.node
+        state, report = self.state, self.report
         if not self._handled.frozen:
             if self.faults is None:
                 sense(self.plant.plant, state, self._readings)
@@ -112,17 +98,7 @@ class WallPlant:
         for name in ("stop_energy", "peak_pressure", "lowest_clearance", "peak_head_speed"):
             report[name] = state[name]
         report["contacts"], report["ticks"] = self.contacts, self.ticks
-        self._node[0] = (
-            self._node["watchdog"][0],
-            node.session,
-            node.operational,
-            node.passive_by_watchdog,
-            node.trips,
-            node.counter,
-            node.command_tick,
-            node.passive_tick,
-            node.applied,
-        )
+        self._node[0] = self.operational, self.trips, self.command_tick, self.passive_tick, self.applied
 
     def _spoilt(self, faults: Faults) -> np.ndarray[Any, Any]:
         """Return the command that reaches the plant in this tick; apply faults of parts."""

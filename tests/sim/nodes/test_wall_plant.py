@@ -1,9 +1,9 @@
-"""The plant with valve node and surroundings, without a process around it."""
+"""The plant behind the nodes, without nodes and process."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,38 +18,21 @@ from sim.ball import Ball
 from sim.driver import SimDriver
 from sim.impact import impact_parameters
 from sim.kinematics import forward_kinematics, inverse_kinematics
-from sim.live.exchange import BALL, CONTACT, PLANT_COMMAND, PLANT_SURROUNDINGS, PlantPlan
-from sim.live.valve_watchdog import Mode
-from sim.live.wall_plant import WallPlant
+from sim.live.exchange import BALL, CONTACT, PLANT_SURROUNDINGS
+from sim.nodes.plan import NodesPlan
+from sim.nodes.wall_plant import WallPlant
 from sim.plant import PlantParameters
 from sim.truth import contact_in
 
 START = (0.2, 4.3, 6.0)
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
 PERIOD = PlantParameters().tick
-PLAN = PlantPlan(Path(), PlantParameters(), 0.02, START)
-
-Give = Callable[[Command], None]
+PLAN = NodesPlan("virtual", "none", 125_000, (1, 2, 3), 10, PlantParameters(), Path(), START)
 
 
 @pytest.fixture
 def plant() -> WallPlant:
     return WallPlant(PLAN)
-
-
-@pytest.fixture
-def give(plant: WallPlant) -> Give:
-    """Set the node operational; return how it is given commands."""
-    record = new_record(PLANT_COMMAND)
-
-    def send(command: Command, mode: Mode = Mode.OPERATE) -> None:
-        record["session"], record["mode"] = 1, mode
-        record["counter"] += 1
-        record["command"] = command
-        plant.receive(record)
-
-    send(PASSIVE, Mode.START)
-    return send
 
 
 def surroundings(**changes: Any) -> np.ndarray[Any, Any]:
@@ -72,14 +55,14 @@ def live(plant: WallPlant, ticks: int) -> Any:
     return plant.report[0]
 
 
-def test_it_moves_as_the_driver_in_lock_step_does(plant: WallPlant, give: Give) -> None:
+def test_it_moves_as_the_driver_in_lock_step_does(plant: WallPlant) -> None:
     driver, packed = SimDriver(PlantParameters(), START), new_record(READINGS)
     driver.open()
     driver.read(0.0)
     for k in range(1, 60):
         command = MOVING._replace(valve=(math.sin(0.1 * k), 0.3, -0.2))
         driver.write(command)
-        give(command)
+        plant.applied = command
         report = live(plant, 1)
         pack_readings(driver.read(k * PERIOD), packed)
         for name in ("encoder_count", "supply_pressure", "chamber_pressure", "encoder_valid"):
@@ -94,21 +77,19 @@ def test_truth_has_the_fields_of_a_cycle_that_only_a_plant_knows() -> None:
     assert {name: TRUTH[name] for name in TRUTH.names or ()} == wanted
 
 
-def test_silence_reaches_the_valves_and_is_told(plant: WallPlant, give: Give) -> None:
-    give(MOVING)
+def test_passive_plant_vents(plant: WallPlant) -> None:
+    plant.applied = MOVING
     report = live(plant, 20)
     assert unpack_command(plant.report["node"]["applied"]) == MOVING
-    report = live(plant, 1)
-    assert unpack_command(plant.report["node"]["applied"]) == PASSIVE
-    assert report["node"]["passive_by_watchdog"]
-    assert report["node"]["passive_tick"] - report["node"]["command_tick"] == 20
     supply = report["readings"]["supply_pressure"]
+    plant.applied = PASSIVE
     report = live(plant, 2000)
-    assert report["readings"]["supply_pressure"] < supply  # it runs on, and vents
+    assert unpack_command(plant.report["node"]["applied"]) == PASSIVE
+    assert report["readings"]["supply_pressure"] < supply
     assert max(report["truth"]["plant_pressure"]) < 1.3e5
 
 
-def test_the_surroundings_are_seen(plant: WallPlant, give: Give) -> None:
+def test_the_surroundings_are_seen(plant: WallPlant) -> None:
     quiet = live(plant, 1)["readings"]
     assert all(quiet[name] for name in ("emergency_stop_clear", "guard_closed", "guard_locked"))
     assert not quiet["local_reset"]
@@ -134,7 +115,7 @@ def test_the_surroundings_are_seen(plant: WallPlant, give: Give) -> None:
     assert live(plant, 1)["readings"]["ball_present"]  # nobody's hand was there again
     plant.set_surroundings(surroundings(ball_handled=2, ball_present=False))
     assert not live(plant, 1)["readings"]["ball_present"]
-    give(MOVING._replace(tee=True))
+    plant.applied = MOVING._replace(tee=True)
     assert live(plant, 1)["readings"]["ball_present"]
 
 
@@ -201,33 +182,15 @@ def _at_the_ball(x: float, y: float) -> tuple[np.ndarray[Any, Any], np.ndarray[A
 @pytest.mark.parametrize("angle", [(0.0, math.nan, 0.0), (0.0, 1.0)])
 def test_angles_that_are_none_are_refused(angle: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=r"start angles"):
-        WallPlant(PlantPlan(Path(), PlantParameters(), 0.02, angle))  # type: ignore[arg-type]
+        WallPlant(replace(PLAN, angle=angle))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("watchdog", [0.0, 0.0005])
-def test_a_watchdog_below_a_tick_is_refused(watchdog: float) -> None:
-    with pytest.raises(ValueError, match=r"watchdog"):
-        WallPlant(PlantPlan(Path(), PlantParameters(), watchdog))
-
-
-@pytest.mark.parametrize("valve", [math.nan, math.inf, 1e300])
-def test_garbage_in_the_command_does_no_harm(plant: WallPlant, give: Give, valve: float) -> None:
-    give(MOVING._replace(valve=(valve, 0.0, -valve)))
-    report = live(plant, 10)
-    assert np.all(np.abs(report["node"]["applied"]["valve"]) <= 1.0)
-    assert np.all(np.isfinite(report["truth"]["plant_angle"]))
-
-
-def test_random_bytes_in_its_records_do_no_harm(plant: WallPlant, give: Give) -> None:
+def test_random_bytes_in_its_surroundings_do_no_harm(plant: WallPlant) -> None:
     random = np.random.default_rng(5)
-    give(MOVING)
+    plant.applied = MOVING
     for _ in range(200):
-        command = np.frombuffer(random.bytes(PLANT_COMMAND.itemsize), PLANT_COMMAND)
         around = np.frombuffer(random.bytes(PLANT_SURROUNDINGS.itemsize), PLANT_SURROUNDINGS)
         with np.errstate(all="ignore"):
-            plant.receive(command)
             plant.set_surroundings(around)
         report = live(plant, 1)
-        assert np.all(np.abs(report["node"]["applied"]["valve"]) <= 1.0)
         assert np.all(np.isfinite(report["truth"]["plant_angle"]))
-    assert plant.node.passive_by_watchdog
