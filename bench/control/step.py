@@ -266,7 +266,7 @@ def _record(state: ControlState, readings: Any, command: Any, cycle: Any) -> Non
         s.device_operational,
     )
     out.homed, out.vented = s.homed, s.vented
-    out.phase, out.reaction, out.trip, out.latest_cause = s.phase, s.reaction, s.cause, s.latest_cause
+    out.phase, out.reaction, out.cause, out.latest_cause = s.phase, s.reaction, s.cause, s.latest_cause
     for i in range(3):
         out.encoder_count[i] = r.encoder_count[i]
         out.encoder_valid[i] = r.encoder_valid[i]

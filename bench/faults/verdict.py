@@ -125,7 +125,8 @@ def judge_case(
         operator="; then ".join(CAUSE_TEXT[c] for c in dict.fromkeys((cause, found)) if c)
         or "; ".join(f"{put.name.lower()} refused: {REFUSAL_TEXT[why]}" for put, why in run.refusals)
         or "nothing",
-        record=f"{final.name}, trip {_trips(cycles, cause)}" + (f", reaction {reaction}" if reaction else ""),
+        record=f"{final.name}, cause {_causes(cycles, cause)}"
+        + (f", reaction {reaction}" if reaction else ""),
         change=change,
     )
 
@@ -184,10 +185,10 @@ def _detection(run: WatchedRun, healthy: WatchedRun, own: Cause, after: int) -> 
     return detected_by, tripped, reaction, max(0, reacted - after) if reacted >= 0 else -1
 
 
-def _trips(cycles: Cycles, last: Cause) -> str:
+def _causes(cycles: Cycles, last: Cause) -> str:
     """Return the latched causes in order: trapped pressure takes the place of the first one."""
-    _, first = np.unique(cycles["trip"], return_index=True)
-    names = [Cause(int(cycles["trip"][row])).name for row in sorted(first) if cycles["trip"][row] != 0]
+    _, first = np.unique(cycles["cause"], return_index=True)
+    names = [Cause(int(cycles["cause"][row])).name for row in sorted(first) if cycles["cause"][row] != 0]
     return " then ".join(dict.fromkeys([*names, last.name]))
 
 

@@ -198,7 +198,7 @@ def _row(
     errors, away, saturated = [], [], []
     for swing in made:
         down = swing.cycles[profile.begins[3] : profile.begins[5]]
-        down = down[down["trip"] == 0]
+        down = down[down["cause"] == 0]
         errors.append(down["reference_angle"] - down["plant_angle"])
         reference = forward_kinematics(robot, down["reference_angle"])[:, :2]
         away.append(np.hypot(*(reference - down["plant_head_position"]).T))
@@ -223,7 +223,7 @@ def _row(
 
 def _delivered(swing: SeriesSwing, profile: Profile) -> bool:
     """Return whether the contact is the swing's: in its downswing or later, and before any stop."""
-    stops = np.flatnonzero(swing.cycles["trip"] != 0)
+    stops = np.flatnonzero(swing.cycles["cause"] != 0)
     end = stops[0] if len(stops) else len(swing.cycles)
     return profile.begins[3] <= swing.contact_time / profile.period <= end
 

@@ -203,7 +203,7 @@ def _seen(profile: Profile, cycles: Cycles) -> Array:
             swing["chamber_pressure"] / _PRESSURE,
         ]
     )
-    values[swing["trip"] != 0] = np.nan
+    values[swing["cause"] != 0] = np.nan
     return np.asarray(values[::_SPACING])
 
 

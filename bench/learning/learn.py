@@ -176,7 +176,7 @@ def _attempt(problem: LearningProblem, swing: Swinger, learner: Learner) -> tupl
     bench, response, point = problem.bench, problem.response, learner.point
     cycles, figures, cause, settled = swing(point)
     path = cycles["angle"][response.rows].copy()
-    path[cycles["trip"][response.rows] != 0] = np.nan
+    path[cycles["cause"][response.rows] != 0] = np.nan
     trial = LearnerTrial(point, figures.array, path, settled)
     down = cycles[bench.profile.begins[3] : bench.profile.begins[5]]
     off = path - problem.path
@@ -230,7 +230,7 @@ def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
     begun = np.flatnonzero(cycles["phase"] == Phase.BACKSWING)
     first = int(begun[0]) - profile.begins[1] if begun.size else -1
     swing = cycles[max(first, 0) :]
-    if first < 0 or len(swing) < profile.begins[5] or swing["trip"][: profile.begins[5]].any():
+    if first < 0 or len(swing) < profile.begins[5] or swing["cause"][: profile.begins[5]].any():
         raise BenchError(
             place,
             "no complete swing",

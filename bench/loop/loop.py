@@ -194,7 +194,7 @@ class Cycle:
         """Name the cause `before` this tick, else the exception: not what failed readings seem to say."""
         control = self.state.control
         if control["cause"][0] != before:
-            control["cause"] = self.record["trip"] = before or Cause.EXCEPTION
+            control["cause"] = self.record["cause"] = before or Cause.EXCEPTION
             control["latest_cause"] = Cause.EXCEPTION
 
     def latch_exception(self, time: float, *, decided: bool = False) -> None:
@@ -203,8 +203,8 @@ class Cycle:
         control = self.state.control
         latch_exception(control, self.parameters, time)
         if decided:
-            for name, field in (("trip", "cause"), ("reaction", "reaction"), ("state", "state")):
-                self.record[name] = control[field]
+            for name in ("cause", "reaction", "state"):
+                self.record[name] = control[name]
             self._note_applied(PASSIVE)
             self._publish()
 

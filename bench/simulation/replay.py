@@ -84,7 +84,7 @@ DECIDED = frozenset(
         "air_fault",
         "phase",
         "reaction",
-        "trip",
+        "cause",
         "latest_cause",
         "angle",
         "velocity",

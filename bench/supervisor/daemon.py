@@ -514,7 +514,7 @@ class Daemon:
 
     def _note_changes(self, cycles: np.ndarray[Any, Any]) -> None:
         """Log and publish every change of state, phase, reaction and cause in `cycles`."""
-        keys = np.stack([cycles[name] for name in ("state", "phase", "reaction", "trip")], axis=1)
+        keys = np.stack([cycles[name] for name in ("state", "phase", "reaction", "cause")], axis=1)
         before = np.vstack([np.array([self._before], dtype=keys.dtype), keys[:-1]])
         for k in np.flatnonzero(np.any(keys != before, axis=1)):
             old = self._before

@@ -137,7 +137,7 @@ def status_of(
     The command plane adds lease and counts.
     """
     r = np.zeros(1, CYCLE)[0] if newest is None else newest[0]
-    cause, latest = Cause(int(r["trip"])), Cause(int(r["latest_cause"]))
+    cause, latest = Cause(int(r["cause"])), Cause(int(r["latest_cause"]))
     status: dict[str, Any] = {
         "version": STATUS_VERSION,
         "state": State(int(r["state"])).name,
@@ -181,7 +181,7 @@ def disarmed_for(cycle: Any, before: State, *, series: bool) -> Cause:
     NONE without a disarming, after one that was asked for or came of a stop, and after a swing that is to
     vent: with `series` the robot holds its address for the next one.
     """
-    state, stops = State(int(cycle["state"])), cycle["trip"] != Cause.NONE
+    state, stops = State(int(cycle["state"])), cycle["cause"] != Cause.NONE
     ends = state in (State.READY, State.SAFE)
     held = before in (State.ARMED, State.HOMING)
     on_the_way = before is State.ARMED and state is State.RECOVERING

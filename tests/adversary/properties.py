@@ -127,9 +127,9 @@ class Judge:
             self._answer(cycles[0], int(ticks[0]), request, number)
         self._release(cycles, ticks, plant_state, faults)
         self._stops_end(cycles, ticks)
-        self._state, self._trip = int(cycles["state"][-1]), int(cycles["trip"][-1])
+        self._state, self._trip = int(cycles["state"][-1]), int(cycles["cause"][-1])
         self._supply = bool(cycles["supply_enable"][-1])
-        self.causes |= {Cause(int(c)) for c in np.unique(cycles["trip"])}
+        self.causes |= {Cause(int(c)) for c in np.unique(cycles["cause"])}
         self.visited |= {State(int(c)) for c in np.unique(cycles["state"])}
 
     # In every tick --------------------------------------------------------------------------------------
@@ -182,7 +182,7 @@ class Judge:
     def _latch(self, c: Any, ticks: NDArray[Any], faults: list[Fault]) -> None:
         """A stop is kept until it is reset, by a person where there is a button; nothing arms before."""
         states = np.concatenate([[self._state], c["state"]])
-        trips = np.concatenate([[self._trip], c["trip"]])
+        trips = np.concatenate([[self._trip], c["cause"]])
         accepted = c["answer"] == Answer.ACCEPTED
         reset = (c["request"] == Request.RESET) & accepted
         secured = (c["request"] == Request.SECURE) & accepted
@@ -251,7 +251,7 @@ class Judge:
         told = any(f.signal.endswith(" feedback") for f in faults)
         hides = "pressure" in broken or (told and not self.setup.sensors)
         k = int(np.argmax(open_))
-        safe = open_ & ~(inside & np.isin(c["state"], LATCHED) & (c["trip"] != Cause.NONE))
+        safe = open_ & ~(inside & np.isin(c["state"], LATCHED) & (c["cause"] != Cause.NONE))
         if safe.any() and not (keeps and hides):
             pressure = c["plant_pressure"][safe].max()
             if pressure > _MARGIN * self._holding:

@@ -82,9 +82,9 @@ def make_records(make_swing: Callable[[int], Cycles]) -> Callable[[int], list[Sh
 
 @pytest.fixture(scope="session")
 def make_day() -> Callable[..., Cycles]:
-    """Return `make(plan, first_tick, start, trip)`: `plan` holds (state, ticks); values are noise.
+    """Return `make(plan, first_tick, start, cause)`: `plan` holds (state, ticks); values are noise.
 
-    `trip` (tick, cause) is latched from that tick to the end.
+    `cause` (tick, cause) is latched from that tick to the end.
     """
 
     def make(
@@ -92,7 +92,7 @@ def make_day() -> Callable[..., Cycles]:
         *,
         first_tick: int = 1,
         start: float = 1000.0,
-        trip: tuple[int, Cause] | None = None,
+        cause: tuple[int, Cause] | None = None,
     ) -> Cycles:
         states = np.repeat([state for state, _ in plan], [ticks for _, ticks in plan])
         random = np.random.default_rng(len(states))
@@ -105,8 +105,8 @@ def make_day() -> Callable[..., Cycles]:
         cycles["encoder_time"] = cycles["time"][:, None] - 1e-4
         cycles["measured_step"] = 1 / 1024
         cycles["state"] = states
-        if trip is not None:
-            cycles["trip"][trip[0] - first_tick :] = trip[1]
+        if cause is not None:
+            cycles["cause"][cause[0] - first_tick :] = cause[1]
         return cycles
 
     return make

@@ -92,7 +92,7 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
         with pytest.raises(CommandRefused):
             bench.client.reset()
         bench.wait_until(lambda record: record["state"] == State.ESTOP)  # nobody knows of the circuit
-        assert bench.now()["trip"] == Cause.DEVICE_PASSIVE  # and that is not why it stands
+        assert bench.now()["cause"] == Cause.DEVICE_PASSIVE  # and that is not why it stands
         told = device_when(bench.client, lambda device: "canopen: channel" in device["trouble"])
         assert told["counters"]["recoveries"] == 0
         switch(channel, on=True)

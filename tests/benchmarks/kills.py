@@ -147,8 +147,8 @@ def strike_support(folder: Path, name: str, number: signal.Signals, phase: Phase
             bench.wait_until(
                 lambda r: r["state"] in (State.READY, State.FAULT, State.ESTOP, State.RECOVERING)
             )
-            completed = bench.now()["trip"] == Cause.NONE
-            end = "swing completed" if completed else f"stopped: {Cause(int(bench.now()['trip'])).name}"
+            completed = bench.now()["cause"] == Cause.NONE
+            end = "swing completed" if completed else f"stopped: {Cause(int(bench.now()['cause'])).name}"
         if number is signal.SIGSTOP:
             bench.wait_until(lambda r: not r["support_ready"], 20.0)
             noticed = time.monotonic() - begun
@@ -182,16 +182,16 @@ def strike_loop(folder: Path, name: str, number: signal.Signals, phase: Phase) -
         os.kill(pid, number)
         plant.watch(2.5)
         if name == "supervisor" and number is signal.SIGSTOP:
-            trip = bench.now()
-            end = f"{State(int(trip['state'])).name}, {Cause(int(trip['trip'])).name}"
+            now = bench.now()
+            end = f"{State(int(now['state'])).name}, {Cause(int(now['cause'])).name}"
             os.kill(pid, signal.SIGCONT)
             bench.end()
         else:
-            trip = bench.now()
+            now = bench.now()
             bench.process.wait(40.0)
             end = f"exit code {bench.process.returncode}"
             if name == "supervisor":
-                end += f", the loop: {State(int(trip['state'])).name}, {Cause(int(trip['trip'])).name}"
+                end += f", the loop: {State(int(now['state'])).name}, {Cause(int(now['cause'])).name}"
         plant.close()
         silence, travel = plant.letting_go(tick)
         share = float(stop_shares(plant.samples[-1]["stop_energy"], parameters).max())

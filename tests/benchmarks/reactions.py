@@ -108,7 +108,7 @@ def run_case(fault: str, phase: Phase) -> Case:
     bench.come_to_rest()
     records = bench.kept.cycles[first:]
     # A tick that raised before it was decided leaves no record; the state holds what it led to.
-    reacted = np.flatnonzero((records["trip"] != 0) | (records["reaction"] > Reaction.COMPLETE))
+    reacted = np.flatnonzero((records["cause"] != 0) | (records["reaction"] > Reaction.COMPLETE))
     return Case(
         fault,
         phase,

@@ -43,12 +43,12 @@ def stopped(bench: BenchProcess) -> tuple[Cause, Reaction]:
     with bench.client.lease("test"):
         bench.recover()
         bench.client.arm()
-        bench.wait_until(lambda record: record["trip"] != 0 or record["phase"] == Phase.HOLD)
-        if bench.now()["trip"] == 0:
+        bench.wait_until(lambda record: record["cause"] != 0 or record["phase"] == Phase.HOLD)
+        if bench.now()["cause"] == 0:
             bench.swing()
-        record = bench.wait_until(lambda record: record["trip"] != 0)
+        record = bench.wait_until(lambda record: record["cause"] != 0)
         bench.wait_until(lambda record: record["state"] == State.FAULT)
-    cause = Cause(int(record["trip"]))
+    cause = Cause(int(record["cause"]))
     assert bench.cause == cause.name
     return cause, Reaction(int(record["reaction"]))
 
@@ -68,7 +68,7 @@ def test_a_bench_in_step_breaks_by_phase_and_swings_again_when_it_is_mended(tmp_
         cycles, about = read_swing(bench.records[-1])
         assert about["outcome"] != "complete"
         assert about["configuration"]["faults"]["sticking"]["signal"] == "shoulder valve"
-        assert Cause.SHOULDER_AIR in cycles["trip"]
+        assert Cause.SHOULDER_AIR in cycles["cause"]
 
 
 def test_fault_at_an_angle_begins_there(tmp_path: Path) -> None:

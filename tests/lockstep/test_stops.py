@@ -138,8 +138,8 @@ def test_the_record_tells_an_emergency_stop(
     bench.plant_state["emergency_stop_clear"] = False
     cycles = bench.advance(4000)
     assert cycles["phase"][0] == phase
-    assert (cycles["reaction"][0], cycles["trip"][0]) == (reaction, Cause.EMERGENCY_STOP)
-    assert (cycles["trip"] == Cause.EMERGENCY_STOP).all()
+    assert (cycles["reaction"][0], cycles["cause"][0]) == (reaction, Cause.EMERGENCY_STOP)
+    assert (cycles["cause"] == Cause.EMERGENCY_STOP).all()
     assert not cycles["emergency_stop_clear"].any()
     assert (cycles["phase"][-1], cycles["reaction"][-1]) == (Phase.STANDING, Reaction.VENT)
     standing = cycles["phase"] == Phase.STANDING

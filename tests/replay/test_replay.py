@@ -121,7 +121,7 @@ CHANGES: dict[str, tuple[Path, Change, str]] = {
     "slew": (SWING, scale("envelope", "max_slew", None), "applied_valve"),
     "max opening": (SWING, scale("envelope", "max_opening", None, 0.999), "applied_valve"),
     "max speed": (SWING, scale("envelope", "max_speed", None, 0.5), "reaction"),
-    "following error": (SWING, scale("envelope", "following", None, 0.05), "trip"),
+    "following error": (SWING, scale("envelope", "following", None, 0.05), "cause"),
     "profile": (SWING, shift_profile, "reference_angle"),
     "impact window": (SWING, delay_impact, "phase"),
 }
@@ -228,7 +228,7 @@ def test_records_of_faults_replay_to_the_last_bit(name: str) -> None:
     assert len(replay.recorded) == 2000
     assert [(d.field, d.greatest) for d in replay.differences() if d.greatest] == []
     tripped = name not in {"nothing", "single lost samples", "missed ticks", "refused and other requests"}
-    assert bool(replay.recorded["trip"].any()) is tripped
+    assert bool(replay.recorded["cause"].any()) is tripped
 
 
 def test_a_replay_leaves_the_record_alone(swing: Record) -> None:
@@ -268,7 +268,7 @@ def tampered(replay: Replay, field: str, value: float, tick: int = 100) -> Repla
         ("angle", np.inf, True),
         ("tee", 0, True),
         ("phase", int(Phase.RETURN), True),
-        ("trip", int(Cause.GROUND), True),
+        ("cause", int(Cause.GROUND), True),
         ("work_time", 9.0, False),
         ("plant_angle", 9.0, False),
     ],

@@ -100,7 +100,7 @@ def _watch(
     later = bench.ring.read()
     time.sleep(_NEWS)
     counted = _more(bench.client.status()["device"]["counters"], before)
-    cause = Cause(int(cycles["trip"][-1])).name if len(cycles) else "?"
+    cause = Cause(int(cycles["cause"][-1])).name if len(cycles) else "?"
     first = Reaction(int(reacting["reaction"][0])).name if len(reacting) else "none"
     note = f"{first}, {cause}; ended in {ending}; {counted}"
     print(f"{time.monotonic():.1f} s: {name}: {note}", flush=True)

@@ -189,11 +189,11 @@ class LiveSeries:
     def _stall(self) -> str:
         """Return the stall of this machine behind the stop in the records kept; empty without one."""
         cycles = self._operator.record()
-        stopped = np.flatnonzero(cycles["trip"])
+        stopped = np.flatnonzero(cycles["cause"])
         if not len(stopped):
             return ""
         first, lost = int(stopped[0]), self.bench.envelope.encoder_timeout
-        cause, trouble = Cause(int(cycles["trip"][first])), getattr(self._driver, "trouble", "")
+        cause, trouble = Cause(int(cycles["cause"][first])), getattr(self._driver, "trouble", "")
         if cause is Cause.TICK_GAP:
             return CAUSE_WORDS[cause][1]
         return stall_note(cycles[: first + 1], cause, lost, self._operator.period, trouble)

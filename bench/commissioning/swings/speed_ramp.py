@@ -278,7 +278,7 @@ def deviation(bench: Bench, predicted: SeriesSwing, made: SeriesSwing) -> SwingD
     """Return how the swing `made` differs from the one `predicted`, by the encoders."""
     ball, rows = bench.profile.begins[5], round(_BRAKED / bench.profile.period)
     path = made.cycles["angle"][:ball] - predicted.cycles["angle"][:ball]
-    going = made.cycles["trip"][:ball] == 0
+    going = made.cycles["cause"][:ball] == 0
     braking = [np.abs(swing.cycles["velocity"][ball + rows]) for swing in (made, predicted)]
     largest = np.abs(path[going]).max(axis=0) if going.any() else np.full(3, np.nan)
     fast = [_head_speed(bench, swing) for swing in (predicted, made)]

@@ -166,7 +166,7 @@ def shot_of_cycles(
 
     A ball flew if it was on the tee before the head crossed its place and not after.
     """
-    trips = cycles["trip"][cycles["trip"] != 0]
+    trips = cycles["cause"][cycles["cause"] != 0]
     delivery = delivery_of_cycles(cycles, plant)
     launch = flight = None
     if delivery is not None and ball_struck(cycles):

@@ -245,7 +245,7 @@ class ShotMatcher:
         self, one: Match, number: int, time_utc: datetime, swing: FinishedSwing, unseen: str
     ) -> SettledOutcome:
         """Return the outcome of a swing; `unseen` is the reason where a ball was struck and none reported."""
-        plant, trips = self._plant, swing.cycles["trip"]
+        plant, trips = self._plant, swing.cycles["cause"]
         delivery = delivery_of_cycles(swing.cycles, plant)
         launch = one.launch
         if launch is not None:

@@ -20,7 +20,7 @@ from drivers.base import CHAMBERS, JOINTS
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Version of FIELDS; stored in every file and message."""
 
 LONGEST_BATCH = 64
@@ -76,18 +76,18 @@ FIELDS = (
     Field("phase", "u1", "1", "phase of the swing, see enumeration 'phase'", names="phase"),
     Field("reaction", "u1", "1", "reaction under way, see enumeration 'reaction'", names="reaction"),
     Field(
-        "trip",
+        "cause",
         "i4",
         "1",
-        "cause that tripped the envelope, see enumeration 'trip'; 0 when none",
-        names="trip",
+        "cause of the stop, see enumeration 'cause'; 0 when none",
+        names="cause",
     ),
     Field(
         "latest_cause",
         "i4",
         "1",
-        "newest cause, also after `trip`, see enumeration 'trip'; 0 when none",
-        names="trip",
+        "newest cause, also after `cause`, see enumeration 'cause'; 0 when none",
+        names="cause",
     ),
     Field("encoder_count", "i8", "1", "encoder reading in counts", JOINTS),
     Field("encoder_valid", "u1", "1", "1 when the encoder reading is valid", JOINTS),

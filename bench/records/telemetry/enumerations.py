@@ -10,6 +10,6 @@ ENUMERATIONS: dict[str, dict[str, str]] = {
     "refusal": {str(refusal.value): refusal.name for refusal in Refusal},
     "phase": {str(phase.value): phase.name for phase in Phase},
     "reaction": {str(reaction.value): reaction.name for reaction in Reaction},
-    "trip": {str(cause.value): cause.name for cause in Cause},
+    "cause": {str(cause.value): cause.name for cause in Cause},
 }
 """Names by code, as stored in the metadata of records; JSON keys are text."""

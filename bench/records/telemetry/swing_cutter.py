@@ -183,7 +183,7 @@ class SwingSegmenter:
         # A loss stands before the cycle it is noted at: the record's first does not count.
         lost = sum(count for number, count in self._losses if part.begin < number < end)
         cycles = self._past.copy(part.begin, end)
-        tripped = bool(np.any(cycles["trip"][_MOVING[cycles["state"]]]))
+        tripped = bool(np.any(cycles["cause"][_MOVING[cycles["state"]]]))
         return RecordSegment(cycles, part.kind or ("stop" if tripped else ""), lost, ended, part.continued)
 
     def _before(self, number: int, time: float, begin: int = 0) -> int:

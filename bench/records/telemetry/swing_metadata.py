@@ -150,7 +150,7 @@ def since(cycles: Cycles, begin: float) -> Cycles:
 
 
 def _outcome(cut: RecordSegment) -> dict[str, Any]:
-    states, trips = cut.cycles["state"], cut.cycles["trip"]
+    states, trips = cut.cycles["state"], cut.cycles["cause"]
     changes = [0, *(np.flatnonzero(np.diff(states)) + 1)]
     tripped = np.flatnonzero((trips != 0) & np.isin(states, list(MOVING)))
     cause = Cause(int(trips[tripped[0]])) if len(tripped) else Cause.NONE

@@ -92,7 +92,7 @@ class Change(NamedTuple):
 
 def changes(cycles: np.ndarray[Any, Any]) -> Iterator[Change]:
     """Yield each change in `cycles`, the first cycle included."""
-    keys = np.stack([cycles[name].astype(int) for name in ("state", "phase", "reaction", "trip")], axis=1)
+    keys = np.stack([cycles[name].astype(int) for name in ("state", "phase", "reaction", "cause")], axis=1)
     before = np.vstack([np.full((1, 4), -1), keys[:-1]])
     for row in np.flatnonzero(np.any(keys != before, axis=1)):
         state, phase, reaction, cause = keys[row].tolist()

@@ -422,7 +422,7 @@ def test_every_entry_of_the_table_is_what_happens(phase: Phase, column: int) -> 
     assert puppet.reaction is STOP_REACTIONS[phase][column]
     assert puppet.cause is cause
     assert puppet.control["latest_cause"] == cause
-    assert (puppet.cycle["trip"][0], puppet.cycle["reaction"][0]) == (cause, puppet.reaction)
+    assert (puppet.cycle["cause"][0], puppet.cycle["reaction"][0]) == (cause, puppet.reaction)
     for _ in range(3000):
         puppet.tick()
         if puppet.phase is Phase.STANDING:

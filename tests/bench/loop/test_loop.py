@@ -152,7 +152,7 @@ def test_the_mock_goes_through_arming_a_swing_and_a_stop(holding: Loop, driver: 
     assert swing["time"].tolist() == [k * PERIOD for k in swing["tick"] - 1]
     records = np.concatenate(bring_to_rest(holding, 3000))
     assert phase(holding) == Phase.STANDING
-    assert records["trip"][-1] == Cause.OPERATOR_STOP
+    assert records["cause"][-1] == Cause.OPERATOR_STOP
     assert driver.applied == PASSIVE
     assert driver.passive == 3
 
@@ -169,7 +169,7 @@ def test_readings_that_fail_stop_the_robot_in_that_tick(holding: Loop, driver: F
     assert phase(holding) == Phase.BACKSWING
     driver.fail_read = DriverError("bus off")
     failed = holding.advance(1)[0]
-    assert (failed["reaction"], failed["trip"]) == (Reaction.BLIND_BRAKE, Cause.EXCEPTION)
+    assert (failed["reaction"], failed["cause"]) == (Reaction.BLIND_BRAKE, Cause.EXCEPTION)
     assert not failed["encoder_valid"].any()
     assert not failed["emergency_stop_clear"]
     assert np.isnan(failed["supply_pressure"])
@@ -205,7 +205,7 @@ def test_readings_that_fail_do_not_hide_why_the_robot_stands(holding: Loop, driv
     assert (phase(holding), control(holding)["state"]) == (Phase.STANDING, State.FAULT)
     driver.fail_read = DriverError("closed: it could not be opened again")
     shown = holding.advance(3)
-    assert set(shown["trip"]) == {Cause.DEVICE_PASSIVE}
+    assert set(shown["cause"]) == {Cause.DEVICE_PASSIVE}
     assert control(holding)["latest_cause"] == Cause.EXCEPTION
     assert control(holding)["state"] == State.ESTOP  # nothing says that the circuit is closed
 
@@ -232,7 +232,7 @@ def test_a_command_that_cannot_be_sent_makes_passive_in_that_tick(
     assert str(error) in told[0]
     assert driver.passive == 1
     assert driver.applied == PASSIVE
-    assert (kept.cycles["trip"][0], kept.cycles["reaction"][0]) == (Cause.EXCEPTION, Reaction.PASSIVE)
+    assert (kept.cycles["cause"][0], kept.cycles["reaction"][0]) == (Cause.EXCEPTION, Reaction.PASSIVE)
     assert not kept.cycles["applied_valve"].any()
     assert not kept.cycles["supply_enable"][0]
 

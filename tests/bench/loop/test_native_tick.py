@@ -122,7 +122,7 @@ def test_a_closed_driver_and_a_wrong_time_fail_as_in_python(parameters: ControlP
     bench.run(0, 10)
     bench.cycle.run_tick(math.nan)  # readings that fail
     assert isinstance(bench.cycle.read_error, DriverError)
-    assert bench.kept.cycles["trip"][-1] == Cause.EXCEPTION
+    assert bench.kept.cycles["cause"][-1] == Cause.EXCEPTION
     bench.driver.close()
     with pytest.raises(DriverError, match="write"):
         bench.cycle.run_tick(11 * PERIOD)

@@ -93,7 +93,7 @@ def test_columns_are_those_of_the_wire() -> None:
         key.decode(): value.decode() for key, value in wire_schema().metadata.items()
     }
     named = {c["name"] for c in described if "enumeration" in c}
-    assert named == {"state", "request", "refusal", "phase", "reaction", "trip", "latest_cause"}
+    assert named == {"state", "request", "refusal", "phase", "reaction", "cause", "latest_cause"}
     assert {c["enumeration"] for c in described if "enumeration" in c} <= CONTRACT["enumerations"].keys()
 
 

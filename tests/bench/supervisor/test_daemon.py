@@ -171,13 +171,13 @@ def test_network_stops_need_no_lease_and_a_lost_lease_disarms(tmp_path: Path) ->
             bench.wait_phase(Phase.BACKSWING)
         bench.client.stop()
         stopped = bench.wait_until(lambda record: record["state"] == State.FAULT)
-        assert stopped["trip"] == Cause.OPERATOR_STOP
+        assert stopped["cause"] == Cause.OPERATOR_STOP
         with bench.client.lease("test"):
             bench.make_ready()
             bench.take_address()
             bench.client.emergency_stop()
         stopped = bench.wait_until(lambda record: record["state"] == State.ESTOP)
-        assert stopped["trip"] == Cause.NETWORK_STOP
+        assert stopped["cause"] == Cause.NETWORK_STOP
 
 
 @pytest.mark.parametrize(("name", "number"), [("recorder", signal.SIGKILL), ("publisher", signal.SIGSTOP)])
@@ -237,7 +237,7 @@ def test_a_silent_supervisor_stops_the_swing(tmp_path: Path) -> None:
             stopped = bench.wait_until(lambda record: record["state"] == State.FAULT)
         finally:
             bench.process.send_signal(signal.SIGCONT)
-        assert stopped["trip"] == Cause.SUPERVISOR
+        assert stopped["cause"] == Cause.SUPERVISOR
 
 
 def test_with_an_expired_calibration_nothing_is_armed(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def cycle(state: State, **values: object) -> Any:
         (State.ARMED, State.READY, {}, Cause.ARMED_TIME),
         (State.HOMING, State.READY, {}, Cause.NONE),
         (State.ARMED, State.READY, {"request": Request.DISARM}, Cause.NONE),
-        (State.ARMED, State.FAULT, {"trip": Cause.OPERATOR_STOP, "lease_held": False}, Cause.NONE),
+        (State.ARMED, State.FAULT, {"cause": Cause.OPERATOR_STOP, "lease_held": False}, Cause.NONE),
         (State.ARMED, State.SWINGING, {}, Cause.NONE),
         (State.RECOVERING, State.READY, {}, Cause.NONE),
         (State.ARMED, State.ARMED, {"lease_held": True}, Cause.NONE),

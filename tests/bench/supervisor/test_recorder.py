@@ -347,7 +347,7 @@ def test_what_could_not_be_stored_to_the_end_is_told(bench: Bench, day: MakeDay)
 
 
 def test_with_its_supervisor_gone_it_records_the_loop_to_its_end(bench: Bench, day: MakeDay) -> None:
-    cycles = day([*ONCE[:2], (S.FAULT, 600)], trip=(650, Cause.SUPERVISOR))
+    cycles = day([*ONCE[:2], (S.FAULT, 600)], cause=(650, Cause.SUPERVISOR))
     program = f"import subprocess, sys\nc = subprocess.Popen([sys.executable, *{RECORDER}])"
     supervisor = subprocess.Popen(
         [sys.executable, "-c", f"{program}\nc.wait()"], stdin=subprocess.PIPE, stdout=subprocess.PIPE

@@ -331,7 +331,7 @@ def test_a_hole_breaks_the_lines_and_a_new_loop_goes_on(
 ) -> None:
     watched.send(make_day([(State.READY, 40)], first_tick=9000, start=400.0))
     watched.bench.sequence, watched.bench.lost = 0, 0
-    watched.send(make_day([(State.ESTOP, 40)], first_tick=1, start=0.0, trip=(1, Cause.RESTART)))
+    watched.send(make_day([(State.ESTOP, 40)], first_tick=1, start=0.0, cause=(1, Cause.RESTART)))
     recording = watched.recording()
     at, angles = recording.read("/signals/angle_deg/actual", "Scalars:scalars")
     assert np.all(np.diff(at) > 0)

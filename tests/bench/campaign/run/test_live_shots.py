@@ -791,7 +791,7 @@ def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
             assert numbers() == [1, 2, 3]
             ask(store, data_dir, name, "abort")
             assert process.wait(60) == ExitCode.REFUSED
-            assert bench.wait_until(lambda record: record["state"] == State.FAULT)["trip"]
+            assert bench.wait_until(lambda record: record["state"] == State.FAULT)["cause"]
             assert bench.cause == "OPERATOR_STOP"
         assert store.standing(name).state is CampaignState.ABORTED
         assert [stored.shot.status for stored in store.shots(name)][:3] == [ShotStatus.VALID] * 3

@@ -47,7 +47,7 @@ def test_every_shot_of_a_monitor_is_valid_with_its_club(
     plant = PlantParameters(robot=robot, site=site)
     book = ShotMatcher(MatchWindow(), plant, FlightConditions())
     cycles = make_swing(1)
-    cycles["trip"] = 0
+    cycles["cause"] = 0
     proxy = Proxy(dialect, server.address[1])
     monitor = SimulatedMonitor(EXACT, "127.0.0.1", proxy.port)
     told: list[SettledOutcome] = []

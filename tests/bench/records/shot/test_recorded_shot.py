@@ -127,7 +127,7 @@ def test_no_ball_no_launch_and_a_stop_is_a_failed_shot(
     assert shot(still).shot.reason == "no swing through the ball's place"
     assert delivery_of_cycles(still, plant) is None
     stopped = make_swing(1)
-    stopped["trip"][1500:] = Cause.GUARD
+    stopped["cause"][1500:] = Cause.GUARD
     assert shot(stopped).shot.status is ShotStatus.FAILED
     assert "guard" in shot(stopped).shot.reason
 

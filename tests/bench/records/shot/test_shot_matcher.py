@@ -37,7 +37,7 @@ def day(make_swing: Any) -> Cycles:
     cycles: Cycles = make_swing(1)
     cycles["state"] = State.SWINGING
     cycles["state"][:200], cycles["state"][-100:] = State.ARMED, State.RECOVERING
-    cycles["trip"] = 0
+    cycles["cause"] = 0
     return cycles
 
 
@@ -83,11 +83,11 @@ def test_a_swing_without_a_ball_and_one_that_was_stopped(day: Cycles) -> None:
 
     stopped = day[:900].copy()
     stopped["ball_present"] = True
-    stopped["state"][800:], stopped["trip"][800:] = State.FAULT, Cause.OPERATOR_STOP
+    stopped["state"][800:], stopped["cause"][800:] = State.FAULT, Cause.OPERATOR_STOP
     stopped["phase"][800:] = Phase.STANDING
     (swing,) = watched(SwingWatch("run", wall=True), stopped, 50, behind=0.0)
     assert (swing.impact, swing.struck) == (None, False)
-    assert swing.cycles["trip"][-1] == Cause.OPERATOR_STOP
+    assert swing.cycles["cause"][-1] == Cause.OPERATOR_STOP
 
 
 def test_what_has_no_beginning_has_no_id(day: Cycles) -> None:
@@ -116,7 +116,7 @@ def book(robot: Any) -> ShotMatcher:
 @pytest.fixture
 def swing(make_swing: Any) -> FinishedSwing:
     cycles = make_swing(1)
-    cycles["trip"] = 0
+    cycles["cause"] = 0
     return FinishedSwing("r-5000", 100.0, True, cycles)
 
 
@@ -151,7 +151,7 @@ def test_no_launch_no_ball_and_no_swing_through_its_place_are_told_apart(
     book.note_swing(swing, NOW)
     book.note_swing(swing._replace(shot="r-6000", impact=110.0, struck=False), NOW)
     stopped = swing.cycles.copy()
-    stopped["trip"][-1] = Cause.OPERATOR_STOP
+    stopped["cause"][-1] = Cause.OPERATOR_STOP
     book.note_swing(swing._replace(shot="r-7000", impact=None, struck=False, cycles=stopped), NOW)
     told = {each.shot_id: each for each in book.settle(120.0)}
     assert {each.outcome for each in told.values()} == {MatchOutcome.NO_LAUNCH}

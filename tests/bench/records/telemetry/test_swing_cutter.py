@@ -51,7 +51,7 @@ def test_a_stop_leaves_a_record_with_what_was_before(make_day: MakeDay, moving: 
 
 def test_a_brake_that_ends_ready_leaves_a_record_for_its_cause(make_day: MakeDay) -> None:
     plan = [(S.READY, 500), (S.ARMED, 300), (S.RECOVERING, 200), (S.READY, 500)]
-    (cut,) = cut_up(make_day(plan, trip=(850, Cause.SUPERVISOR)))
+    (cut,) = cut_up(make_day(plan, cause=(850, Cause.SUPERVISOR)))
     assert cut.kind == "stop"
     assert not cut_up(make_day(plan))
 
@@ -60,7 +60,7 @@ def test_what_ends_as_asked_leaves_no_record(make_day: MakeDay) -> None:
     homed = [(S.ESTOP, 300), (S.SAFE, 300), (S.HOMING, 900), (S.READY, 900), (S.ACCESS, 300)]
     armed = [(S.READY, 300), (S.ARMED, 900), (S.READY, 900), (S.FAULT, 300), (S.ESTOP, 300)]
     assert not cut_up(make_day(homed))
-    assert not cut_up(make_day(armed, trip=(2101, Cause.GUARD)))
+    assert not cut_up(make_day(armed, cause=(2101, Cause.GUARD)))
 
 
 def test_in_a_series_each_swing_has_its_record(make_day: MakeDay) -> None:

@@ -73,8 +73,8 @@ def test_encoder_times_that_are_absent_stay_so(make_day: MakeDay) -> None:
 
 
 def test_the_outcome_names_states_and_the_first_cause(make_day: MakeDay) -> None:
-    cycles = make_day(PLAN, trip=(400, Cause.WRIST_RANGE))
-    cycles["trip"][450:] = Cause.GUARD
+    cycles = make_day(PLAN, cause=(400, Cause.WRIST_RANGE))
+    cycles["cause"][450:] = Cause.GUARD
     metadata = describe(RecordSegment(cycles, "swing", 0))
     assert metadata["outcome"]["states"] == [[1, "READY"], [101, "ARMED"], [301, "SWINGING"], [501, "FAULT"]]
     assert metadata["outcome"]["cause"] == "WRIST_RANGE"
