@@ -22,6 +22,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -126,19 +127,21 @@ class BenchNodes:
 
     def __init__(self, plan: NodesPlan, send: Callable[[int, bytes], None]) -> None:
         """Start vented and unpowered; ValueError if the plan is invalid."""
-        self.plant = plant = WallPlant(plan)
+        # A SYNC latches the count at its own time: what is late or jitters in a polled encoder is not here.
+        encoders = replace(plan.plant.encoders, latency=0.0, jitter=0.0)
+        self.plant = plant = WallPlant(replace(plan, plant=replace(plan.plant, encoders=encoders)))
 
         def speak(identifier: int, data: bytes) -> None:
             if plant.link_up:
                 send(identifier, data)
 
-        self._latency = plan.plant.encoders.latency
-        self._tick, resolution = plan.plant.tick, plan.plant.encoders.counts_per_revolution
+        self._tick, resolution = plan.plant.tick, encoders.counts_per_revolution
         self._now = self.instant = 0.0
         """`instant` is the end of the plant's last tick, s."""
         self._frozen = False
         self._scale: list[float] = self.plant.plant.plant["encoder_scale"][0].tolist()
-        self._speed = self._speed_before = [0.0, 0.0, 0.0]
+        self._speed = [0.0, 0.0, 0.0]
+        self._acceleration = [0.0, 0.0, 0.0]
         self.readings = unpack_readings(plant.report["readings"])
         self.encoders = [
             EncoderNode(
@@ -178,9 +181,12 @@ class BenchNodes:
 
     def move(self, instant: float) -> None:
         """Advance the plant by one tick, which ends at `instant` (s)."""
+        contacts, before = self.plant.contacts, self._speed
         self.plant.move(instant)
-        self.instant = instant
-        self._speed_before, self._speed = self._speed, self.plant.state["speed"][0].tolist()
+        self.instant, self._speed = instant, self.plant.state["speed"][0].tolist()
+        # Over a blow the change of speed is no acceleration that lasts.
+        period = self._tick if self.plant.contacts == contacts else np.inf
+        self._acceleration = [(now - then) / period for now, then in zip(self._speed, before, strict=True)]
 
     def catch_up(self, grid: WallGrid, offset: float, now: float) -> None:
         """Advance the plant by the ticks of `grid` (later by `offset`, s) that are due at `now` (s)."""
@@ -221,9 +227,8 @@ class BenchNodes:
         if not self.readings.encoder_valid[joint]:
             return count
         limit = _MAX_EXTRAPOLATION
-        ahead = max(-limit, min(limit, self._now - self.instant)) + self._latency
-        speed, before = self._speed[joint], self._speed_before[joint]
-        turned = ahead * (speed + 0.5 * ahead * (speed - before) / self._tick)
+        ahead = max(-limit, min(limit, self._now - self.instant))
+        turned = ahead * (self._speed[joint] + 0.5 * ahead * self._acceleration[joint])
         return count + round(turned * self._scale[joint])
 
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from drivers.canopen.frames import SYNC, TPDO2
+from sim.live.exchange import PLANT_SURROUNDINGS
 from sim.nodes.process import BenchNodes
 from sim.nodes.wall_grid import WallGrid
+from sim.plant import PlantParameters
 from tests.drivers.canopen.in_step import nodes_plan
+from tests.sim.nodes.test_wall_plant import at_the_ball
 
 FALL, STALL = 0.25, 0.012
 """s until the arms fall fast, and s for which the process stands still then."""
@@ -47,3 +51,37 @@ def test_nodes_that_stood_still_answer_each_sync_as_of_its_time() -> None:
     in_time, late = counts_answered(0.0), counts_answered(STALL)
     assert np.abs(np.diff(in_time[-10:], axis=0)).max() > 20, "the arms move"
     assert np.array_equal(late, in_time)
+
+
+@pytest.mark.parametrize("after", [0.0001, 0.0009])
+def test_count_after_a_blow_goes_on_with_the_speed_after_it(after: float) -> None:
+    plant = PlantParameters()
+    plan = nodes_plan(replace(plant, encoders=replace(plant.encoders, latency=5e-4)))
+    counts: dict[int, int] = {}
+
+    def keep(identifier: int, data: bytes) -> None:
+        counts[identifier] = int.from_bytes(data, "little")
+
+    nodes = BenchNodes(plan, keep)
+    nodes.boot(0.0)
+    nodes.receive(0, bytes((1, 0)), 0.0)
+    around = np.zeros(1, PLANT_SURROUNDINGS)
+    for name in ("emergency_stop_clear", "guard_closed", "encoder_valid", "ball_handled", "ball_present"):
+        around[name] = 1
+    nodes.set_surroundings(around)
+    state = nodes.plant.state
+    # The head is at the ball within the second tick.
+    q, u = at_the_ball(plant, plant.site.ball_x - 0.048, plant.site.ball_y, speed=25.0)
+    state["angle"], state["speed"], state["history"] = q, u, q
+    while not nodes.plant.contacts:
+        nodes.move(nodes.instant + plant.tick)
+        nodes.update_report()
+        assert nodes.plant.ticks < 10
+    nodes.receive(SYNC, b"", nodes.instant + after)
+    answered = np.array([counts[TPDO2 + encoder.number] for encoder in nodes.encoders])
+    turned = state["angle"][0] + after * state["speed"][0]
+    expected = turned * nodes.plant.plant.plant["encoder_scale"][0] + plant.encoders.zero_count
+    assert np.abs(u - state["speed"][0]).max() > 1.0, "the blow changes the joints' speed"
+    one_turn = plant.encoders.counts_per_revolution
+    apart = (answered - expected + one_turn / 2) % one_turn - one_turn / 2
+    assert np.abs(apart).max() < 3

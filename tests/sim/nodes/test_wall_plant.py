@@ -148,7 +148,7 @@ def test_contacts_are_counted_and_told(plant: WallPlant) -> None:
     plant.set_surroundings(surroundings(ball_handled=1, ball_present=True))
     # The head just before the ball, on its way: what counts here is the telling.
     site = PLAN.plant.site
-    q, u = _at_the_ball(site.ball_x - 0.01, site.ball_y)
+    q, u = at_the_ball(PLAN.plant, site.ball_x - 0.01, site.ball_y)
     plant.state["angle"], plant.state["speed"], plant.state["history"] = q, u, q
     report = live(plant, 5)
     contact = contact_in(plant.report["contact"])
@@ -165,8 +165,11 @@ def test_contacts_are_counted_and_told(plant: WallPlant) -> None:
     assert {"struck", *(CONTACT.names or ())} <= set(plant.state.dtype.names or ())
 
 
-def _at_the_ball(x: float, y: float) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    robot = PLAN.plant.robot
+def at_the_ball(
+    plant: PlantParameters, x: float, y: float, speed: float = 8.0
+) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Return joint angles (rad) and speeds (rad/s) of a head at `x`, `y` (m), level at `speed` (m/s)."""
+    robot = plant.robot
     q = np.asarray(inverse_kinematics(robot, np.array([x, y, 1.5 * math.pi])))
     step = 1e-6
     jacobian = np.stack(
@@ -176,7 +179,7 @@ def _at_the_ball(x: float, y: float) -> tuple[np.ndarray[Any, Any], np.ndarray[A
         ],
         axis=1,
     )
-    return q, np.linalg.solve(jacobian, np.array([8.0, 0.0, 0.0]))
+    return q, np.linalg.solve(jacobian, np.array([speed, 0.0, 0.0]))
 
 
 @pytest.mark.parametrize("angle", [(0.0, math.nan, 0.0), (0.0, 1.0)])
