@@ -109,14 +109,14 @@ def fit_aerodynamics(
     Raises:
         ValueError: too few flights or observations, scatter of 0, or data that do not determine both factors.
     """
-    freedom = _freedom(flights, scatter)
+    dof = _dof(flights, scatter)
 
     def predict(factors: Array, launches: Sequence[Launch]) -> list[Array]:
         body = Ball(ball, mass, radius, drag_factor=float(factors[0]), lift_factor=float(factors[1]))
         return _predicted(flights, launches, body, model)
 
     factors, cost, whiteners = _solved(flights, predict, scatter)
-    chi_square = 2.0 * cost / freedom
+    chi_square = 2.0 * cost / dof
     covariance = _covariance(flights, factors, predict, whiteners, calibration, max(1.0, chi_square))
     errors = np.sqrt(np.diag(covariance))
     if not np.all(errors < _LARGEST_ERROR):
@@ -147,16 +147,16 @@ def fit_aerodynamics(
 _Predict: TypeAlias = Callable[[Array, Sequence[Launch]], list[Array]]
 
 
-def _freedom(flights: Sequence[MeasuredFlight], scatter: FlightUncertainty) -> int:
+def _dof(flights: Sequence[MeasuredFlight], scatter: FlightUncertainty) -> int:
     """Return the degrees of freedom of the fit; ValueError when data or scatter do not suffice."""
     if len(flights) < FEWEST_FLIGHTS:
         raise ValueError(f"{len(flights)} flights, expected at least {FEWEST_FLIGHTS}")
-    freedom = sum(len(flight.observed) for flight in flights) - 2
-    if freedom < 1:
+    dof = sum(len(flight.observed) for flight in flights) - 2
+    if dof < 1:
         raise ValueError("fewer than 3 observations of carry, apex, time or points")
     if any(not np.all(scatter.of_observations(flight) > 0.0) for flight in flights):
         raise ValueError("a scatter of 0: each observation needs a standard uncertainty above 0")
-    return freedom
+    return dof
 
 
 def _solved(

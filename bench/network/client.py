@@ -392,17 +392,17 @@ class BenchClient:
 
     # Verbs ---------------------------------------------------------------------------------------
 
-    def home(self, patience: float = SETTLING_TIMEOUT, watch: Watch | None = None) -> CommandAnswer:
+    def home(self, retry_timeout: float = SETTLING_TIMEOUT, watch: Watch | None = None) -> CommandAnswer:
         """Prove the encoders' zeros.
 
         While it is refused for what passes by itself (the robot sways or returns, chambers vent) it is asked
-        again for `patience` (s), here and in arm, swing, tee and reset; `watch` gets the states meanwhile.
+        again for `retry_timeout` (s), also in arm, swing, tee and reset; `watch` gets the states meanwhile.
         """
-        return self._ask_patiently(Verb.HOME, patience, watch)
+        return self._ask_again(Verb.HOME, retry_timeout, watch)
 
-    def arm(self, patience: float = SETTLING_TIMEOUT, watch: Watch | None = None) -> CommandAnswer:
+    def arm(self, retry_timeout: float = SETTLING_TIMEOUT, watch: Watch | None = None) -> CommandAnswer:
         """Warn, switch the air on, go to the address."""
-        return self._ask_patiently(Verb.ARM, patience, watch)
+        return self._ask_again(Verb.ARM, retry_timeout, watch)
 
     def disarm(self) -> CommandAnswer:
         """Disarm: vent if at rest, otherwise brake first; needs no lease."""
@@ -416,12 +416,12 @@ class BenchClient:
         """End the access: lock the guard."""
         return self._ask_keyed(Verb.SECURE)
 
-    def swing(self, patience: float = PRESSURE_TIMEOUT, watch: Watch | None = None) -> CommandAnswer:
+    def swing(self, retry_timeout: float = PRESSURE_TIMEOUT, watch: Watch | None = None) -> CommandAnswer:
         """Swing from the address, once the robot rests there and its air is as the profile plans it."""
-        return self._ask_patiently(Verb.SWING, patience, watch)
+        return self._ask_again(Verb.SWING, retry_timeout, watch)
 
     def swing_through(
-        self, *, patience: float = PRESSURE_TIMEOUT, timeout: float = 60.0, watch: Watch | None = None
+        self, *, retry_timeout: float = PRESSURE_TIMEOUT, timeout: float = 60.0, watch: Watch | None = None
     ) -> ShotPublication:
         """Swing, and return the shot within `timeout` s: once its record is stored and the ball is measured.
 
@@ -431,7 +431,7 @@ class BenchClient:
         before, stored, looked = self.status(), None, 0.0
         monitor = before["launch_monitor"]
         with self.shots() as following:
-            self.swing(patience, watch)
+            self.swing(retry_timeout, watch)
             end = time.monotonic() + timeout
             while (now := time.monotonic()) < end:
                 message = following()
@@ -453,13 +453,13 @@ class BenchClient:
         place, action = f"swing of bench {self.bench}", "Look at golfbench status: is the recorder running?"
         raise Refused(place, f"no record within {timeout:g} s", "the record of the swing", action)
 
-    def tee(self, patience: float = SETTLING_TIMEOUT) -> CommandAnswer:
+    def tee(self, retry_timeout: float = SETTLING_TIMEOUT) -> CommandAnswer:
         """Raise the next ball."""
-        return self._ask_patiently(Verb.TEE, patience, None)
+        return self._ask_again(Verb.TEE, retry_timeout, None)
 
-    def reset(self, patience: float = SETTLING_TIMEOUT) -> CommandAnswer:
+    def reset(self, retry_timeout: float = SETTLING_TIMEOUT) -> CommandAnswer:
         """Leave ESTOP or FAULT once the cause is cleared; never moves the robot."""
-        return self._ask_patiently(Verb.RESET, patience, None)
+        return self._ask_again(Verb.RESET, retry_timeout, None)
 
     def correct(self, profile: str, weights: Sequence[float]) -> CommandAnswer:
         """Apply the correction `weights` of the profile with digest `profile` to the coming swings.
@@ -491,9 +491,9 @@ class BenchClient:
             held.sequence += 1
             return self._ask(verb, key=held.key, sequence=held.sequence, **values)
 
-    def _ask_patiently(self, verb: Verb, patience: float, watch: Watch | None) -> CommandAnswer:
-        """Ask again while the bench refuses for what passes by itself, at most for `patience` (s)."""
-        end = time.monotonic() + patience
+    def _ask_again(self, verb: Verb, retry_timeout: float, watch: Watch | None) -> CommandAnswer:
+        """Ask again while the bench refuses for what passes by itself, at most for `retry_timeout` (s)."""
+        end = time.monotonic() + retry_timeout
         while True:
             try:
                 return self._ask_keyed(verb)

@@ -45,7 +45,7 @@ _QUEUE = 16
 """Batches (64 kB) of a link that wait to be sent; half a second of telemetry at 1 kHz, with zenoh's own 2 a
 stall of a busy machine costs messages."""
 
-_PATIENCE = 0.02
+_TIMEOUT = 0.02
 """s that the daemon's publication waits for room in a full queue; once in vain, the next ones to that peer do
 not wait, so a dead subscriber costs it once. A client may wait for `LONGEST_WAIT`. Without any wait, messages
 were lost whenever zenoh's threads stood still on a busy machine for longer than the queue lasts."""
@@ -134,10 +134,10 @@ def _configuration(
     connect: Sequence[str],
     listen: Sequence[str] = (),
 ) -> dict[str, Any]:
-    patience = round(1e6 * (_PATIENCE if listen else LONGEST_WAIT))
+    timeout = round(1e6 * (_TIMEOUT if listen else LONGEST_WAIT))
     # drop: a publication; block: a query or an answer waits this long for a stuck peer, then its link goes.
     congestion = {
-        "drop": {"wait_before_drop": patience, "max_wait_before_drop_fragments": patience},
+        "drop": {"wait_before_drop": timeout, "max_wait_before_drop_fragments": timeout},
         "block": {"wait_before_close": round(1e6 * LONGEST_WAIT)},
     }
     link: dict[str, Any] = {

@@ -186,7 +186,7 @@ def _charts(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
             "shots": list(chart.shots),
             "values": list(chart.values),
             "centre": chart.centre,
-            "deviation": chart.deviation,
+            "sd": chart.sd,
             "signals": sorted({shot for signal in chart.signals for shot in signal.shots}),
         }
         for chart in control_charts(plan, mine)

@@ -17,7 +17,7 @@ from bench.base.errors import Refused
 from bench.network.client import BenchClient
 from bench.network.command import CommandAnswer
 
-PATIENCE = 2.0
+TIMEOUT = 2.0
 """s for which a command is asked again while the bench refuses for a reason that passes by itself.
 
 Shorter than at the command line, which waits in front of the operator: nothing may move long after a click.
@@ -37,11 +37,11 @@ class PageCommand(NamedTuple):
 
 
 COMMANDS: Mapping[str, PageCommand] = {
-    "reset": PageCommand(lambda bench: bench.reset(PATIENCE), True),
-    "home": PageCommand(lambda bench: bench.home(PATIENCE), True),
-    "arm": PageCommand(lambda bench: bench.arm(PATIENCE), True),
+    "reset": PageCommand(lambda bench: bench.reset(TIMEOUT), True),
+    "home": PageCommand(lambda bench: bench.home(TIMEOUT), True),
+    "arm": PageCommand(lambda bench: bench.arm(TIMEOUT), True),
     "disarm": PageCommand(lambda bench: bench.disarm(), False),
-    "swing": PageCommand(lambda bench: bench.swing(PATIENCE), True),
+    "swing": PageCommand(lambda bench: bench.swing(TIMEOUT), True),
     "tee": PageCommand(lambda bench: bench.tee(), True),
     "access": PageCommand(lambda bench: bench.access(), True),
     "secure": PageCommand(lambda bench: bench.secure(), True),

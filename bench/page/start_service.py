@@ -178,7 +178,7 @@ class StartService:
         given = [f"--compare={compared}"]
         for key in ("ball", "club", "swing"):
             given += _chosen(asked.body, key)
-        lengths = [f"--{key}={asked.number(key)!r}" for key in ("difference", "deviation")]
+        lengths = [f"--{key}={asked.number(key)!r}" for key in ("difference", "sd")]
         with TemporaryDirectory() as tried:
             save = asked.body.get("save") is True
             if save:

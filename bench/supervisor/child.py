@@ -162,12 +162,12 @@ class Child:
             error.exit_code = ExitCode(event.get("exit_code", ExitCode.DEVICE))
         return error
 
-    def end(self, patience: float) -> None:
-        """Terminate it, wait up to `patience` (s), then kill it; allowed when it has ended."""
+    def end(self, timeout: float) -> None:
+        """Terminate it, wait up to `timeout` (s), then kill it; allowed when it has ended."""
         with suppress(ProcessLookupError):
             self.process.terminate()
         with suppress(subprocess.TimeoutExpired):
-            self.process.wait(patience)
+            self.process.wait(timeout)
         self.kill()
 
     def kill(self) -> None:
@@ -189,7 +189,7 @@ _FROZEN = 12.0
 """Heartbeat time-out after which a process is killed and restarted, s."""
 _PAUSE = 1.0
 """Delay before a restart, s."""
-_PATIENCE = 12.0
+_TIMEOUT = 12.0
 """Time a process may take to end and store its data, s."""
 
 
@@ -281,6 +281,6 @@ class ManagedProcess:
         """Stop it after it has stored its data. May be called twice."""
         self.stop_restarting()
         if self.child is not None:
-            self.child.end(_PATIENCE)
+            self.child.end(_TIMEOUT)
             self.child = None
         self._shared.close()

@@ -113,7 +113,7 @@ class RecorderPlan:
     """Min free disk space (bytes) for arming."""
     silence: float = 1.0
     """Time without a cycle after which the current record ends, s."""
-    patience: float = 10.0
+    timeout: float = 10.0
     """Time for which an end waits for the current swing, s."""
 
 
@@ -397,7 +397,7 @@ def main() -> int:
         if recorder.turn(now, time.time(), ending=ending):
             continue
         if ending:
-            last = last or now + plan.patience
+            last = last or now + plan.timeout
             # A loop whose supervisor is gone stops the robot by itself; that is worth a record.
             if now > last or not (recorder.moving if parent.gone else recorder.worth_waiting):
                 break

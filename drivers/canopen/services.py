@@ -93,7 +93,7 @@ class Node:
             ServiceError: the node refuses or does not answer.
         """
         try:
-            with self._client.patience(None):
+            with self._client.time_limit(None):
                 return bytes(self._client.upload(index, subindex))
         except (SdoAbortedError, SdoCommunicationError, struct.error, OSError) as error:
             raise self._failure("read", index, subindex, name, error) from error
@@ -120,7 +120,7 @@ class Node:
             ServiceError: the node refuses or does not answer.
         """
         try:
-            with self._client.patience(timeout):
+            with self._client.time_limit(timeout):
                 self._client.download(index, subindex, value.to_bytes(size, "little"))
         except (SdoAbortedError, SdoCommunicationError, struct.error, OSError) as error:
             raise self._failure(f"set to {value:#x}", index, subindex, name, error) from error
@@ -206,7 +206,7 @@ class _PolledClient(SdoClient):
         """The last request, and index and sub-index of its dialogue."""
 
     @contextmanager
-    def patience(self, timeout: float | None) -> Iterator[None]:
+    def time_limit(self, timeout: float | None) -> Iterator[None]:
         """Begin a dialogue with up to `timeout` (s) for each response; None for the usual time."""
         usual, self._left = self._timeout, _MAX_RESPONSES
         self._timeout = usual if timeout is None else timeout

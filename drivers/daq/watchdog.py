@@ -40,7 +40,7 @@ def error_text(error: BaseException) -> str:
 
 VOLTAGE_TOLERANCE = 0.02
 """Tolerance of a fallback voltage read back, V: one step at 10 bits."""
-_PATIENCE = 0.5
+_MARGIN = 0.5
 """Tolerated delay of the watchdog in its test, s."""
 _POLL = 0.002
 """Polling period in the test, s."""
@@ -114,11 +114,11 @@ class CardWatchdog:
             DriverError: it does not trip.
         """
         self._task.start()
-        end = clock() + self._timeout + _PATIENCE
+        end = clock() + self._timeout + _MARGIN
         while not self._task.expired:
             if clock() > end:
                 raise DriverError(
-                    f"daq: watchdog: not tripped after {self._timeout + _PATIENCE:g} s of silence, "
+                    f"daq: watchdog: not tripped after {self._timeout + _MARGIN:g} s of silence, "
                     f"expected it to trip after {self._timeout:g} s; use another card or fit an external "
                     "watchdog relay"
                 )
@@ -139,7 +139,7 @@ class CardWatchdog:
 
     def await_strike(self, clock: Callable[[], float], sleep: Callable[[float], None]) -> None:
         """Wait until a running watchdog has tripped: used when the outputs cannot be set passive."""
-        end = clock() + self._timeout + _PATIENCE
+        end = clock() + self._timeout + _MARGIN
         while self.running and not self._task.expired and clock() < end:
             sleep(_POLL)
 

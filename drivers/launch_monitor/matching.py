@@ -27,7 +27,7 @@ class MatchWindow:
 
     latest: Annotated[float, Above(0.0), AtMost(60.0)] = 8.0
     """End of the window after the impact, s; the slowest monitors process images for some seconds."""
-    patience: Annotated[float, Above(0.0), AtMost(120.0)] = 15.0
+    timeout: Annotated[float, Above(0.0), AtMost(120.0)] = 15.0
     """Time for which a launch waits for its swing, s; a swing is reported when the robot stands again."""
 
 
@@ -99,7 +99,7 @@ def match(
 
     A launch belongs to the last swing before it, if that swing's window contains it. A swing is settled at
     the end of its window (`latest` after its impact, or at the next swing's window), so that doubles are
-    detected; a launch without a swing after `patience`. Ties in time keep the given order.
+    detected; a launch without a swing after `timeout`. Ties in time keep the given order.
 
     Raises:
         ValueError: two swings have the same id.
@@ -114,7 +114,7 @@ def match(
         owner = owner_of(launch.time, ordered, window)
         if owner is not None:
             of_swing[owner.shot].append(launch)
-        elif now - launch.time > window.patience:
+        elif now - launch.time > window.timeout:
             decided.append(Match(MatchOutcome.NO_SWING, "", launch))
         else:
             open_launches.append(launch)

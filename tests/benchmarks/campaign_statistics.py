@@ -37,7 +37,7 @@ FIRST = 180.0
 class Truth:
     """What is true of a campaign, in metres of carry."""
 
-    deviation: float = 2.0
+    sd: float = 2.0
     difference: float = 0.0
     """Between the first level and all others."""
     block: float = 1.5
@@ -66,7 +66,7 @@ def campaign_shots(plan: CampaignPlan, truth: Truth, seed: int) -> list[Shot]:
                 hits[level] = hits.get(level, -1) + 1
                 sample = hits[level] % plan.ball_handling.samples
                 carry = FIRST + effect + own[code, sample] + truth.drift * len(shots)
-                carry += truth.deviation * random.normal() - (truth.difference if code else 0.0)
+                carry += truth.sd * random.normal() - (truth.difference if code else 0.0)
                 shots.append(
                     Shot(
                         len(shots) + 1,

@@ -106,7 +106,7 @@ def read_histogram(output: str) -> Latencies:
 
 START = 180.0
 """s that compiling may take."""
-PATIENCE = 120.0
+TIMEOUT = 120.0
 """s in which the robot should be at its address."""
 PLANT_RATE = 4000.0
 """Hz of the plant's internal steps at the shipped 1 kHz; kept at higher rates."""
@@ -162,12 +162,12 @@ class RunningLoop:
         """Take turns until the first swing.
 
         Raises:
-            RuntimeError: there is none within PATIENCE.
+            RuntimeError: there is none within TIMEOUT.
         """
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT
         while self.turn() is not State.SWINGING:
             if time.monotonic() > end:
-                raise RuntimeError(f"no swing within {PATIENCE:g} s; the bench is in {self._state.name}")
+                raise RuntimeError(f"no swing within {TIMEOUT:g} s; the bench is in {self._state.name}")
             time.sleep(_TURN)
 
 

@@ -63,7 +63,7 @@ _PAGE_VISIT = 300
 """States after which the reader of the page opens it again."""
 _ATTEMPTS = 20
 """Attempts to take the lease, five seconds apart."""
-_PATIENCE = 900.0
+_TIMEOUT = 900.0
 """s that a campaign of sixteen shots may take."""
 
 
@@ -304,10 +304,10 @@ class Course:
         command = [sys.executable, "-m", "bench", "--config", str(self._file), "campaign", "run", "two-balls"]
         try:
             done = subprocess.run(
-                command, capture_output=True, text=True, env=self._environment, timeout=_PATIENCE, check=False
+                command, capture_output=True, text=True, env=self._environment, timeout=_TIMEOUT, check=False
             )
         except subprocess.TimeoutExpired:
-            self.campaigns.append(f"no end within {_PATIENCE:g} s")
+            self.campaigns.append(f"no end within {_TIMEOUT:g} s")
             return
         self.campaigns.append("" if done.returncode == 0 else f"{done.returncode}: {done.stderr[-300:]}")
 

@@ -29,7 +29,7 @@ _APPEND = (
 )
 _LOOK = 0.02
 """s between two looks at what the guest asks for."""
-_PATIENCE = 10.0
+_TIMEOUT = 10.0
 """s that the monitor is tried for."""
 _MONITOR, _ASKED = "monitor", "asked"
 """Names of the files of QEMU's control socket and of the guest's second serial port."""
@@ -138,7 +138,7 @@ def _serve(machine: subprocess.Popen[bytes], path: Path, asked: Path, deadline: 
 
 
 def _connect(connection: socket.socket, machine: subprocess.Popen[bytes], path: Path) -> None:
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _TIMEOUT
     while _runs(machine):
         try:
             connection.connect(str(path))
@@ -163,7 +163,7 @@ class _Monitor:
 
     def put(self, card: str) -> None:
         """Put it back; its place is free only after the guest has let go."""
-        deadline = time.monotonic() + _PATIENCE
+        deadline = time.monotonic() + _TIMEOUT
         card_there = {"driver": "kvaser_pci", "canbus": "wire", "id": card, "addr": CARDS[card]}
         while "error" in self._ask("device_add", **card_there) and time.monotonic() < deadline:
             time.sleep(_LOOK)

@@ -189,14 +189,14 @@ class Analysis:
     hardware."""
     expected_sd: Annotated[float, Range(0.0, 1e6, "")]
     """Expected standard deviation of one shot, unit of the quantity; 0: unknown, no power is predicted."""
-    ball_deviation: Annotated[float, Range(0.0, 1e6, "")]
+    ball_sd: Annotated[float, Range(0.0, 1e6, "")]
     """Expected standard deviation between balls of one model, in the same unit; 0: one ball is as another."""
-    mounting_deviation: Annotated[float, Range(0.0, 1e6, "")]
+    mounting_sd: Annotated[float, Range(0.0, 1e6, "")]
     """Expected standard deviation between mountings of one club, in the same unit."""
     covariates: tuple[Delivered, ...]
     """Figures of the delivery by which a ball's result is corrected, fixed before the first shot."""
     expected_r_squared: Annotated[float, Range(0.0, 0.9999, "")]
-    """Expected share of `deviation` squared that the covariates explain."""
+    """Expected share of `sd` squared that the covariates explain."""
     target_difference: Annotated[float, Range(1e-9, 1e6, "")]
     """Difference worth finding."""
     equivalence_margin: Annotated[float, Range(0.0, 1e6, "")]
@@ -280,7 +280,7 @@ class StatedCalibration:
         default_factory=dict, metadata={"optional": True}
     )
     """Quantity -> standard uncertainty, one of `STATED`; SI, angles in degrees."""
-    freedom: Annotated[float, Range(0.0, 1e6, "")] = field(default=0.0, metadata={"optional": True})
+    dof: Annotated[float, Range(0.0, 1e6, "")] = field(default=0.0, metadata={"optional": True})
     """Its degrees of freedom; 0: infinite."""
 
 

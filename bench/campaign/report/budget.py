@@ -60,7 +60,7 @@ class BudgetLine:
     """Derivative of the quantity by the input."""
     contribution: float
     """Standard uncertainty of the quantity, its unit."""
-    freedom: float
+    dof: float
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class UncertaintyBudget:
     type_a: float
     type_b: float
     combined: float
-    freedom: float
+    dof: float
     """Effective degrees of freedom."""
     coverage: float
     expanded: float | None
@@ -87,7 +87,7 @@ class UncertaintyBudget:
 
 class _Stated(NamedTuple):
     uncertainty: float
-    freedom: float
+    dof: float
     source: str
 
 
@@ -119,10 +119,8 @@ def _budget(
 ) -> UncertaintyBudget:
     values = np.array([getattr(shot, column) for shot in shots], dtype=float)
     codes = np.unique(independent_codes(plan, shots), return_inverse=True)[1]
-    error, freedom = mean_error(values, codes)
-    a = BudgetLine(
-        "scatter of the series", "A", f"{len(shots)} valid shots", column, error, 1.0, error, freedom
-    )
+    error, dof = mean_error(values, codes)
+    a = BudgetLine("scatter of the series", "A", f"{len(shots)} valid shots", column, error, 1.0, error, dof)
     lines, missing = [a], ""
     if not simulated:
         found = list(_type_b(plan, shots, column, calibrations))
@@ -130,7 +128,7 @@ def _budget(
         missing = ", ".join(dict.fromkeys(word for word in found if isinstance(word, str)))
     type_b = sqrt(sum(line.contribution**2 for line in lines if line.kind == "B"))
     combined = sqrt(error**2 + type_b**2)
-    spread = sum(line.contribution**4 / line.freedom for line in lines if line.contribution)
+    spread = sum(line.contribution**4 / line.dof for line in lines if line.contribution)
     effective = combined**4 / spread if spread else inf
     coverage = float(stats.t.ppf((1 + COVERAGE) / 2, effective))
     return UncertaintyBudget(
@@ -170,8 +168,8 @@ def _type_b(
         return
     if not (stated := _stated(plan, quantity)):
         yield f"no calibration states {quantity}"
-    for u, freedom, source in stated:
-        yield BudgetLine("instrument", "B", source, column, u, 1.0, u, freedom)
+    for u, dof, source in stated:
+        yield BudgetLine("instrument", "B", source, column, u, 1.0, u, dof)
 
 
 def _stated(plan: CampaignPlan, quantity: str) -> list[_Stated]:
@@ -179,7 +177,7 @@ def _stated(plan: CampaignPlan, quantity: str) -> list[_Stated]:
     if quantity in plan.rules.uncertainty:
         return [_Stated(plan.rules.uncertainty[quantity], inf, "the plan's [rules.uncertainty]")]
     return [
-        _Stated(one.uncertainty[quantity], one.freedom or inf, calibration_words(one))
+        _Stated(one.uncertainty[quantity], one.dof or inf, calibration_words(one))
         for one in plan.calibrations.values()
         if quantity in one.uncertainty
     ]
@@ -227,8 +225,8 @@ def _flown(plan: CampaignPlan, shots: Sequence[Shot]) -> Iterator[BudgetLine | s
         stated = _stated(plan, name)
         if not stated and name != "relative_humidity":
             yield f"no calibration states {name}"
-        for u, freedom, source in stated:
-            yield BudgetLine(_INPUTS[name], "B", source, name, u, slope, u * abs(slope), freedom)
+        for u, dof, source in stated:
+            yield BudgetLine(_INPUTS[name], "B", source, name, u, slope, u * abs(slope), dof)
 
 
 def flight_slopes(shots: Sequence[Shot]) -> dict[str, float]:

@@ -393,9 +393,9 @@ def _levels(
         if s.n >= 2:
             reach = [[unit.of(s.mean) - unit.of(s.low)], [unit.of(s.high) - unit.of(s.mean)]]
             result.errorbar([unit.of(s.mean)], [index], xerr=reach, **bar)
-            sides = [[s.deviation - s.deviation_low], [s.deviation_high - s.deviation]]
+            sides = [[s.sd - s.sd_low], [s.sd_high - s.sd]]
             scatter.errorbar(
-                [s.deviation / unit.size],
+                [s.sd / unit.size],
                 [index],
                 xerr=np.array(sides) / unit.size,
                 **bar | {"marker": style["marker"], "markersize": 4, "color": style["color"]},
@@ -514,7 +514,7 @@ def _control(views: SectionViews, units: UnitSystem, picture: str) -> Picture:
     for axes, chart in zip(grid.ravel(), charts, strict=True):
         unit, many = display_unit(chart.column, units), len(chart.values) > _MANY
         values = unit.of(np.array(chart.values))
-        centre, step = unit.of(chart.centre), chart.deviation / unit.size
+        centre, step = unit.of(chart.centre), chart.sd / unit.size
         for times, line in ((1, (0, (1, 3))), (2, (0, (4, 3))), (3, "solid")):
             for sign in (-1, 1):
                 colour = _RED if times == 3 else _GREY

@@ -105,7 +105,7 @@ class _Mean(NamedTuple):
 
     value: float
     error: float
-    freedom: float
+    dof: float
     balls: int
     coefficients: float
     """Standard uncertainty from measured aerodynamics."""
@@ -162,8 +162,8 @@ def _finding(
         controls = [s for s in shots if s.role == Role.CONTROL and s.status is ShotStatus.VALID]
         _require_set_up(rule, plan.set_up, controls, units)
         _require_source(rule, [shot for group in groups.values() for shot in group])
-        error, freedom = _combined(plan, rule, list(means.values()))
-        coverage = float(stats.t.ppf((1 + COVERAGE) / 2, freedom))
+        error, dof = _combined(plan, rule, list(means.values()))
+        coverage = float(stats.t.ppf((1 + COVERAGE) / 2, dof))
         uncertainty = coverage * error / rule.scale
         decision = decide_by_limit(value, uncertainty, rule.at_most / rule.scale)
         reason = _reservation(rule, day, means)
@@ -280,7 +280,7 @@ def _combined(plan: CampaignPlan, rule: RuleSet, means: Sequence[_Mean]) -> tupl
     if stated is None:
         where = "rules.uncertainty or calibrations in the plan"
         raise _Unjudged(f"the uncertainty of {rule.quantity} is not stated ({where})")
-    scatter = sum(mean.error**4 / mean.freedom for mean in means)
+    scatter = sum(mean.error**4 / mean.dof for mean in means)
     error = hypot(stated, *(mean.error for mean in means), *(mean.coefficients for mean in means))
     return error, error**4 / scatter if scatter else inf
 

@@ -298,7 +298,7 @@ def _behind(pairs: Sequence[Pair], name: str, first: str) -> tuple[float, float,
     return (pair.difference, pair.low_together, pair.high_together) if pair else (float("nan"),) * 3
 
 
-SCHEMA = 3
+SCHEMA = 4
 """Version of the JSON."""
 
 
@@ -400,7 +400,7 @@ def _needed(plan: CampaignPlan, analysis: SectionAnalysis) -> tuple[SeriesSize |
     comparison = analysis.confirmatory
     if comparison is None or not comparison.pairs:
         return None, None
-    return series_needed(plan, comparison.deviation, comparison.ball_deviation or 0.0)
+    return series_needed(plan, comparison.sd, comparison.ball_sd or 0.0)
 
 
 def findings_record(found: Findings) -> dict[str, Any]:
@@ -445,7 +445,7 @@ def _views_record(views: SectionViews) -> dict[str, Any]:
             "column": chart.column,
             "values": len(chart.values),
             "centre": chart.centre,
-            "deviation": chart.deviation,
+            "sd": chart.sd,
             "signals": {str(signal.rule): list(signal.shots) for signal in chart.signals},
         }
         for chart in views.control_charts

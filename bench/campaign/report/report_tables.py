@@ -182,7 +182,7 @@ def particulars(record: CampaignRecord, digest: str) -> list[tuple[str, str]]:
         ("Tested", tested),
         ("Sampling", report.sampling or NOT_STATED),
         ("Decision rule", DECISION_RULE if plan.rules.apply else "none: no statement of conformity is made"),
-        ("Deviations", _deviations(record)),
+        ("Deviations", _sds(record)),
         ("Digest of plan and data (SHA-256)", digest),
     ]
 
@@ -191,7 +191,7 @@ def _joined(*parts: str) -> str:
     return ", ".join(filter(None, parts)) or NOT_STATED
 
 
-def _deviations(record: CampaignRecord) -> str:
+def _sds(record: CampaignRecord) -> str:
     """Return the stated deviations, and where the others stand."""
     stated = list(record.plan.report.deviations)
     excluded = sum(shot.status is not ShotStatus.VALID for shot in record.shots)

@@ -122,19 +122,19 @@ def _one_level(plan: CampaignPlan, analysis: SectionAnalysis, unit: DisplayUnit)
     whose = f"with {s.balls} balls" if s.balls > 1 else "with one ball, for which it holds"
     detail = (
         f"{levels_} % interval of the mean {of(s.low):.2f} to {of(s.high):.2f}, of the standard deviation "
-        f"{of(s.deviation_low):.2f} to {of(s.deviation_high):.2f} {unit.unit}; {s.n} valid shots {whose}."
+        f"{of(s.sd_low):.2f} to {of(s.sd_high):.2f} {unit.unit}; {s.n} valid shots {whose}."
     )
     if len(analysis.values) > 2:
         found = successive_scatter(np.array(analysis.values), plan.analysis.confidence)
-        low, high, limit = of(found.low), of(found.high), _LIMIT * of(found.deviation)
+        low, high, limit = of(found.low), of(found.high), _LIMIT * of(found.sd)
         detail += (
-            f" Repeatability from shot to shot: standard deviation {of(found.deviation):.3f} {unit.unit} "
+            f" Repeatability from shot to shot: standard deviation {of(found.sd):.3f} {unit.unit} "
             f"({levels_} % interval {low:.3f} to {high:.3f}); two successive shots differ by less than "
             f"{limit:.3f} {unit.unit} 95 times in 100 (repeatability limit, ISO 5725-6)."
         )
     return Verdict(
         True,
-        f"{level.name}: {name} {of(s.mean):.2f} {unit.unit}, one shot scatters by {of(s.deviation):.2f} "
+        f"{level.name}: {name} {of(s.mean):.2f} {unit.unit}, one shot scatters by {of(s.sd):.2f} "
         f"{unit.unit}.",
         f"{detail} One level only: nothing is compared.",
     )
@@ -237,12 +237,12 @@ def _pair(
     unit: DisplayUnit,
 ) -> Verdict:
     a, name, of = plan.analysis, quantity_name(plan), unit.of
-    between = comparison.ball_deviation
+    between = comparison.ball_sd
     seen = (
         f"Difference {pair.first} − {pair.second}: {_signed(of(pair.difference))} {unit.unit}, "
         f"{confidence_words(comparison.confidence)} % interval {_signed(of(pair.low))} to "
         f"{_signed(of(pair.high))} {unit.unit}. {_size(plan, [pair])} One shot scatters by "
-        f"{of(comparison.deviation):.2f} {unit.unit} (SD)"
+        f"{of(comparison.sd):.2f} {unit.unit} (SD)"
     )
     groups = "mountings of one club" if plan.split else "balls of one model"
     seen += "" if between is None else f", {groups} by {of(between):.2f} {unit.unit}"
@@ -291,8 +291,8 @@ def _covariate_words(
 ) -> str:
     names = ", ".join(COVARIATES[name] for name in found.names)
     words = f"Corrected by {names}, as planned: it explains {100 * found.share:.0f} % of a shot's variance"
-    plain = comparison.deviation / sqrt(max(1 - found.share, 1e-6))
-    without, _ = series_needed(plan, plain, comparison.ball_deviation or 0.0)
+    plain = comparison.sd / sqrt(max(1 - found.share, 1e-6))
+    without, _ = series_needed(plan, plain, comparison.ball_sd or 0.0)
     if needed is not None and without is not None:
         words += (
             f"; without it {without.shots} valid shots of each, not {needed.shots}, would be needed for "
@@ -322,10 +322,10 @@ def robot_words(delivered: Mapping[tuple[str, str], Sequence[Repeatability]]) ->
         speed = next((f for f in figures if f.column == "club_speed_mps" and f.n > 1), None)
         if speed is not None:
             where = f" with {club}, {swing}" if len(delivered) > 1 else ""
-            deviation = speed.overall.deviation
+            sd = speed.overall.sd
             words.append(
                 f"The robot delivered {speed.mean:.2f} m/s ({speed.mean / MPH:.1f} mph) of club speed{where} "
-                f"with a standard deviation of {deviation:.3f} m/s ({100 * deviation / speed.mean:.2f} %) "
+                f"with a standard deviation of {sd:.3f} m/s ({100 * sd / speed.mean:.2f} %) "
                 f"over {speed.n} valid shots."
             )
     return " ".join(words) or "Fewer than two valid shots: the robot's repeatability is not known."

@@ -215,7 +215,7 @@ class LiveShots:
         if pressure >= least:
             return None
         text = f"supply {pressure / 1e5:.2f} bar absolute, at least {least / 1e5:.2f} for {profile.name}"
-        return BlockingCondition(text, armed=True, patience=supply.timeout)
+        return BlockingCondition(text, armed=True, timeout=supply.timeout)
 
     def rest(self) -> None:
         """Disarm: vent the robot."""

@@ -253,7 +253,7 @@ class CompositeWatcher(Watcher):
 
 WAITS = (0.0, 3.0, 15.0, 60.0)
 """Times before the attempts at a notification, s."""
-LAST_PATIENCE = 10.0
+LAST_TIMEOUT = 10.0
 """Max time for notifications that are still on their way at the end of a run, s."""
 _MOST = 50
 """Max number of waiting notifications; a newer one is dropped."""
@@ -339,10 +339,10 @@ class Notifier(Watcher):
             with suppress(Full):
                 self._queue.put_nowait((title, f"{reason or self._entry.title}\ncampaign {self._entry.id}"))
 
-    def close(self, patience: float = LAST_PATIENCE) -> None:
-        """Wait up to `patience` (s) for what is on its way, then give it up."""
+    def close(self, timeout: float = LAST_TIMEOUT) -> None:
+        """Wait up to `timeout` (s) for what is on its way, then give it up."""
         self._closing.set()
-        self._thread.join(patience)
+        self._thread.join(timeout)
         if self._thread.is_alive():
             self._say("Notifications were still on their way at the end; they are given up.")
 

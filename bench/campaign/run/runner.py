@@ -40,7 +40,7 @@ _LOOK = 0.2
 """Polling interval of the database while paused, s."""
 _SETTLED = 3.0
 """Time without hindrance before a suspended campaign continues by itself, s."""
-_DATABASE_PATIENCE = 120.0
+_DATABASE_TIMEOUT = 120.0
 """Max time to wait for a database that another process holds, s."""
 _MAX_RESTARTS = 2
 """Max number of restarts of one block: one whose work by hand always takes long must end, too."""
@@ -56,7 +56,7 @@ class BlockingCondition(NamedTuple):
     text: str
     armed: bool = False
     """Whether only an armed bench, resting at its address, sees it pass."""
-    patience: float = inf
+    timeout: float = inf
     """Max waiting time, s; then a person is needed."""
 
 
@@ -286,7 +286,7 @@ class Runner:
         if not self._locked_for:
             self._watcher.say(f"The database is {trouble.state}: waiting for it.")
         self._locked_for, self._locked_as = trouble.waited, trouble.state
-        if trouble.waited > _DATABASE_PATIENCE or self._interrupted():
+        if trouble.waited > _DATABASE_TIMEOUT or self._interrupted():
             self._store.waiting = None  # what follows tries once
             raise trouble
 
@@ -561,7 +561,7 @@ class Runner:
                 return
             if found := self._source.hindrance(step):
                 free_since = now
-                if now - began > found.patience:
+                if now - began > found.timeout:
                     self._source.rest()
                     yield CampaignState.SUSPENDED, f"{found.text}, for {now - began:.0f} s now"
                     return

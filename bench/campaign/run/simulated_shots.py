@@ -65,7 +65,7 @@ def hear(
     talk, records = Conversation(0.0), list[LaunchRecord]()
     for delay, message in monitor_messages(launch, number, parameters, carry=carry):
         records += talk.receive(message, delay).records
-    late = window.latest + window.patience
+    late = window.latest + window.timeout
     swing = SwingImpact(str(number), 0.0)
     found: Match = next(
         one for one in match([swing], records, late + 1.0, window).decided if one.shot == swing.shot

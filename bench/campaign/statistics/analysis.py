@@ -72,9 +72,9 @@ class Spread(NamedTuple):
     mean: float
     low: float
     high: float
-    deviation: float
-    deviation_low: float
-    deviation_high: float
+    sd: float
+    sd_low: float
+    sd_high: float
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Pair:
     second: str
     difference: float
     error: float
-    freedom: float
+    dof: float
     low: float
     high: float
     """Interval of this pair alone, at the comparison's `confidence`."""
@@ -155,12 +155,12 @@ class Comparison:
     method: str
     confidence: float
     """True level of each pair's interval: that of this look."""
-    deviation: float
+    sd: float
     """Standard deviation of one shot, other effects and that between balls removed."""
-    ball_deviation: float | None
+    ball_sd: float | None
     """Between balls of one model, the levels' mean; None if no ball was hit twice. In a split-plot: between
     mountings of one club."""
-    freedom: float
+    dof: float
     """Of the residuals; each pair has its own."""
     single: float
     """Error level of one pair."""
@@ -323,7 +323,7 @@ def _compared(
     fit = data.fit(count)
     kept = _Fit(fit, data.shots)
     units = units_of(data.level, data.ball, count)
-    if fit.freedom < 1 or (plan.split and not enough_mountings(data.level, data.block, count)):
+    if fit.dof < 1 or (plan.split and not enough_mountings(data.level, data.block, count)):
         return None, kept
     pooled = plan.split and are_pooled(units.balls)
     errors = UnitLayout(fit, units, pooled=pooled).estimate(fit.residuals)
@@ -336,20 +336,20 @@ def _compared(
             found.append((one, two, contrast.widened(*(common.get(names[n], 0.0) for n in (one, two)))))
     if not found and len(names) > 1:
         return None, kept
-    joint = together(errors, [(one, two) for one, two, _ in found], fit.freedom)
+    joint = together(errors, [(one, two) for one, two, _ in found], fit.dof)
     described = [_described(plan, names, pair, hits, units.balls) for pair in found]
     slope = slope_error = None
     if controls:
         slope = float(fit.effects[count])
-        slope_error = fit.deviation * sqrt(max(float(fit.inverse[count - 1, count - 1]), 0.0))
-    deviation, between = _deviations(errors, units.balls, hits, fit, len(names))
+        slope_error = fit.sd * sqrt(max(float(fit.inverse[count - 1, count - 1]), 0.0))
+    sd, between = _sds(errors, units.balls, hits, fit, len(names))
     return (
         Comparison(
             method,
             1 - alpha,
-            deviation,
+            sd,
             between,
-            fit.freedom,
+            fit.dof,
             joint.single(alpha),
             _judged(plan, described, joint, alpha),
             slope,
@@ -361,15 +361,15 @@ def _compared(
     )
 
 
-def _deviations(
+def _sds(
     errors: UnitErrors, balls: Codes, hits: Codes, fit: BlockFit, count: int
 ) -> tuple[float, float | None]:
     """Return the standard deviations of one shot and between balls, means of the compared levels."""
     again = balls[:count] < hits[:count]
     if not (again & (balls[:count] > 1)).any():
-        return fit.deviation, None
+        return fit.sd, None
     if not errors.ratio:  # balls' sums that scatter less than their hits by chance say little of one shot
-        return fit.deviation, 0.0
+        return fit.sd, 0.0
     variance = float(np.average(errors.variances[:count], weights=np.maximum(hits[:count], 1e-9)))
     return sqrt(max(variance, 0.0)), sqrt(max(variance * errors.ratio, 0.0))
 
@@ -379,7 +379,7 @@ def _explained(plan: CampaignPlan, data: _Data, fit: BlockFit, count: int) -> Co
     if data.delivery is None:
         return None
     without = fit_blocks(data.y, data.level, data.block, count, data.time)
-    share = 1 - (fit.deviation / without.deviation) ** 2 if without.deviation else 0.0
+    share = 1 - (fit.sd / without.sd) ** 2 if without.sd else 0.0
     slopes = fit.effects[len(fit.effects) - len(plan.analysis.covariates) :]
     return Covariates(plan.analysis.covariates, tuple(map(float, slopes)), max(share, 0.0), data.missing)
 
@@ -421,10 +421,10 @@ def _judged(
     for pair, equal in zip(found, same, strict=True):
         c = pair.contrast
         adjusted = joint.adjusted(c.p)
-        power = power_of_shift(a.target_difference / c.error, c.freedom, single) if c.error else 1.0
+        power = power_of_shift(a.target_difference / c.error, c.dof, single) if c.error else 1.0
         enough = power >= a.power and (
             not a.equivalence_margin
-            or same_power_of_error(a.equivalence_margin, c.error, c.freedom, alpha / len(found)) >= a.power
+            or same_power_of_error(a.equivalence_margin, c.error, c.dof, alpha / len(found)) >= a.power
         )
         pairs.append(
             Pair(
@@ -432,7 +432,7 @@ def _judged(
                 pair.second,
                 c.estimate,
                 c.error,
-                c.freedom,
+                c.dof,
                 *c.interval(1 - alpha),
                 *c.interval(1 - single),
                 c.p,
@@ -470,15 +470,15 @@ def spread(values: Array, ball: Codes | None = None, confidence: float = 0.95) -
     mean, error = float(values.mean()), mean_error(values, codes)
     grouped = codes if 1 < balls < n else np.zeros(n, int)
     whole = variance_components(values, grouped, confidence)[1]
-    half = float(special.stdtrit(error.freedom, (1 + confidence) / 2)) * error.error
-    return Spread(n, balls, mean, mean - half, mean + half, whole.deviation, whole.low, whole.high)
+    half = float(special.stdtrit(error.dof, (1 + confidence) / 2)) * error.error
+    return Spread(n, balls, mean, mean - half, mean + half, whole.sd, whole.low, whole.high)
 
 
 class MeanError(NamedTuple):
     """Standard uncertainty of a mean from the scatter of its series."""
 
     error: float
-    freedom: float
+    dof: float
 
 
 def mean_error(values: Array, codes: Codes) -> MeanError:
@@ -488,9 +488,9 @@ def mean_error(values: Array, codes: Codes) -> MeanError:
         hits = np.bincount(codes)
         sums = np.bincount(codes, values - mean)
         # Unbiased for the mean's variance whatever each ball's hits, if balls scatter alike.
-        variance, freedom = float((sums**2).sum()) / n**2 * balls / (balls - 1), float(balls - 1)
-        freedom = min(freedom, float(n**2 / (hits**2).sum()) - 1) if hits.max() > hits.min() else freedom
-        return MeanError(sqrt(variance), max(freedom, 1.0))
+        variance, dof = float((sums**2).sum()) / n**2 * balls / (balls - 1), float(balls - 1)
+        dof = min(dof, float(n**2 / (hits**2).sum()) - 1) if hits.max() > hits.min() else dof
+        return MeanError(sqrt(variance), max(dof, 1.0))
     return MeanError(float(values.std(ddof=1)) / sqrt(n), float(n - 1))
 
 

@@ -48,11 +48,11 @@ class Contrast(NamedTuple):
     estimate: float
     error: float
     """Standard error; 0 without scatter."""
-    freedom: float
+    dof: float
 
     def interval(self, confidence: float) -> tuple[float, float]:
         """Return Student's interval."""
-        half = float(special.stdtrit(self.freedom, (1 + confidence) / 2)) * self.error
+        half = float(special.stdtrit(self.dof, (1 + confidence) / 2)) * self.error
         return self.estimate - half, self.estimate + half
 
     @property
@@ -60,7 +60,7 @@ class Contrast(NamedTuple):
         """Two-sided p value of the difference."""
         if not self.error:
             return 1.0 if not self.estimate else 0.0
-        return float(2 * special.stdtr(self.freedom, -abs(self.estimate) / self.error))
+        return float(2 * special.stdtr(self.dof, -abs(self.estimate) / self.error))
 
     def widened(self, *common: float) -> Contrast:
         """Return it with standard uncertainties that more shots do not reduce (Welch and Satterthwaite)."""
@@ -69,13 +69,13 @@ class Contrast(NamedTuple):
             return self
         error = hypot(self.error, extra)
         ratio = error / max(self.error, 1e-6 * error)
-        return Contrast(self.estimate, error, min(self.freedom * ratio**4, 1e9))
+        return Contrast(self.estimate, error, min(self.dof * ratio**4, 1e9))
 
     def p_same(self, margin: float) -> float:
         """P value of two one-sided tests: small if the difference is reliably less than `margin`."""
         if not self.error:
             return 0.0 if abs(self.estimate) < margin else 1.0
-        return float(special.stdtr(self.freedom, (abs(self.estimate) - margin) / self.error))
+        return float(special.stdtr(self.dof, (abs(self.estimate) - margin) / self.error))
 
 
 class BlockFit(NamedTuple):
@@ -85,9 +85,9 @@ class BlockFit(NamedTuple):
     """Effects of levels 0, 1, ... relative to level 0, then of time, then of covariates."""
     inverse: Array
     """(X'X)^-1 of the same; level 0 is left out."""
-    deviation: float
+    sd: float
     """Of one shot."""
-    freedom: float
+    dof: float
     residuals: Array
     estimable: Array
     """Projection onto what can be estimated."""
@@ -102,10 +102,10 @@ class BlockFit(NamedTuple):
         for level, sign in ((first, 1.0), (second, -1.0)):
             if level:
                 weights[level - 1] += sign
-        if self.freedom < 1 or np.abs(self.estimable @ weights - weights).max(initial=0.0) > 1e-8:
+        if self.dof < 1 or np.abs(self.estimable @ weights - weights).max(initial=0.0) > 1e-8:
             return None
-        error = self.deviation * sqrt(max(float(weights @ self.inverse @ weights), 0.0))
-        return Contrast(float(self.effects[first] - self.effects[second]), error, self.freedom)
+        error = self.sd * sqrt(max(float(weights @ self.inverse @ weights), 0.0))
+        return Contrast(float(self.effects[first] - self.effects[second]), error, self.dof)
 
 
 def fit_blocks(
@@ -140,13 +140,13 @@ def fit_blocks(
     inverse = (basis.T / singular[kept] ** 2) @ basis
     slopes = inverse @ (reduced.T @ response)
     residuals = response - reduced @ slopes
-    freedom = float(len(y) - len(counts) - kept.sum())
-    variance = float(residuals @ residuals) / freedom if freedom >= 1 else float("nan")
+    dof = float(len(y) - len(counts) - kept.sum())
+    variance = float(residuals @ residuals) / dof if dof >= 1 else float("nan")
     spanned = right[kept] * scale
     projection = np.linalg.pinv(spanned) @ spanned if kept.any() else np.zeros_like(inverse)
     effects = np.concatenate([[0.0], slopes])
-    deviation = sqrt(variance) if variance >= 0 else float("nan")
-    return BlockFit(effects, inverse, deviation, freedom, residuals, projection, reduced, codes)
+    sd = sqrt(variance) if variance >= 0 else float("nan")
+    return BlockFit(effects, inverse, sd, dof, residuals, projection, reduced, codes)
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -206,7 +206,7 @@ def ball_columns(plan: CampaignPlan, shots: Sequence[Shot]) -> Array | None:
 def enough_mountings(level: Codes, block: Codes, levels: int) -> bool:
     """Return whether mountings leave degrees of freedom for their own scatter beside blocks and levels."""
     plots = np.unique(np.column_stack([level, block]), axis=0)
-    return fit_blocks(np.zeros(len(plots)), plots[:, 0], plots[:, 1], levels).freedom >= 1
+    return fit_blocks(np.zeros(len(plots)), plots[:, 0], plots[:, 1], levels).dof >= 1
 
 
 def are_pooled(mountings: Codes) -> bool:
@@ -251,7 +251,7 @@ FIGURES = (
 class Scatter:
     """A standard deviation with its 95 % interval; NaN with too few shots."""
 
-    deviation: float
+    sd: float
     low: float
     high: float
 
@@ -326,12 +326,12 @@ def variance_components(values: Array, group: Codes, confidence: float = 0.95) -
     size = (n - float((counts**2).sum()) / n) / between
     share = 1 / size
     if between_square <= mean_square:
-        total, freedom = mean_square, float(inside)
+        total, dof = mean_square, float(inside)
     else:
         total = share * between_square + (1 - share) * mean_square
         parts = (share * between_square) ** 2 / between + ((1 - share) * mean_square) ** 2 / inside
-        freedom = total**2 / parts
-    return _interval(mean_square, inside, confidence), _interval(total, freedom, confidence)
+        dof = total**2 / parts
+    return _interval(mean_square, inside, confidence), _interval(total, dof, confidence)
 
 
 def successive_scatter(values: Array, confidence: float = 0.95) -> Scatter:
@@ -341,11 +341,11 @@ def successive_scatter(values: Array, confidence: float = 0.95) -> Scatter:
     return _interval(variance, 2 * (n - 1) ** 2 / (3 * n - 4), confidence)
 
 
-def _interval(variance: float, freedom: float, confidence: float) -> Scatter:
-    deviation = sqrt(variance)
+def _interval(variance: float, dof: float, confidence: float) -> Scatter:
+    sd = sqrt(variance)
     tails = [(1 + confidence) / 2, (1 - confidence) / 2]
-    low, high = deviation * np.sqrt(freedom / stats.chi2.ppf(tails, freedom))
-    return Scatter(deviation, float(low), float(high))
+    low, high = sd * np.sqrt(dof / stats.chi2.ppf(tails, dof))
+    return Scatter(sd, float(low), float(high))
 
 
 class ScatterRatio(NamedTuple):
@@ -384,12 +384,12 @@ def scatter_ratios(
         for second in range(first + 1, len(names)):
             both = np.isfinite(cells[first]) & np.isfinite(cells[second])
             others = np.delete(cells, [first, second], axis=0)[:, both]
-            freedom = both.sum() * (1 - max(lost[first], lost[second])) - 1
-            if freedom < 4:
+            dof = both.sum() * (1 - max(lost[first], lost[second])) - 1
+            if dof < 4:
                 continue
             u, v = cells[first][both], cells[second][both]
             common = _common(u, v, others)
-            interval = _ratio(u - common, v - common, freedom, confidence)
+            interval = _ratio(u - common, v - common, dof, confidence)
             if interval is not None:
                 *figures, p = interval
                 found.append((names[first], names[second], (figures[0], figures[1], figures[2]), p))
@@ -425,7 +425,7 @@ def _common(u: Array, v: Array, others: Array) -> Array:
     return np.asarray(mean * min(max(weight, 0.0), 1.0))
 
 
-def _ratio(u: Array, v: Array, freedom: float, confidence: float) -> tuple[float, float, float, float] | None:
+def _ratio(u: Array, v: Array, dof: float, confidence: float) -> tuple[float, float, float, float] | None:
     """Return the ratio of standard deviations with its interval, and the p value of a ratio of 1."""
     (a, c), (_, b) = np.cov(u, v)
     x, y, d = a - c, c - b, a + b - 2 * c  # covariances of u - v with u and v, its variance
@@ -436,9 +436,9 @@ def _ratio(u: Array, v: Array, freedom: float, confidence: float) -> tuple[float
         return float((x + q * y) / sqrt(max(d * (a + 2 * q * c + q * q * b), 1e-300)))
 
     r = correlation(1.0)
-    p = float(2 * special.stdtr(freedom - 1, -abs(r) * sqrt((freedom - 1) / max(1 - r * r, 1e-12))))
-    t = float(special.stdtrit(freedom - 1, (1 + confidence) / 2))
-    limit = t * t / (t * t + freedom - 1)
+    p = float(2 * special.stdtr(dof - 1, -abs(r) * sqrt((dof - 1) / max(1 - r * r, 1e-12))))
+    t = float(special.stdtrit(dof - 1, (1 + confidence) / 2))
+    limit = t * t / (t * t + dof - 1)
     two, one, none = y * y - limit * d * b, x * y - limit * d * c, x * x - limit * d * a
     inner = one * one - two * none
     edges = []

@@ -44,7 +44,7 @@ class DispersionEllipse:
     centre: tuple[float, float]
     covariance: tuple[float, float, float]
     """Variance of offline, covariance, variance of carry, m²."""
-    freedom: float
+    dof: float
     """Degrees of freedom of the covariance."""
     long_axis: float
     """Full length of the longer axis, m."""
@@ -79,7 +79,7 @@ def dispersion_ellipses(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[Disp
 
 
 def _ellipse(name: str, points: Array, ball: Codes, confidence: float) -> DispersionEllipse:
-    covariance, freedom = total_covariance(points, ball)
+    covariance, dof = total_covariance(points, ball)
     factor = float(stats.chi2.ppf(SHARE, 2))
     values, vectors = np.linalg.eigh(covariance)
     values = np.maximum(values, 0.0)
@@ -87,7 +87,7 @@ def _ellipse(name: str, points: Array, ball: Codes, confidence: float) -> Disper
     side, along = vectors[:, 1] * (1.0 if vectors[1, 1] >= 0 else -1.0)
     root = float(np.sqrt(values.prod()))
     # 2 v root / true root is chi-square with 2 (v - 1) degrees of freedom.
-    unit, of = pi * factor * 2 * freedom * root, 2 * (freedom - 1)
+    unit, of = pi * factor * 2 * dof * root, 2 * (dof - 1)
     tails = [float(stats.chi2.ppf(tail, of)) for tail in ((1 + confidence) / 2, (1 - confidence) / 2)]
     return DispersionEllipse(
         name,
@@ -95,7 +95,7 @@ def _ellipse(name: str, points: Array, ball: Codes, confidence: float) -> Disper
         int(ball.max()) + 1,
         (float(points[:, 0].mean()), float(points[:, 1].mean())),
         (float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])),
-        freedom,
+        dof,
         float(long),
         float(short),
         float(np.arctan2(side, along)),
@@ -125,8 +125,8 @@ def total_covariance(points: Array, ball: Codes) -> tuple[Array, float]:
     def size(matrix: Array) -> float:
         return float(np.trace(matrix @ matrix) + np.trace(matrix) ** 2)
 
-    freedom = size(total) / sum(size(part) / own for part, own in parts)
-    return np.asarray(total), float(min(max(freedom, 2.0), n - 1))
+    dof = size(total) / sum(size(part) / own for part, own in parts)
+    return np.asarray(total), float(min(max(dof, 2.0), n - 1))
 
 
 _MEAN_RANGE = 1.128379167
@@ -164,7 +164,7 @@ class ControlChart:
     shots: tuple[int, ...]
     values: tuple[float, ...]
     centre: float
-    deviation: float
+    sd: float
     """Standard deviation by the moving range."""
     signals: tuple[NelsonSignal, ...]
 
@@ -185,17 +185,17 @@ def _chart(column: str, controls: Sequence[Shot]) -> ControlChart | None:
     if len(measured) < LEAST_VALUES:
         return None
     values = np.array([value for _, value in measured], dtype=float)
-    centre, deviation = float(values.mean()), float(np.abs(np.diff(values)).mean()) / _MEAN_RANGE
+    centre, sd = float(values.mean()), float(np.abs(np.diff(values)).mean()) / _MEAN_RANGE
     signals = []
-    if deviation > 0:
-        for rule, places in nelson_signals((values - centre) / deviation).items():
+    if sd > 0:
+        for rule, places in nelson_signals((values - centre) / sd).items():
             signals.append(NelsonSignal(rule, tuple(measured[place][0] for place in places)))
     return ControlChart(
         column,
         tuple(shot for shot, _ in measured),
         tuple(map(float, values)),
         centre,
-        deviation,
+        sd,
         tuple(signals),
     )
 

@@ -59,7 +59,7 @@ class Outlook:
     levels: int
     pairs: int
     blocks: int
-    freedom: float
+    dof: float
     alpha: float
     """Error level of each pair, so that all pairs together keep the confidence."""
     power: float | None
@@ -80,21 +80,21 @@ def outlook(plan: CampaignPlan) -> Outlook:
     """Return the resolution of a section of `plan` after all its blocks, with all shots valid."""
     a, count, blocks = plan.analysis, len(levels(plan)), plan.design.blocks
     pairs, alpha = len(list(combinations(range(count), 2))), alpha_at_end(plan)
-    deviation = a.expected_sd * sqrt(1 - (a.expected_r_squared if a.covariates else 0.0))
-    between = a.mounting_deviation if plan.split else a.ball_deviation
-    if plan.design.compare == "club" and not plan.split and deviation:
-        deviation = hypot(deviation, a.mounting_deviation)  # nearly each shot has a mounting of its own
-    known = predict_precision(plan, deviation or 1.0, between)
+    sd = a.expected_sd * sqrt(1 - (a.expected_r_squared if a.covariates else 0.0))
+    between = a.mounting_sd if plan.split else a.ball_sd
+    if plan.design.compare == "club" and not plan.split and sd:
+        sd = hypot(sd, a.mounting_sd)  # nearly each shot has a mounting of its own
+    known = predict_precision(plan, sd or 1.0, between)
     if known is None or not a.expected_sd:
-        freedom = known.freedom if known else 0.0
-        return Outlook(count, pairs, blocks, freedom, alpha / max(pairs, 1), *[None] * 6)
-    needed, _ = series_needed(plan, deviation, between)
-    plain, _ = series_needed(plan, a.expected_sd, a.ball_deviation) if a.covariates else (None, None)
+        dof = known.dof if known else 0.0
+        return Outlook(count, pairs, blocks, dof, alpha / max(pairs, 1), *[None] * 6)
+    needed, _ = series_needed(plan, sd, between)
+    plain, _ = series_needed(plan, a.expected_sd, a.ball_sd) if a.covariates else (None, None)
     return Outlook(
         count,
         pairs,
         blocks,
-        known.freedom,
+        known.dof,
         known.single,
         known.power(a.target_difference),
         known.resolution(a.power),
@@ -239,9 +239,9 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
     if not a.expected_sd:
         return ["No standard deviation is stated (analysis.expected_sd): what can be resolved is not known."]
     together = f", {found.pairs} pairs together" if found.pairs > 1 else ""
-    between = f" and {a.ball_deviation:g} {unit} between balls" if a.ball_deviation else ""
-    if plan.design.compare == "club" and a.mounting_deviation:
-        between = f" and {a.mounting_deviation:g} {unit} between mountings"
+    between = f" and {a.ball_sd:g} {unit} between balls" if a.ball_sd else ""
+    if plan.design.compare == "club" and a.mounting_sd:
+        between = f" and {a.mounting_sd:g} {unit} between mountings"
     needed = None if found.needed is None else SeriesSize(found.balls or 0, found.needed)
     lines = [
         f"Expected: with a standard deviation of {a.expected_sd:g} {unit} a shot{between}, a difference of "
@@ -263,12 +263,12 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
             "One ball of each: results hold for these balls, not for their models."
             if balls == 1
             else f"Each model is judged by its balls: {balls} of each, {plan.design.blocks / balls:.3g} hits "
-            f"of each on average; differences: {found.freedom:.0f} degrees of freedom."
+            f"of each on average; differences: {found.dof:.0f} degrees of freedom."
         )
     if plan.split:
         lines.append(
             f"Split-plot: clubs are judged by their mountings, {plan.design.blocks} of each, with "
-            f"{plan.shots_per_mounting} shots; differences have {found.freedom:.0f} degrees of freedom."
+            f"{plan.shots_per_mounting} shots; differences have {found.dof:.0f} degrees of freedom."
         )
         if len(plan.design.balls) > 1:
             words = outlook_words(_inner(plan))[0].removeprefix("Expected: ")

@@ -33,32 +33,32 @@ _MOST = 1_000_000
 """Max number of blocks that is searched."""
 
 
-def power_of_shift(shift: float, freedom: float, alpha: float) -> float:
+def power_of_shift(shift: float, dof: float, alpha: float) -> float:
     """Return the chance to find a difference of `shift` true standard errors, two-sided at `alpha`."""
-    if alpha <= 0 or freedom <= 0:
+    if alpha <= 0 or dof <= 0:
         return 0.0
     shift = abs(shift)
-    limit = -special.stdtrit(freedom, alpha / 2)
+    limit = -special.stdtrit(dof, alpha / 2)
     # Beyond that the other tail is nothing, and scipy's noncentral t loses its footing.
-    lower = special.nctdtr(freedom, shift, -limit) if shift < 5 else 0.0
-    return float(1 - special.nctdtr(freedom, shift, limit) + lower)
+    lower = special.nctdtr(dof, shift, -limit) if shift < 5 else 0.0
+    return float(1 - special.nctdtr(dof, shift, limit) + lower)
 
 
 def same_power_of_error(
-    margin: float, error: float, freedom: float, alpha: float, difference: float = 0.0
+    margin: float, error: float, dof: float, alpha: float, difference: float = 0.0
 ) -> float:
     """Return the chance that two one-sided tests at `alpha` call a true `difference` less than `margin`.
 
     `error` is the difference's true standard error. Exact: the normal probability of the estimate, averaged
     over the distribution of the deviation seen.
     """
-    if freedom <= 0 or margin <= 0 or alpha <= 0:
+    if dof <= 0 or margin <= 0 or alpha <= 0:
         return 0.0
     if error <= 0:
         return float(abs(difference) < margin)
     steps = (np.arange(500) + 0.5) / 500
-    seen = np.sqrt(2 * special.gammaincinv(freedom / 2, steps) / freedom)
-    half = margin + special.stdtrit(freedom, alpha) * error * seen
+    seen = np.sqrt(2 * special.gammaincinv(dof / 2, steps) / dof)
+    half = margin + special.stdtrit(dof, alpha) * error * seen
     inside = special.ndtr((half - difference) / error) - special.ndtr((-half - difference) / error)
     return float(np.where(half > 0, inside, 0.0).mean())
 
@@ -184,13 +184,13 @@ class PredictedPrecision(NamedTuple):
 
     error: float
     """Standard error of a difference, mean over the pairs."""
-    freedom: float
+    dof: float
     single: float
     """Error level of one pair."""
     pairs: int
     draws: Draws
-    deviation: float
-    ball_deviation: float
+    sd: float
+    ball_sd: float
     """Between balls, or mountings in a split-plot."""
     units: int
     """Balls, mountings, or shots where they count for themselves, of each level."""
@@ -199,35 +199,33 @@ class PredictedPrecision(NamedTuple):
 
     def power(self, difference: float) -> float:
         """Return the chance to find a true `difference` of one pair."""
-        return power_of_shift(difference / self.error, self.freedom, self.single)
+        return power_of_shift(difference / self.error, self.dof, self.single)
 
     def resolution(self, power: float) -> float:
         """Return the smallest difference that is found with probability `power`."""
-        high = self.error * (
-            stats.t.isf(self.single / 2, self.freedom) + stats.t.ppf(power, self.freedom) + 8
-        )
+        high = self.error * (stats.t.isf(self.single / 2, self.dof) + stats.t.ppf(power, self.dof) + 8)
         return float(optimize.brentq(lambda d: self.power(d) - power, 0.0, high, xtol=1e-9 * high))
 
     def same(self, margin: float, alpha: float) -> float:
         """Return the chance that a pair of truly equal levels is called the same, Holm over all pairs."""
         if self.pairs < 2:
-            return same_power_of_error(margin, self.error, self.freedom, alpha)
-        differences, variances, freedom = self.draws
-        p = np.sort(stats.t.sf((margin - np.abs(differences)) / np.sqrt(variances), freedom), axis=1)
+            return same_power_of_error(margin, self.error, self.dof, alpha)
+        differences, variances, dof = self.draws
+        p = np.sort(stats.t.sf((margin - np.abs(differences)) / np.sqrt(variances), dof), axis=1)
         steps = np.maximum.accumulate(p * np.arange(self.pairs, 0, -1), axis=1)
         return float((steps < alpha).mean())
 
 
 def predict_precision(
-    plan: CampaignPlan, deviation: float, ball_deviation: float, blocks: int = 0
+    plan: CampaignPlan, sd: float, ball_sd: float, blocks: int = 0
 ) -> PredictedPrecision | None:
     """Return what a section of `plan` will be known by with these true deviations; None with one level.
 
-    `deviation` is that of one shot, after covariates; `ball_deviation` is that between mountings in a
+    `sd` is that of one shot, after covariates; `ball_sd` is that between mountings in a
     split-plot.
     """
     count, controls = len(levels(plan)), bool(controls_per_block(plan))
-    if count < 2 or deviation <= 0:
+    if count < 2 or sd <= 0:
         return None
     blocks = blocks or plan.design.blocks
     level, block, ball = _planned(plan, blocks)
@@ -243,24 +241,24 @@ def predict_precision(
         delivery = np.random.default_rng(1).normal(size=(len(level), len(plan.analysis.covariates)))
     levels_ = count + controls
     fit = fit_blocks(np.zeros(len(level)), level, block, levels_, time, delivery)
-    if fit.freedom < 1 or (plan.split and not enough_mountings(level, block, levels_)):
+    if fit.dof < 1 or (plan.split and not enough_mountings(level, block, levels_)):
         return None
     units = units_of(level, ball, levels_)
     errors = UnitLayout(fit, units, pooled=plan.split and are_pooled(units.balls)).foreseen(
-        np.full(levels_, deviation**2), (ball_deviation / deviation) ** 2
+        np.full(levels_, sd**2), (ball_sd / sd) ** 2
     )
     pairs = list(combinations(range(count), 2))
     each = np.array([errors.of_pair(*pair) for pair in pairs])
-    joint = together(errors, pairs, fit.freedom)
+    joint = together(errors, pairs, fit.dof)
     own = int((units.level == 0).sum())
     return PredictedPrecision(
         float(np.sqrt((each[:, 0] ** 2).mean())),
-        float(min(1 / (1 / each[:, 1]).mean(), fit.freedom)),
+        float(min(1 / (1 / each[:, 1]).mean(), fit.dof)),
         joint.single(alpha_at_end(plan)),
         len(pairs),
-        drawn_pairs(errors, pairs, fit.freedom),
-        deviation,
-        ball_deviation if units.balls[0] > 1 and (plan.split or plan.design.compare == "ball") else 0.0,
+        drawn_pairs(errors, pairs, fit.dof),
+        sd,
+        ball_sd if units.balls[0] > 1 and (plan.split or plan.design.compare == "ball") else 0.0,
         own,
         blocks * plan.shots_per_mounting,
     )
@@ -273,7 +271,7 @@ def alpha_at_end(plan: CampaignPlan) -> float:
 
 
 def series_needed(
-    plan: CampaignPlan, deviation: float, ball_deviation: float
+    plan: CampaignPlan, sd: float, ball_sd: float
 ) -> tuple[SeriesSize | None, SeriesSize | None]:
     """Return the series that finds the difference worth finding, and that calls equal levels the same.
 
@@ -281,9 +279,9 @@ def series_needed(
     too many to name, or not asked.
     """
     a = plan.analysis
-    if deviation <= 0:
+    if sd <= 0:
         return SeriesSize(2, 2), SeriesSize(2, 2) if a.equivalence_margin else None
-    known = predict_precision(plan, deviation, ball_deviation, min(plan.design.blocks, _REFERENCE))
+    known = predict_precision(plan, sd, ball_sd, min(plan.design.blocks, _REFERENCE))
     if known is None:
         return None, None
     if plan.split:
@@ -297,12 +295,12 @@ def series_needed(
         return _scaled(known, shots, min(shots, most) if most != 1 else shots)
 
     def found(shots: int, most: int) -> float:
-        error, freedom = scaled(shots, most)
-        return power_of_shift(a.target_difference / error, freedom, known.single)
+        error, dof = scaled(shots, most)
+        return power_of_shift(a.target_difference / error, dof, known.single)
 
     def same(shots: int, most: int) -> float:
-        error, freedom = scaled(shots, most)
-        return same_power_of_error(a.equivalence_margin, error, freedom, alpha / known.pairs)
+        error, dof = scaled(shots, most)
+        return same_power_of_error(a.equivalence_margin, error, dof, alpha / known.pairs)
 
     results: list[SeriesSize | None] = []
     for chance in (found, same) if a.equivalence_margin else (found,):
@@ -326,12 +324,12 @@ def _mountings_needed(
     a, hits, alpha = plan.analysis, plan.shots_per_mounting, alpha_at_end(plan)
 
     def found(mountings: int) -> float:
-        error, freedom = _scaled(known, mountings * hits, mountings)
-        return power_of_shift(a.target_difference / error, freedom, known.single)
+        error, dof = _scaled(known, mountings * hits, mountings)
+        return power_of_shift(a.target_difference / error, dof, known.single)
 
     def same(mountings: int) -> float:
-        error, freedom = _scaled(known, mountings * hits, mountings)
-        return same_power_of_error(a.equivalence_margin, error, freedom, alpha / known.pairs)
+        error, dof = _scaled(known, mountings * hits, mountings)
+        return same_power_of_error(a.equivalence_margin, error, dof, alpha / known.pairs)
 
     sizes = [
         blocks_needed(chance, a.power) for chance in ((found, same) if a.equivalence_margin else (found,))
@@ -341,15 +339,15 @@ def _mountings_needed(
 
 
 def _scaled(known: PredictedPrecision, shots: int, units: int) -> tuple[float, float]:
-    between = known.ball_deviation**2
+    between = known.ball_sd**2
 
     def plain(n: int, balls: int) -> float:
-        return 2 * (between / balls + known.deviation**2 / n)
+        return 2 * (between / balls + known.sd**2 / n)
 
     # What the reference has for so many units, nearly in proportion to the units less one.
     reference = known.shots
     error = known.error * sqrt(plain(shots, units) / plain(reference, known.units))
-    return error, max(known.freedom / max(known.units - 1, 1) * (units - 1), 1e-3)
+    return error, max(known.dof / max(known.units - 1, 1) * (units - 1), 1e-3)
 
 
 def balls_of_each(plan: CampaignPlan) -> int:

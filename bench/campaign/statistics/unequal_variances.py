@@ -101,8 +101,8 @@ class UnitErrors(NamedTuple):
         plain = fit.contrast(first, second)
         if plain is None:
             return None
-        error, freedom = self.of_pair(first, second)
-        return Contrast(plain.estimate, error, min(freedom, fit.freedom))
+        error, dof = self.of_pair(first, second)
+        return Contrast(plain.estimate, error, min(dof, fit.dof))
 
     def weights(self, first: int, second: int) -> Array:
         """Return the share of each level's variance in that of a difference."""
@@ -158,7 +158,7 @@ class UnitLayout:
         self._made = -shares[fit.block] - spanned @ self._by_unit(fit.design).T
         self._made[np.arange(len(self._level)), units.of_shot] += 1.0
         self._within = self._by_unit(self._made)
-        self._freedom = fit.freedom
+        self._dof = fit.dof
         weights = np.column_stack([np.zeros(len(spanned)), spanned[:, : levels - 1]])
         totals = self._by_unit(weights)
         self._shot_parts = np.array([_square(weights[self._level == code]) for code in range(levels)])
@@ -181,7 +181,7 @@ class UnitLayout:
         sums, within = np.bincount(self._units.of_shot, residuals)[many], self._within[np.ix_(many, many)]
         values, vectors = np.linalg.eigh(within)
         kept = values > 1e-9 * values[-1]
-        left = self._freedom - kept.sum()
+        left = self._dof - kept.sum()
         if left < 1:
             return 0.0
         # Balls as fixed effects leave the scatter of one shot (Henderson's third method).
@@ -265,17 +265,17 @@ class UnitLayout:
         return np.asarray(2 * order.T @ covariance**2 @ order)
 
 
-def _shrunk(variances: Array, freedom: Array, chance: float) -> Array:
+def _shrunk(variances: Array, dof: Array, chance: float) -> Array:
     """Return variances shrunk towards their geometric mean by the spread that has this chance."""
-    some = (freedom >= 1) & (variances > 0)
+    some = (dof >= 1) & (variances > 0)
     if some.sum() < 2:
         return variances
     logs = np.log(variances[some])
-    weights = freedom[some] / freedom[some].sum()
+    weights = dof[some] / dof[some].sum()
     middle = float(weights @ logs)
     seen = float(((logs - middle) ** 2).sum()) / (some.sum() - 1)
     likely = float(special.chdtri(some.sum() - 1, 1 - chance)) / (some.sum() - 1)
-    expected = float(special.polygamma(1, freedom[some] / 2).mean()) * likely
+    expected = float(special.polygamma(1, dof[some] / 2).mean()) * likely
     kept = max(0.0, 1 - expected / seen) if seen > 0 else 0.0
     shrunk = variances.copy()
     shrunk[some] = np.exp(middle + kept * (logs - middle))
@@ -326,7 +326,7 @@ class Draws(NamedTuple):
     differences: Single
     """(draws, pairs)"""
     variances: Single
-    freedom: Array
+    dof: Array
     """Of each pair."""
 
 
@@ -349,17 +349,17 @@ def drawn_pairs(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: floa
     share = 0.0 if errors.pooled else _LEAST  # a pooled variance is what it assumes: it has no bound
     least = (share / unit * (weights @ errors.assumed)).astype(np.float32)
     variances = np.maximum(squares @ (weights @ errors.inverse).T.astype(np.float32), least)
-    freedom = np.array([min(errors.of_pair(one, two)[1], most, 1e6) for one, two in pairs])
+    dof = np.array([min(errors.of_pair(one, two)[1], most, 1e6) for one, two in pairs])
     differences = (means[:, first] - means[:, second]) * np.float32(sqrt(unit))
-    return Draws(differences, np.maximum(variances, np.float32(1e-30)) * np.float32(unit), freedom)
+    return Draws(differences, np.maximum(variances, np.float32(1e-30)) * np.float32(unit), dof)
 
 
 def _squares(errors: UnitErrors, unit: float, drawn: Single) -> Single:
     """Return sums of squares of many units over `unit`: each like chi-square (Wilson and Hilferty)."""
     middle, spread = errors.expected @ errors.assumed / unit, errors.spread / unit**2
-    deviation = np.sqrt(np.maximum(np.diag(spread), 1e-300))
-    step = (deviation / np.maximum(middle, 1e-300)) ** 2 / 9
-    linked = drawn @ _root(spread / np.outer(deviation, deviation)).T
+    sd = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    step = (sd / np.maximum(middle, 1e-300)) ** 2 / 9
+    linked = drawn @ _root(spread / np.outer(sd, sd)).T
     cubed = np.maximum((1 - step + linked * np.sqrt(step)), 0.0) ** 3
     return np.asarray(middle * cubed, dtype=np.float32)
 
@@ -368,24 +368,24 @@ def together(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: float) 
     """Return the joint distribution of all pairs, as `drawn_pairs` draws them."""
     if len(pairs) < 2:
         return JointErrors(np.zeros(0), len(pairs))
-    differences, variances, freedom = drawn_pairs(errors, pairs, most)
+    differences, variances, dof = drawn_pairs(errors, pairs, most)
     # Student's t as a normal figure (Wallace 1959).
-    factor = (freedom * ((8 * freedom + 1) / (8 * freedom + 3)) ** 2).astype(np.float32)
-    squared = np.log1p(differences**2 / variances / freedom.astype(np.float32)) * factor
-    if np.ptp(freedom) < 1e-9:  # the largest stays the largest
+    factor = (dof * ((8 * dof + 1) / (8 * dof + 3)) ** 2).astype(np.float32)
+    squared = np.log1p(differences**2 / variances / dof.astype(np.float32)) * factor
+    if np.ptp(dof) < 1e-9:  # the largest stays the largest
         squared = squared.max(axis=1, keepdims=True)
-    for pair in np.flatnonzero(freedom[: squared.shape[1]] < _FEW_FREEDOM):
-        squared[:, pair] = _normal_square(squared[:, pair], float(freedom[pair]))
+    for pair in np.flatnonzero(dof[: squared.shape[1]] < _FEW_FREEDOM):
+        squared[:, pair] = _normal_square(squared[:, pair], float(dof[pair]))
     largest = np.sqrt(np.sort(squared.max(axis=1)).astype(float))
     return JointErrors(largest, len(pairs), len(errors.sums) > 0)
 
 
-def _normal_square(squared: Single, freedom: float) -> Single:
+def _normal_square(squared: Single, dof: float) -> Single:
     """Return the square of the normal figure of Student's t whose figure by Wallace has this square."""
     wallace = np.linspace(0.0, 8.0, 161)
-    factor = freedom * ((8 * freedom + 1) / (8 * freedom + 3)) ** 2
-    t = np.sqrt(freedom * np.expm1(np.minimum(wallace**2 / factor, 600.0)))
-    exact = -special.ndtri(special.stdtr(freedom, -t))
+    factor = dof * ((8 * dof + 1) / (8 * dof + 3)) ** 2
+    t = np.sqrt(dof * np.expm1(np.minimum(wallace**2 / factor, 600.0)))
+    exact = -special.ndtri(special.stdtr(dof, -t))
     return np.asarray(np.interp(np.sqrt(squared), wallace, exact) ** 2, dtype=np.float32)
 
 

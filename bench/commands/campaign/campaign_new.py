@@ -44,7 +44,7 @@ def new(
     difference: Annotated[
         float | None, option("Smallest difference of carry worth finding, m.", "M", shown="asked")
     ] = None,
-    deviation: Annotated[
+    sd: Annotated[
         float | None, option("Expected standard deviation of one shot, m.", "M", shown="asked")
     ] = None,
     blocks: Annotated[
@@ -62,7 +62,7 @@ def new(
     """
     name = _plan_name(file)
     answers: dict[str, Any] = {"compare": compare, "ball": ball, "club": club, "swing": swing}
-    answers |= {"difference": difference, "deviation": deviation}
+    answers |= {"difference": difference, "sd": sd}
     configuration = context.ensure_object(Session).configuration()
     design, analysis = _answered(answers, configuration)
     sections = {
@@ -91,7 +91,7 @@ def _answered(
     if given["swing"] or compared == "swing":
         design["swings"] = _given(given["swing"], "Swings, separated by commas", _names)
     return design, {
-        "expected_sd": _given(given["deviation"], "Expected standard deviation of one shot, m", _length),
+        "expected_sd": _given(given["sd"], "Expected standard deviation of one shot, m", _length),
         "target_difference": _given(
             given["difference"], "Smallest difference of carry worth finding, m", _length
         ),

@@ -207,7 +207,7 @@ def user_name() -> str:
         return ""
 
 
-SIMULATED_PATIENCE = 2.0
+SIMULATED_TIMEOUT = 2.0
 """s in which simulated hands have acted."""
 
 
@@ -269,7 +269,7 @@ def simulated_hands(machine: SimulatedMachine) -> OperatorIO:
         lambda text: None,
         act=machine.act,
         gauge=machine.gauge,
-        patience=SIMULATED_PATIENCE,
+        timeout=SIMULATED_TIMEOUT,
     )
 
 

@@ -250,7 +250,7 @@ def _live(
     configuration: Configuration, truth: Configuration, regulator: str | None, bar: Progress
 ) -> Iterator[_Machine]:
     """Take the bench's place and yield its robot, in real time; `truth` moves where it is simulated."""
-    from bench.commands.machine.calibrate_measured import SIMULATED_PATIENCE
+    from bench.commands.machine.calibrate_measured import SIMULATED_TIMEOUT
     from bench.commissioning.machine.inputs import in_simulation
     from bench.commissioning.machine.live_robot import OperatorIO, live_robot
     from bench.supervisor.ownership import take_bench
@@ -270,7 +270,7 @@ def _live(
                 look=lambda: _mark_in(marks, truth.plant),
                 act=plant.act,
                 gauge=plant.gauge,
-                patience=SIMULATED_PATIENCE,
+                timeout=SIMULATED_TIMEOUT,
             )
             moving = live_robot(c, owner, hands, truth)
         else:

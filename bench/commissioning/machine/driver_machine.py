@@ -179,11 +179,11 @@ class DriverMachine:
         return log.trace(None, (False,), self._tick)
 
     def watch(
-        self, command: Command, before: Readings | None, air: float, settled: float, patience: float
+        self, command: Command, before: Readings | None, air: float, settled: float, timeout: float
     ) -> Readings:
         """Hold `command` until the switches differ from `before`, if given, and rested for `settled` (s).
 
-        After `patience` (s) the last readings are returned whatever they are, and at once with more than
+        After `timeout` (s) the last readings are returned whatever they are, and at once with more than
         `air` (Pa absolute) in the manifold; the machine is passive then. An open interlock ends
         nothing: interlocks are watched.
 
@@ -215,7 +215,7 @@ class DriverMachine:
             if (now := levels(readings)) != last:
                 last, changed = now, self._now
             differs = before is None or now != levels(before)
-            if (differs and self._now - changed >= settled) or self._now - begun >= patience:
+            if (differs and self._now - changed >= settled) or self._now - begun >= timeout:
                 return readings
 
     def _require_spools_centred(self, start: NDArray[np.int64]) -> None:

@@ -60,7 +60,7 @@ class OperatorIO(NamedTuple):
     """Does something at the inputs, or says to a person what to do."""
     gauge: Callable[[], float] | None = None
     """Returns what the gauge behind the regulator shows, Pa over the atmosphere; None: no person."""
-    patience: float = 60.0
+    timeout: float = 60.0
     """Time for each act at the inputs, s."""
 
 
@@ -89,10 +89,10 @@ class LiveRobot:
         return self._trace(Run(segments, bounds))
 
     def watch(
-        self, command: Command, before: Readings | None, air: float, settled: float, patience: float
+        self, command: Command, before: Readings | None, air: float, settled: float, timeout: float
     ) -> Readings:
         """Hold `command` until the switches differ from `before`, and have rested for `settled` (s)."""
-        return cast("Readings", self._order(WatchInputs(command, before, air, settled, patience)))
+        return cast("Readings", self._order(WatchInputs(command, before, air, settled, timeout)))
 
     def vent(self, duration: float = 40.0) -> MotionTrace:
         """Be passive until chambers are empty and joints rest."""

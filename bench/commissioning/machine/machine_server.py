@@ -42,7 +42,7 @@ from bench.supervisor.status import cause_text, refusal_words, stall_note
 from bench.swing.profile import Profile
 from drivers.base import Command, Driver, DriverError, Readings
 
-_PATIENCE = 30.0
+_TIMEOUT = 30.0
 """Time for which a request is repeated that the bench refuses for a passing reason (s)."""
 _ACCESS = 60.0
 """s in which the chambers are proven empty for people."""
@@ -221,7 +221,7 @@ class LiveSeries:
             Refused: it stays open.
         """
         self._ask(Request.SECURE, _PERSON)
-        self._operator.wait_for(lambda: self._state is not State.ACCESS, _PATIENCE)
+        self._operator.wait_for(lambda: self._state is not State.ACCESS, _TIMEOUT)
 
     def hold(self) -> None:
         """Go on for one tick."""
@@ -265,14 +265,14 @@ class LiveSeries:
             cause = operator.cause
             found = cause_text(cause, self._stall()) if cause else f"state {self._state.name}"
             raise Refused("homing", found, "a homed robot in state READY", "Follow the text, then --resume.")
-        operator.wait_for(lambda: bool(operator.control["venting"]["emptied"][0]), _PATIENCE)
+        operator.wait_for(lambda: bool(operator.control["venting"]["emptied"][0]), _TIMEOUT)
         operator.wait_for(operator.is_vented, SETTLING_TIMEOUT)
         self._ask(Request.ARM)
         if not operator.reach_address():
             raise stopped_by_operator()
 
-    def _ask(self, request: Request, patience: float = _PATIENCE) -> None:
-        """Request until it is accepted; Refused with its reason if it refuses after `patience` (s)."""
+    def _ask(self, request: Request, timeout: float = _TIMEOUT) -> None:
+        """Request until it is accepted; Refused with its reason if it refuses after `timeout` (s)."""
         operator, waited, called = self._operator, 0.0, False
         while not operator.request(request):
             refusal = Refusal(int(operator.control["refusal"][0]))
@@ -281,7 +281,7 @@ class LiveSeries:
                 self._say(f"{request.name.lower()}: {REFUSAL_TEXT[refusal]}")
                 called = True
             latched = self._state in _LATCHED and request is not Request.RESET  # no waiting changes that
-            if latched or waited > (_PERSON if person else patience):
+            if latched or waited > (_PERSON if person else timeout):
                 fact, action = refusal_words(refusal, getattr(self._driver, "trouble", ""))
                 if not action:  # the state's cause says more
                     fact, action = f"{fact}, {self._state.name}", "follow the text, then --resume"
@@ -339,7 +339,7 @@ class WatchInputs(NamedTuple):
     """Pa absolute in the manifold that end it."""
     settled: float
     """s"""
-    patience: float
+    timeout: float
     """s"""
 
 

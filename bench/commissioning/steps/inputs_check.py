@@ -47,11 +47,11 @@ class WatchedMachine(Protocol):
     """Machine whose inputs are watched."""
 
     def watch(
-        self, command: Command, before: Readings | None, air: float, settled: float, patience: float
+        self, command: Command, before: Readings | None, air: float, settled: float, timeout: float
     ) -> Readings:
         """Hold `command` until the switches differ from `before`, if given, and rested for `settled` (s).
 
-        After `patience` (s) the last readings are returned whatever they are, and at once with more than
+        After `timeout` (s) the last readings are returned whatever they are, and at once with more than
         `air` (Pa absolute) in the manifold; the machine is passive then. An open interlock ends nothing.
 
         Raises:
@@ -79,7 +79,7 @@ class InputHands(Protocol):
         """Returns what the gauge at the regulator shows, Pa over the atmosphere; None: no person."""
 
     @property
-    def patience(self) -> float:
+    def timeout(self) -> float:
         """Time for each act, s."""
 
 
@@ -157,7 +157,7 @@ def _watched(
         if stage.act:
             hands.act(ACTS[stage.act])
         before = seen[-1] if stage.act else None
-        seen.append(machine.watch(stage.outputs, before, air, settled, hands.patience + settled))
+        seen.append(machine.watch(stage.outputs, before, air, settled, hands.timeout + settled))
         if isfinite(seen[-1].supply_pressure) and seen[-1].supply_pressure > air:
             raise Refused(
                 "check of the inputs",

@@ -62,7 +62,7 @@ _REACH = 0.5
 """Share of the hold's following limit within which such a joint is left to the hold."""
 _SETTLING = 0.1
 """s for which pressures must be as planned with all spools at rest."""
-_PATIENCE = 6.0
+_TIMEOUT = 6.0
 """s without all pressures as planned at rest, after which a joint counts as late."""
 _PASSED = 0.5
 """s after which a joint that slips through its band is caught there: its PID's integral would drive it past
@@ -203,7 +203,7 @@ def regulate_address_pressure(state: Any, parameters: Any, time: float) -> None:
         side = square_wave((time - s.address_air.since) / profile.dither_period[i])
         away, speed = parameters.angle[0, i] - e.angle[i], abs(e.velocity[i])
         slips = speed > _SLIPS * p.rest_speed[i]
-        if time - s.address_air.since >= _PATIENCE:
+        if time - s.address_air.since >= _TIMEOUT:
             s.address_air.held[i] |= LATE
         if time - s.address_air.since >= _PASSED and slips and abs(away) <= p.address_deadband[i]:
             s.address_air.held[i] |= SLIPPED

@@ -115,7 +115,7 @@ export async function request(campaign, name, more) {
 export function chart(c) {
   const [factor, unit, digits] = scaleOf(c.column);
   const points = c.values.map((value, index) => [c.shots[index], factor * value]);
-  const limits = [-3, 0, 3].map((n) => factor * (c.centre + n * c.deviation));
+  const limits = [-3, 0, 3].map((n) => factor * (c.centre + n * c.sd));
   const plot = frame({ x: c.shots, y: [...points.map(([, v]) => v), ...limits], label: `Control chart of ${c.column}`, xName: "shot", yName: unit });
   const ends = [Math.min(...c.shots), Math.max(...c.shots)];
   limits.forEach((limit, index) => curve(plot, ends.map((x) => [x, limit]), index === 1 ? "l3 dash" : "limit"));

@@ -31,7 +31,7 @@ async function write(form, button, saved) {
     number: randomNumber(), save: button.value === "save",
     name: form.elements.name.value, compare: form.elements.compare.value,
     balls: chosen("balls"), clubs: chosen("clubs"), swings: chosen("swings"),
-    difference: form.elements.difference.valueAsNumber, deviation: form.elements.deviation.valueAsNumber,
+    difference: form.elements.difference.valueAsNumber, sd: form.elements.sd.valueAsNumber,
   };
   const answer = await send("/api/new-plan", body, "", COMMAND_TIME);
   button.disabled = false;

@@ -227,7 +227,7 @@ class ShotMatcher:
 
     def _forget(self, now: float) -> None:
         """Drop clubs and refused messages whose swing must be settled by `now`."""
-        first = now - self._window.latest - self._window.patience
+        first = now - self._window.latest - self._window.timeout
         self._clubs = [one for one in self._clubs if one.time > first][-_MOST_OPEN:]
         self._refused = [one for one in self._refused if one.time > first][-_MOST_OPEN:]
 

@@ -37,7 +37,7 @@ BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 class Known:
     """What is true of the shots of a row, in metres of carry."""
 
-    deviation: float = 2.0
+    sd: float = 2.0
     """Of one shot, club speed left out."""
     scale: tuple[float, ...] = ()
     """Each level's deviation as a multiple; empty: all 1."""
@@ -94,7 +94,7 @@ def drawn(case: Case, difference: float, number: int) -> tuple[list[Shot], dict[
             item = len(names) + plan.design.balls.index(trial.arm.ball)
         scale = known.scale[code] if known.scale and code < len(names) else 1.0
         carry = 180.0 + difference * (code == 0) + own[item, sample] + blocks[trial.block]
-        carry += known.drift * index + scale * known.deviation * noise[index]
+        carry += known.drift * index + scale * known.sd * noise[index]
         carry += float(mounted[plan.design.clubs.index(trial.arm.club), trial.block])
         carry += known.per_speed * (speeds[index] - 43.0)
         shots.append(
@@ -205,7 +205,7 @@ def cases() -> list[Case]:
         )
 
     uneven = Known(scale=(3.0, 1.0), missing=0.15, ball=1.0)
-    driven = Known(deviation=2 * sqrt(0.2), speed=2 * sqrt(0.8) / 3)
+    driven = Known(sd=2 * sqrt(0.2), speed=2 * sqrt(0.8) / 3)
     holes, some = Known(ball=1.0, drift=0.05, missing=0.1), Known(ball=1.0, drift=0.02, missing=0.05)
     half, whole, big = Known(ball=1.0), Known(ball=2.0), (4.0, 4.0) + (1.0,) * 8
     speed: dict[str, Any] = {"covariates": ("club_speed_mps",), "expected_r_squared": 0.8}
@@ -298,7 +298,7 @@ def rows_of(case: Case, campaigns: int, slack: float) -> list[Row]:
     if plan.ball_handling.samples == 1:
         rows.append(row("said of the models", null.models, null.campaigns, (0.0, 0.0)))
     elif fixed and not known.scale and not known.missing and not case.looks and not case.within:
-        ahead = predict_precision(plan, known.deviation, known.mounting if plan.split else known.ball)
+        ahead = predict_precision(plan, known.sd, known.mounting if plan.split else known.ball)
         if ahead is None:
             raise RuntimeError("nothing is foreseen")
         difference = ahead.resolution(0.8)

@@ -20,7 +20,7 @@ from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 def _analysed(name: str, **design: Any) -> tuple[CampaignPlan, list[SectionAnalysis]]:
     plan = load_plan(Path(name), load_configuration(Path("shipped")))
     plan = replace(plan, design=replace(plan.design, **design))
-    shots = campaign_shots(plan, Truth(deviation=1.0, difference=6.0), 1)
+    shots = campaign_shots(plan, Truth(sd=1.0, difference=6.0), 1)
     return plan, [
         analyse(plan, [shot for shot in shots if shot.section == one.number], one.number, one.name, ())
         for one in sections(plan)

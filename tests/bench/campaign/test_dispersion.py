@@ -56,6 +56,6 @@ def test_a_large_sample_has_95_percent_of_its_points_inside_axes_and_tilt_of_the
 def test_one_ball_or_a_ball_for_each_shot_is_the_plain_covariance() -> None:
     points = np.random.default_rng(4).normal(size=(9, 2))
     for ball in (np.zeros(9, int), np.arange(9)):
-        covariance, freedom = total_covariance(points, ball)
+        covariance, dof = total_covariance(points, ball)
         assert covariance == pytest.approx(np.cov(points.T))
-        assert freedom == 8
+        assert dof == 8

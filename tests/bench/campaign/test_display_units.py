@@ -22,7 +22,7 @@ US_ONLY = re.compile(r"\d (?:yd|mph|in|°F|inHg|oz)\b")
 
 @pytest.fixture(scope="module")
 def record() -> CampaignRecord:
-    return _record("symmetry", Truth(deviation=1.5, difference=6.0))
+    return _record("symmetry", Truth(sd=1.5, difference=6.0))
 
 
 def _page(record: CampaignRecord, units: UnitSystem) -> str:

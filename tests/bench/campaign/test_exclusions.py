@@ -36,7 +36,7 @@ LATER = NOW + timedelta(days=3)
 
 @pytest.fixture(scope="module")
 def taken() -> CampaignRecord:
-    return _record("symmetry", Truth(deviation=1.5, difference=6.0))
+    return _record("symmetry", Truth(sd=1.5, difference=6.0))
 
 
 @pytest.fixture

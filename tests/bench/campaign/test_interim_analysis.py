@@ -69,7 +69,7 @@ def test_an_unfinished_plan_counts_as_looked_at_after_each_block(plan: CampaignP
 
 
 def test_words_and_intervals_have_their_true_level(plan: CampaignPlan) -> None:
-    shots = campaign_shots(plan, Truth(deviation=2.0, difference=3.0), 3)[:20]
+    shots = campaign_shots(plan, Truth(sd=2.0, difference=3.0), 3)[:20]
     found = findings(plan, shots, [20])
     comparison = found.sections[0].confirmatory
     assert comparison is not None

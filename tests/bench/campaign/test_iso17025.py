@@ -52,7 +52,7 @@ uncertainty = { ball_speed_mps = 0.1 }
 
 @pytest.fixture(scope="module")
 def record() -> CampaignRecord:
-    record = _record("symmetry", Truth(deviation=1.5, difference=6.0))
+    record = _record("symmetry", Truth(sd=1.5, difference=6.0))
     report = replace(
         record.plan.report,
         laboratory="Robot laboratory",

@@ -43,7 +43,7 @@ def test_many_groups_have_letters_of_their_own() -> None:
 
 def test_a_ranking_is_in_order_of_the_model_and_says_how_far_behind() -> None:
     plan = load_plan(Path("ten-balls"), load_configuration(Path("shipped")))
-    shots = [s for s in campaign_shots(plan, Truth(deviation=1.0, difference=6.0), 1) if s.section == 1]
+    shots = [s for s in campaign_shots(plan, Truth(sd=1.0, difference=6.0), 1) if s.section == 1]
     analysis = analyse(plan, shots, 1, "", ())
     assert analysis.confirmatory is not None
     found = ranking(analysis.confirmatory)

@@ -48,14 +48,14 @@ def _plan(blocks: int = 5, hits: int = 4, balls: tuple[str, ...] = ("tour", "ran
     return replace(plan, design=replace(plan.design, blocks=blocks, hits_per_mounting=hits, balls=balls))
 
 
-def _shots(plan: CampaignPlan, mounting: float, deviation: float, seed: int = 1) -> list[Shot]:
+def _shots(plan: CampaignPlan, mounting: float, sd: float, seed: int = 1) -> list[Shot]:
     random = np.random.default_rng(seed)
     mounted = mounting * random.normal(size=(len(plan.design.clubs), plan.design.blocks + 1))
     shots = []
     for number, trial in enumerate(all_trials(plan), 1):
         club, ball = trial.arm.club, trial.arm.ball
         carry = 180 + CLUBS[club] + BALLS[ball] + mounted[plan.design.clubs.index(club), trial.block]
-        carry += 3 * trial.block + deviation * random.normal()
+        carry += 3 * trial.block + sd * random.normal()
         shots.append(
             Shot(
                 number,
@@ -148,13 +148,13 @@ def test_clubs_are_judged_by_the_means_of_their_mountings(balls: tuple[str, ...]
     for pair, (one, two) in zip(comparison.pairs, combinations(range(3), 2), strict=True):
         assert pair.difference == pytest.approx(means[:, one].mean() - means[:, two].mean())
         assert pair.error == pytest.approx(error)
-        assert pair.freedom == pytest.approx(6)
+        assert pair.dof == pytest.approx(6)
         assert pair.balls == 4
         assert not pair.models
     known = stats.studentized_range.isf(0.05, 3, 6) / np.sqrt(2)
     widest = (comparison.pairs[0].high_together - comparison.pairs[0].low_together) / 2 / error
     assert widest == pytest.approx(known, rel=0.02)
-    assert comparison.ball_deviation == pytest.approx(2.0, rel=0.6)
+    assert comparison.ball_sd == pytest.approx(2.0, rel=0.6)
     half = (comparison.pairs[0].high - comparison.pairs[0].low) / 2
     assert half == pytest.approx(stats.t.isf(0.025, 6) * error, rel=1e-3)
 
@@ -218,9 +218,9 @@ def test_what_it_resolves_is_foretold_with_the_mountings_scatter() -> None:
     plan = _plan()
     found, without = (
         outlook(plan),
-        outlook(replace(plan, analysis=replace(plan.analysis, mounting_deviation=0.0))),
+        outlook(replace(plan, analysis=replace(plan.analysis, mounting_sd=0.0))),
     )
-    assert found.freedom == pytest.approx(8)
+    assert found.dof == pytest.approx(8)
     assert found.resolution is not None
     assert without.resolution is not None
     assert found.resolution > 1.3 * without.resolution
@@ -299,7 +299,7 @@ def test_mountings_that_agree_by_chance_do_not_make_one_shot_scatter_less() -> N
         shots, _ = drawn(case._replace(known=Known()), 0.0, number)
         comparison = analyse(case.plan, shots, 1, "", ()).confirmatory
         assert comparison is not None
-        if comparison.ball_deviation == 0:
-            found.append(comparison.deviation / Known().deviation)
+        if comparison.ball_sd == 0:
+            found.append(comparison.sd / Known().sd)
     assert len(found) > 5
     assert 0.85 < min(found) <= max(found) < 1.25

@@ -47,10 +47,10 @@ def test_a_balls_hits_are_no_new_balls() -> None:
     assert comparison is not None
     (pair,) = comparison.pairs
     assert (pair.shots, pair.balls, pair.models) == (96, 12, True)
-    assert pair.freedom == pytest.approx(11)
-    assert comparison.ball_deviation == pytest.approx(2.0, rel=0.6)
-    assert comparison.deviation == pytest.approx(2.0, rel=0.2)
-    naive = np.sqrt(2 * comparison.deviation**2 / 96)
+    assert pair.dof == pytest.approx(11)
+    assert comparison.ball_sd == pytest.approx(2.0, rel=0.6)
+    assert comparison.sd == pytest.approx(2.0, rel=0.2)
+    naive = np.sqrt(2 * comparison.sd**2 / 96)
     assert pair.error > 2 * naive
 
 
@@ -58,7 +58,7 @@ def test_a_balls_hits_are_no_new_balls() -> None:
 def ten() -> Case:
     plan = _case("10 levels, 12 balls").plan
     plan = replace(plan, analysis=replace(plan.analysis, equivalence_margin=4.0, target_difference=4.0))
-    return Case("ten equal ones", plan, Known(deviation=1.0))
+    return Case("ten equal ones", plan, Known(sd=1.0))
 
 
 def test_ten_levels_that_are_all_alike_are_said_to_be(ten: Case) -> None:
@@ -136,7 +136,7 @@ def test_a_covariate_takes_out_what_it_explains() -> None:
     assert with_it.covariates is not None
     assert with_it.covariates.share == pytest.approx(0.8, abs=0.15)
     assert with_it.covariates.slopes[0] == pytest.approx(3.0, rel=0.3)
-    assert with_it.deviation < 0.7 * without.deviation
+    assert with_it.sd < 0.7 * without.sd
     (note, _) = findings(case.plan, shots).notes[0]
     assert "Corrected by club speed, as planned" in note
     shots[0] = replace(shots[0], club_speed_mps=None)
@@ -175,7 +175,7 @@ def test_power_is_foretold_by_the_same_degrees_of_freedom() -> None:
     plan = _case("2 levels, 12 balls").plan
     ahead = predict_precision(plan, 2.0, 1.0)
     assert ahead is not None
-    assert ahead.freedom == pytest.approx(11)
+    assert ahead.dof == pytest.approx(11)
     assert ahead.error == pytest.approx(np.sqrt(2 * (1 / 12 + 4 / 96)))
     assert ahead.power(ahead.resolution(0.8)) == pytest.approx(0.8, abs=1e-6)
 
@@ -184,6 +184,6 @@ def test_repeatability_without_two_shots_in_a_block_is_that_of_successive_shots(
     random = np.random.default_rng(1)
     drifting = 0.02 * np.arange(400) + random.normal(size=400)
     found = successive_scatter(drifting)
-    assert found.deviation == pytest.approx(1.0, rel=0.1)
-    assert found.low < found.deviation < found.high
-    assert drifting.std() > 2 * found.deviation
+    assert found.sd == pytest.approx(1.0, rel=0.1)
+    assert found.low < found.sd < found.high
+    assert drifting.std() > 2 * found.sd

@@ -103,7 +103,7 @@ def test_air_that_never_comes_is_refused_in_words(
     bench.take_lease("Ann")
     running.service.state, running.service.fills = State.ARMED, 1000
     with pytest.raises(CommandRefused) as caught:
-        bench.swing(patience=0.2)
+        bench.swing(retry_timeout=0.2)
     assert caught.value.found == "refused in state ARMED: the chambers are not at their planned pressures yet"
     assert caught.value.action == "Wait, then retry."
 
@@ -119,11 +119,11 @@ def test_arming_waits_for_a_robot_that_returns(running: RunningPlane, bench: Ben
     bench.take_lease("Ann")
     running.service.state = State.RECOVERING
     with pytest.raises(CommandRefused) as caught:
-        bench.arm(patience=0.2)
+        bench.arm(retry_timeout=0.2)
     assert len(running.service.requests) > 1
     assert caught.value.refusal is Refusal.STATE
     threading.Timer(0.3, setattr, (running.service, "state", State.READY)).start()
-    assert bench.arm(patience=5.0).accepted
+    assert bench.arm(retry_timeout=5.0).accepted
 
 
 def test_a_second_swing_is_not_made_after_the_first(running: RunningPlane, bench: BenchClient) -> None:
@@ -150,7 +150,7 @@ def test_chambers_that_never_empty_are_refused_in_words(
     bench.take_lease("Ann")
     running.service.state, running.service.vents = State.READY, 1000
     with pytest.raises(CommandRefused) as caught:
-        bench.arm(patience=0.2)
+        bench.arm(retry_timeout=0.2)
     assert caught.value.found == "refused in state READY: the chambers are not verified empty yet"
     assert caught.value.action == "Wait, then retry."
 
@@ -161,7 +161,7 @@ def test_a_robot_that_never_rests_is_refused_in_words(
     bench.take_lease("Ann")
     running.service.sways = 1000
     with pytest.raises(CommandRefused) as caught:
-        bench.reset(patience=0.2)
+        bench.reset(retry_timeout=0.2)
     assert caught.value.found == "refused in state ESTOP: a joint still moves"
     assert caught.value.action == "Wait until the robot rests, then retry."
 

@@ -13,7 +13,7 @@ import pytest
 
 from bench.config import Configuration
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
-from tests.bench.page.browser_tab import PATIENCE
+from tests.bench.page.browser_tab import TIMEOUT
 from tests.bench.page.chromium import launched
 from tests.bench.page.noting_program import NotingProgram
 from tests.bench.page.running_page import RunningPage, running_page
@@ -73,7 +73,7 @@ def browser(tool: Callable[[str], str]) -> Iterator[Any]:
     """Start the system's Chromium; it ends with the test, and all its processes with it."""
     from playwright.sync_api import expect, sync_playwright
 
-    expect.set_options(timeout=PATIENCE)
+    expect.set_options(timeout=TIMEOUT)
     with sync_playwright() as playwright:
         browser = launched(playwright, tool("chromium"))
         yield browser

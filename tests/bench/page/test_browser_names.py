@@ -28,7 +28,7 @@ CHART = {
     "shots": [1, 2],
     "values": [1.0, 2.0],
     "centre": 1.5,
-    "deviation": 0.2,
+    "sd": 0.2,
     "signals": [2],
 }
 SHOT = {

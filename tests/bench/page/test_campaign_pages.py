@@ -43,7 +43,7 @@ PROMPT = Prompt(1, 9, "balls", f"Fill the feeder {SCRIPT}", {"balls": [["tour", 
 def configuration(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
     """Return the configuration of a bench with two campaigns, a report and a record."""
     folder, given = tmp_path_factory.mktemp("data"), loopback_configuration()
-    taken = _record("symmetry", Truth(deviation=1.5, difference=6.0))
+    taken = _record("symmetry", Truth(sd=1.5, difference=6.0))
     with open_database(database_url("", folder), NOW) as engine:
         store = CampaignStore(engine)
         for name, state in ((OPEN, CampaignState.WAITING), (ENDED, CampaignState.FINISHED)):

@@ -157,7 +157,7 @@ def test_plans_are_the_shipped_ones_and_those_of_the_bench(tmp_path: Path) -> No
 
 _FORM: dict[str, Any] = {
     **{"name": "three-balls", "compare": "ball", "balls": ["tour", "range"], "clubs": ["driver"]},
-    **{"swings": [], "difference": 2.0, "deviation": 2.5, "save": False},
+    **{"swings": [], "difference": 2.0, "sd": 2.5, "save": False},
 }
 
 
@@ -173,7 +173,7 @@ def test_new_plan_is_written_as_at_the_command_line(
         assert (status, content["saved"]) == (200, save)
         asked = program.asked[-1]
         options = ["--compare=ball", "--ball=tour", "--ball=range", "--club=driver"]
-        assert asked[:-1] == ["campaign", "new", *options, "--difference=2.0", "--deviation=2.5", "--"]
+        assert asked[:-1] == ["campaign", "new", *options, "--difference=2.0", "--sd=2.5", "--"]
         file = Path(asked[-1])
         assert file.name == "three-balls.toml"
         assert (file.parent == configuration.bench.data_dir / "plans") is save
@@ -188,7 +188,7 @@ def test_new_plan_is_written_as_at_the_command_line(
         {"balls": [1]},
         {"balls": ["b"] * 51},
         {"difference": "2"},
-        {"deviation": None},
+        {"sd": None},
     ],
 )
 def test_new_plan_invalid_form_reaches_no_program(

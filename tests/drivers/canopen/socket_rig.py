@@ -22,7 +22,7 @@ from drivers.canopen.link import SocketcanLink
 from drivers.canopen.settings import CanopenSettings
 
 PERIOD = 0.001
-PATIENCE = 20.0
+TIMEOUT = 20.0
 SETTINGS = CanopenSettings(sync_timeout=0.15)
 NODE = SETTINGS.valve_node.node
 MOVING = Command((0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, guard_lock=False, beacon=True)
@@ -70,7 +70,7 @@ class Nodes:
 
     def wait_for_command(self, before: int) -> None:
         """Wait until a command has been heard after the first `before` frames, and all is answered."""
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT
         while True:
             heard = list(self.heard)
             commanded = any(FRAME.unpack(whole)[0] == 0x200 + NODE for whole in heard[before:])
@@ -81,7 +81,7 @@ class Nodes:
 
     def end(self) -> None:
         self.ours.shutdown(socket.SHUT_RDWR)
-        self._thread.join(PATIENCE)
+        self._thread.join(TIMEOUT)
         self.ours.close()
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from drivers.launch_monitor.matching import Match, MatchOutcome, MatchWindow, SwingImpact, join_clubs, match
 from drivers.launch_monitor.record import ClubFigures, ClubRecord, LaunchRecord
 
-WINDOW = MatchWindow(latest=5.0, patience=10.0)
+WINDOW = MatchWindow(latest=5.0, timeout=10.0)
 
 
 def told(time: float, number: int = 1, speed: float = 60.0) -> LaunchRecord:

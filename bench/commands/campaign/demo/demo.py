@@ -259,13 +259,13 @@ def own_bench(configuration: Configuration, log: Path) -> Iterator[None]:
         NotStarted: it does not come up.
     """
     child = Child.start("bench", "bench.commands.campaign.demo.bench_process", BenchPlan(configuration, log))
-    patience = 2.0  # nothing moves before it is ready
+    timeout = 2.0  # nothing moves before it is ready
     try:
         child.wait_until_ready(_START)
-        patience = _END
+        timeout = _END
         yield
     finally:
-        child.end(patience)
+        child.end(timeout)
 
 
 def run_demo(

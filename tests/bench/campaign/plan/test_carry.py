@@ -232,7 +232,7 @@ def test_coefficients_that_are_not_well_known_do_not_make_balls_different(
     campaigns = 150
     for number in range(campaigns):
         off = dict(zip("ab", random.normal(0.0, 1.0, 2), strict=True))
-        drawn = campaign_shots(plan, Truth(deviation=1.0, block=0.5), number)
+        drawn = campaign_shots(plan, Truth(sd=1.0, block=0.5), number)
         for error in called:
             shots = [
                 replace(
@@ -262,4 +262,4 @@ def test_an_error_that_all_levels_share_widens_nothing(configuration: Configurat
     plain = Contrast(2.0, 0.5, 10.0)
     assert plain.widened(0.0, 0.0) == plain
     assert plain.widened(0.3, 0.4).error == pytest.approx(0.5 * 2**0.5)
-    assert plain.widened(0.3, 0.4).freedom == pytest.approx(40.0)
+    assert plain.widened(0.3, 0.4).dof == pytest.approx(40.0)

@@ -250,19 +250,19 @@ def test_sections_hold_what_is_not_compared(tmp_path: Path, configuration: Confi
 # Figures of the domain reference: n a ball for a standard deviation and a difference, normal approximation
 # (two-sided 0.05, power 0.8); small numbers need one or two more.
 @pytest.mark.parametrize(
-    ("deviation", "difference", "normal"),
+    ("sd", "difference", "normal"),
     [(1.5, 1, 36), (1.5, 2, 9), (2.5, 1, 99), (2.5, 2, 25), (4, 2, 63), (6, 3, 63), (6, 5, 23)],
 )
-def test_the_number_of_shots_is_the_known_one(deviation: float, difference: float, normal: int) -> None:
-    found = blocks_needed(lambda n: power_of_shift(difference / (deviation * sqrt(2 / n)), n - 1, 0.05), 0.8)
+def test_the_number_of_shots_is_the_known_one(sd: float, difference: float, normal: int) -> None:
+    found = blocks_needed(lambda n: power_of_shift(difference / (sd * sqrt(2 / n)), n - 1, 0.05), 0.8)
     assert found is not None
     assert normal <= found <= normal + 3
 
 
 def test_tost_needs_the_known_number() -> None:
-    for deviation, normal in ((1.5, 10), (2.5, 27), (4.0, 69)):
+    for sd, normal in ((1.5, 10), (2.5, 27), (4.0, 69)):
         found = blocks_needed(
-            lambda n, sd=deviation: same_power_of_error(2.0, sd * sqrt(2 / n), n - 1, 0.05),  # type: ignore[misc]
+            lambda n, sd=sd: same_power_of_error(2.0, sd * sqrt(2 / n), n - 1, 0.05),  # type: ignore[misc]
             0.8,
         )
         assert found is not None

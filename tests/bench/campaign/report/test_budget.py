@@ -98,8 +98,8 @@ def test_a_budget_is_the_root_of_squares_with_effective_degrees_of_freedom() -> 
     assert found.type_a == pytest.approx(a)
     assert found.type_b == 0.1
     assert found.combined == pytest.approx(hypot(a, 0.1))
-    assert found.freedom == pytest.approx(found.combined**4 / (a**4 / 11 + 0.1**4 / 40))
-    assert found.coverage == pytest.approx(stats.t.ppf(0.97724986805182, found.freedom))
+    assert found.dof == pytest.approx(found.combined**4 / (a**4 / 11 + 0.1**4 / 40))
+    assert found.coverage == pytest.approx(stats.t.ppf(0.97724986805182, found.dof))
     assert found.expanded == pytest.approx(found.coverage * found.combined)
     assert [line.kind for line in found.lines] == ["A", "B"]
     assert found.lines[1].source == "launch monitor, no. 7, certificate 1, 2026-01-01"
@@ -161,13 +161,13 @@ def test_a_rules_uncertainty_is_that_of_the_budget() -> None:
 
 
 def test_expanded_uncertainty_covers_the_truth() -> None:
-    plan, random, covered, tries = _plan(replace(MONITOR, freedom=0.0)), np.random.default_rng(9), 0, 400
+    plan, random, covered, tries = _plan(replace(MONITOR, dof=0.0)), np.random.default_rng(9), 0, 400
     for seed in range(tries):
         shots = [s for s in _shots(seed=seed, off=0.1 * random.normal()) if s.ball == "pole"]
         values = np.array([shot.ball_speed_mps for shot in shots], dtype=float)
         found = uncertainty_budgets(plan, shots, BENCH, simulated=False)
         speed = next(one for one in found if one.column == "ball_speed_mps")
         assert speed.expanded is not None
-        assert speed.freedom < inf
+        assert speed.dof < inf
         covered += abs(values.mean() - 62.0) <= speed.expanded
     assert covered / tries == pytest.approx(0.9545, abs=0.025)

@@ -89,7 +89,7 @@ def _record(name: str, truth: Truth, blocks: int = 8) -> CampaignRecord:
 
 @pytest.fixture(scope="module")
 def record() -> CampaignRecord:
-    return _record("symmetry", Truth(deviation=1.5, difference=6.0))
+    return _record("symmetry", Truth(sd=1.5, difference=6.0))
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def three_by_two(tmp_path_factory: pytest.TempPathFactory) -> CampaignRecord:
     """Three balls with two clubs in four blocks."""
     file = tmp_path_factory.mktemp("plan") / "plan.toml"
     file.write_text(THREE_BY_TWO)
-    return _record(str(file), Truth(deviation=0.5, difference=6.0), 4)
+    return _record(str(file), Truth(sd=0.5, difference=6.0), 4)
 
 
 def _words(text: str) -> str:
@@ -342,7 +342,7 @@ def test_a_baseline_holds_or_tells_what_left_its_band(record: CampaignRecord, tm
     file.write_text(
         '[[figure]]\npath = "sections.0.levels.pole.spread.mean"\nlow = 170\nhigh = 190\n'
         '[[figure]]\npath = "by_status.valid"\nlow = 40\n'
-        '[[figure]]\npath = "repeatability.driver.figures.club_speed_mps.within.deviation"\nhigh = 0.5\n'
+        '[[figure]]\npath = "repeatability.driver.figures.club_speed_mps.within.sd"\nhigh = 0.5\n'
         '[[figure]]\npath = "sections.7.name"\nhigh = 1\n'
     )
     checks = check_baseline(figures, read_baseline(file))
@@ -410,7 +410,7 @@ def test_a_report_is_not_wider_than_any_screen_or_paper(
     """The column of carry, and the verdicts of nine clubs, were cut off on the right."""
     from playwright.sync_api import sync_playwright
 
-    clubs = _record("clubs-split-plot", Truth(deviation=1.5, difference=106.0))
+    clubs = _record("clubs-split-plot", Truth(sd=1.5, difference=106.0))
     every = {record.plan.campaign.name: _delivered(record) for record in (three_by_two, clubs)}
     with sync_playwright() as playwright:
         browser = launched(playwright, tool("chromium"))

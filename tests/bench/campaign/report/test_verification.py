@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 @pytest.fixture(scope="module")
 def record() -> CampaignRecord:
-    return _record("symmetry", Truth(deviation=1.5, difference=6.0))
+    return _record("symmetry", Truth(sd=1.5, difference=6.0))
 
 
 @pytest.fixture(scope="module", params=release_except({UnitSystem.SI}, UnitSystem))

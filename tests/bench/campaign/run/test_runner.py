@@ -651,7 +651,7 @@ def test_a_locked_database_is_waited_for_and_no_shot_is_lost(
 def test_a_database_that_stays_locked_suspends_and_resume_goes_on(
     make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.campaign.run.runner._DATABASE_PATIENCE", 0.2)
+    monkeypatch.setattr("bench.campaign.run.runner._DATABASE_TIMEOUT", 0.2)
     bench = make()
     held = list[sqlite3.Connection]()
 
@@ -766,15 +766,15 @@ def test_who_asks_while_it_is_suspended_is_heard(
 class ShortOfAir(Scripted):
     """A bench whose supply is low when it comes to shot 3, for `long` looks."""
 
-    def __init__(self, long: float, patience: float) -> None:
+    def __init__(self, long: float, timeout: float) -> None:
         super().__init__()
-        self.left, self.patience, self.armed, self.log = long, patience, False, list[str]()
+        self.left, self.timeout, self.armed, self.log = long, timeout, False, list[str]()
 
     def hindrance(self, step: Step) -> BlockingCondition | None:
         if len(self.taken) != 2 or not self.armed or self.left <= 0:
             return None
         self.left -= 1
-        return BlockingCondition("supply 7.0 bar", armed=True, patience=self.patience)
+        return BlockingCondition("supply 7.0 bar", armed=True, timeout=self.timeout)
 
     def rest(self) -> None:
         self.log.append("rest")

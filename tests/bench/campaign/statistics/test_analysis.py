@@ -48,13 +48,13 @@ SAMPLE = {
 def test_the_published_block_design_comes_out() -> None:
     level, block = (index.ravel() for index in np.indices(GRAFTS.shape))
     fit = fit_blocks(GRAFTS.ravel(), level, block, 4)
-    assert fit.freedom == 15
-    assert fit.freedom * fit.deviation**2 == pytest.approx(109.89, abs=0.005)
+    assert fit.dof == 15
+    assert fit.dof * fit.sd**2 == pytest.approx(109.89, abs=0.005)
     means = GRAFTS.mean(axis=1)
     assert fit.effects == pytest.approx(means - means[0])
     treatments = 6 * ((means - GRAFTS.mean()) ** 2).sum()
     assert treatments == pytest.approx(178.17, abs=0.005)
-    assert treatments / 3 / fit.deviation**2 == pytest.approx(8.11, abs=0.005)
+    assert treatments / 3 / fit.sd**2 == pytest.approx(8.11, abs=0.005)
 
 
 def test_holm_is_that_of_statsmodels() -> None:
@@ -83,7 +83,7 @@ def test_taking_blocks_out_first_is_the_full_least_squares_fit(
     full = OLS(y, design).fit()
     fit = fit_blocks(y, level, block, 4, time)
     assert fit.effects[1:] == pytest.approx(full.params[:4])
-    assert fit.freedom == full.df_resid
+    assert fit.dof == full.df_resid
     assert fit.residuals == pytest.approx(full.resid)
     for first, second, weights in ((1, 0, [1, 0, 0]), (1, 3, [1, 0, -1])):
         known = full.t_test(np.r_[weights, np.zeros(design.shape[1] - 3)])
@@ -105,19 +105,19 @@ def test_levels_that_share_no_block_are_not_compared() -> None:
 def test_variance_components_are_those_of_the_one_way_table() -> None:
     values = np.array([1.0, 3.0, 11.0, 13.0, 6.0, 8.0])
     within, overall = variance_components(values, np.array([0, 0, 1, 1, 2, 2]))
-    assert within.deviation == pytest.approx(np.sqrt(2))
-    assert overall.deviation == pytest.approx(np.sqrt(2 + (50 - 2) / 2))  # mean square between: 50
-    assert within.low < within.deviation < within.high
-    assert overall.low < overall.deviation < overall.high
+    assert within.sd == pytest.approx(np.sqrt(2))
+    assert overall.sd == pytest.approx(np.sqrt(2 + (50 - 2) / 2))  # mean square between: 50
+    assert within.low < within.sd < within.high
+    assert overall.low < overall.sd < overall.high
 
 
 def test_a_spread_has_the_known_intervals() -> None:
     found = spread(np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
     assert found.mean == 3
     assert (found.low, found.high) == pytest.approx((1.03676, 4.96324), abs=1e-4)
-    assert (found.deviation_low, found.deviation_high) == pytest.approx((0.94731, 4.54349), abs=1e-4)
+    assert (found.sd_low, found.sd_high) == pytest.approx((0.94731, 4.54349), abs=1e-4)
     assert spread(np.array([])).n == 0
-    assert np.isnan(spread(np.array([2.0])).deviation)
+    assert np.isnan(spread(np.array([2.0])).sd)
 
 
 @pytest.fixture(scope="module")
@@ -134,11 +134,11 @@ def _verdict(plan: CampaignPlan, truth: Truth, seed: int) -> str:
 
 def test_the_verdicts_tell_different_same_and_too_few(plan: CampaignPlan) -> None:
     small = replace(plan, design=replace(plan.design, blocks=4))
-    assert _verdict(plan, Truth(deviation=2.0, difference=6.0), 1) == "different"
-    assert _verdict(plan, Truth(deviation=2.0, difference=0.0), 1) == "same"
-    assert _verdict(plan, Truth(deviation=0.5, difference=1.5), 1) == "both"
-    assert _verdict(small, Truth(deviation=6.0, difference=0.0), 2) == "not enough shots"
-    found = findings(small, campaign_shots(small, Truth(deviation=6.0), 2))
+    assert _verdict(plan, Truth(sd=2.0, difference=6.0), 1) == "different"
+    assert _verdict(plan, Truth(sd=2.0, difference=0.0), 1) == "same"
+    assert _verdict(plan, Truth(sd=0.5, difference=1.5), 1) == "both"
+    assert _verdict(small, Truth(sd=6.0, difference=0.0), 2) == "not enough shots"
+    found = findings(small, campaign_shots(small, Truth(sd=6.0), 2))
     (verdict,) = found.verdicts[0]
     needed, _ = found.needed[0]
     assert "Not enough shots" in verdict.headline
@@ -147,7 +147,7 @@ def test_the_verdicts_tell_different_same_and_too_few(plan: CampaignPlan) -> Non
 
 
 def test_drift_within_blocks_is_taken_out_by_the_control_ball(plan: CampaignPlan) -> None:
-    truth = Truth(deviation=0.01, difference=1.0, drift=0.5)
+    truth = Truth(sd=0.01, difference=1.0, drift=0.5)
     shots, uncorrected = campaign_shots(plan, truth, 4), replace(plan.analysis, drift="none")
     result = analyse(plan, shots, 1, "").confirmatory
     raw = analyse(replace(plan, analysis=uncorrected), shots, 1, "").confirmatory
@@ -155,11 +155,11 @@ def test_drift_within_blocks_is_taken_out_by_the_control_ball(plan: CampaignPlan
     assert result.drift == pytest.approx(0.5, abs=0.01)
     assert result.pairs[0].difference == pytest.approx(1.0, abs=0.02)
     assert raw is not None
-    assert raw.deviation > 10 * result.deviation
+    assert raw.sd > 10 * result.sd
 
 
 def test_outliers_are_flagged_and_stay(plan: CampaignPlan) -> None:
-    shots = campaign_shots(plan, Truth(deviation=1.0), 6)
+    shots = campaign_shots(plan, Truth(sd=1.0), 6)
     far = next(i for i, shot in enumerate(shots) if shot.role == "test" and shot.shot > 50)
     assert shots[far].carry_m is not None
     shots[far] = replace(shots[far], carry_m=shots[far].carry_m + 15.0)  # type: ignore[operator]
@@ -191,13 +191,13 @@ def test_too_few_shots_give_no_figures_and_no_error(plan: CampaignPlan, keep: in
 
 def test_shots_without_scatter_are_judged_without_error(plan: CampaignPlan) -> None:
     small = replace(plan, design=replace(plan.design, blocks=3))
-    found = findings(small, campaign_shots(small, Truth(deviation=0.0, block=0.0, difference=1.0), 9))
+    found = findings(small, campaign_shots(small, Truth(sd=0.0, block=0.0, difference=1.0), 9))
     assert found.sections[0].confirmatory is not None
     assert found.sections[0].confirmatory.pairs[0].difference == pytest.approx(1.0)
 
 
 def test_the_stopping_rules(plan: CampaignPlan) -> None:
-    shots = campaign_shots(plan, Truth(deviation=2.0), 10)
+    shots = campaign_shots(plan, Truth(sd=2.0), 10)
     wide = replace(plan, stop=replace(plan.stop, rule="width", width=3.0))
     narrow = replace(plan, stop=replace(plan.stop, rule="width", width=0.1))
     assert decide(wide, shots)
@@ -208,7 +208,7 @@ def test_the_stopping_rules(plan: CampaignPlan) -> None:
 
 def test_interim_analysis_is_that_of_the_latest_look_of_the_rule() -> None:
     symmetry = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
-    shots = campaign_shots(symmetry, Truth(deviation=1.5, difference=6.0), 1)
+    shots = campaign_shots(symmetry, Truth(sd=1.5, difference=6.0), 1)
     ends = {block: max(n for n, s in enumerate(shots) if s.block == block) + 1 for block in (11, 12, 20)}
     assert interim_analysis(symmetry, shots[: ends[11]]) is None
     assert interim_analysis(symmetry, shots[: ends[12]]) is None

@@ -75,12 +75,12 @@ def test_a_charts_limits_come_from_the_moving_range_of_valid_control_shots() -> 
     shots[20] = replace(shots[20], carry_m=200.0)
     carry, speed = control_charts(_plan(), shots)
     assert (carry.column, speed.column) == ("carry_m", "ball_speed_mps")
-    assert carry.deviation == pytest.approx(1.5, rel=0.12)
+    assert carry.sd == pytest.approx(1.5, rel=0.12)
     assert 11 not in carry.shots
     assert 21 in next(signal.shots for signal in carry.signals if signal.rule == 1)
     drifted = [replace(shot, carry_m=(shot.carry_m or 0) + 0.02 * shot.shot) for shot in shots]
     chart = control_charts(_plan(), drifted)[0]
-    assert chart.deviation == pytest.approx(carry.deviation, rel=0.02)
+    assert chart.sd == pytest.approx(carry.sd, rel=0.02)
     assert {1, 2} <= {signal.rule for signal in chart.signals}
 
 

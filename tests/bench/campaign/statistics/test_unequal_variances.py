@@ -24,7 +24,7 @@ def test_two_levels_are_the_paired_test_of_balls() -> None:
     means = [np.bincount(block % balls, values) / hits for values in (one, two)]
     known = stats.ttest_rel(means[0], means[1])
     assert found is not None
-    assert found.freedom == pytest.approx(balls - 1)
+    assert found.dof == pytest.approx(balls - 1)
     assert found.p == pytest.approx(float(known.pvalue))
     low, high = known.confidence_interval(0.95)
     assert found.interval(0.95) == pytest.approx((low, high))
@@ -54,9 +54,9 @@ def test_the_sum_of_three_levels_variances_is_that_of_their_differences() -> Non
     fit = fit_blocks(y.ravel(), level, block, 3)
     errors = UnitLayout(fit, units_of(level, block, 3)).estimate(fit.residuals)
     for one, two in combinations(range(3), 2):
-        error, freedom = errors.of_pair(one, two)
+        error, dof = errors.of_pair(one, two)
         assert error == pytest.approx((y[:, one] - y[:, two]).std(ddof=1) / np.sqrt(20))
-        assert freedom == pytest.approx(19)
+        assert dof == pytest.approx(19)
 
 
 def test_one_ball_of_a_level_is_judged_by_its_shots() -> None:

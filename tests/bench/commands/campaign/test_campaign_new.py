@@ -13,7 +13,7 @@ from bench.base.errors import BenchError
 from bench.commands.cli import app
 
 TWO = ("--compare", "ball", "--ball", "tour", "--ball", "range", "--club", "driver")
-SIZES = ("--difference", "2", "--deviation", "1")
+SIZES = ("--difference", "2", "--sd", "1")
 Call = Callable[..., Result]
 
 
@@ -68,12 +68,12 @@ def test_new_plan_of_a_club_without_a_swing_is_kept_and_says_so(call: Call, tmp_
 def test_new_plan_without_a_terminal_lists_all_missing_options(call: Call, tmp_path: Path) -> None:
     error = call("new", "two.toml", "--club", "driver").exception
     assert isinstance(error, BenchError)
-    assert error.found == "no --compare, --ball, --difference, --deviation"
+    assert error.found == "no --compare, --ball, --difference, --sd"
     assert list(tmp_path.iterdir()) == []
 
 
 def test_new_plan_with_a_zero_is_refused_at_its_key(call: Call) -> None:
-    error = call("new", "two.toml", *TWO, "--difference", "0", "--deviation", "1").exception
+    error = call("new", "two.toml", *TWO, "--difference", "0", "--sd", "1").exception
     assert isinstance(error, ExceptionGroup)
     (told,) = error.exceptions
     assert isinstance(told, BenchError)

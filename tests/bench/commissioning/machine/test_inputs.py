@@ -43,7 +43,7 @@ def wired(configuration: Configuration) -> Configuration:
 
 def checked(c: Configuration, *faults: Fault) -> list[InputFinding]:
     with SimulatedMachine(c.plant, c.plant, faults, inputs_only=True) as machine:
-        hands = simulated_hands(machine)._replace(patience=0.5)
+        hands = simulated_hands(machine)._replace(timeout=0.5)
         findings = check_inputs(machine, hands, c)[1]
         assert not machine.driver.applied.supply_enable
         assert machine.loads.peak_head_speed < 0.05, "nothing moves"
@@ -186,7 +186,7 @@ def test_spans_are_found_whose_regulator_was_turned_to_read_right(
 def test_no_air_comes_behind_a_guard_that_is_not_proven(wired: Configuration) -> None:
     turned = list[float]()
     with SimulatedMachine(wired.plant, wired.plant, (broken("guard closed", "stuck", 1.0),)) as machine:
-        hands = simulated_hands(machine)._replace(patience=0.5)
+        hands = simulated_hands(machine)._replace(timeout=0.5)
 
         def turn(pressure: float) -> None:
             turned.append(pressure)

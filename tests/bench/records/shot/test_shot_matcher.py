@@ -99,7 +99,7 @@ def test_what_has_no_beginning_has_no_id(day: Cycles) -> None:
 
 
 NOW = datetime(2026, 11, 21, 19, 0, tzinfo=UTC)
-WINDOW = MatchWindow(latest=4.0, patience=10.0)
+WINDOW = MatchWindow(latest=4.0, timeout=10.0)
 
 
 def launch(time: float, speed: float = 52.0, **changes: Any) -> LaunchRecord:
