@@ -78,7 +78,7 @@ def robot_file(
         lines += ["", "[envelope]"]
         lines += [f"min_supply_pressure = {low:.0f}.0", f"max_supply_pressure = {high:.0f}.0"]
     if following:
-        lines += ["", "[envelope.following]"]
+        lines += ["", "[envelope.max_following_error]"]
         lines += [f"{phase} = {toml_value(limits)}" for phase, limits in following.items()]
     lines += ["", "[envelope.model]", 'check = "always"  # this robot was measured']
     lines += ["", "[envelope.model.standard_errors]"]

@@ -63,10 +63,15 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     if c.driver.name == "daq" and c.homing.method != "index":
         action = "The card's counters do not know the angle until the index has passed."
         yield "homing.method", format_value(c.homing.method), 'with driver "daq" "index"', action
-    phases = EnvelopeSettings().following.keys()
-    for name in phases ^ c.envelope.following.keys():
+    phases = EnvelopeSettings().max_following_error.keys()
+    for name in phases ^ c.envelope.max_following_error.keys():
         found = "nothing" if name in phases else "an unknown phase"
-        yield f"envelope.following.{name}", found, f"each of {', '.join(phases)} once", "Correct the table."
+        yield (
+            f"envelope.max_following_error.{name}",
+            found,
+            f"each of {', '.join(phases)} once",
+            "Correct the table.",
+        )
     for kind in MODEL_PHASES:
         watched = getattr(ModelSettings(), kind).keys() - OPTIONAL_ROWS
         for name in (getattr(c.envelope.model, kind).keys() - OPTIONAL_ROWS) ^ watched:

@@ -22,7 +22,7 @@ ENVELOPE_PARAMETERS = np.dtype(
         ("lower", "f8", (3,)),
         ("upper", "f8", (3,)),
         ("max_speed", "f8", (3,)),
-        ("following", "f8", (PHASES, 3)),
+        ("max_following_error", "f8", (PHASES, 3)),
         ("min_deceleration", "f8", (3,)),
         ("end_stop_max_speed", "f8", (3,)),
         ("max_opening", "f8"),
@@ -131,7 +131,7 @@ def motion_cause(
             ):
                 return Cause.SHOULDER_STOP_DISTANCE + i
         # The jump of the impact is in no reference.
-        if phase != Phase.IMPACT and not abs(reference[i] - angle[i]) <= p.following[phase, i]:
+        if phase != Phase.IMPACT and not abs(reference[i] - angle[i]) <= p.max_following_error[phase, i]:
             return Cause.SHOULDER_FOLLOWING + i
     return _clearance_cause(p, robot, angle, low)
 

@@ -130,7 +130,7 @@ def _note_doubted(s: Any, limits: Any, e: Any, broken: int) -> None:
 def _watch_search(state: Any, parameters: Any, time: float) -> None:
     """Stop the search for an index that leaves its limits, or does not fit the model."""
     s, e, limits = state.control[0], state.estimator[0], parameters.envelope[0]
-    following = limits.following[Phase.HOMING.value]
+    following = limits.max_following_error[Phase.HOMING.value]
     broken = search_cause(
         s, parameters.control[0], following, limits.max_tick_interval, e.angle, e.velocity, time
     )

@@ -172,7 +172,7 @@ class LifecycleSettings:
     """Reset and secure also take the button beside the robot; required with a real robot."""
     local_reset_time: Positive = 10.0
     """How long a press of it counts for one reset or secure, s."""
-    series: bool = False
+    hold_between_swings: bool = False
     """After a swing hold the address for the next one instead of venting."""
     supervisor_timeout: Positive = 0.5
     """Silence of the supervisor that counts as its death, s."""
@@ -214,7 +214,7 @@ class HomingSettings:
     """rad/s, of the search."""
     opening: Annotated[float, Above(0), AtMost(0.5)] = 0.15
     """Greatest valve opening of the search."""
-    longest: Positive = 60.0
+    timeout: Positive = 60.0
     """s, of search and stops together."""
 
     def __post_init__(self) -> None:
@@ -329,7 +329,7 @@ class EnvelopeSettings:
 
     max_speed: PositiveTriple = (26.0, 6.0, 48.0)
     """Shoulder rad/s, rod m/s, wrist rad/s."""
-    following: dict[str, PositiveTriple] = field(
+    max_following_error: dict[str, PositiveTriple] = field(
         default_factory=lambda: {
             "homing": (0.35, 0.20, 0.50),
             "hold": (0.10, 0.08, 0.15),
@@ -413,7 +413,7 @@ MODEL_ROWS = _ROWS | {f"learning_{name}": LEARNING + row for name, row in _ROWS.
 OPTIONAL_ROWS = MODEL_ROWS.keys() - MODEL_PHASES["jump"].keys()
 """Rows that a table may leave out: those of BRAKE, of blows, of arming, and of learning."""
 
-SIMULATED = LifecycleSettings(warning_time=0.0, series=True)
+SIMULATED = LifecycleSettings(warning_time=0.0, hold_between_swings=True)
 """Of a bench without anybody beside it: no warning, and the address is held after a swing."""
 
 
@@ -551,6 +551,16 @@ def holding_pressure(plant: PlantParameters) -> float:
     return plant.supply.atmosphere + max(_HELD_BY_AIR * least, _RESOLVED)
 
 
+_CODED = frozenset(
+    {
+        *("feed_forward", "gains", "pid", "damping", "move_gain", "turf_lift_gain"),
+        "supervisor_timeout",
+        *("order", "method", "reference", "head_tolerance"),
+    }
+)
+"""Settings in another form in the step: control, lifecycle, homing."""
+
+
 def _control_record(
     control: ControlSettings,
     lifecycle: LifecycleSettings,
@@ -563,20 +573,17 @@ def _control_record(
     record = new_record(CONTROL_PARAMETERS)
     if control.feed_forward == "kane":
         record["rate_opening"], record["speed_opening"] = kane_gains(machine)
-    for settings in (control, lifecycle):
+    for prefix, settings in (("", control), ("", lifecycle), ("home_", homing)):
         for setting in fields(settings):
-            if setting.name in (CONTROL_PARAMETERS.names or ()):
-                value = getattr(settings, setting.name)
-                record[setting.name] = CODES.index(value) if setting.name == "feed_forward" else value
+            if setting.name not in _CODED:  # any other one without a field of its name is an error
+                record[prefix + setting.name] = getattr(settings, setting.name)
+    record["feed_forward"] = CODES.index(control.feed_forward)
     if plant.site.surface != "none":
         record["lift_gain"], record["lift_angle"] = control.turf_lift_gain, lifted_angle(plant)
         record["escape_opening"], record["escape_time"] = turf_avoidance.OPENINGS, turf_avoidance.TIMES
     record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
     record["home_stop"] = pressed_stops(plant, homing.direction)
     record["home_stop_tolerance"] = stop_tolerance(plant, profile, homing.direction, homing.head_tolerance)
-    for setting in fields(homing):
-        if f"home_{setting.name}" in (CONTROL_PARAMETERS.names or ()) and setting.name != "order":
-            record[f"home_{setting.name}"] = getattr(homing, setting.name)
     if control.gains == "machine":
         record["move_band"] = [actuator.valve.dead_band for actuator in plant.actuators]
     record["home_by_index"] = homing.method == "index"
@@ -614,9 +621,9 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
         margin = settings.absorber_travel_fraction * actuator.stop.travel
         record["lower"][0, i] = actuator.lower - margin
         record["upper"][0, i] = actuator.upper + margin
-    record["following"] = inf
-    for name, errors in settings.following.items():
-        record["following"][0, _FOLLOWED[name]] = errors
+    record["max_following_error"] = inf
+    for name, errors in settings.max_following_error.items():
+        record["max_following_error"][0, _FOLLOWED[name]] = errors
     for name in (
         "max_speed",
         "max_slew",

@@ -169,7 +169,7 @@ def enter_hold(s: Any, parameters: Any, time: float) -> None:
     """Hold the address, or vent after a swing that is not followed by another."""
     s.moving = False
     s.phase = Phase.HOLD
-    again = parameters.control[0].series and s.lease_held and s.support_ready and not s.disarming
+    again = parameters.control[0].hold_between_swings and s.lease_held and s.support_ready and not s.disarming
     if s.state == State.ARMED or (again and s.reaction == Reaction.NONE):
         change_state(s, parameters, State.ARMED, time)
     elif s.reaction == Reaction.NONE:

@@ -40,7 +40,7 @@ class Rehearsal:
             LoopFailed: the robot does not come to rest at address.
         """
         # References past the ball are still being found: do not check following errors.
-        free = replace(bench, envelope=replace(bench.envelope, following={}))
+        free = replace(bench, envelope=replace(bench.envelope, max_following_error={}))
         powered = PoweredBench(free)
         engine = powered.engine
         try:

@@ -190,7 +190,9 @@ def _rehearsed(bench: SimulatedBench, ticks: int) -> Backswing:
     free = replace(bench, envelope=replace(bench.envelope, min_lever=0.0))
     rehearsal = Rehearsal(free)
     cycles = rehearsal.advance(ticks)
-    error = np.abs(cycles["reference_angle"] - cycles["angle"]) / bench.envelope.following["backswing"]
+    error = (
+        np.abs(cycles["reference_angle"] - cycles["angle"]) / bench.envelope.max_following_error["backswing"]
+    )
     return Backswing(bench.profile, rehearsal, cycles, float(error.max()))
 
 

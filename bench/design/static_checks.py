@@ -169,7 +169,7 @@ def _tables(plan: MachineSwing) -> Check:
     j, i = _peak(step / allowed)
     if step[j, i] > allowed[j, i]:
         found = f"{angle[j, i]:.4f}, then {angle[j + 1, i]:.4f} rad: a step no robot can follow"
-        wanted = f"a step of at most {allowed[j, i]:.3g} rad, {STEP_SHARE:g} of envelope.following"
+        wanted = f"a step of at most {allowed[j, i]:.3g} rad, {STEP_SHARE:g} of envelope.max_following_error"
         faults.append(plan.row(("angle_rad", j, i), found, wanted, "Smooth the table there."))
     _, joint = _peak(np.abs(velocity[:1]))
     if abs(velocity[0, joint]) > 0.1:
@@ -181,7 +181,7 @@ def _tables(plan: MachineSwing) -> Check:
 
 def _allowed_steps(plan: MachineSwing) -> Array:
     """Return the max step of the reference (n - 1, 3) that leaves following its share, rad."""
-    following = plan.envelope.following
+    following = plan.envelope.max_following_error
     limits = {int(phase): following.get(phase.name.lower(), (np.inf,) * 3) for phase in PHASES}
     return STEP_SHARE * np.array([limits[int(phase)] for phase in plan.profile.phases[1:]])
 

@@ -55,7 +55,9 @@ class Workbench:
         if model_check is not None:
             self.envelope = c.envelope.with_model_check("always" if model_check else "off")
         self.plant: Plant = build_plant(c.plant)
-        lifecycle = replace(c.lifecycle, warning_time=SIMULATED.warning_time, series=True, local_reset=True)
+        lifecycle = replace(
+            c.lifecycle, warning_time=SIMULATED.warning_time, hold_between_swings=True, local_reset=True
+        )
         self.parameters = build_controller(c.plant, profile, c.control, self.envelope, c.estimator, lifecycle)
         self.period = c.plant.tick
         self._bases: dict[Instant, LockstepEngine] = {}

@@ -129,7 +129,7 @@ def compare(
         BenchError: the profile lacks its planned delivery.
     """
     planned, rows = planned_figures(bench), []
-    loose = bench._replace(envelope=replace(bench.envelope, following={}))
+    loose = bench._replace(envelope=replace(bench.envelope, max_following_error={}))
     for controller in controllers(bench):
         on_start(controller.name)
         truth = replace(plant, pressure_sensors=controller.sensors)
@@ -245,7 +245,7 @@ def strayed(cycles: np.ndarray[Any, Any], envelope: EnvelopeSettings) -> tuple[i
     error = np.abs(cycles["reference_angle"] - cycles["angle"])
     running = cycles["reaction"] == 0
     for phase in (*_FOLLOWED, Phase.FOLLOW_THROUGH):
-        limits = envelope.following.get(phase.name.lower())
+        limits = envelope.max_following_error.get(phase.name.lower())
         if limits is None:
             continue
         beyond = (error > np.array(limits)) & (running & (cycles["phase"] == phase))[:, None]

@@ -120,7 +120,7 @@ class SimulatorStatus(TypedDict):
     """State of the forwarding of shots to GSPro."""
 
     connected: bool
-    trouble: str
+    fault: str
     taken: int
     refused: int
     """Refused, not answered or out of date."""
@@ -155,7 +155,7 @@ class LaunchMonitorStatus(TypedDict):
 class DeviceStatus(TypedDict):
     """The robot's side of the driver."""
 
-    trouble: str
+    fault: str
     """Why it does not execute commands; empty while it does."""
     counters: dict[str, int]
     """Counters of its driver since its start, of frames and errors."""

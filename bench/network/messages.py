@@ -69,7 +69,7 @@ class LeaseEvent(TypedDict):
     """Until it lapses, s."""
 
 
-class TroubleEvent(TypedDict):
+class FaultEvent(TypedDict):
     """The loop met an exception, or ended."""
 
     version: int
@@ -265,13 +265,13 @@ def wire_contract(bench: str = "BENCH") -> dict[str, Any]:
 def _published(root: str) -> list[dict[str, Any]]:
     """Return the keys of publications and their messages' schemas."""
     event: Schema = {
-        "anyOf": [_message(schema_of(kind), VERSION) for kind in (ChangeEvent, LeaseEvent, TroubleEvent)]
+        "anyOf": [_message(schema_of(kind), VERSION) for kind in (ChangeEvent, LeaseEvent, FaultEvent)]
     }
     state, shot = _message(schema_of(BenchStatus), STATUS_VERSION), schema_of(ShotPublication)
     campaign = _message(schema_of(CampaignMessage), CAMPAIGN_VERSION)
     rows: list[tuple[str, str, str, Schema]] = [
         ("state", "on change and five times a second", "state of the bench", state),
-        ("event", "on change", "changes of state, troubles of the loop", event),
+        ("event", "on change", "changes of state, faults of the loop", event),
         ("shot", "when a record is stored or an outcome settled", "shots", _message(shot, SHOT_VERSION)),
         ("loop", "once a second", "timing of the loop", _message(schema_of(LoopMessage), LOOP_VERSION)),
         ("campaign/ID", "at each shot and change; also answered to a query", "state of a campaign", campaign),

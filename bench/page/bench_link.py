@@ -127,8 +127,8 @@ def _warnings(status: BenchStatus) -> list[str]:
     """Return what needs attention: readiness, air, drift, device, processes, launch monitor."""
     found = [f"arming blocked: {block_text(block)}" for block in status["arming_blocks"]]
     found += [*status["readiness_warnings"], *status["air_faults"], *status["drift"]]
-    if trouble := status["device"]["trouble"]:
-        found.append(f"device: {trouble}")
+    if fault := status["device"]["fault"]:
+        found.append(f"device: {fault}")
     for name, process in status["processes"].items():
         if not process["alive"]:
             found.append(": ".join(filter(None, (f"process {name} is not running", process["note"]))))

@@ -237,7 +237,7 @@ class PoweredBench:
         club, robot, site = self.bench.plant.robot.club, self.bench.plant.robot, self.bench.plant.site
         contact = contact_in(engine.plant_state)
         delivery = launch = flight = None
-        reason = _trouble(engine.cause, interrupted, begun, ball, contact)
+        reason = _failure_of(engine.cause, interrupted, begun, ball, contact)
         if contact is not None and ball is not None:
             delivery = contact.delivery(robot, (site.ball_x, site.ball_y))
             launch = contact.launch
@@ -303,7 +303,9 @@ class ArmedBench(PoweredBench):
         return self.swing(ball)
 
 
-def _trouble(cause: Cause, interrupted: bool, begun: bool, ball: Ball | None, contact: Contact | None) -> str:
+def _failure_of(
+    cause: Cause, interrupted: bool, begun: bool, ball: Ball | None, contact: Contact | None
+) -> str:
     """Return why the shot is invalid; empty if it is valid."""
     if interrupted:
         return "interrupted by Ctrl-C"

@@ -374,10 +374,10 @@ def _wait(
     error: OperationalError,
 ) -> None:
     """Call `waiting`, or end it without one."""
-    trouble = kind(str(engine.url.database), time.monotonic() - began)
+    locked = kind(str(engine.url.database), time.monotonic() - began)
     if waiting is None:
-        raise trouble from error
-    waiting(trouble)
+        raise locked from error
+    waiting(locked)
 
 
 def is_there(url: URL) -> bool:

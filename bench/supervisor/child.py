@@ -256,16 +256,16 @@ class ManagedProcess:
             self._heartbeat = LastHeartbeat(Condition.STARTING, count, now)
         elif count != self._heartbeat.beats:
             self._heartbeat = LastHeartbeat(condition, count, now)
-        self.note = self._trouble(now)
+        self.note = self._fault(now)
         if self._heartbeat.condition is not Condition.STARTING and now - self._heartbeat.time > _FROZEN:
             self.child.kill()  # restarted in the next turns
         for event in self.child.take_events():
-            if event["event"] in {"trouble", "dropped", "failed", "relieved"}:
+            if event["event"] in {"fault", "dropped", "failed", "recovered"}:
                 _log.warning("%s: %s", self.name, event)
             else:
                 self._listener(event)
 
-    def _trouble(self, now: float) -> str:
+    def _fault(self, now: float) -> str:
         condition, silent = self._heartbeat.condition, now - self._heartbeat.time
         if self.starting:
             return "starting"

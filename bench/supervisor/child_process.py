@@ -34,7 +34,7 @@ class Condition(IntEnum):
 
     STARTING = 0
     WORKING = 1
-    TROUBLE = 2
+    FAULT = 2
     """Temporarily unable to work, retrying; arming is refused."""
     ENDING = 3
 

@@ -139,11 +139,11 @@ class Daemon:
         self._plane: CommandPlane | None = None
         self._real_time: dict[str, Any] = {}
         self._statistics: LoopStatus = NO_STATISTICS
-        self._device = DeviceStatus(trouble="", counters={})
+        self._device = DeviceStatus(fault="", counters={})
         self._swings = 0
         self._stall = ""
-        self._explain: Callable[[str], str] = lambda trouble: ""
-        """Explains the last stop by the device's trouble, which may be known later."""
+        self._explain: Callable[[str], str] = lambda fault: ""
+        """Explains the last stop by the device's fault, which may be known later."""
         self._disarmed = Cause.NONE
         """Why the robot was disarmed since it last moved."""
         self._lease: LeaseStatus | None = None
@@ -229,7 +229,7 @@ class Daemon:
             profile=self.profile.name,
             correction=self._link.correction,
             club=self.configuration.swing.club,
-            series=self.configuration.lifecycle.series,
+            series=self.configuration.lifecycle.hold_between_swings,
             arming_blocks=self._blocks,
             readiness_warnings=list(self._readiness.warnings),
             support_ready=self._support_ready,
@@ -271,7 +271,7 @@ class Daemon:
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Start all processes, run until SIGTERM or Ctrl-C, then bring the robot to rest and shut down.
 
-        `ready` is called once commands are answered, and recorder and publisher work or are in trouble.
+        `ready` is called once commands are answered, and recorder and publisher work or have failed.
 
         Raises:
             BenchError: a process did not start, or the loop died (LoopDied).
@@ -483,9 +483,9 @@ class Daemon:
                 _log.error("the loop: %s", event.get("text"))
                 self._publish("exception", {"text": str(event.get("text"))})
             elif event["event"] == "device":
-                self._device = DeviceStatus(trouble=event["trouble"], counters=event["counters"])
-                self._link.trouble = event["trouble"]
-                self._stall = self._explain(event["trouble"]) or self._stall
+                self._device = DeviceStatus(fault=event["fault"], counters=event["counters"])
+                self._link.fault = event["fault"]
+                self._stall = self._explain(event["fault"]) or self._stall
             elif event["event"] == "reopening":
                 self._reopening_until = now + _REOPENING
             elif event["event"] == "reopened":
@@ -530,7 +530,7 @@ class Daemon:
                 envelope, period = self.configuration.envelope, 1.0 / self.configuration.loop.rate
                 last = cycles[max(k - BEFORE, 0) : k + 1].copy()
                 self._explain = partial(stall_note, last, cause, envelope.encoder_timeout, period)
-                self._stall = self._explain(self._device["trouble"])
+                self._stall = self._explain(self._device["fault"])
                 gap = max(self._turn_gap, time.monotonic() - self._turned)
                 silence = self.configuration.lifecycle.supervisor_timeout
                 self._stall = self._stall or supervisor_note(cause, gap, silence)
@@ -544,7 +544,9 @@ class Daemon:
                 )
             if state in MOVING and old[0] not in MOVING:
                 self._disarmed = Cause.NONE
-            elif found := disarmed_for(cycles[k], old[0], series=self.configuration.lifecycle.series):
+            elif found := disarmed_for(
+                cycles[k], old[0], series=self.configuration.lifecycle.hold_between_swings
+            ):
                 self._disarmed = found
                 _log.warning("%s: %s", found.name, CAUSE_TEXT[found])
             self._marker.note_state(state.name, phase.name)

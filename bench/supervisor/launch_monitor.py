@@ -8,8 +8,8 @@ JSON line each:
 `shot`       `message`: a settled outcome, as `bench.records.shot.shot_message` describes it, without its
              record
 `link`       `link`: status of the connections (`LaunchMonitorStatus`); on change and every second
-`trouble`    `text`: it cannot listen and retries
-`relieved`   it listens again
+`fault`    `text`: it cannot listen and retries
+`recovered`   it listens again
 `failed`     `location`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
 `ended`      no further keys
 
@@ -131,7 +131,7 @@ class LaunchMonitorService:
         self._per_shot, self._presence = settings.presence == "per_shot", ShotPresence()
         self._lost = 0
         self._arming = ArmingWatch()
-        self._trouble = "not listening yet"
+        self._fault = "not listening yet"
         self._listen_at = self._link_at = -float("inf")
         self._linked: Any = None
 
@@ -142,7 +142,7 @@ class LaunchMonitorService:
 
     def turn(self, now: float, utc: datetime) -> None:
         """Listen, read swings and launches, match and report, at `now` (s, CLOCK_MONOTONIC) and `utc`."""
-        if self._trouble and now >= self._listen_at:
+        if self._fault and now >= self._listen_at:
             self._listen(now)
         # Read all records: the newest shows how far the loop's clock is behind, and a launch must not expire
         # while its swing is already in the ring.
@@ -160,7 +160,7 @@ class LaunchMonitorService:
             send_event("shot", message=message_of(told))
             self._pass_on(told)
         self._report_link(now)
-        condition = Condition.TROUBLE if self._trouble else Condition.WORKING
+        condition = Condition.FAULT if self._fault else Condition.WORKING
         self._heartbeat.beat(now, condition, lost=self._ring.lost, done=sum(self._book.counts.values()))
 
     def close(self) -> None:
@@ -171,13 +171,13 @@ class LaunchMonitorService:
         try:
             self._server.open()
         except DriverError as error:
-            if str(error) != self._trouble:
-                send_event("trouble", text=str(error))
-            self._trouble, self._listen_at = str(error), now + _LISTEN
+            if str(error) != self._fault:
+                send_event("fault", text=str(error))
+            self._fault, self._listen_at = str(error), now + _LISTEN
             return
         if self._listen_at > 0.0:
-            send_event("relieved")
-        self._trouble = ""
+            send_event("recovered")
+        self._fault = ""
 
     def _pass_on(self, told: SettledOutcome) -> None:
         """Forward an undoubted launch of this bench to the simulator."""
@@ -202,7 +202,7 @@ class LaunchMonitorService:
 
     def _status(self, now: float) -> LaunchMonitorStatus:
         link = self._server.link()
-        listening = "" if self._trouble else "{}:{}".format(*self._server.address)
+        listening = "" if self._fault else "{}:{}".format(*self._server.address)
         monitors = [
             MonitorStatus(
                 address=one.address,
@@ -218,11 +218,11 @@ class LaunchMonitorService:
             p = self._client.status()
             simulator = SimulatorStatus(
                 connected=p.connected,
-                trouble=shortened(p.trouble),
+                fault=shortened(p.fault),
                 taken=p.taken,
                 refused=p.refused + p.out_of_date,
             )
-        note = self._trouble
+        note = self._fault
         seen = link.understood
         present = self._presence.is_present(seen, now) if self._per_shot else bool(monitors)
         if len(monitors) > 1 and not self._per_shot:
@@ -230,7 +230,7 @@ class LaunchMonitorService:
         return LaunchMonitorStatus(
             listening=listening,
             presence="per_shot" if self._per_shot else "connected",
-            present=present and not self._trouble,
+            present=present and not self._fault,
             seen_s=None if seen is None else round(max(0.0, now - seen), 3),
             monitors=monitors,
             note=shortened(note),

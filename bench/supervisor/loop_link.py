@@ -56,7 +56,7 @@ class LoopLink:
         self._looks: RingReader | None = None
         self._stops_seen = dict.fromkeys(_COUNTERS, 0)
         self._news: RingReader | None = None
-        self.trouble = ""
+        self.fault = ""
         """Why the device does not follow commands; empty while it does."""
 
     def connect(self) -> None:
@@ -130,7 +130,7 @@ class LoopLink:
             late = time.monotonic() >= deadline  # looked at once more: this process may have stood still
             newest = self.newest()
             if newest is not None and newest["request_number"][0] >= number:
-                return _reply(newest, self.trouble)
+                return _reply(newest, self.fault)
             if late:
                 return None
             time.sleep(_POLL_PERIOD)
@@ -182,9 +182,9 @@ class LoopLink:
             self._shared.write(self._orders)
 
 
-def _reply(newest: Cycles, trouble: str) -> Reply:
+def _reply(newest: Cycles, fault: str) -> Reply:
     state = State(int(newest["state"][0])).name
     if newest["answer"][0] == Answer.ACCEPTED:
         return Reply(True, state)
     refusal = Refusal(int(newest["refusal"][0]))
-    return refused(state, refusal, *refusal_words(refusal, trouble))
+    return refused(state, refusal, *refusal_words(refusal, fault))

@@ -5,7 +5,7 @@
 `ready`      `real_time` (requested and granted settings), `tick_ns` (median of the warm-up)
 `failed`     `location`, `found`, `expected`, `action`, `exit_code`: it cannot work
 `exception`  `text`: a tick failed, the passive command was sent in it
-`device`     `trouble`, `counters`: why the device is not operational, its counters; once a second on change
+`device`     `fault`, `counters`: why the device is not operational, its counters; once a second on change
 `ended`      `reason`
 
 It ends on SIGTERM, by order of its supervisor, or when the supervisor is gone; but never before the robot is
@@ -161,7 +161,7 @@ class LoopProcess:
         )
         self._snapshot = new_record(SNAPSHOT)
         self._failures = 0
-        self._trouble = ""
+        self._fault = ""
         self._reported_device: tuple[str, dict[str, int]] = "", {}
 
     def run(self) -> str:
@@ -290,7 +290,7 @@ class LoopProcess:
             try:
                 self._revive()  # reactivate a passive device before the reset is evaluated
             except DriverError as error:
-                self._trouble = str(error)
+                self._fault = str(error)
                 send_event("exception", text=f"reset: {error}")
         try:
             cycle.run_tick(time)
@@ -344,20 +344,20 @@ class LoopProcess:
 
     def _watch_device(self) -> None:
         """Report why the device went passive, if its driver knows."""
-        trouble = getattr(self.driver, "trouble", "")
-        if trouble and trouble != self._trouble:
-            send_event("exception", text=f"device went passive: {trouble}")
-        if trouble != self._trouble:
-            self._trouble = trouble
+        fault = getattr(self.driver, "fault", "")
+        if fault and fault != self._fault:
+            send_event("exception", text=f"device went passive: {fault}")
+        if fault != self._fault:
+            self._fault = fault
             self._report_device()
 
     def _report_device(self) -> None:
         """Report the status of the device if it changed."""
         counters = getattr(self.driver, "counters", None)
-        status = self._trouble, {} if counters is None else counters.counts()
+        status = self._fault, {} if counters is None else counters.counts()
         if status != self._reported_device:
             self._reported_device = status
-            send_event("device", trouble=status[0], counters=status[1])
+            send_event("device", fault=status[0], counters=status[1])
 
     def _note_request(self, request: Request) -> None:
         """Store the controller's state at the start of a motion."""

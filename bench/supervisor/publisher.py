@@ -3,8 +3,8 @@
 Plan: a pickled PublisherPlan on stdin. Output on stdout, one JSON line each:
 
 `ready`      connected to the daemon
-`trouble`    `text`: the connection is lost; it reconnects by itself
-`relieved`   it is reconnected
+`fault`    `text`: the connection is lost; it reconnects by itself
+`recovered`   it is reconnected
 `failed`     `location`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
 `ended`      `batches`, `lost`
 
@@ -119,7 +119,7 @@ class Publisher:
             self._statistics_at = now + _STATISTICS
             self._send_statistics(now, utc)
             self._check_connection()
-        working = Condition.WORKING if self._connected else Condition.TROUBLE
+        working = Condition.WORKING if self._connected else Condition.FAULT
         condition = Condition.ENDING if ending else working
         self._heartbeat.beat(now, condition, lost=self._ring.lost, done=self.batches)
 
@@ -155,9 +155,9 @@ class Publisher:
     def _check_connection(self) -> None:
         connected = bool(self._session.info.peers_zid() or self._session.info.routers_zid())
         if connected and not self._connected:
-            send_event("relieved")
+            send_event("recovered")
         elif self._connected and not connected:
-            send_event("trouble", text="the connection to the daemon is lost")
+            send_event("fault", text="the connection to the daemon is lost")
         self._connected = connected
 
 

@@ -6,8 +6,8 @@ Plan: a pickled RecorderPlan on stdin. Output on stdout, one JSON line each:
 `stored`     `path`, `kind`, `number`, `lost_records`, `complete`, `replayable`, `shot_id`, `cause`,
              `warnings`: what drifts from swing to swing, see `bench.records.shot.swing_drift`;
              `tick`: at which the swing began; `shot`: its row of the shot table if the plan asks for it
-`trouble`    `text`, `waiting`: records cannot be stored; they wait in memory and are retried
-`relieved`   records can be stored again
+`fault`    `text`, `waiting`: records cannot be stored; they wait in memory and are retried
+`recovered`   records can be stored again
 `dropped`    `count`: records lost so far because memory was full
 `failed`     `location`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
 `ended`      `waiting`: records that could not be stored
@@ -37,7 +37,7 @@ from bench.records.shot.swing_drift import DriftWatch, strike_seen
 from bench.records.telemetry.record_queue import (
     QueuedRecord,
     RecordQueue,
-    folder_trouble,
+    folder_fault,
     record_path,
     remove_partial,
 )
@@ -160,8 +160,8 @@ class Recorder:
         self._started = False
         self._utc_less_loop = 0.0
         self._last_cycle_at = self._next_check = now
-        self._folder_trouble = ""
-        self._trouble_reported, self._reported_dropped = False, 0
+        self._folder_fault = ""
+        self._fault_reported, self._reported_dropped = False, 0
 
     def _resume(self) -> None:
         """Continue where a previous recorder of this ring ended."""
@@ -347,18 +347,18 @@ class Recorder:
         """Send a heartbeat and report changes to the parent."""
         if now >= self._next_check:
             self._next_check = now + _CHECK_PERIOD
-            self._folder_trouble = folder_trouble(self._swings, self._plan.least_free)
-        trouble = self._queue.trouble or self._folder_trouble
-        if trouble and not self._trouble_reported:
-            send_event("trouble", text=trouble, waiting=len(self._queue))
-        elif self._trouble_reported and not trouble:
-            send_event("relieved")
-        self._trouble_reported = bool(trouble)
+            self._folder_fault = folder_fault(self._swings, self._plan.least_free)
+        fault = self._queue.fault or self._folder_fault
+        if fault and not self._fault_reported:
+            send_event("fault", text=fault, waiting=len(self._queue))
+        elif self._fault_reported and not fault:
+            send_event("recovered")
+        self._fault_reported = bool(fault)
         if self._queue.dropped > self._reported_dropped:
             self._reported_dropped = self._queue.dropped
             send_event("dropped", count=self._reported_dropped)
-        if trouble and condition is Condition.WORKING:
-            condition = Condition.TROUBLE
+        if fault and condition is Condition.WORKING:
+            condition = Condition.FAULT
         idle = not self._cutter.moving and not len(self._queue)
         owed = [after for after in (self._queue.owed_after, self._cutter.owed_after) if after is not None]
         resume = max(self._from, min(owed))

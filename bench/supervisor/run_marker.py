@@ -55,7 +55,7 @@ class RunMarker:
         self._changed = threading.Condition()
         self._written = True
         self._finished = False
-        self.trouble = ""
+        self.fault = ""
         """Why the last write failed; empty if it succeeded."""
         self._thread = threading.Thread(target=self._run, name="run marker", daemon=True)
         self._thread.start()
@@ -98,6 +98,6 @@ class RunMarker:
             try:
                 with atomic_file(self.path) as stream:
                     stream.write(json.dumps(content, indent=1).encode())
-                self.trouble = ""
+                self.fault = ""
             except BenchError as error:
-                self.trouble = str(error)
+                self.fault = str(error)

@@ -40,11 +40,11 @@ BEFORE = 20
 
 
 def stall_note(
-    cycles: np.ndarray[Any, Any], cause: Cause, encoder_timeout: float, period: float, trouble: str = ""
+    cycles: np.ndarray[Any, Any], cause: Cause, encoder_timeout: float, period: float, fault: str = ""
 ) -> str:
     """Return what explains a stop with `cause` better than a broken encoder; empty if nothing does.
 
-    `trouble` is why the device does not follow commands, if that is known.
+    `fault` is why the device does not follow commands, if that is known.
 
     `cycles` (n,) of CYCLE end with the record in which the stop begins. Without a reading for
     `encoder_timeout` (s) an encoder is lost; the loop's `period` is in s. A loop that stands still misses
@@ -52,7 +52,7 @@ def stall_note(
     one.
     """
     if cause is Cause.DEVICE_PASSIVE:
-        return trouble
+        return fault
     if cause not in _ENCODERS + _JUMPS:
         return ""
     last = cycles[-BEFORE:]
@@ -66,8 +66,8 @@ def stall_note(
             f"the loop stood still for {1e3 * gap:.1f} ms just before, a stall of this machine: run "
             'golfbench doctor; the simulated robot of driver "sim" waits for the loop'
         )
-    if trouble and not jump:
-        return trouble
+    if fault and not jump:
+        return fault
     if missing or (jump and late):
         return (
             f"all three encoders were {'late' if jump else 'lost'} at once: check their bus and supply; with "
@@ -200,10 +200,10 @@ def _words(cause: Cause, stall: str) -> Words:
     return fact, stall or action
 
 
-def refusal_words(refusal: Refusal, trouble: str) -> Words:
-    """Return the operator's words for `refusal`; the device's `trouble`, if known, in place of its action."""
+def refusal_words(refusal: Refusal, fault: str) -> Words:
+    """Return the operator's words for `refusal`; the device's `fault`, if known, in place of its action."""
     fact, action = REFUSAL_WORDS[refusal]
-    return fact, trouble if trouble and refusal in (Refusal.READINGS, Refusal.DEVICE) else action
+    return fact, fault if fault and refusal in (Refusal.READINGS, Refusal.DEVICE) else action
 
 
 def _cause(cause: Cause, stall: str = "") -> CauseStatus | None:

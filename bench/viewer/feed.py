@@ -75,7 +75,7 @@ class Feed:
         self._arrived = threading.Event()
         self._sequence, self._ring_lost = 0, 0
         self.account = FeedCounts()
-        self.trouble = ""
+        self.fault = ""
         """Last invalid message."""
         self._subscribers = [
             session.declare_subscriber(
@@ -165,4 +165,4 @@ class Feed:
 
     def _count_invalid(self, error: Exception) -> None:
         self.account = self.account._replace(invalid=self.account.invalid + 1)
-        self.trouble = str(error)
+        self.fault = str(error)

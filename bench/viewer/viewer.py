@@ -401,7 +401,7 @@ class LiveView:
             ("lost", f"{a.lost_batches} of {sent} batches, {a.lost_cycles} cycles in the ring"),
         ]
         if a.invalid:
-            rows.append(("invalid messages", f"{a.invalid}, last: {self._feed.trouble[:80]}"))
+            rows.append(("invalid messages", f"{a.invalid}, last: {self._feed.fault[:80]}"))
         if a.restarts:
             rows.append(("publisher restarts", str(a.restarts)))
         cells = [f"| {name} | {text.replace('|', '/')} |" for name, text in rows]

@@ -9,7 +9,7 @@ Errors are counted (`counters`) and have one of three outcomes:
 - a sample is missing, late, duplicated or of the wrong length: the encoder keeps its last sample, which ages;
 - an encoder reports an error: its channel is invalid until it reports the error reset;
 - a node is lost, restarts, leaves the operational state, the valve node reports an error, the bus is off or
-  the interface is down: the driver is no longer `operational`, `trouble` gives the reason, and every further
+  the interface is down: the driver is no longer `operational`, `fault` gives the reason, and every further
   command is the passive one. Only `close` and `open` clear that. Inputs keep their last values.
 
 A frame that finds the queue full is not retried: the next tick sends a new one. If that lasts, the node's own
@@ -107,7 +107,7 @@ def _left_for(state: int) -> str:
 
 
 class CanopenDriver:
-    """The CANopen hardware; `counters`, `trouble` and `load` are public for diagnosis."""
+    """The CANopen hardware; `counters`, `fault` and `load` are public for diagnosis."""
 
     def __init__(
         self,
@@ -127,7 +127,7 @@ class CanopenDriver:
         self.settings = settings or CanopenSettings()
         self.period, self.watchdog = period, watchdog
         self._counters = BusCounters()
-        self.trouble = ""
+        self.fault = ""
         """Why it is not operational; empty while operational."""
         self._has_failed = False
         """A fault occurred that reopening has not cleared yet."""
@@ -239,7 +239,7 @@ class CanopenDriver:
     @property
     def operational(self) -> bool:
         """Whether the device follows commands, as far as is known."""
-        return self._link is not None and not self.trouble
+        return self._link is not None and not self.fault
 
     # Opening and closing -------------------------------------------------------------------------
 
@@ -253,9 +253,9 @@ class CanopenDriver:
         if self._link is not None:
             raise DriverError("canopen driver: open() while already open; call close() first")
         self._check_load()
-        self._has_failed |= bool(self.trouble)
+        self._has_failed |= bool(self.fault)
         self._forget()
-        self.trouble, self._applied = "", PASSIVE
+        self.fault, self._applied = "", PASSIVE
         self._link = self._open_bus(self.settings, sorted(self._takers))
         try:
             self._begin()
@@ -309,8 +309,8 @@ class CanopenDriver:
         self._await_states()
         self._listening = True
         self._await_samples()
-        if self.trouble:
-            raise DriverError(f"canopen: {self.trouble}; correct the fault of that node, then restart")
+        if self.fault:
+            raise DriverError(f"canopen: {self.fault}; correct the fault of that node, then restart")
 
     def _await_states(self) -> None:
         """Wait until every node has reported that it is operational.
@@ -436,7 +436,7 @@ class CanopenDriver:
                             self._sampled[joint] = on_wire
         except OSError as error:
             counters.receive_failures += 1
-            self._note_trouble(f"receiving failed: {error}")
+            self._note_fault(f"receiving failed: {error}")
         self._waiting_until = math.nan
         self._supervise()
         return self._readings(time)
@@ -451,7 +451,7 @@ class CanopenDriver:
         link = self._link
         if link is None:
             raise DriverError("canopen driver: write() while closed; call open() first")
-        applied = PASSIVE if self.trouble else device_limited(command)
+        applied = PASSIVE if self.fault else device_limited(command)
         if self._time - self._beaten >= self._beat_period:
             self._beaten = self._time
             self._send(link, self._beat)
@@ -461,9 +461,9 @@ class CanopenDriver:
         elif math.isnan(self._room_since):
             self._room_since = self._time
         elif self._time - self._room_since > _MAX_NO_ROOM * self.watchdog:
-            self._note_trouble("the interface's transmit queue is full")
+            self._note_fault("the interface's transmit queue is full")
         self._hand_over(link)
-        return PASSIVE if self.trouble else self._applied
+        return PASSIVE if self.fault else self._applied
 
     def _packed(self, command: Command) -> bytes:
         """Return the frame of `command`, already limited."""
@@ -497,7 +497,7 @@ class CanopenDriver:
                 self._counters.no_room += 1
             else:
                 self._counters.send_failures += 1
-                self._note_trouble(f"sending failed: {error}")
+                self._note_fault(f"sending failed: {error}")
             return math.nan
 
     def _receive(self, link: FrameLink, timeout: float) -> bytes | None:
@@ -536,7 +536,7 @@ class CanopenDriver:
         """Return what the position switch with the input `mask` says; inputs keep their last values."""
         if not mask:
             return ABSENT
-        return INVALID if self.trouble else float(self._inputs & mask != 0)
+        return INVALID if self.fault else float(self._inputs & mask != 0)
 
     # Received frames -----------------------------------------------------------------------------
 
@@ -633,14 +633,14 @@ class CanopenDriver:
         who = f"node {self._numbers[index]} ({self._roles[index]})"
         if state == _BOOT_UP:
             self._counters.boot_ups += 1
-            self._note_trouble(
+            self._note_fault(
                 f"{who} has restarted: its supply failed, or another master has reset it; check both, then "
                 "reset"
             )
         else:
             self._counters.heartbeats += 1
             if state != _OPERATIONAL:
-                self._note_trouble(f"{who} has left the operational state for {_left_for(state)}")
+                self._note_fault(f"{who} has left the operational state for {_left_for(state)}")
 
     def _take_emergency(self, index: int, data: bytes) -> None:
         if len(data) != EMERGENCY_LENGTH:
@@ -652,7 +652,7 @@ class CanopenDriver:
             self._faulty[index] = code != 0
         elif code:
             who = f"node {self._numbers[index]} ({self._roles[index]})"
-            self._note_trouble(f"{who} reports error {code:04X}h, register {data[2]:02X}h")
+            self._note_fault(f"{who} reports error {code:04X}h, register {data[2]:02X}h")
 
     def _take_answer(self, number: int, data: bytes) -> None:
         self._counters.services += 1
@@ -664,15 +664,15 @@ class CanopenDriver:
         counters.error_frames += 1
         if identifier & _BUS_OFF:
             counters.bus_off += 1
-            self._note_trouble("the controller is bus-off: check wiring, terminators and bit rates")
+            self._note_fault("the controller is bus-off: check wiring, terminators and bit rates")
         if identifier & _CONTROLLER:
             counters.overruns += bool(data[1] & _OVERFLOW)
             counters.error_passive += bool(data[1] & _PASSIVE_BUS)
 
-    def _note_trouble(self, text: str) -> None:
+    def _note_fault(self, text: str) -> None:
         """Ignore commands from now on; keep the first reason."""
         if self._listening:
-            self.trouble = self.trouble or text
+            self.fault = self.fault or text
 
     def _supervise(self) -> None:
         """Detect nodes and inputs that have been silent too long."""
@@ -680,9 +680,9 @@ class CanopenDriver:
         if now - min(self._last_heard) > self._max_silence:
             index = self._last_heard.index(min(self._last_heard))
             who = f"node {self._numbers[index]} ({self._roles[index]})"
-            self._note_trouble(f"{who} has sent no heartbeat for {self._max_silence:g} s")
+            self._note_fault(f"{who} has sent no heartbeat for {self._max_silence:g} s")
         if now - self._inputs_received > self._max_input_gap:
-            self._note_trouble("the interlocks have not been received for three of their periods")
+            self._note_fault("the interlocks have not been received for three of their periods")
         for n, received in enumerate(self._pressures_received):
             if now - received > self._max_pressure_gap and received > -math.inf:
                 self._pressures_received[n] = -math.inf
@@ -699,7 +699,7 @@ class CanopenDriver:
         """Let compiled code run the next ticks if it can."""
         if (
             not (self._native.is_wanted and isinstance(link, SocketcanLink) and self._listening)
-            or (self.trouble or self._pending or self._receive_error or self._send_error)
+            or (self.fault or self._pending or self._receive_error or self._send_error)
             or not math.isnan(self._room_since)
             or self.clock is not wall.monotonic
         ):

@@ -11,7 +11,7 @@ watchdog starts with the first command. 0 V is full stroke and never used as a s
 centre first, or waits for the watchdog if that fails.
 
 A counter that does not answer keeps its last sample, which ages. After an input or output error, or a tripped
-watchdog, the driver is no longer `operational`, `trouble` gives the reason, and the watchdog is no longer
+watchdog, the driver is no longer `operational`, `fault` gives the reason, and the watchdog is no longer
 fed. A broken wire between encoder and card cannot be detected here.
 """
 
@@ -47,7 +47,7 @@ _WRAP = 1 << 32
 
 
 class DaqDriver:
-    """The hardware on a card; `trouble`, `missing` and `hardware_timed` are public for diagnosis."""
+    """The hardware on a card; `fault`, `missing` and `hardware_timed` are public for diagnosis."""
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class DaqDriver:
         self.settings = settings or DaqSettings()
         self.period, self.watchdog = period, watchdog
         self.clock, self._sleep, self._counts = clock, sleep, counts_per_revolution
-        self.trouble = ""
+        self.fault = ""
         """Why it is not operational; empty while operational."""
         self.missing = 0
         """Number of missing samples."""
@@ -103,12 +103,12 @@ class DaqDriver:
         own = len(vars(s.outputs))
         self._sync = own if s.sync_line else -1
         self._beat = own + bool(s.sync_line) if s.watchdog_line else -1
-        self.hardware_timed, self.trouble, self.applied = False, "", PASSIVE
+        self.hardware_timed, self.fault, self.applied = False, "", PASSIVE
 
     @property
     def operational(self) -> bool:
         """Whether the device follows commands, as far as is known."""
-        return self._is_open and not self.trouble
+        return self._is_open and not self.fault
 
     # Opening and closing -------------------------------------------------------------------------
 
@@ -301,7 +301,7 @@ class DaqDriver:
         """Write the passive command if the card is open; otherwise already passive. Never raises."""
         self.applied = PASSIVE
         if self._is_open and not self._try_passive():
-            self.trouble = self.trouble or "the passive command could not be written"
+            self.fault = self.fault or "the passive command could not be written"
 
     def _try_passive(self) -> bool:
         """Write the passive command, valves first; return whether all of it was written."""
@@ -342,7 +342,7 @@ class DaqDriver:
         except self._daq.errors.Error as error:
             self._inputs[:] = False
             self._pressures[:] = np.nan
-            self._note_trouble(f"reading failed: {error_text(error)}")
+            self._note_fault(f"reading failed: {error_text(error)}")
         self._ticks += 1
         return self._readings(time)
 
@@ -354,19 +354,19 @@ class DaqDriver:
         """
         if not self._is_open:
             raise DriverError("daq driver: write() while closed; call open() first")
-        applied = PASSIVE if self.trouble else device_limited(command)
-        if self._beat >= 0 and not self.trouble:
+        applied = PASSIVE if self.fault else device_limited(command)
+        if self._beat >= 0 and not self.fault:
             self._lines[self._beat] ^= True
         try:
             if applied.search_index and not self.applied.search_index:
                 self._forget_index()
             self._write(applied)
-            if self._watchdog is not None and not self.trouble and not self._watchdog.feed():
-                self._note_trouble("the card's watchdog has tripped: no command within its time")
+            if self._watchdog is not None and not self.fault and not self._watchdog.feed():
+                self._note_fault("the card's watchdog has tripped: no command within its time")
         except self._daq.errors.Error as error:
-            self._note_trouble(f"writing failed: {error_text(error)}")
+            self._note_fault(f"writing failed: {error_text(error)}")
             self._try_passive()
-        self.applied = PASSIVE if self.trouble else applied
+        self.applied = PASSIVE if self.fault else applied
         return self.applied
 
     def _forget_index(self) -> None:
@@ -376,9 +376,9 @@ class DaqDriver:
                 task.stop()
                 task.start()
 
-    def _note_trouble(self, text: str) -> None:
+    def _note_fault(self, text: str) -> None:
         """Ignore commands from now on; keep the first reason."""
-        self.trouble = self.trouble or text
+        self.fault = self.fault or text
 
     def _write(self, command: Command) -> None:
         self._write_valves(command)
@@ -443,7 +443,7 @@ class DaqDriver:
         fed_back = iter(inputs[len(vars(s.inputs)) :])
         # Inputs that were not read say False, which is a valve's position, too.
         one, two, shut_off = (
-            ABSENT if not name else INVALID if self.trouble else float(next(fed_back))
+            ABSENT if not name else INVALID if self.fault else float(next(fed_back))
             for name in (*s.vent_feedback, s.shut_off_feedback)
         )
         supply = next(pressures) if s.supply_pressure else ABSENT

@@ -38,7 +38,7 @@ class ForwardingStatus(NamedTuple):
     """Status of the connection to the simulator."""
 
     connected: bool
-    trouble: str
+    fault: str
     """Why it is not connected or the last shot was not accepted; empty if none."""
     waiting: int
     """Shots in the queue."""
@@ -80,7 +80,7 @@ class SimulatorClient:
         self._stopping = threading.Event()
         self._queue: deque[_Waiting] = deque()
         self._number = 0
-        self._connected, self._trouble = False, "not connected yet"
+        self._connected, self._fault = False, "not connected yet"
         self._taken = self._refused = self._out_of_date = 0
         self._player: SimulatorResponse | None = None
         self._thread: threading.Thread | None = None
@@ -119,7 +119,7 @@ class SimulatorClient:
         with self._lock:
             return ForwardingStatus(
                 self._connected,
-                self._trouble,
+                self._fault,
                 len(self._queue),
                 self._taken,
                 self._refused,
@@ -154,9 +154,9 @@ class SimulatorClient:
             self._stopping.wait(self._reconnect)
         self._set_status(False, "closed")
 
-    def _set_status(self, connected: bool, trouble: str) -> None:
+    def _set_status(self, connected: bool, fault: str) -> None:
         with self._lock:
-            self._connected, self._trouble = connected, trouble
+            self._connected, self._fault = connected, fault
 
     def _forget_old(self) -> None:
         with self._lock:

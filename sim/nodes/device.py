@@ -131,7 +131,7 @@ class CanopenDevice:
         """Consumer heartbeats: node -> time-out (s), time of expiry (s)."""
         self._sync = SYNC
         self._now = 0.0
-        self._trouble = False
+        self._fault = False
 
     # Implemented by subclasses -------------------------------------------------------------------
 
@@ -153,7 +153,7 @@ class CanopenDevice:
         self._values = self._stored.copy()
         self._watched.clear()
         self._heartbeat = self._heartbeat_due = math.inf
-        self._trouble = False
+        self._fault = False
         self._read_settings()
         self.fall_back()
         self.state = PRE_OPERATIONAL
@@ -220,7 +220,7 @@ class CanopenDevice:
     def send_emergency(self, code: int, register: int) -> None:
         """Send an emergency message; code 0 reports the error reset."""
         # A communication error is reset by the next start, unlike a device error.
-        self._trouble = code >= _COMMUNICATION
+        self._fault = code >= _COMMUNICATION
         self.errors += code != NO_ERROR
         self.put(_ERROR_REGISTER, 0, register)
         if self.state != STOPPED:
@@ -465,7 +465,7 @@ class CanopenDevice:
             return
         self.state = state
         if state == OPERATIONAL:
-            if self._trouble:
+            if self._fault:
                 self.send_emergency(NO_ERROR, 0)
             self._read_settings()
             for pdo in self._tpdos:

@@ -51,7 +51,7 @@ def _built(setup: Setup) -> tuple[Plant, ControlParameters]:
     lifecycle = replace(
         c.lifecycle,
         local_reset=setup.local_reset,
-        series=setup.series,
+        hold_between_swings=setup.series,
         warning_time=setup.warning_time,
         armed_timeout=setup.armed_timeout,
     )

@@ -158,7 +158,7 @@ class FakeDesk:
                 "recorder": ProcessStatus(pid=4712, alive=False, note="killed by signal 9"),
             },
             device=DeviceStatus(
-                trouble="node 10 (valves and interlocks) has restarted",
+                fault="node 10 (valves and interlocks) has restarted",
                 counters={"frames": 123456, "missing": 7, "bus_off": 0},
             ),
             loop=LoopStatus(

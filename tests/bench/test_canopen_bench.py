@@ -93,13 +93,13 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
             bench.client.reset()
         bench.wait_until(lambda record: record["state"] == State.ESTOP)  # nobody knows of the circuit
         assert bench.now()["cause"] == Cause.DEVICE_PASSIVE  # and that is not why it stands
-        told = device_when(bench.client, lambda device: "canopen: channel" in device["trouble"])
+        told = device_when(bench.client, lambda device: "canopen: channel" in device["fault"])
         assert told["counters"]["recoveries"] == 0
         switch(channel, on=True)
         time.sleep(1.0)
         assert bench.now()["state"] in (State.FAULT, State.ESTOP)  # back, it changes nothing
         bench.recover()
-        counters = device_when(bench.client, lambda device: not device["trouble"])["counters"]
+        counters = device_when(bench.client, lambda device: not device["fault"])["counters"]
         assert counters["recoveries"] == 1
         assert counters["frames"] == sum(counters[name] for name in CLASSES) > 0
         plant.close()
@@ -116,7 +116,7 @@ def test_a_replaced_node_that_stores_for_seconds_is_taken_by_a_reset(tmp_path: P
             bench.wait_until(lambda record: record["state"] in (State.FAULT, State.ESTOP))
             with played_nodes(file, "--io", "wago-750"):
                 bench.recover()
-                counters = device_when(bench.client, lambda device: not device["trouble"])["counters"]
+                counters = device_when(bench.client, lambda device: not device["fault"])["counters"]
                 assert counters["recoveries"] == 1
                 assert "froze" not in bench.log
 
@@ -144,7 +144,7 @@ def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp
             with played_nodes(file, "--encoder", "preset-17"):
                 with pytest.raises(CommandRefused):
                     bench.client.reset()
-                told = device_when(bench.client, lambda device: "preset" in device["trouble"])["trouble"]
+                told = device_when(bench.client, lambda device: "preset" in device["fault"])["fault"]
                 assert "found preset 32768, offset 32768, expected what it was at calibration enc" in told
                 assert "preset 0, offset 0. Its zero may have moved" in told
                 with pytest.raises(CommandRefused):
@@ -218,7 +218,7 @@ def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) ->
         bench.client.lease("test", 60.0),
     ):
         assert said(file, "nodes", "--scan")[0] == 0
-        assert bench.client.status()["device"]["trouble"] == ""
+        assert bench.client.status()["device"]["fault"] == ""
         cycles, metadata = swing_undisturbed(bench)
     speed = recorded_shot(cycles, metadata, "").record.shot.club_speed_mps
     assert speed is not None

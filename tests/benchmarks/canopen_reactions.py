@@ -179,7 +179,7 @@ class Case(NamedTuple):
     reaction: Reaction
     """The one that the valve node obeyed first; PASSIVE also when it let go by itself."""
     cause: Cause
-    trouble: str
+    device_fault: str
     loads: Loads
     ended: Phase
 
@@ -218,7 +218,7 @@ def run_case(configuration: Configuration, fault: str, phase: Phase) -> Case:
         ticks,
         reaction,
         Cause(int(bench.cycle.state.control["cause"][0])),
-        driver.trouble,
+        driver.fault,
         bench.loads,
         bench.cycle.phase,
     )
@@ -250,7 +250,7 @@ def show(cases: Sequence[Case], console: Console) -> None:
             str(case.ticks),
             f"{100 * case.loads.stop_share:.0f} %",
             f"{100 * case.loads.pressure_share:.0f} %",
-            case.trouble,
+            case.device_fault,
             style="red" if case.unsafe else "",
         )
     console.print(table)

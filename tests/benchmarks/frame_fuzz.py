@@ -141,7 +141,7 @@ def fuzz(frames: int, seed: int, *, listening: bool = True) -> Result:
         now = result.ticks * PERIOD
         result.ticks += 1
         if not listening:
-            driver.trouble = ""
+            driver.fault = ""
         try:
             readings = driver.read(now)
             pack_readings(readings, record)

@@ -182,7 +182,7 @@ def configured(rate: float, priority: int, cpu: int) -> Configuration:
         canopen=replace(c.canopen, channel=f"benchmark-{os.getpid()}"),
         loop=replace(c.loop, rate=rate, realtime="require", priority=priority, cpu=cpu),
         plant=replace(c.plant, tick=1.0 / rate, substeps=max(1, round(PLANT_RATE / rate))),
-        lifecycle=replace(c.lifecycle, series=True, warning_time=0.1),
+        lifecycle=replace(c.lifecycle, hold_between_swings=True, warning_time=0.1),
     ).running()
 
 

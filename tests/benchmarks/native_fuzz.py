@@ -97,11 +97,11 @@ def _run_episode(ticks: list[list[bytes]], result: NativeFuzz, *, latching: bool
         try:
             for _ in ticks:
                 if not latching:
-                    rig.driver.trouble = ""
+                    rig.driver.fault = ""
                 before = len(rig.nodes.heard)
                 rig.tick(command)
                 rig.nodes.wait_for_command(before)
-                if command is PASSIVE or rig.driver.trouble:
+                if command is PASSIVE or rig.driver.fault:
                     commands = [one for one in rig.nodes.heard[before:] if one[:4] == passive[:4]]
                     result.motions += commands != [passive]
             both.append(found(rig))
@@ -117,7 +117,7 @@ def _run_episode(ticks: list[list[bytes]], result: NativeFuzz, *, latching: bool
     result.frames += sum(map(len, ticks))
     if len(both) == 2:
         ours, theirs = both
-        result.latched += bool(ours.trouble)
+        result.latched += bool(ours.fault)
         result.differences += [
             f"{name}: compiled {getattr(ours, name)!r:.300}, Python {getattr(theirs, name)!r:.300}"
             for name in Found._fields

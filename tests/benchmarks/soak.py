@@ -169,7 +169,7 @@ class Sampler:
     def __init__(self, bench: BenchProcess, beside: Beside, folder: Path, period: float) -> None:
         self._bench, self._beside, self._folder, self._period = bench, beside, folder, period
         self.samples: list[Sample] = []
-        self.trouble: list[str] = []
+        self.fault: list[str] = []
         self._over = threading.Event()
         self._began, self._stolen = time.monotonic(), stolen_time()
         self._realtime = time.time() - time.monotonic()
@@ -200,7 +200,7 @@ class Sampler:
                 self.samples.append(self._look())
                 print(json.dumps(_plain(self.samples[-1])), file=sys.stderr, flush=True)
             except (BenchError, OSError, ValueError) as error:
-                self.trouble.append(f"{time.monotonic() - self._began:.0f} s: {error}")
+                self.fault.append(f"{time.monotonic() - self._began:.0f} s: {error}")
             if self._over.wait(self._period):
                 with suppress(BenchError, OSError, ValueError):
                     self.samples.append(self._look())
@@ -352,7 +352,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> list[Row]:
         swings, log = _swings(bench), bench.log
         code = bench.end()
         records = _records(bench)
-    for text in (*course.stops, *sampler.trouble, *filter(None, course.campaigns)):
+    for text in (*course.stops, *sampler.fault, *filter(None, course.campaigns)):
         print(text)
     found = [read_swing(path)[1] for path in records]
     whole = [one for one in found if one["kind"] == "swing"]

@@ -121,7 +121,7 @@ CHANGES: dict[str, tuple[Path, Change, str]] = {
     "slew": (SWING, scale("envelope", "max_slew", None), "applied_valve"),
     "max opening": (SWING, scale("envelope", "max_opening", None, 0.999), "applied_valve"),
     "max speed": (SWING, scale("envelope", "max_speed", None, 0.5), "reaction"),
-    "following error": (SWING, scale("envelope", "following", None, 0.05), "cause"),
+    "following error": (SWING, scale("envelope", "max_following_error", None, 0.05), "cause"),
     "profile": (SWING, shift_profile, "reference_angle"),
     "impact window": (SWING, delay_impact, "phase"),
 }

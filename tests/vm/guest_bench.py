@@ -53,7 +53,7 @@ _MORE = """[bench]
 id = "bench1"
 data_dir = "/var/lib/golfbench"
 [lifecycle]
-series = true
+hold_between_swings = true
 [swing]
 profile = "{profile}"
 """

@@ -359,7 +359,7 @@ def provoke(loop: DriverLoop, name: str, fault: Fault) -> Row:
     loop.run(round((AFTER if fault.mend not in _TAKEN else 3.0) / loop.period), each)
     frames, lateness = list(witness.frames()), loop.lateness
     witness.close()
-    trouble, operational = driver.trouble, driver.operational
+    device_fault, operational = driver.fault, driver.operational
     if fault.command is not None:
         fault.command.end()
     fault.mend()
@@ -374,7 +374,7 @@ def provoke(loop: DriverLoop, name: str, fault: Fault) -> Row:
     )
     what = "" if first is None else "passive command; " if first.identifier == COMMAND else "node by itself; "
     held_up = 1e3 * max(lateness)
-    note = f"{what}{trouble or 'operational'}; {counts or 'nothing counted'}; {again}"
+    note = f"{what}{device_fault or 'operational'}; {counts or 'nothing counted'}; {again}"
     if held_up > 1e3 * loop.period:
         note += f"; the loop was held up for {held_up:.1f} ms"
     if fault.longest_ms is None:
@@ -409,7 +409,7 @@ def _reopen(loop: DriverLoop) -> str:
                 return f"not opened again: {error}"
             time.sleep(0.2)
     loop.run(20)
-    return "opened again" if driver.operational else f"opened again, then {driver.trouble}"
+    return "opened again" if driver.operational else f"opened again, then {driver.fault}"
 
 
 # The whole ---------------------------------------------------------------------------------------------

@@ -286,7 +286,7 @@ def series_words(plan: CampaignPlan) -> str:
 
 
 START_SERIES = (
-    "Start the bench with golfbench run --series, or set [lifecycle] series = true for it, "
+    "Start the bench with golfbench run --series, or set [lifecycle] hold_between_swings = true for it, "
     "or plan the air of its profiles: golfbench profile address."
 )
 """Action of a bench that vents after each swing."""

@@ -281,14 +281,14 @@ class Runner:
         """Store an interruption at once, with its time."""
         self._store.note_event(self._entry.id, Event(datetime.now(UTC), self.taken + 1, kind, text))
 
-    def _wait_for_database(self, trouble: DatabaseLocked) -> None:
+    def _wait_for_database(self, locked: DatabaseLocked) -> None:
         """Give up waiting for the database after some time or when interrupted."""
         if not self._locked_for:
-            self._watcher.say(f"The database is {trouble.state}: waiting for it.")
-        self._locked_for, self._locked_as = trouble.waited, trouble.state
-        if trouble.waited > _DATABASE_TIMEOUT or self._interrupted():
+            self._watcher.say(f"The database is {locked.state}: waiting for it.")
+        self._locked_for, self._locked_as = locked.waited, locked.state
+        if locked.waited > _DATABASE_TIMEOUT or self._interrupted():
             self._store.waiting = None  # what follows tries once
-            raise trouble
+            raise locked
 
     def _replay(self, course: Course) -> Step | Ending:
         """Send the stored shots to the course and return what comes next."""
@@ -383,8 +383,8 @@ class Runner:
                 self._say("learned", self._source.relearn(drift, number))
             try:
                 taken = self._source.take(step, number, sample)
-            except ShotPostponed as trouble:
-                for kind, text in trouble.args:
+            except ShotPostponed as postponed:
+                for kind, text in postponed.args:
                     self._say(kind, text)
                 continue
             if taken.stopped:  # as if it had not been begun

@@ -239,8 +239,8 @@ class SimulatedShots:
             events.append(("supply", "supply pressure too low; waited until it was back"))
         if number in s.monitor_disconnected:
             events.append(("suspended", "no launch monitor is connected; it went on by itself when one was"))
-        if trouble := self._feeder_trouble(arm.ball, number, sample):
-            shot = self._shot(step, number, sample, None, ShotStatus.FAILED, trouble)
+        if fault := self._feeder_fault(arm.ball, number, sample):
+            shot = self._shot(step, number, sample, None, ShotStatus.FAILED, fault)
             return Taken(shot, None, {}, False, tuple(events))
         armed, base = self._bench(arm.swing, arm.club)
         random = random_of(self._plan, number)
@@ -264,7 +264,7 @@ class SimulatedShots:
             shot, result.cycles, metadata, result.launch is not None, tuple(events), result.interrupted
         )
 
-    def _feeder_trouble(self, ball: str, number: int, sample: int) -> str:
+    def _feeder_fault(self, ball: str, number: int, sample: int) -> str:
         """Return why there is no ball to strike; a wrong ball is noticed only if its number is read."""
         s = self._plan.simulation
         if number in s.feeder_jam:

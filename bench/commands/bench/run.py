@@ -48,7 +48,7 @@ def run(
         swing = replace(swing, profile=profile)
     lifecycle = configuration.lifecycle
     if series:
-        lifecycle = replace(lifecycle, series=True)
+        lifecycle = replace(lifecycle, hold_between_swings=True)
     configuration = replace(configuration, swing=swing, lifecycle=lifecycle).with_driver(settings)
     if mistakes := contradictions(configuration) + unheard_phases(configuration):
         raise ExceptionGroup("invalid configuration", mistakes)

@@ -188,8 +188,8 @@ def _processes(status: BenchStatus) -> Text:
 
 
 def _device(device: DeviceStatus) -> Text:
-    """Return the device's trouble and its non-zero counters."""
-    told = Text(device["trouble"], "red") if device["trouble"] else Text("no trouble reported")
+    """Return the fault of the device and its non-zero counters."""
+    told = Text(device["fault"], "red") if device["fault"] else Text("no fault reported")
     if counted := {name: count for name, count in device["counters"].items() if count}:
         told.append(f"\n{_pairs(counted)}", "default")
     return told
@@ -209,7 +209,7 @@ def _launch_monitor(link: LaunchMonitorStatus | None) -> Text:
         told.append(f"\nrefused {link['refused']}, last: {link['refusal']}", "yellow")
     if (simulator := link["simulator"]) is not None:
         passed = f"passed on to GSPro {simulator['taken']}, refused {simulator['refused']}"
-        told.append(f"\n{passed}" + (f": {simulator['trouble']}" if simulator["trouble"] else ""))
+        told.append(f"\n{passed}" + (f": {simulator['fault']}" if simulator["fault"] else ""))
     return told
 
 

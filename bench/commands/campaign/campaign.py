@@ -117,7 +117,7 @@ def check(
     plan, configuration, profiles = _checked(context, file)
     free, series = free_space(configuration.bench.data_dir), ""
     hits = _hits_before(configuration)
-    if needs_series(plan, profiles.values()) and not configuration.lifecycle.series:
+    if needs_series(plan, profiles.values()) and not configuration.lifecycle.hold_between_swings:
         series = f"On a running bench this plan needs the address held between swings. {START_SERIES}"
     warnings = [series] if series else []
     if json_:

@@ -131,7 +131,7 @@ def junit_xml(
     ended = outcome.state is CampaignState.FINISHED
     cases.append(("came to its end", "campaign", "" if ended else f"{outcome.state}: {outcome.reason}"))
     cases += [(check.band.path, "baseline", "" if check.holds else str(check)) for check in checks]
-    failures = sum(bool(trouble) for _, _, trouble in cases)
+    failures = sum(bool(failure) for _, _, failure in cases)
     suite = ElementTree.Element(
         "testsuite",
         name=entry.id,
@@ -140,11 +140,11 @@ def junit_xml(
         errors="0",
         timestamp=f"{entry.date:%Y-%m-%dT%H:%M:%S}",
     )
-    for name, group, trouble in cases:
+    for name, group, failure in cases:
         case = ElementTree.SubElement(
             suite, "testcase", classname=f"{entry.name}.{group}", name=_FORBIDDEN.sub("?", name)
         )
-        if trouble:
-            ElementTree.SubElement(case, "failure", message=_FORBIDDEN.sub("?", trouble))
+        if failure:
+            ElementTree.SubElement(case, "failure", message=_FORBIDDEN.sub("?", failure))
     text: bytes = ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True)
     return text

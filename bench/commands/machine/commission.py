@@ -168,7 +168,7 @@ def _commission(
             robot = load_configuration(file)
             commission_swings(state, robot, machine.swung, now, on_step=on_step, progress=show)
             swung = known_with_swing(load_configuration(file), state.folder).envelope
-            _write_robot(file, state, known, configuration.envelope, swung.following)
+            _write_robot(file, state, known, configuration.envelope, swung.max_following_error)
             bar.update(task, completed=len(state.done))
         finally:
             _write_report(state, nominal, now())

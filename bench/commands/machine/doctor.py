@@ -410,13 +410,13 @@ def daq_cards() -> ItemResult:
     package = f"nidaqmx {found['package']}"
     if not found["runtime"]:
         return missing(
-            f"{package}, but NI's driver does not answer: {found['trouble']}",
+            f"{package}, but NI's driver does not answer: {found['fault']}",
             "simulation needs none; for a card: install NI-DAQmx for Linux from ni.com, then restart",
         )
     driver = f"{package}, NI-DAQmx {found['runtime']}"
-    if found["trouble"] or not found["cards"]:
+    if found["fault"] or not found["cards"]:
         advice = "attach one, and see that NI's tool nilsdev lists it"
-        return limited(f"{driver}, {found['trouble'] or 'no card'}", advice)
+        return limited(f"{driver}, {found['fault'] or 'no card'}", advice)
     return ok(f"{driver}: {', '.join(found['cards'])}")
 
 

@@ -56,14 +56,14 @@ def can_channels() -> list[str]:
 def daq_cards() -> dict[str, Any]:
     """Return `package` and `runtime`, versions of what drives NI's cards ("" when missing), and `cards`.
 
-    `trouble` says what NI's own driver says where it does not answer.
+    `fault` says what NI's own driver says where it does not answer.
     """
     from importlib.metadata import version
 
     from drivers.base import DriverError
     from drivers.daq.watchdog import error_text, load_nidaqmx
 
-    found: dict[str, Any] = {"package": "", "runtime": "", "cards": [], "trouble": ""}
+    found: dict[str, Any] = {"package": "", "runtime": "", "cards": [], "fault": ""}
     try:
         nidaqmx = load_nidaqmx()
         found["package"] = version("nidaqmx")
@@ -71,9 +71,9 @@ def daq_cards() -> dict[str, Any]:
         found["runtime"] = ".".join(map(str, system.driver_version))
         found["cards"] = [f"{card.name} ({card.product_type})" for card in system.devices]
     except DriverError as error:
-        found["trouble"] = str(error)
+        found["fault"] = str(error)
     except Exception as error:  # NI's own, of which nothing can be imported where it is missing
-        found["trouble"] = error_text(error)
+        found["fault"] = error_text(error)
     return found
 
 

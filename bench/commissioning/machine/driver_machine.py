@@ -72,7 +72,7 @@ def stopped_by_operator(place: str = "commission", action: str = _RESUME) -> Ref
     )
 
 
-class _Trouble(NamedTuple):
+class _Fault(NamedTuple):
     """Why a machine may not move; without text it may."""
 
     text: str = ""
@@ -110,7 +110,7 @@ class DriverMachine:
         self._counts = believed.encoders.counts_per_revolution
         self._atmosphere = believed.supply.atmosphere
         self._now = self._began = 0.0
-        self._failed, self._trouble, self._inputs_only = 0, _Trouble(), inputs_only
+        self._failed, self._fault, self._inputs_only = 0, _Fault(), inputs_only
         self._place = "check of the inputs" if inputs_only else "commission"
         self._again = "begin again." if inputs_only else _RESUME
         self._stall = self._stalled_at = 0.0
@@ -199,9 +199,9 @@ class DriverMachine:
             self._bounds = ADRIFT if command.supply_enable else None
             self._await_tick()
             self._read()
-            self._trouble = self._device_failure()
-            self._failed = self._failed + 1 if self._trouble.text else 0
-            if self._trouble.text and (self._trouble.lasting or self._failed > _LOST):
+            self._fault = self._device_failure()
+            self._failed = self._failed + 1 if self._fault.text else 0
+            if self._fault.text and (self._fault.lasting or self._failed > _LOST):
                 self._refuse_to_go_on()
             if self._stop():
                 self.make_passive()
@@ -308,8 +308,8 @@ class DriverMachine:
             Refused: it may not, and what to do.
         """
         for _ in range(round(_READY / self._tick)):
-            trouble = self._device_failure() if self._inputs_only else self._trouble
-            if not trouble.text:
+            fault = self._device_failure() if self._inputs_only else self._fault
+            if not fault.text:
                 self._failed = 0
                 return
             self._driver.write(PASSIVE)
@@ -325,9 +325,9 @@ class DriverMachine:
         """
         self._await_tick()
         self._read()
-        trouble = self._trouble
-        self._failed = self._failed + 1 if trouble.text else 0
-        if trouble.text and (trouble.lasting or self._failed > _LOST):
+        fault = self._fault
+        self._failed = self._failed + 1 if fault.text else 0
+        if fault.text and (fault.lasting or self._failed > _LOST):
             self._refuse_to_go_on()
         if self._stop():
             self.make_passive()
@@ -343,7 +343,7 @@ class DriverMachine:
         """Take the readings; a pressure without a believable value keeps its last one, and is a problem."""
         before = self._readings["chamber_pressure"].copy(), self._readings["supply_pressure"].copy()
         self._read_record(self._now, self._readings)
-        self._trouble = self._problem()
+        self._fault = self._problem()
         for name, last in zip(("chamber_pressure", "supply_pressure"), before, strict=True):
             given = self._readings[name]
             np.copyto(given, last, where=~np.isfinite(given) & np.isfinite(last))
@@ -367,30 +367,30 @@ class DriverMachine:
             Refused: otherwise.
         """
         self.make_passive()
-        expected, text, action = "a machine that reads and may move", self._trouble.text, self._trouble.action
-        if self._trouble.of_device and self._stall and self._now - self._stalled_at < _STALL_FELT:
+        expected, text, action = "a machine that reads and may move", self._fault.text, self._fault.action
+        if self._fault.of_device and self._stall and self._now - self._stalled_at < _STALL_FELT:
             stall = f"this program stood still for {1e3 * self._stall:.0f} ms, a stall of the computer"
             text = f"{text}, after {stall}"
             action = f"End other programs, see golfbench doctor, then {self._again}"
             raise Stalled(self._place, text, expected, action)
         raise Refused(self._place, text, expected, action)
 
-    def _problem(self) -> _Trouble:
+    def _problem(self) -> _Fault:
         """Return why the machine may not move."""
         r = self._readings[0]
         if not r["emergency_stop_clear"]:
-            return _Trouble("the emergency stop is pressed", f"Clear it, then {_RESUME}", True)
+            return _Fault("the emergency stop is pressed", f"Clear it, then {_RESUME}", True)
         if not (r["guard_closed"] and r["guard_locked"]):
-            return _Trouble("the guard is open", f"Close it, then {_RESUME}", True)
+            return _Fault("the guard is open", f"Close it, then {_RESUME}", True)
         return self._device_failure()
 
-    def _device_failure(self) -> _Trouble:
+    def _device_failure(self) -> _Fault:
         """Return what the device or its sensors fail to give."""
         r = self._readings[0]
         problem, action, lasting, of_device = "", "", False, False
         if not self._driver.operational:
-            trouble = getattr(self._driver, "trouble", "") or "its watchdog, or its link"
-            problem, lasting, of_device = f"the device went passive: {trouble}", True, True
+            fault = getattr(self._driver, "fault", "") or "its watchdog, or its link"
+            problem, lasting, of_device = f"the device went passive: {fault}", True, True
             action = f"Check its link, then {self._again}"
         elif not all(r["encoder_valid"]):
             lost = ", ".join(JOINTS[i] for i in range(3) if not r["encoder_valid"][i])
@@ -405,7 +405,7 @@ class DriverMachine:
             lost = ", ".join(CHAMBERS[k] for k in range(6) if not np.isfinite(r["chamber_pressure"][k]))
             problem, of_device = f"no pressure of {lost}", True
             action = "Fit chamber sensors, or check their cables: commissioning measures the air by them."
-        return _Trouble(problem, action, lasting, of_device)
+        return _Fault(problem, action, lasting, of_device)
 
 
 class _Log:

@@ -94,7 +94,7 @@ class LiveSeries:
             bench.control,
             bench.envelope,
             bench.estimator,
-            replace(lifecycle, series=True),
+            replace(lifecycle, hold_between_swings=True),
             homing,
         )
         cycle = Cycle(
@@ -193,10 +193,10 @@ class LiveSeries:
         if not len(stopped):
             return ""
         first, lost = int(stopped[0]), self.bench.envelope.encoder_timeout
-        cause, trouble = Cause(int(cycles["cause"][first])), getattr(self._driver, "trouble", "")
+        cause, fault = Cause(int(cycles["cause"][first])), getattr(self._driver, "fault", "")
         if cause is Cause.TICK_GAP:
             return CAUSE_WORDS[cause][1]
-        return stall_note(cycles[: first + 1], cause, lost, self._operator.period, trouble)
+        return stall_note(cycles[: first + 1], cause, lost, self._operator.period, fault)
 
     def loads(self) -> Loads | None:
         """Return None: nothing measures them."""
@@ -282,7 +282,7 @@ class LiveSeries:
                 called = True
             latched = self._state in _LATCHED and request is not Request.RESET  # no waiting changes that
             if latched or waited > (_PERSON if person else timeout):
-                fact, action = refusal_words(refusal, getattr(self._driver, "trouble", ""))
+                fact, action = refusal_words(refusal, getattr(self._driver, "fault", ""))
                 if not action:  # the state's cause says more
                     fact, action = f"{fact}, {self._state.name}", "follow the text, then --resume"
                     fact += f": {cause_text(operator.cause, self._stall())}" if operator.cause else ""

@@ -172,16 +172,16 @@ def with_following_limits(known: Configuration, profile: Profile) -> Configurati
     Raises:
         Refused: the model does not come to its address.
     """
-    free = replace(known.envelope.with_model_check("off"), following={})
+    free = replace(known.envelope.with_model_check("off"), max_following_error={})
     bench = Bench.of(replace(known, envelope=free), profile)
     cycles = Series(bench, bench.model).swing(profile, ball=True).cycles
-    return replace(known, envelope=replace(known.envelope, following=_limits(known, cycles)))
+    return replace(known, envelope=replace(known.envelope, max_following_error=_limits(known, cycles)))
 
 
 def _limits(known: Configuration, cycles: np.ndarray[Any, Any]) -> dict[str, tuple[float, float, float]]:
     errors = np.abs(cycles["angle"] - cycles["reference_angle"])
     wider = {}
-    for name, limits in known.envelope.following.items():
+    for name, limits in known.envelope.max_following_error.items():
         in_phase = errors[cycles["phase"] == Phase[name.upper()]]
         needed = _ROOM * in_phase.max(axis=0, initial=0.0)
         a, b, c = np.maximum(np.round(needed, _DIGITS), limits).tolist()

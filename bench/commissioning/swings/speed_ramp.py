@@ -164,11 +164,14 @@ def swung_slowly(
 
 def _for_slow_swings(known: Configuration) -> Configuration:
     """Return `known` with openings from the model, and room for what friction holds back near the top."""
-    room = {phase: (_ROOM * a, _ROOM * b, _ROOM * c) for phase, (a, b, c) in known.envelope.following.items()}
+    room = {
+        phase: (_ROOM * a, _ROOM * b, _ROOM * c)
+        for phase, (a, b, c) in known.envelope.max_following_error.items()
+    }
     return replace(
         known,
         control=replace(known.control, feed_forward=_FEED_FORWARD),
-        envelope=replace(known.envelope, following=room),
+        envelope=replace(known.envelope, max_following_error=room),
     )
 
 

@@ -96,7 +96,7 @@ def take_over_unsettled_move(s: Any, parameters: Any, estimator: Any, time: floa
 
     A PID alone lets a joint with much friction hunt there; the hold catches a late one as it slips.
     """
-    p, following = parameters.control[0], parameters.envelope[0].following
+    p, following = parameters.control[0], parameters.envelope[0].max_following_error
     if not (parameters.profile[0].air_planned and _has_missed(s, time)):
         return False
     for i in range(3):

@@ -216,7 +216,7 @@ def search_cause(
     h = s.homing
     if not 0.0 <= s.measured_step <= max_tick_interval:
         return Cause.TICK_GAP
-    if not time - h.began <= p.home_longest:
+    if not time - h.began <= p.home_timeout:
         return Cause.HOMING_FAILED
     for i in range(3):
         if h.free[i] == 0 and time > h.began:

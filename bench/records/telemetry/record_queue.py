@@ -37,7 +37,7 @@ class RecordQueue:
         self._next_try = 0.0
         self.dropped = 0
         """Number of records lost for want of room."""
-        self.trouble = ""
+        self.fault = ""
         """Reason why the last record was not stored; empty if it was."""
 
     def __len__(self) -> int:
@@ -70,10 +70,10 @@ class RecordQueue:
             record.path.parent.mkdir(parents=True, exist_ok=True)
             write_swing(record.path, record.cycles, record.metadata)
         except (BenchError, OSError, MemoryError) as error:
-            self.trouble = str(error) or repr(error)
+            self.fault = str(error) or repr(error)
             self._next_try = now + self._pause
             return None
-        self.trouble = ""
+        self.fault = ""
         return self._waiting.popleft()
 
 
@@ -82,10 +82,10 @@ def record_path(folder: Path, time_utc: datetime, number: int) -> Path:
     return folder / f"{time_utc.astimezone(UTC):%Y%m%dT%H%M%S%fZ}-{number}.parquet"
 
 
-def folder_trouble(folder: Path, least_free: int) -> str:
+def folder_fault(folder: Path, least_free: int) -> str:
     """Return why a record may not fit into `folder`, which is created; empty if it fits.
 
-    `least_free` is in bytes. A cheap look every few seconds; the disk's own word is `RecordQueue.trouble`.
+    `least_free` is in bytes. A cheap look every few seconds; the disk's own word is `RecordQueue.fault`.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -57,7 +57,7 @@ strike_y = 0.03
 """
 SETTINGS = """
 [lifecycle]
-series = true
+hold_between_swings = true
 [launch_monitor]
 enabled = true
 port = {port}

@@ -189,12 +189,12 @@ def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configurat
         ]
     )
     path = tmp_path / "robot.toml"
-    following = configuration.envelope.following | {"top": (0.25, np.float64(0.2), 0.3)}
+    following = configuration.envelope.max_following_error | {"top": (0.25, np.float64(0.2), 0.3)}
     base = str(shipped_configuration().resolve())
     path.write_text(robot_file(known, base, DAY.date(), configuration.envelope, following))
     loaded = load_configuration(path)
     assert loaded.plant == known.plant
-    assert loaded.envelope.following == following
+    assert loaded.envelope.max_following_error == following
     assert "0.0123  # ± 0.0001; valves" in path.read_text()
     assert "Not measured" in path.read_text()
     model = loaded.envelope.model

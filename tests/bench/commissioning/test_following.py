@@ -22,8 +22,8 @@ compiled_only = pytest.mark.skipif(
 
 @compiled_only
 def test_the_shipped_robot_keeps_its_limits(configuration: Configuration, default: Profile) -> None:
-    assert with_following_limits(configuration, default).envelope.following == {
-        phase: pytest.approx(limits) for phase, limits in configuration.envelope.following.items()
+    assert with_following_limits(configuration, default).envelope.max_following_error == {
+        phase: pytest.approx(limits) for phase, limits in configuration.envelope.max_following_error.items()
     }
 
 
@@ -35,7 +35,7 @@ def test_a_robot_that_lags_gets_room_and_is_not_stopped(
     plant = Variation(flow=(0.5, 0.5, 0.5)).applied_to(configuration.plant)
     lagging = replace(configuration, plant=plant)
     wider = with_following_limits(lagging, default)
-    before, after = (np.array(list(c.envelope.following.values())) for c in (lagging, wider))
+    before, after = (np.array(list(c.envelope.max_following_error.values())) for c in (lagging, wider))
     assert np.all(after >= before)
     assert np.any(after > before)
 

@@ -287,7 +287,7 @@ def test_no_setting_of_control_is_negative(overlay: Overlay) -> None:
 
 
 def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
-    for keys in [keys for keys, _ in LEAVES if not {"following", "model", "like"} & {*keys}][::7]:
+    for keys in [keys for keys, _ in LEAVES if not {"max_following_error", "model", "like"} & {*keys}][::7]:
         text = setting((*keys[:-1], keys[-1] + "x"), "1.0")
         (fault,) = faults(overlay(text))
         assert fault.location.endswith(".".join(keys) + "x")
@@ -388,7 +388,12 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
             "less than the lowest pressure_rating, 1.2e6 Pa",
         ),
         ("[envelope]\nabsorber_travel_fraction = 1.5", "envelope.absorber_travel_fraction", "1.5", "0 to 1"),
-        ("[envelope.following]\nswing = [1, 1, 1]", "envelope.following.swing", "an unknown phase", "hold"),
+        (
+            "[envelope.max_following_error]\nswing = [1, 1, 1]",
+            "envelope.max_following_error.swing",
+            "an unknown phase",
+            "hold",
+        ),
         ("[plant.site]\nball_y = -1.7", "plant.site.ball_y", "-1.7 m", "at least -1.6127 m"),
         ("[plant.site]\nball_y = -2.0\nground = -2.1", "plant.site.ball_y", "2.016 m", "at most 1.900 m"),
         ("[plant.right_arm.stop]\ntravel = 0.03", "plant.right_arm.stop.travel", "dead volume", "less than"),

@@ -30,7 +30,7 @@ TIMES = replace(
     access_delay=0.0,
     vent_timeout=VENT,
     armed_timeout=1.0,
-    series=False,
+    hold_between_swings=False,
 )
 CONTROL = replace(QUICK, precharge_time=0.01)
 SHORT = replace(

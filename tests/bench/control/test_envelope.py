@@ -60,7 +60,7 @@ def generous() -> Record:
     """Return limits that nothing breaks."""
     p = new_record(ENVELOPE_PARAMETERS)
     p["lower"], p["upper"] = -100.0, 100.0
-    p["following"] = p["min_deceleration"] = p["end_stop_max_speed"] = p["max_speed"] = 1e3
+    p["max_following_error"] = p["min_deceleration"] = p["end_stop_max_speed"] = p["max_speed"] = 1e3
     p["max_opening"], p["max_slew"] = 0.75, 50.0
     p["encoder_timeout"], p["max_tick_interval"], p["min_supply_pressure"] = 0.0045, 0.010, 6.5e5
     p["max_supply_pressure"] = 8.8e5
@@ -124,7 +124,7 @@ STRETCHED = (0.0, 0.0, 0.0)
 def test_limits_are_one_a_joint() -> None:
     shapes = {name: ENVELOPE_PARAMETERS[name].shape for name in ENVELOPE_PARAMETERS.names or ()}
     several = {name: shape for name, shape in shapes.items() if shape}
-    assert several == {"following": (len(Phase), 3)} | dict.fromkeys(
+    assert several == {"max_following_error": (len(Phase), 3)} | dict.fromkeys(
         ("lower", "upper", "max_speed", "min_deceleration", "end_stop_max_speed"), (3,)
     )
 
@@ -341,7 +341,7 @@ def test_the_way_of_the_rod(phase: Phase, velocity: float) -> None:
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_following_error(phase: Phase, joint: int, side: float) -> None:
     motion = Motion(phase=phase)
-    motion.parameters["following"][0, phase, joint] = 0.25
+    motion.parameters["max_following_error"][0, phase, joint] = 0.25
     at = POSE[joint] + 0.25 * side
     broken = nth(Cause.SHOULDER_FOLLOWING, joint) if phase is not Phase.IMPACT else Cause.NONE
     for reference, expected in (
@@ -359,8 +359,8 @@ def test_following_error(phase: Phase, joint: int, side: float) -> None:
 @each_phase
 def test_the_following_error_is_that_of_the_phase(phase: Phase) -> None:
     motion = Motion(phase=phase)
-    motion.parameters["following"] = 0.0
-    motion.parameters["following"][0, phase] = 1.0
+    motion.parameters["max_following_error"] = 0.0
+    motion.parameters["max_following_error"][0, phase] = 1.0
     motion.reference += 0.5
     assert motion.cause() is Cause.NONE
 
@@ -469,11 +469,11 @@ def test_the_first_broken_limit_is_the_cause() -> None:
     p = motion.parameters
     motion.readings["supply_pressure"] = 0.0
     p["lower"][0, 2] = 50.0
-    p["following"], p["ground"], p["max_speed"][0, 1] = -1.0, 100.0, 0.0
+    p["max_following_error"], p["ground"], p["max_speed"][0, 1] = -1.0, 100.0, 0.0
     mends: tuple[Callable[[], None], ...] = (
         lambda: setattr(motion, "step", 0.001),
         lambda: motion.readings.__setitem__("supply_pressure", 8e5),
-        lambda: p.__setitem__("following", 1e3),
+        lambda: p.__setitem__("max_following_error", 1e3),
         lambda: p.__setitem__("max_speed", 1e3),
         lambda: p.__setitem__("lower", -100.0),
         lambda: p.__setitem__("ground", -100.0),
@@ -600,7 +600,7 @@ def test_compiled_and_plain_code_agree(
 ) -> None:
     p, e, r = generous(), moving(angle), readings()
     p["lower"], p["upper"] = (-1.5, 0.0, 4.8), (1.5, 0.4, 6.2)
-    p["following"], p["min_deceleration"], p["end_stop_max_speed"] = (
+    p["max_following_error"], p["min_deceleration"], p["end_stop_max_speed"] = (
         0.4,
         (60.0, 15.0, 150.0),
         (9.0, 5.0, 34.0),

@@ -89,7 +89,7 @@ def test_a_robot_on_its_way_to_the_address_brakes(led: Led) -> None:
 
 
 def test_a_swing_completes_and_nothing_stays_armed(led: Led) -> None:
-    puppet = reach(State.SWINGING, series=True)
+    puppet = reach(State.SWINGING, hold_between_swings=True)
     led.run(puppet, 5)
     grant_access(led)
     led.run(puppet, 1)

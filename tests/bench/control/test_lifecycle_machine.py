@@ -76,7 +76,11 @@ class Bench(RuleBasedStateMachine):
         """Begin in any state, so that few steps lead far."""
         fitted = fitted or state is State.ACCESS  # which chambers without sensors do not get to
         self.puppet = reach(
-            state, fitted=fitted, local_reset=local_reset, local_reset_time=RESET_TIME, series=series
+            state,
+            fitted=fitted,
+            local_reset=local_reset,
+            local_reset_time=RESET_TIME,
+            hold_between_swings=series,
         )
         self.local_reset, self.series, self.fitted = local_reset, series, fitted
         self.pressure, self.stuck = EMPTY, False

@@ -111,7 +111,7 @@ def test_the_robot_reaches_ready_again_after_a_forbidden_way() -> None:
 @pytest.fixture
 def bench() -> tuple[ControlState, ControlParameters]:
     """Return a bench that stands in READY, and its parameters."""
-    return new_control_state(State.READY), at_power_up(series=True).parameters
+    return new_control_state(State.READY), at_power_up(hold_between_swings=True).parameters
 
 
 Bench = tuple[ControlState, ControlParameters]

@@ -366,11 +366,11 @@ def _emergency(puppet: Puppet) -> None:
 
 
 def _disobeyed(puppet: Puppet) -> None:
-    puppet.parameters.envelope["following"][0, :, 0] = -1.0
+    puppet.parameters.envelope["max_following_error"][0, :, 0] = -1.0
 
 
 def _wrist_disobeyed(puppet: Puppet) -> None:
-    puppet.parameters.envelope["following"][0, :, 2] = -1.0
+    puppet.parameters.envelope["max_following_error"][0, :, 2] = -1.0
 
 
 def model_checked(puppet: Puppet, **limits: float) -> Puppet:

@@ -153,14 +153,16 @@ def cases() -> list[Case]:
         ),
         Case(
             edge(S.RECOVERING, "back at the address", S.ARMED),
-            lambda: reach(S.RECOVERING, series=True),
+            lambda: reach(S.RECOVERING, hold_between_swings=True),
             None,
             SWUNG,
             LEFT
             | {
                 "lease regained": regained("lease_held"),
                 "recorder regained": regained("support_ready"),
-                "no series": lambda puppet: void(puppet.parameters.control.__setitem__("series", False)),
+                "no series": lambda puppet: void(
+                    puppet.parameters.control.__setitem__("hold_between_swings", False)
+                ),
             },
         ),
         Case(edge(S.RECOVERING, "at rest", S.READY), braking, None, BRAKED, {}),

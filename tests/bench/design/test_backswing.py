@@ -30,5 +30,5 @@ def test_the_way_up_is_followed(seed: int) -> None:
     found = learned_backswing(replace(bench, profile=sketch), pid, TICKS, 1.0 - demand.margin)
     error = np.abs(found.cycles["reference_angle"] - found.cycles["angle"]).max(axis=0)
     assert np.all(error < (0.05, 0.02, 0.2)), error.round(4)  # of 409 (0.16, 0.05, 0.45) by the PIDs alone
-    assert found.error == pytest.approx((error / c.envelope.following["backswing"]).max())
+    assert found.error == pytest.approx((error / c.envelope.max_following_error["backswing"]).max())
     assert np.abs(found.profile.valve).max() <= 1.0 - demand.margin

@@ -416,8 +416,8 @@ def test_a_locked_database_is_waited_for_as_long_as_one_wants(
             store.change(ENTRY.id, reason="lunch")
         waited = list[float]()
 
-        def waiting(trouble: DatabaseLocked) -> None:
-            waited.append(trouble.waited)
+        def waiting(fault: DatabaseLocked) -> None:
+            waited.append(fault.waited)
             if len(waited) == 3:
                 other.execute("ROLLBACK")
                 other.close()

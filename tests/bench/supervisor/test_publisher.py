@@ -359,10 +359,10 @@ def test_a_lost_connection_is_told_and_comes_back(bench: Bench, day: MakeDay) ->
     bench.listen()
     publisher = bench.start()
     bench.sessions.pop().close()
-    assert event(publisher)["event"] == "trouble"
-    wait_for(lambda: bench.heartbeat()["condition"] == Condition.TROUBLE)
+    assert event(publisher)["event"] == "fault"
+    wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
     bench.listen()
-    assert event(publisher) == {"event": "relieved"}
+    assert event(publisher) == {"event": "recovered"}
     telemetry = bench.subscribe("telemetry")
     time.sleep(0.3)
     bench.write(day(50))

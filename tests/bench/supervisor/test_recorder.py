@@ -223,7 +223,7 @@ def test_killed_while_a_second_swing_waits_it_stores_each_once(
     bench.start(least_free=1)
     bench.write(both)
     assert bench.event()["event"] == "stored"
-    assert bench.event()["event"] == "trouble"
+    assert bench.event()["event"] == "fault"
     bench.kill()
     small_disk(4)
     bench.start()
@@ -314,14 +314,14 @@ def test_a_full_disk_is_told_and_the_record_kept_until_there_is_room(bench: Benc
     resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
     bench.write(cycles)
     told = bench.event()
-    assert told["event"] == "trouble"
+    assert told["event"] == "fault"
     assert "nothing was stored" in told["text"]
-    bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.TROUBLE)
+    bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
     assert bench.heartbeat()["waiting"] == 1
     bench.wait_for(lambda: bench.files() == [])  # while it tries again there is a part of one
     resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
     assert bench.event()["event"] == "stored"
-    assert bench.event() == {"event": "relieved"}
+    assert bench.event() == {"event": "recovered"}
     assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
     bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.WORKING)
 
@@ -330,9 +330,9 @@ def test_a_folder_that_cannot_be_made_is_told_before_anything_moves(bench: Bench
     bench.data.write_text("a file, no folder")
     bench.start()
     assert "Not a directory" in (text := bench.event()["text"]) or "exists" in text
-    bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.TROUBLE)
+    bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
     bench.data.unlink()
-    assert bench.event() == {"event": "relieved"}
+    assert bench.event() == {"event": "recovered"}
 
 
 def test_what_could_not_be_stored_to_the_end_is_told(bench: Bench, day: MakeDay) -> None:
@@ -340,7 +340,7 @@ def test_what_could_not_be_stored_to_the_end_is_told(bench: Bench, day: MakeDay)
     assert bench.recorder is not None
     resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
     bench.write(day(SWING))
-    assert bench.event()["event"] == "trouble"
+    assert bench.event()["event"] == "fault"
     assert bench.end() == 74
     assert bench.event() == {"event": "ended", "waiting": 1}
     assert bench.files() == []
@@ -412,14 +412,14 @@ def test_a_disk_that_fills_up_has_whole_files_and_what_does_not_fit_waits(
     assert bench.event()["event"] == "stored"
     bench.write(both[1600:])
     told = bench.event()
-    assert told["event"] == "trouble"
+    assert told["event"] == "fault"
     assert "No space left" in told["text"]
     assert "nothing was stored" in told["text"]
     assert [path.name[0] != "." for path in bench.files()] == [True]
     assert stored_cycles(bench.files()[0])[0] == both[300 - 128 : 1200 + 256].tobytes()
     small_disk(4)
     assert bench.event()["event"] == "stored"
-    assert bench.event() == {"event": "relieved"}
+    assert bench.event() == {"event": "recovered"}
     _, second = bench.files()
     assert stored_cycles(second)[0] == both[1600 + 300 - 128 : 1600 + 1200 + 256].tobytes()
 
@@ -432,7 +432,7 @@ def test_killed_on_a_full_disk_it_leaves_no_rest(
     bench.write(both[:1600])
     assert bench.event()["event"] == "stored"
     bench.write(both[1600:])
-    assert bench.event()["event"] == "trouble"
+    assert bench.event()["event"] == "fault"
     bench.kill()
     small_disk(4)
     bench.start()
@@ -458,15 +458,15 @@ def test_a_folder_that_becomes_read_only_is_told_and_the_record_kept(tmp_path: P
         cycles = day(SWING)
         bench.write(cycles)
         told = bench.event()
-        assert told["event"] == "trouble"
+        assert told["event"] == "fault"
         assert "Permission denied" in told["text"] or "cannot be written to" in told["text"]
         bench.wait_for(lambda: bench.heartbeat()["waiting"] == 1)
-        assert bench.heartbeat()["condition"] == Condition.TROUBLE
+        assert bench.heartbeat()["condition"] == Condition.FAULT
         assert bench.files() == []
         (bench.data / "swings" / "b1").chmod(0o700)
         assert bench.event()["event"] == "stored"
         assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
-        assert bench.event() == {"event": "relieved"}
+        assert bench.event() == {"event": "recovered"}
     finally:
         bench.close()
 
@@ -478,8 +478,8 @@ def test_a_folder_that_is_read_only_from_the_start_is_told_before_anything_moves
         (bench.data / "swings" / "b1").chmod(0o500)
         bench.start()
         told = bench.event()
-        assert told["event"] == "trouble"
+        assert told["event"] == "fault"
         assert "cannot be written to" in told["text"]
-        bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.TROUBLE)
+        bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.FAULT)
     finally:
         bench.close()

@@ -46,20 +46,20 @@ def test_an_encoder_that_jumps_after_a_stall_is_not_blamed() -> None:
     assert "the loop stood still for 6.0 ms" in note(cycles, Cause.ARM_JUMP)
 
 
-def test_stall_note_names_the_trouble_of_the_device_before_cables() -> None:
+def test_stall_note_names_the_fault_of_the_device_before_cables() -> None:
     cycles = records()
     cycles["encoder_valid"][-5:, 0] = 0
-    trouble = "node 1 has left the operational state: another master has commanded it"
+    fault = "node 1 has left the operational state: another master has commanded it"
     for cause in (Cause.SHOULDER_ENCODER, Cause.DEVICE_PASSIVE):
-        assert stall_note(cycles, cause, LOST_TIME, PERIOD, trouble) == trouble
-    assert stall_note(cycles, Cause.GUARD, LOST_TIME, PERIOD, trouble) == ""
+        assert stall_note(cycles, cause, LOST_TIME, PERIOD, fault) == fault
+    assert stall_note(cycles, Cause.GUARD, LOST_TIME, PERIOD, fault) == ""
 
 
-def test_refusal_names_the_trouble_of_the_device_before_cables() -> None:
-    trouble = "another master has commanded node 1"
-    assert refusal_words(Refusal.READINGS, trouble) == ("an encoder yields no valid readings", trouble)
+def test_refusal_names_the_fault_of_the_device_before_cables() -> None:
+    fault = "another master has commanded node 1"
+    assert refusal_words(Refusal.READINGS, fault) == ("an encoder yields no valid readings", fault)
     assert refusal_words(Refusal.READINGS, "") == REFUSAL_WORDS[Refusal.READINGS]
-    assert refusal_words(Refusal.GUARD, trouble) == REFUSAL_WORDS[Refusal.GUARD]
+    assert refusal_words(Refusal.GUARD, fault) == REFUSAL_WORDS[Refusal.GUARD]
 
 
 @pytest.mark.parametrize("lost", [0, 2])

@@ -72,9 +72,9 @@ def test_it_can_be_relied_on_once_its_heart_says_so(supporter: ManagedProcess, b
     supporter.turn(0.1)
     assert is_ready(supporter)
     assert not is_starting(supporter)
-    beat(0.2, Condition.TROUBLE)
+    beat(0.2, Condition.FAULT)
     supporter.turn(0.2)
-    assert supporter.note == "trouble"
+    assert supporter.note == "fault"
 
 
 def test_a_silent_one_cannot_be_relied_on_and_in_the_end_is_replaced(

@@ -122,7 +122,7 @@ def test_what_is_not_understood_is_counted_and_told(make_day: MakeDay) -> None:
         bench.put("shot", b"\xff")
         bench.send(make_day([(State.READY, 20)]))
         heard.until(lambda: len(heard.ticks) == 20 and feed.account.invalid == 4)
-        assert feed.trouble
+        assert feed.fault
 
 
 def test_nobody_there_is_told() -> None:

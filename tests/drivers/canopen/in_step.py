@@ -191,7 +191,7 @@ class DriverInStep(CanopenDriver):
         self.wire = wire
 
     def read(self, time: float) -> Readings:
-        if self.operational or self.trouble:
+        if self.operational or self.fault:
             self.wire.wait(time)
         return super().read(time)
 

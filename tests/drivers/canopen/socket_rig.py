@@ -159,7 +159,7 @@ class Found(NamedTuple):
     readings: list[tuple[Any, ...]]
     applied: list[Command]
     counters: dict[str, int]
-    trouble: str
+    fault: str
 
 
 def found(rig: Rig) -> Found:
@@ -167,9 +167,7 @@ def found(rig: Rig) -> Found:
         one._replace(encoder_time=(0.0,) * 3, encoder_age=(0.0,) * 3)[0:]
         for one in map(canonical, rig.readings)
     ]
-    return Found(
-        list(rig.nodes.heard), readings, rig.applied, rig.driver.counters.counts(), rig.driver.trouble
-    )
+    return Found(list(rig.nodes.heard), readings, rig.applied, rig.driver.counters.counts(), rig.driver.fault)
 
 
 def canonical(readings: Readings) -> Readings:

@@ -313,7 +313,7 @@ def fail_to_receive(bench: Bench) -> None:
     bench.wire.break_receiving = OSError(errno.ENETDOWN, "Network is down")
 
 
-TROUBLES: dict[str, tuple[Callable[[Bench], None], str, int]] = {
+FAULTS: dict[str, tuple[Callable[[Bench], None], str, int]] = {
     "the valve node tells of an error": (put(0x8A, emergency(0x2310)), "node 10 .* error 2310h", 2),
     "the valve node is silent": (drop(0x70A, 0x18A), "interlocks|node 10 .* no heartbeat", 200),
     "an encoder's heartbeat is lost": (drop(0x702), r"node 2 \(encoder of the arm\) .* no heartbeat", 200),
@@ -334,33 +334,33 @@ TROUBLES: dict[str, tuple[Callable[[Bench], None], str, int]] = {
 }
 
 
-@pytest.mark.parametrize("trouble", TROUBLES.values(), ids=TROUBLES)
-def test_trouble_is_latched_named_and_ends_with_opening_anew(
-    bench: Bench, trouble: tuple[Callable[[Bench], None], str, int]
+@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
+def test_fault_is_latched_named_and_ends_with_opening_anew(
+    bench: Bench, fault: tuple[Callable[[Bench], None], str, int]
 ) -> None:
-    bring, reason, longest = trouble
+    bring, reason, longest = fault
     bench.run(30)
-    assert bench.driver.trouble == ""
+    assert bench.driver.fault == ""
     assert bench.wire.in_force == MOVING
     bring(bench)
     bench.run(longest)
     assert not bench.driver.operational
-    assert re.search(reason, bench.driver.trouble), bench.driver.trouble
+    assert re.search(reason, bench.driver.fault), bench.driver.fault
     assert bench.applied == PASSIVE
     # Mended, it stays passive ...
     bench.wire.refuse = bench.wire.break_receiving = None
     bench.wire.deaf = False
     bench.wire.meddle = lambda identifier, data: [(identifier, data)]
-    first = bench.driver.trouble
+    first = bench.driver.fault
     bench.run(100)
-    assert bench.driver.trouble == first
+    assert bench.driver.fault == first
     assert bench.applied == PASSIVE
     assert bench.wire.in_force == PASSIVE
     # ... until it is opened again.
     bench.driver.close()
     bench.driver.open()
     bench.run(30)
-    assert bench.driver.trouble == ""
+    assert bench.driver.fault == ""
     assert bench.wire.in_force == MOVING
 
 

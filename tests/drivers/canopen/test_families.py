@@ -127,7 +127,7 @@ def test_an_io_node_is_taken_follows_and_falls_back(name: str) -> None:
     driver.open()
     command = PASSIVE._replace(valve=(0.5, -0.5, 1.0), supply_enable=True, exhaust_closed=True)
     readings = run(driver, command)
-    assert driver.trouble == ""
+    assert driver.fault == ""
     assert wire.in_force._replace(valve=command.valve) == command
     assert wire.in_force.valve == pytest.approx(command.valve, abs=3e-4)
     assert readings.emergency_stop_clear == wire.nodes.readings.emergency_stop_clear

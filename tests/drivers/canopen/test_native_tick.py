@@ -128,7 +128,7 @@ def test_usual_ticks_are_compiled(rigs: Callable[..., Rig]) -> None:
     ids=["restarted", "left", "emergency", "bus off", "cut short"],
 )
 @pytest.mark.parametrize("first", [True, False], ids=["before", "between"])
-def test_trouble_comes_in_the_same_tick(rigs: Callable[..., Rig], last: Frames, first: bool) -> None:
+def test_fault_comes_in_the_same_tick(rigs: Callable[..., Rig], last: Frames, first: bool) -> None:
     def script(k: int) -> Frames:
         answers = positions(k)
         if k != 10:
@@ -140,18 +140,18 @@ def test_trouble_comes_in_the_same_tick(rigs: Callable[..., Rig], last: Frames, 
         rig.run(14)
     ours, theirs = map(found, both)
     assert ours == theirs
-    assert ours.trouble
+    assert ours.fault
     assert ours.applied[9] != ours.applied[10] == Command()
 
 
-def test_silence_is_trouble_in_the_same_tick(rigs: Callable[..., Rig]) -> None:
+def test_silence_is_a_fault_in_the_same_tick(rigs: Callable[..., Rig]) -> None:
     settings = replace(SETTINGS, heartbeat=0.005, interlock_period=0.004)
     both = [rigs(positions, native=native, settings=settings) for native in (True, False)]
     for rig in both:
         rig.run(25)
     ours, theirs = map(found, both)
     assert ours == theirs
-    assert "interlocks" in ours.trouble
+    assert "interlocks" in ours.fault
 
 
 def test_a_send_that_fails_is_met_once(rigs: Callable[..., Rig]) -> None:
@@ -160,7 +160,7 @@ def test_a_send_that_fails_is_met_once(rigs: Callable[..., Rig]) -> None:
         rig.run(5)
         rig.nodes.ours.shutdown(socket.SHUT_RD)
         rig.tick()
-        assert "sending failed" in rig.driver.trouble
+        assert "sending failed" in rig.driver.fault
     ours, theirs = map(found, both)
     assert ours.counters == theirs.counters
     assert ours.applied == theirs.applied

@@ -269,7 +269,7 @@ def test_a_node_that_loses_its_power_comes_up_with_centred_spools() -> None:
     wire.nodes.valve_node.boot(wire.now)
     assert wire.in_force == PASSIVE
     driver.read(0.001)
-    assert "node 10 (valves and interlocks) has restarted" in driver.trouble
+    assert "node 10 (valves and interlocks) has restarted" in driver.fault
     assert driver.write(PASSIVE._replace(supply_enable=True)) == PASSIVE
 
 

@@ -67,7 +67,7 @@ def test_the_delivery_is_that_of_the_sim_driver(configuration: Configuration, by
     bench, driver, _ = on_canopen(configuration)
     assert_alike(swung(bench), by_sim, speed=0.03)
     counters = driver.counters
-    assert (counters.missing, counters.late, counters.duplicates, driver.trouble) == (0, 0, 0, "")
+    assert (counters.missing, counters.late, counters.duplicates, driver.fault) == (0, 0, 0, "")
 
 
 @pytest.mark.release

@@ -105,7 +105,7 @@ def run(driver: CanopenDriver, holds: Callable[[], bool], command: Command = MOV
     """Run ticks until something holds."""
     deadline = time.monotonic() + LONGEST
     while not holds():
-        assert time.monotonic() < deadline, driver.trouble
+        assert time.monotonic() < deadline, driver.fault
         driver.read(time.monotonic())
         driver.write(command)
         time.sleep(0.0005)
@@ -171,7 +171,7 @@ def test_nodes_that_freeze_end_in_the_latched_state_and_come_back(
     nodes.child.process.send_signal(signal.SIGSTOP)
     try:
         run(driver, lambda: not driver.operational)
-        assert "no heartbeat" in driver.trouble or "interlocks" in driver.trouble
+        assert "no heartbeat" in driver.fault or "interlocks" in driver.fault
     finally:
         nodes.child.process.send_signal(signal.SIGCONT)
     run(driver, lambda: nodes.in_force == PASSIVE)
@@ -185,7 +185,7 @@ def test_a_bus_switched_off_and_on(driver: CanopenDriver, nodes: Nodes) -> None:
     switch(nodes.settings.channel, on=False)
     try:
         run(driver, lambda: not driver.operational)
-        assert "Network is down" in driver.trouble
+        assert "Network is down" in driver.fault
         wait(lambda: nodes.in_force == PASSIVE)
         driver.close()
         with pytest.raises(DriverError, match="check that the interface is up"):
@@ -208,7 +208,7 @@ def test_somebody_else_on_the_bus(driver: CanopenDriver, nodes: Nodes) -> None:
         assert driver.operational
         other.send(can.Message(arbitration_id=0x40, is_error_frame=True, is_extended_id=False, data=bytes(8)))
         run(driver, lambda: driver.counters.bus_off == 1)
-        assert "bus-off" in driver.trouble
+        assert "bus-off" in driver.fault
         run(driver, lambda: nodes.in_force == PASSIVE)
 
 

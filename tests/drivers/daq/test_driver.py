@@ -235,7 +235,7 @@ def test_silence_makes_the_watchdog_strike_and_that_is_noticed(driver: DaqDriver
     assert driver.write(MOVING) == PASSIVE
     assert valves(card) == (5.0, 5.0, 5.0)
     assert outputs(card) == [False] * 5
-    assert "watchdog" in driver.trouble
+    assert "watchdog" in driver.fault
     assert driver.write(MOVING) == PASSIVE
     driver.close()
     driver.open()
@@ -255,7 +255,7 @@ def test_a_card_that_is_pulled_out(driver: DaqDriver, card: Card) -> None:
     seen = driver.read(1.0)
     assert not seen.emergency_stop_clear
     assert seen.supply_pressure == INVALID
-    assert driver.trouble
+    assert driver.fault
     assert driver.write(MOVING) == PASSIVE
     driver.make_passive()
     driver.close()
@@ -301,10 +301,10 @@ def test_a_card_that_cannot_centre_the_valves_is_refused_unless_a_relay_does(
     assert valves(card) == (5.0, 5.0, 5.0)
 
 
-def test_the_relay_is_not_fed_once_there_is_trouble(bench: Bench, card: Card) -> None:
+def test_the_relay_is_not_fed_after_a_fault(bench: Bench, card: Card) -> None:
     driver = bench(RELAY)
     driver.open()
-    driver.trouble = "of a test"
+    driver.fault = "of a test"
     before = card.lines["port0/line6"]
     for _ in range(3):
         driver.write(MOVING)

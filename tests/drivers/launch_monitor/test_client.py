@@ -61,7 +61,7 @@ def test_a_shot_arrives_and_is_taken(gspro: socket.socket, client: SimulatorClie
         connection.sendall(write_player("DR") + write_answer(200, "Shot received successfully"))
         wait_for(lambda: client.status().taken == 1)
         passing = client.status()
-        assert (passing.connected, passing.trouble, passing.waiting) == (True, "", 0)
+        assert (passing.connected, passing.fault, passing.waiting) == (True, "", 0)
         assert passing.player is not None
         assert passing.player.club == "DR"
 
@@ -73,7 +73,7 @@ def test_without_an_answer_it_is_sent_once_more_with_the_same_number(
     with accept(gspro) as connection:
         assert message(connection) == message(connection)
         wait_for(lambda: client.status().refused == 1)
-        assert "not answered" in client.status().trouble
+        assert "not answered" in client.status().fault
 
 
 def test_a_simulator_that_hangs_up_gets_a_shot_twice_at_most(
@@ -120,7 +120,7 @@ def test_a_failure_is_told_and_the_next_shot_goes_on(gspro: socket.socket, clien
         message(connection)
         connection.sendall(write_answer(501, "no player"))
         wait_for(lambda: client.status().refused == 1)
-        assert "501: no player" in client.status().trouble
+        assert "501: no player" in client.status().fault
         client.send(LAUNCH)
         message(connection)
         connection.sendall(write_answer(200, ""))
@@ -157,7 +157,7 @@ def test_a_simulator_that_is_not_there_is_a_state_and_old_shots_are_no_news() ->
         client.open()
     try:
         client.send(LAUNCH)
-        wait_for(lambda: "refused" in client.status().trouble)
+        wait_for(lambda: "refused" in client.status().fault)
         assert client.status().waiting == 1
         now[0] = 11.0
         wait_for(lambda: client.status().out_of_date == 1)

@@ -247,7 +247,7 @@ def demo_configuration(configuration: Configuration, data_dir: Path, *, live: bo
         bench=replace(c.bench, id=f"demo-{os.getpid()}"),
         driver=replace(c.driver, name="sim"),
         network=replace(c.network, endpoint=f"tcp/127.0.0.1:{free_port()}", beyond="", router=""),
-        lifecycle=replace(c.lifecycle, series=True, local_reset=False),
+        lifecycle=replace(c.lifecycle, hold_between_swings=True, local_reset=False),
     )
 
 

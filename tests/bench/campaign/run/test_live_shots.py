@@ -615,7 +615,7 @@ def test_a_real_shot_has_no_carry_of_the_plans_ball(
 
 LOW_SUPPLY = """
 [lifecycle]
-series = true
+hold_between_swings = true
 [faults.compressor]
 signal = "supply"
 kind = "scale"

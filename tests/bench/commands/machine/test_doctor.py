@@ -362,7 +362,7 @@ NI_MISSING = "Could not find an installation of NI-DAQmx."
 def test_what_drives_a_daq_card(
     found: list[object], status: CheckStatus, value: str, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    names = ("package", "runtime", "cards", "trouble")
+    names = ("package", "runtime", "cards", "fault")
     answer = json.dumps(dict(zip(names, found, strict=True)))
     monkeypatch.setattr(doctor, "_child", lambda question: answer if question == "daq" else "")
     outcome = doctor.daq_cards()
@@ -375,15 +375,15 @@ def test_the_package_itself_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     nidaqmx = pytest.importorskip("nidaqmx")
     found = probe.daq_cards()
     assert found["package"] == nidaqmx.__version__
-    assert found["runtime"] or "NI-DAQmx" in found["trouble"]
+    assert found["runtime"] or "NI-DAQmx" in found["fault"]
     monkeypatch.setitem(sys.modules, "nidaqmx", None)  # not installed
     assert probe.daq_cards() == {
         "package": "",
         "runtime": "",
         "cards": [],
-        "trouble": probe.daq_cards()["trouble"],
+        "fault": probe.daq_cards()["fault"],
     }
-    assert "golfbench[daq]" in probe.daq_cards()["trouble"]
+    assert "golfbench[daq]" in probe.daq_cards()["fault"]
 
 
 # The command -----------------------------------------------------------------------------------------

@@ -16,20 +16,20 @@ PLANT = PlantParameters()
 BOUNDS = MotionBounds((10.0, 10.0, 20.0), (3.0, 3.0, 5.0), 9e5)
 
 
-class TroubledDriver(SimDriver):
-    """Goes passive with a `trouble`."""
+class FaultyDriver(SimDriver):
+    """Goes passive with a `fault`."""
 
-    trouble = ""
+    fault = ""
 
     @property
     def operational(self) -> bool:
-        return not self.trouble
+        return not self.fault
 
 
 class JumpingClock:
     """Ticks one after the other; the hundredth comes `stall` s late, and `driver` is passive then."""
 
-    def __init__(self, driver: TroubledDriver, stall: float) -> None:
+    def __init__(self, driver: FaultyDriver, stall: float) -> None:
         self._driver, self._stall = driver, stall
         self._ticks, self._now = 0, 0.0
 
@@ -38,7 +38,7 @@ class JumpingClock:
         self._now += PLANT.tick
         if self._ticks == 100:
             self._now += self._stall
-            self._driver.trouble = "node 10 reports error 8250h"
+            self._driver.fault = "node 10 reports error 8250h"
         return self._now
 
 
@@ -57,7 +57,7 @@ class JumpingClock:
 def test_driver_machine_that_goes_passive_reports_the_stall_before_it(
     stall: float, error: type[Refused], found: str, action: str
 ) -> None:
-    driver = TroubledDriver(build_plant(PLANT))
+    driver = FaultyDriver(build_plant(PLANT))
     clock = JumpingClock(driver, stall)
     with DriverMachine(driver, PLANT, clock) as machine:  # type: ignore[arg-type]  # a clock that jumps
         with pytest.raises(Refused) as refused:

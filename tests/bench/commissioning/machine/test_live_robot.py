@@ -355,7 +355,7 @@ def test_an_arming_that_a_stall_stopped_is_repeated_and_said(
         passive[0] = False
 
     monkeypatch.setattr(SwingOperator, "request", stalled)
-    monkeypatch.setattr(driver, "trouble", "the interlocks have not been received", raising=False)
+    monkeypatch.setattr(driver, "fault", "the interlocks have not been received", raising=False)
     monkeypatch.setattr(WatchedDriver, "operational", property(lambda self: not passive[0]))
     monkeypatch.setattr(driver, "close", reopened)
     monkeypatch.setattr(driver, "open", reopened)

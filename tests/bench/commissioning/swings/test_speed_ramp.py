@@ -97,10 +97,12 @@ def test_a_slow_swing_that_its_prediction_stops_is_designed(
     monkeypatch.setattr(speed_ramp, "design_at", design)
     stretched = slow_swing(configuration, default, 0.5, SPEED)
     assert len(stretched.bench.profile.angle) > len(default.angle)
-    tight = replace(configuration, envelope=replace(configuration.envelope, following=TIGHT))
+    tight = replace(configuration, envelope=replace(configuration.envelope, max_following_error=TIGHT))
     found = slow_swing(tight, default, 0.5, SPEED)
     assert (found.share, found.bench.profile) == (0.5, default)
-    assert found.bench.envelope.following["backswing"] > TIGHT["backswing"], "the designed one has room"
+    assert found.bench.envelope.max_following_error["backswing"] > TIGHT["backswing"], (
+        "the designed one has room"
+    )
     slowest = 24.0
     assert slow_swing(tight, default, 0.5, SPEED).share == pytest.approx(0.6)
     slowest = 32.0

@@ -12,7 +12,7 @@ from bench.records.telemetry.cycle_record import CYCLE
 from bench.records.telemetry.record_queue import (
     QueuedRecord,
     RecordQueue,
-    folder_trouble,
+    folder_fault,
     record_path,
     remove_partial,
 )
@@ -57,14 +57,14 @@ def test_a_folder_that_cannot_be_written_keeps_the_record_for_later(tmp_path: Pa
     queue.put(record(sealed))
     with as_nobody():
         assert queue.store(10.0) is None
-        assert "Permission denied" in queue.trouble or "cannot" in queue.trouble
-        assert folder_trouble(sealed, 0)
-        assert folder_trouble(sealed / "below", 0)
+        assert "Permission denied" in queue.fault or "cannot" in queue.fault
+        assert folder_fault(sealed, 0)
+        assert folder_fault(sealed / "below", 0)
     sealed.chmod(0o755)
     assert queue.store(10.9) is None, "it keeps a pause between two tries"
-    assert queue.trouble
+    assert queue.fault
     assert queue.store(11.0) is not None
-    assert not queue.trouble
+    assert not queue.fault
     assert os.listdir(sealed) == ["1.parquet"]
 
 
@@ -81,11 +81,11 @@ def test_a_full_queue_drops_the_new_record(tmp_path: Path) -> None:
 
 
 def test_a_disk_nearly_full_is_told(tmp_path: Path) -> None:
-    assert not folder_trouble(tmp_path / "new" / "folder", 1)
+    assert not folder_fault(tmp_path / "new" / "folder", 1)
     assert (tmp_path / "new" / "folder").is_dir()
-    assert "MiB left" in folder_trouble(tmp_path, 1 << 62)
+    assert "MiB left" in folder_fault(tmp_path, 1 << 62)
     (tmp_path / "file").touch()
-    assert str(tmp_path / "file") in folder_trouble(tmp_path / "file" / "x", 1)
+    assert str(tmp_path / "file") in folder_fault(tmp_path / "file" / "x", 1)
 
 
 def test_names_are_utc_and_sort_by_time(tmp_path: Path) -> None:

@@ -115,9 +115,9 @@ def test_a_swing_that_fails_is_shown_with_its_reason(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lame = tmp_path / "lame.toml"
-    following = EnvelopeSettings().following
+    following = EnvelopeSettings().max_following_error
     tight = "\n".join(f"{name} = [0.001, 0.001, 0.001]" for name in following if name == "backswing")
-    lame.write_text(f'base = "shipped"\n[envelope.following]\n{tight}\n')
+    lame.write_text(f'base = "shipped"\n[envelope.max_following_error]\n{tight}\n')
     assert _demo("--config", str(lame), str(tmp_path / "out")) == ExitCode.REFUSED
     shots = read_shot_table(tmp_path / "out" / "shots.csv")
     # The stopped club may sink against the ball: then it was hit, and is excluded.
