@@ -29,8 +29,8 @@ def page(
     On this machine only, unless --host names an address for others, which needs --identity. Ctrl-C ends it;
     the bench does not notice.
     """
-    from bench.page.page_access import PageAddress
-    from bench.page.page_server import serve_page
+    from bench.web.page_access import PageAddress
+    from bench.web.page_server import serve_page
 
     def say(url: str, _: Callable[[], None]) -> None:
         typer.echo(f"{url}  Ctrl-C ends the page")

@@ -31,10 +31,10 @@ from bench.network.bench_service import Reply
 from bench.network.client import CommandRefused
 from bench.network.command import CommandAnswer, Verb
 from bench.network.status_words import ARMING_BLOCKED
-from bench.page.bench_link import state_view
 from bench.store.database import open_database
 from bench.supervisor.daemon import Daemon
 from bench.supervisor.readiness import HALF_BLIND, assess_bench
+from bench.web.bench_link import state_view
 from tests.bench.fake_bench_service import FakeDesk
 
 NOW = datetime(2026, 11, 26, 12, 0, tzinfo=UTC)

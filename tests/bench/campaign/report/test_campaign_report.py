@@ -35,8 +35,8 @@ from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import Launch
 from sim.flight import fly
-from tests.bench.page.chromium import launched
 from tests.bench.swing.test_profile import FOLLOWED
+from tests.bench.web.chromium import launched
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 THREE_BY_TWO = """

@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any
 from bench.base.errors import BenchError, Refused
 from bench.base.from_toml import parse_toml, read_text
 from bench.campaign.plan.plan_file import EXAMPLES, campaign_names
-from bench.page.answers import Asked, InvalidBody, UnknownName, json_answer, text_in
-from bench.page.campaign_service import STARTED
-from bench.page.command_line import BackgroundCommand, CommandLine, ViewerProcess
-from bench.page.entry_forms import FORMS, form_arguments
-from bench.page.page_access import PageRole
-from bench.page.page_service import PageService, Pool
 from bench.swing.library import profile_names
+from bench.web.answers import Asked, InvalidBody, UnknownName, json_answer, text_in
+from bench.web.campaign_service import STARTED
+from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
+from bench.web.entry_forms import FORMS, form_arguments
+from bench.web.page_access import PageRole
+from bench.web.page_service import PageService, Pool
 
 if TYPE_CHECKING:
     from starlette.requests import Request

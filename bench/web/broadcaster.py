@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from threading import Lock
 from typing import Any
 
-from bench.page.request_filter import Receive, Scope, Send
+from bench.web.request_filter import Receive, Scope, Send
 
 MAX_READERS = 32
 """Max number of open pages."""

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import CalibrationKind, in_words
 from bench.config import Configuration, database_url
-from bench.page.answers import InvalidBody, text_in
 from bench.store.air_readings import newest_reading
 from bench.store.database import is_there, open_database
+from bench.web.answers import InvalidBody, text_in
 
 LONGEST_NOTE = 200
 LONGEST_DAYS = 3650

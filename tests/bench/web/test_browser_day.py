@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from bench.network.free_port import free_port
-from tests.bench.page.browser_tab import open_tab
-from tests.bench.page.day_at_page import (
+from tests.bench.web.browser_tab import open_tab
+from tests.bench.web.day_at_page import (
     OPERATOR,
     VIEWER,
     change_the_club,

@@ -13,10 +13,10 @@ import pytest
 
 from bench.config import Configuration
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
-from tests.bench.page.browser_tab import TIMEOUT
-from tests.bench.page.chromium import launched
-from tests.bench.page.noting_program import NotingProgram
-from tests.bench.page.running_page import RunningPage, running_page
+from tests.bench.web.browser_tab import TIMEOUT
+from tests.bench.web.chromium import launched
+from tests.bench.web.noting_program import NotingProgram
+from tests.bench.web.running_page import RunningPage, running_page
 
 
 @contextmanager

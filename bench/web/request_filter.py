@@ -41,7 +41,7 @@ HEADERS = {
 """Headers of every response, where it has none of that name itself."""
 
 
-class Guard:
+class RequestFilter:
     """An ASGI application in front of another one."""
 
     def __init__(self, application: Application, scheme: str, hosts: Collection[str]) -> None:

@@ -12,8 +12,8 @@ import pytest
 
 from bench.base.errors import BenchError, Refused
 from bench.network.free_port import free_port
-from bench.page import page_service
-from bench.page.page_access import (
+from bench.web import page_service
+from bench.web.page_access import (
     MAX_SESSIONS,
     SESSION,
     PageAccess,
@@ -22,12 +22,12 @@ from bench.page.page_access import (
     checked_address,
     read_tokens,
 )
-from bench.page.page_commands import COMMANDS
-from bench.page.page_server import page_application
-from bench.page.request_filter import Guard
+from bench.web.page_commands import COMMANDS
+from bench.web.page_server import page_application
+from bench.web.request_filter import RequestFilter
 from tests.bench.certified import Folder
 from tests.bench.fake_bench_service import RunningPlane
-from tests.bench.page.running_page import RunningPage, running_page
+from tests.bench.web.running_page import RunningPage, running_page
 
 OPERATOR, VIEWER = "o" * 24, "v" * 24
 
@@ -215,7 +215,7 @@ def paths() -> dict[str, str]:
     """Return the method of each path of the page."""
     nothing = MagicMock()
     application = page_application(nothing, nothing, nothing, nothing, "http", ())
-    assert isinstance(application, Guard)
+    assert isinstance(application, RequestFilter)
     routes = application._application.routes  # type: ignore[attr-defined]
     return {route.path: "POST" if route.methods == {"POST"} else "GET" for route in routes}
 

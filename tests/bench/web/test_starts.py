@@ -21,17 +21,17 @@ import pytest
 from bench.base.errors import BenchError, Refused
 from bench.config import Configuration
 from bench.network.free_port import free_port
-from bench.page import command_line
-from bench.page.answers import InvalidBody
-from bench.page.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, ViewerProcess, fault_of
-from bench.page.entry_forms import FORMS, form_arguments
-from bench.page.page_access import PageAddress
-from bench.page.page_server import run_outcome
-from bench.page.start_service import PlanCatalogue
+from bench.web import command_line
+from bench.web.answers import InvalidBody
+from bench.web.command_line import MAX_COMMANDS, BackgroundCommand, CommandLine, ViewerProcess, fault_of
+from bench.web.entry_forms import FORMS, form_arguments
+from bench.web.page_access import PageAddress
+from bench.web.page_server import run_outcome
+from bench.web.start_service import PlanCatalogue
 from tests.bench.fake_bench_service import FakeDesk, running_plane
-from tests.bench.page.conftest import publishing
-from tests.bench.page.noting_program import NotingProgram
-from tests.bench.page.running_page import HURRY, RunningPage, running_page
+from tests.bench.web.conftest import publishing
+from tests.bench.web.noting_program import NotingProgram
+from tests.bench.web.running_page import HURRY, RunningPage, running_page
 
 SCRIPT = "<script>alert(1)</script>"
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from bench.network.free_port import free_port
-from tests.bench.page.browser_tab import listens, open_tab
+from tests.bench.web.browser_tab import listens, open_tab
 from tests.running_bench import command_beside, running_bench, write_configuration
 
 pytestmark = [pytest.mark.live, pytest.mark.paced, pytest.mark.requires("chromium"), pytest.mark.timeout(900)]

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from tests.bench.page.browser_tab import Tab, listens, until_accepted
+from tests.bench.web.browser_tab import Tab, listens, until_accepted
 from tests.running_bench import BenchProcess, command_beside
 
 OPERATOR, VIEWER = "o" * 24, "v" * 24

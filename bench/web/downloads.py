@@ -27,7 +27,7 @@ class StaticFile(NamedTuple):
 def static_files() -> dict[str, StaticFile]:
     """Return the files of the page by name."""
     found = {}
-    for file in files("bench.page").joinpath("static").iterdir():
+    for file in files("bench.web").joinpath("static").iterdir():
         kind = _KINDS.get(f".{file.name.rpartition('.')[2]}")
         if kind is not None and file.is_file():
             found[file.name] = StaticFile(file.read_bytes(), kind)

@@ -15,11 +15,11 @@ from bench.base.lifecycle import Request, State
 from bench.config import Configuration
 from bench.network.free_port import free_port
 from bench.network.lease import SHORTEST
-from bench.page import page_commands
+from bench.web import page_commands
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
-from tests.bench.page.browser_tab import Tab, listens, open_tab, until_accepted
-from tests.bench.page.conftest import publishing
-from tests.bench.page.running_page import RunningPage, running_page
+from tests.bench.web.browser_tab import Tab, listens, open_tab, until_accepted
+from tests.bench.web.conftest import publishing
+from tests.bench.web.running_page import RunningPage, running_page
 from tests.running_bench import command_beside, running_bench, write_configuration
 
 pytestmark = [pytest.mark.live, pytest.mark.requires("chromium"), pytest.mark.timeout(400)]

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from bench.page.bench_link import accepted_commands, state_view
-from bench.page.broadcaster import event_text
-from bench.page.entry_forms import described_forms
+from bench.web.bench_link import accepted_commands, state_view
+from bench.web.broadcaster import event_text
+from bench.web.entry_forms import described_forms
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
-from tests.bench.page.browser_tab import Tab, open_tab
-from tests.bench.page.running_page import RunningPage, running_page
+from tests.bench.web.browser_tab import Tab, open_tab
+from tests.bench.web.running_page import RunningPage, running_page
 
 pytestmark = [pytest.mark.live, pytest.mark.paced, pytest.mark.requires("chromium"), pytest.mark.timeout(400)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from tests.bench.page.browser_tab import TIMEOUT
+from tests.bench.web.browser_tab import TIMEOUT
 
 
 def launched(playwright: Any, program: str | None) -> Any:

@@ -18,8 +18,8 @@ from bench.network.status_words import (
     STATE_WORDS,
     VENTING_WORDS,
 )
-from bench.page.bench_link import accepted_commands, state_view
 from bench.supervisor.status import NO_LAUNCH_MONITOR
+from bench.web.bench_link import accepted_commands, state_view
 from tests.bench.fake_bench_service import FakeDesk
 
 

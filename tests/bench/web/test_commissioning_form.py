@@ -22,10 +22,10 @@ from bench.commissioning.commissioning import ALL_STEPS, Commissioning, DoneStep
 from bench.commissioning.folder_lock import folder_lock
 from bench.config import Configuration
 from bench.network.free_port import free_port
-from bench.page.commissioning_service import CommissioningStore
-from bench.page.page_access import PageAddress
-from tests.bench.page.noting_program import NotingProgram
-from tests.bench.page.running_page import HURRY, RunningPage, running_page
+from bench.web.commissioning_service import CommissioningStore
+from bench.web.page_access import PageAddress
+from tests.bench.web.noting_program import NotingProgram
+from tests.bench.web.running_page import HURRY, RunningPage, running_page
 
 SCRIPT = "<script>alert(1)</script>"
 DAY = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)

@@ -24,14 +24,14 @@ from bench.campaign.run.campaign_control import answer, ask, is_running, standin
 from bench.campaign.statistics.analysis import interim_analysis
 from bench.campaign.statistics.control_chart import control_charts, dispersion_ellipses
 from bench.config import Configuration, database_url
-from bench.page.answers import Asked, InvalidBody, UnknownName
-from bench.page.command_line import BackgroundCommand, CommandLine
-from bench.page.downloads import MAX_RECORDS, REPORT, Download, Downloads
-from bench.page.last_swing import swing_view
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
 from bench.store.records import ENDED, CampaignState, Prompt, ShotNote
+from bench.web.answers import Asked, InvalidBody, UnknownName
+from bench.web.command_line import BackgroundCommand, CommandLine
+from bench.web.downloads import MAX_RECORDS, REPORT, Download, Downloads
+from bench.web.last_swing import swing_view
 
 MAX_LISTED = 50
 """Max number of listed campaigns."""

@@ -17,22 +17,22 @@ from bench.base.address import identity_files
 from bench.base.errors import BenchError, ExitCode
 from bench.calibration.archive import calibration_of
 from bench.calibration.calibration import apply
-from bench.page.answers import InvalidBody, UnknownName, json_answer
-from bench.page.bench_link import BenchLink, record_of
-from bench.page.broadcaster import PageBroadcaster
-from bench.page.campaign_service import CampaignArchive, CampaignService, RunningCampaigns
-from bench.page.command_line import BackgroundCommand, CommandLine, ViewerProcess
-from bench.page.commissioning_service import CommissioningService, CommissioningStore, CommissioningWatch
-from bench.page.downloads import Downloads
-from bench.page.entry_forms import bench_values
-from bench.page.last_swing import SwingReader
-from bench.page.page_access import PageAddress, PageRole, checked_address, page_access
-from bench.page.page_service import Call, PageService, Pool
-from bench.page.request_filter import Application, Guard, http_protocol
-from bench.page.start_service import PlanCatalogue, StartService
 from bench.records.shot.recorded_shot import FlightConditions
 from bench.supervisor.ownership import bench_folder
 from bench.supervisor.plan import RING_FILE
+from bench.web.answers import InvalidBody, UnknownName, json_answer
+from bench.web.bench_link import BenchLink, record_of
+from bench.web.broadcaster import PageBroadcaster
+from bench.web.campaign_service import CampaignArchive, CampaignService, RunningCampaigns
+from bench.web.command_line import BackgroundCommand, CommandLine, ViewerProcess
+from bench.web.commissioning_service import CommissioningService, CommissioningStore, CommissioningWatch
+from bench.web.downloads import Downloads
+from bench.web.entry_forms import bench_values
+from bench.web.last_swing import SwingReader
+from bench.web.page_access import PageAddress, PageRole, checked_address, page_access
+from bench.web.page_service import Call, PageService, Pool
+from bench.web.request_filter import Application, RequestFilter, http_protocol
+from bench.web.start_service import PlanCatalogue, StartService
 
 if TYPE_CHECKING:
     import uvicorn
@@ -299,7 +299,7 @@ def page_application(
         *(Route(path, service.sending(find)) for path, find in downloads.items()),
     ]
     handlers = {InvalidBody: _invalid, UnknownName: _unknown, Exception: _failed}
-    return Guard(Starlette(routes=routes, exception_handlers=handlers), scheme, hosts)
+    return RequestFilter(Starlette(routes=routes, exception_handlers=handlers), scheme, hosts)
 
 
 async def _invalid(_: Request, error: Exception) -> Response:

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from bench.base.errors import BenchError
 from bench.network.command import CommandAnswer
 from bench.network.lease import LONGEST_HOLDER
-from bench.page.answers import Asked, InvalidBody, UnknownName, body_of, json_answer, refusal_answer, text_in
-from bench.page.bench_link import BenchLink
-from bench.page.broadcaster import EventStream, PageBroadcaster
-from bench.page.downloads import Download, static_files
-from bench.page.page_access import SESSION, PageAccess, PageRole
-from bench.page.page_commands import COMMANDS, STOPS, CommandNumbers, PageLeases
+from bench.web.answers import Asked, InvalidBody, UnknownName, body_of, json_answer, refusal_answer, text_in
+from bench.web.bench_link import BenchLink
+from bench.web.broadcaster import EventStream, PageBroadcaster
+from bench.web.downloads import Download, static_files
+from bench.web.page_access import SESSION, PageAccess, PageRole
+from bench.web.page_commands import COMMANDS, STOPS, CommandNumbers, PageLeases
 
 if TYPE_CHECKING:
     from starlette.requests import Request

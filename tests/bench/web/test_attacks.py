@@ -12,10 +12,10 @@ from typing import NamedTuple
 import pytest
 
 from bench.base.lifecycle import State
-from bench.page import request_filter
-from bench.page.broadcaster import MAX_READERS
+from bench.web import request_filter
+from bench.web.broadcaster import MAX_READERS
 from tests.bench.fake_bench_service import RunningPlane
-from tests.bench.page.running_page import HURRY, RunningPage
+from tests.bench.web.running_page import HURRY, RunningPage
 
 GOOD = json.dumps({"number": "an-attack-01", "seen": 0.0}).encode()
 ARM = "/api/command/arm"
@@ -228,7 +228,7 @@ def test_an_endless_body_in_chunks_is_refused(page: RunningPage) -> None:
 
 
 def test_a_name_with_line_breaks_makes_no_event_of_its_own(page: RunningPage) -> None:
-    from bench.page.broadcaster import event_text
+    from bench.web.broadcaster import event_text
 
     text = event_text("state", {"club": "x\n\nevent: you\ndata: {}\n\n"}).decode()
     assert text.count("\n") == 3

@@ -23,10 +23,10 @@ from typing import Any
 from bench.base.errors import BenchError, Refused
 from bench.commissioning.commissioning import ALL_STEPS, STATE_FILE, Commissioning, read_state
 from bench.commissioning.folder_lock import commissioning_process
-from bench.page.answers import Asked
-from bench.page.command_line import BackgroundCommand, CommandLine
-from bench.page.downloads import REPORT, Download, plain_file
-from bench.page.start_service import is_toml_to_name
+from bench.web.answers import Asked
+from bench.web.command_line import BackgroundCommand, CommandLine
+from bench.web.downloads import REPORT, Download, plain_file
+from bench.web.start_service import is_toml_to_name
 
 MAX_LISTED = 10
 """Max number of listed commissionings."""

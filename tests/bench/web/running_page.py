@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 from bench.config import Configuration
 from bench.network.free_port import free_port
-from bench.page.page_access import PageAddress
-from bench.page.page_server import serve_page
+from bench.web.page_access import PageAddress
+from bench.web.page_server import serve_page
 
 HURRY = 30.0
 

@@ -17,18 +17,18 @@ import pytest
 from bench.base.lifecycle import State
 from bench.campaign.run.campaign_control import runner_lock
 from bench.config import Configuration, database_url
-from bench.page.campaign_service import CampaignArchive, RunningCampaigns
-from bench.page.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
 from bench.records.shot.recorded_shot import plant_of
 from bench.records.telemetry.recorder import read_swing
 from bench.records.telemetry.ring import RingWriter
 from bench.store.campaigns import CampaignStore, StoredShot
 from bench.store.database import open_database
 from bench.store.records import CampaignState, Prompt
+from bench.web.campaign_service import CampaignArchive, RunningCampaigns
+from bench.web.last_swing import SwingReader, ended_swing_view, running_swing_view, swing_view
 from tests.bench.campaign.report.test_campaign_report import NOW, _record
 from tests.bench.fake_bench_service import FakeDesk, loopback_configuration, running_plane
-from tests.bench.page.conftest import publishing
-from tests.bench.page.running_page import HURRY, RunningPage, running_page
+from tests.bench.web.conftest import publishing
+from tests.bench.web.running_page import HURRY, RunningPage, running_page
 from tests.benchmarks.campaign_statistics import Truth
 
 RECORDS = Path(__file__).parents[2] / "replay"

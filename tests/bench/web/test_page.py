@@ -10,10 +10,10 @@ import pytest
 
 from bench.base.lifecycle import Request, State
 from bench.network.command_plane import HEARTBEAT
-from bench.page.last_swing import SwingReader
+from bench.web.last_swing import SwingReader
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
-from tests.bench.page.conftest import publishing
-from tests.bench.page.running_page import HURRY, RunningPage, running_page
+from tests.bench.web.conftest import publishing
+from tests.bench.web.running_page import HURRY, RunningPage, running_page
 
 NAMES = ("index.html", "page.css", "main.js", "operate.js", "icon.svg")
 
