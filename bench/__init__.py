@@ -17,7 +17,7 @@ def _require_own(*names: str) -> None:
         except ValueError:  # imported without a specification
             spec = None
         places = [] if spec is None else [spec.origin or "", *(spec.submodule_search_locations or ())]
-        if not any(Path(place).resolve() == top / name for place in places):
+        if not any(Path(location).resolve() == top / name for location in places):
             raise ImportError(
                 f"golfbench: found {name!r} in {places[-1] if places else 'no folder'}, expected it in "
                 f"{top / name}: another folder or file called {name!r} comes first on the import path. "

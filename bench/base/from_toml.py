@@ -56,7 +56,7 @@ Mistake = tuple[str, str, str, str]
 
 def errors_of(mistakes: Iterable[Mistake], tree: Tree, file: Path) -> list[BenchError]:
     """Return the errors of `mistakes`, each at its key as its author wrote it."""
-    return [BenchError(place_of(tree, file, key), *rest) for key, *rest in mistakes]
+    return [BenchError(location_of(tree, file, key), *rest) for key, *rest in mistakes]
 
 
 def read_toml(path: Path, expected: str, action: str) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def read_toml(path: Path, expected: str, action: str) -> dict[str, Any]:
     return parse_toml(read_text(path, expected, action), str(path))
 
 
-def parse_toml(text: str, place: str) -> dict[str, Any]:
+def parse_toml(text: str, location: str) -> dict[str, Any]:
     """Return the tables of TOML.
 
     Raises:
@@ -77,10 +77,12 @@ def parse_toml(text: str, place: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise BenchError(place, f"invalid TOML: {error}", "TOML", "Correct that line of the file.") from None
+        raise BenchError(
+            location, f"invalid TOML: {error}", "TOML", "Correct that line of the file."
+        ) from None
     except RecursionError:
         raise BenchError(
-            place,
+            location,
             "values nested too deep",
             "tables and arrays of ordinary depth",
             "Write the file without deep nesting.",
@@ -159,7 +161,7 @@ def without(tree: Tree, paths: Collection[str], above: str = "") -> Tree:
     }
 
 
-def place_of(tree: Tree, file: Path, path: str) -> str:
+def location_of(tree: Tree, file: Path, path: str) -> str:
     """Return file and key of dotted `path` as its author wrote it; `file` when the tree does not have it."""
     *above, last = path.split(".")
     node: Tree | TomlValue | None = tree
@@ -310,8 +312,8 @@ class Builder:
     def _fault(self, path: str, found: str, wanted: str, action: str = "") -> Any:
         path, bracket, index = path.partition("[")
         self.wrong.add(path)
-        place = place_of(self.tree, self.file, path) + bracket + index
-        self.faults.append(BenchError(place, found, wanted, action or self.action))
+        location = location_of(self.tree, self.file, path) + bracket + index
+        self.faults.append(BenchError(location, found, wanted, action or self.action))
         return _BAD
 
 

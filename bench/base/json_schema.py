@@ -131,40 +131,40 @@ def json_object(payload: bytes) -> dict[str, Any] | None:
     return read if isinstance(read, dict) else None
 
 
-def require_fit(value: Any, kind: Any, place: str, action: str) -> None:
+def require_fit(value: Any, kind: Any, location: str, action: str) -> None:
     """Refuse a `value` that is not of `kind`.
 
     Raises:
         BenchError: with the place of its first part that is not as the schema of `kind` says.
     """
-    for misfit in misfits(value, _schema(kind), place):
+    for misfit in misfits(value, _schema(kind), location):
         raise BenchError(*misfit, action)
 
 
 _schema = cache(schema_of)
 
 
-def misfits(value: Any, schema: Mapping[str, Any], place: str) -> Iterator[tuple[str, str, str]]:
+def misfits(value: Any, schema: Mapping[str, Any], location: str) -> Iterator[tuple[str, str, str]]:
     """Yield place, found and expected of each part of `value` that is not as `schema` says."""
     if "anyOf" in schema:
-        found = [list(misfits(value, one, place)) for one in schema["anyOf"]]
+        found = [list(misfits(value, one, location)) for one in schema["anyOf"]]
         yield from found[0] if all(found) else ()
     elif not _is_of(value, schema):
         kinds = (kind if kind == "null" else f"a{'n' * (kind[0] in 'aio')} {kind}" for kind in _types(schema))
         choices = schema.get("enum", ())
         names = ", ".join(choices) if len(choices) < 10 else f"the {len(choices)} names in `golfbench schema`"
-        yield place, shown(value), f"one of {names}" if choices else " or ".join(kinds)
+        yield location, shown(value), f"one of {names}" if choices else " or ".join(kinds)
     elif isinstance(value, list):
         parts = schema.get("prefixItems", [schema.get("items", {})] * len(value))
         for index, (item, part) in enumerate(zip(value, parts, strict=True)):
-            yield from misfits(item, part, f"{place}[{index}]")
+            yield from misfits(item, part, f"{location}[{index}]")
     elif isinstance(value, dict):
         parts, more = schema.get("properties", {}), schema.get("additionalProperties", {})
         for name in schema.get("required", ()):
             if name not in value:
-                yield f"{place}.{name}", "nothing", "this key"
+                yield f"{location}.{name}", "nothing", "this key"
         for name, item in value.items():
-            yield from misfits(item, parts.get(name, more), f"{place}.{name}")
+            yield from misfits(item, parts.get(name, more), f"{location}.{name}")
 
 
 def _is_of(value: Any, schema: Mapping[str, Any]) -> bool:

@@ -160,7 +160,7 @@ def _kind_of(values: Values) -> CalibrationKind:
 def _entry(row: object) -> Entry:
     r: CalibrationRow = row  # type: ignore[assignment]  # a row has the columns of its table
     kind = CalibrationKind(r.kind)
-    place = f"calibration {kind} version {r.version} in the database"
+    location = f"calibration {kind} version {r.version} in the database"
     return Entry(
         r.id,
         r.bench,
@@ -171,7 +171,7 @@ def _entry(row: object) -> Entry:
         r.by,
         r.method,
         r.note,
-        values_of(kind, r.content, place),
+        values_of(kind, r.content, location),
     )
 
 
@@ -186,10 +186,10 @@ def add_aerodynamics(
     Raises:
         BenchError: `source` or `by` is empty, or another process added one at the same instant.
     """
-    place = f"calibrate aerodynamics {values.ball}"
+    location = f"calibrate aerodynamics {values.ball}"
     for name, found in (("--source", source), ("--by", by)):
         if not found.strip():
-            raise BenchError(f"{place}: {name}", "missing", "a text", f"State the text with {name}.")
+            raise BenchError(f"{location}: {name}", "missing", "a text", f"State the text with {name}.")
     source, by, c = source.strip(), by.strip(), _TABLE.c
     newest = select(func.max(c.version)).where((c.bench == bench) & (c.ball == values.ball))
     row = {
@@ -206,7 +206,10 @@ def add_aerodynamics(
             version = connection.execute(insert(_TABLE).values(row).returning(c.version)).scalar_one()
     except IntegrityError as error:  # SQLite writes in turn, a server may not
         raise BenchError(
-            place, "a calibration with this version exists", "a later version", "Run the same command again."
+            location,
+            "a calibration with this version exists",
+            "a later version",
+            "Run the same command again.",
         ) from error
     return AerodynamicsEntry(version, date, source, by, values)
 

@@ -142,27 +142,27 @@ class AerodynamicsEntry:
         }
 
 
-def aerodynamics_values(content: Mapping[str, Any], place: str) -> BallAerodynamics:
+def aerodynamics_values(content: Mapping[str, Any], location: str) -> BallAerodynamics:
     """Return the checked values of `content`, whose keys are the fields of `BallAerodynamics`.
 
     Raises:
-        ExceptionGroup: of BenchErrors at `place`: a value is missing, unknown or outside its range.
+        ExceptionGroup: of BenchErrors at `location`: a value is missing, unknown or outside its range.
     """
     faults: list[BenchError] = []
-    file = Path(place)
+    file = Path(location)
     builder = Builder(as_tree(content, file, faults), file, "Measure again.", "Give it.", faults=faults)
     values = builder.build(BallAerodynamics)
     if faults:
-        raise ExceptionGroup(f"{place} is invalid", faults)
+        raise ExceptionGroup(f"{location} is invalid", faults)
     return values  # type: ignore[no-any-return]
 
 
-def aerodynamics_from_record(record: Mapping[str, Any], place: str) -> AerodynamicsEntry:
+def aerodynamics_from_record(record: Mapping[str, Any], location: str) -> AerodynamicsEntry:
     """Return the measurement that `AerodynamicsEntry.record` gave. Raises as `aerodynamics_values`."""
     return AerodynamicsEntry(
         int(record["version"]),
         datetime.fromisoformat(record["date"]),
         str(record["source"]),
         str(record["by"]),
-        aerodynamics_values(record["values"], place),
+        aerodynamics_values(record["values"], location),
     )

@@ -136,15 +136,15 @@ KINDS: Mapping[CalibrationKind, type[Values]] = {
 }
 
 
-def values_of(kind: CalibrationKind, content: Mapping[str, Any], place: str) -> Values:
+def values_of(kind: CalibrationKind, content: Mapping[str, Any], location: str) -> Values:
     """Return the checked values of `content`, whose keys are the fields of the kind's class.
 
     Raises:
-        ExceptionGroup: of BenchErrors at `place`, one for each key that is missing, unknown, of the wrong
+        ExceptionGroup: of BenchErrors at `location`, one for each key that is missing, unknown, of the wrong
             type or outside its range.
     """
     faults: list[BenchError] = []
-    file = Path(place)
+    file = Path(location)
     builder = Builder(
         as_tree({key: _listed(value) for key, value in content.items()}, file, faults),
         file,
@@ -156,7 +156,7 @@ def values_of(kind: CalibrationKind, content: Mapping[str, Any], place: str) -> 
     if faults:
         for fault in faults:
             fault.location = fault.location.removesuffix(": ")  # of the values as a whole
-        raise ExceptionGroup(f"{place} is invalid", faults)
+        raise ExceptionGroup(f"{location} is invalid", faults)
     return values  # type: ignore[no-any-return]
 
 
@@ -260,8 +260,8 @@ class Entry:
 class CalibrationProblem(Refused):
     """Calibration that blocks arming: missing, expired or dated in the future."""
 
-    def __init__(self, code: Block, place: str, found: str, expected: str, action: str) -> None:
-        super().__init__(place, found, expected, action)
+    def __init__(self, code: Block, location: str, found: str, expected: str, action: str) -> None:
+        super().__init__(location, found, expected, action)
         self.code = code
 
     @property
@@ -466,8 +466,8 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
         ExceptionGroup: of BenchErrors: with them the configuration would be inconsistent.
     """
     if isinstance(values, ClubInMount) and values.club not in configuration.clubs:
-        place, expected = "calibrate club", f"one of {', '.join(configuration.clubs)}"
-        raise BenchError(place, f'"{values.club}"', expected, "Choose one, or add it under [clubs] first.")
+        location, expected = "calibrate club", f"one of {', '.join(configuration.clubs)}"
+        raise BenchError(location, f'"{values.club}"', expected, "Choose one, or add it under [clubs] first.")
     kind = next(kind for kind, of_kind in KINDS.items() if isinstance(values, of_kind))
     begin = datetime(2000, 1, 1, tzinfo=UTC)
     entry = Entry(0, configuration.bench.id, kind, 1, begin, begin + timedelta(days=1), "", "", "", values)
@@ -486,7 +486,7 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
         raise ExceptionGroup(f"calibrate {kind}: invalid for this bench", faults)
 
 
-def _require_near(place: str, key: str, distance: float, most: float) -> None:
+def _require_near(location: str, key: str, distance: float, most: float) -> None:
     if distance > most:
         action = "Measure again; if the machine was rebuilt, correct the configuration first."
-        raise BenchError(place, f"{distance:.3f} m from what {key} says", f"{most:g} m at most", action)
+        raise BenchError(location, f"{distance:.3f} m from what {key} says", f"{most:g} m at most", action)

@@ -76,10 +76,12 @@ class MeasurementTable(NamedTuple):
         if not isfinite(value):
             mark = "comma, as in other cells" if self.decimal_comma else "point"
             expected = f"a number with a decimal {mark}" + (", L or R behind it" if sided else "")
-            raise BenchError(self.place(line, column), repr(cell), expected, "Correct the cell in the file.")
+            raise BenchError(
+                self.location(line, column), repr(cell), expected, "Correct the cell in the file."
+            )
         return value
 
-    def place(self, line: int, column: int) -> str:
+    def location(self, line: int, column: int) -> str:
         """Return the place of a cell."""
         return f"{self.path}, line {line}, {self.names[column]} (column {column + 1})"
 
@@ -118,8 +120,8 @@ def read_table(path: Path, known: Callable[[str], bool]) -> MeasurementTable:
     units, rows = tuple("" for _ in names), []
     for line, row in lines[first + 1 :]:
         if len(row) > len(names) and any(row[len(names) :]):
-            place, action = f"{path}, line {line}", "Correct the row: is a decimal comma the separator?"
-            raise BenchError(place, f"{len(row)} cells", f"{len(names)}, as in the header", action)
+            location, action = f"{path}, line {line}", "Correct the row: is a decimal comma the separator?"
+            raise BenchError(location, f"{len(row)} cells", f"{len(names)}, as in the header", action)
         cells = (*row[: len(names)], *[""] * (len(names) - len(row)))
         if cells == names:
             continue
@@ -269,7 +271,7 @@ def read_flights(path: Path, points: Path | None = None) -> FlightTable:
     columns = _columns(table)
     flights, notes = list[MeasuredFlight](), [*table.notes]
     for line, row in table.rows:
-        place, cells = f"{path}, line {line}", dict(zip(table.keys, row, strict=True))
+        location, cells = f"{path}, line {line}", dict(zip(table.keys, row, strict=True))
         if left_out := _left_out(cells):
             notes.append(f"line {line}: {left_out}")
             continue
@@ -280,11 +282,13 @@ def read_flights(path: Path, points: Path | None = None) -> FlightTable:
         if "spin" not in figures and (spin := _total_spin(figures)) is not None:
             figures["spin"] = spin
         if missing := [name for name in _NEEDED if name not in figures]:
-            raise BenchError(place, f"no {missing[0]}", "a figure", "Add it, or delete the row.")
+            raise BenchError(location, f"no {missing[0]}", "a figure", "Add it, or delete the row.")
         try:
             flights.append(_flight(figures, trajectories.pop(cells.get("flight", ""), None)))
         except ValueError as error:
-            raise BenchError(place, str(error), "a possible flight", "Correct the row in the file.") from None
+            raise BenchError(
+                location, str(error), "a possible flight", "Correct the row in the file."
+            ) from None
     if trajectories:
         left = ", ".join(list(trajectories)[:5])
         raise BenchError(
@@ -339,14 +343,14 @@ def _columns(table: MeasurementTable) -> dict[int, _Column]:
             continue
         if key in table.keys[:n]:
             raise BenchError(
-                table.place(table.header, n),
+                table.location(table.header, n),
                 "the name of another column",
                 "each value once",
                 "Delete one of the two columns.",
             )
         if column.unit and table.units[n] and column.unit != table.units[n]:
             raise BenchError(
-                table.place(table.header, n),
+                table.location(table.header, n),
                 f"{table.units[n]} in the row of units",
                 "one unit",
                 "Correct one of them.",
@@ -355,8 +359,8 @@ def _columns(table: MeasurementTable) -> dict[int, _Column]:
     given = {column.figure for column in found.values()}
     for name in _NEEDED:
         if name not in given and not (name == "spin" and "back_spin" in given and given & _SIDES):
-            place, names = f"{table.path}, line {table.header}", ", ".join(filter(None, table.names))
-            raise BenchError(place, f"no {name} in columns {names}", _wanted(name), "Name its column so.")
+            location, names = f"{table.path}, line {table.header}", ", ".join(filter(None, table.names))
+            raise BenchError(location, f"no {name} in columns {names}", _wanted(name), "Name its column so.")
     return found
 
 
@@ -373,7 +377,7 @@ def _figures(
         if known is None:
             expected = f"one of {', '.join(_UNITS[dimension])} in the name, as {table.keys[n]}_{{}}"
             raise BenchError(
-                table.place(line, n),
+                table.location(line, n),
                 f"unit {unit}" if unit else "no unit",
                 expected.format(next(iter(_UNITS[dimension]))),
                 "Write the unit behind the column's name.",
@@ -384,7 +388,7 @@ def _figures(
         first, first_rounding, other = found.setdefault(figure, (value, rounding, n))
         if abs(first - value) > 1.01 * (first_rounding + rounding):
             raise BenchError(
-                table.place(line, n),
+                table.location(line, n),
                 f"{cell}, and {row[other]} in {table.names[other]}",
                 f"the same {figure} in both",
                 "Delete one of the columns.",
@@ -429,6 +433,6 @@ def _read_points(path: Path) -> dict[str, np.ndarray[Any, Any]]:
             )
     flight, *places = (table.keys.index(name) for name in _POINT_COLUMNS)
     for line, row in table.rows:
-        numbers = [table.number(line, place, row[place]) for place in places]
+        numbers = [table.number(line, location, row[location]) for location in places]
         found.setdefault(row[flight], []).append(numbers)
     return {flight: np.array(points) for flight, points in found.items()}

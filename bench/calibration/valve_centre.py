@@ -44,16 +44,19 @@ def standing_counts(ring: Path, counts_per_revolution: int, seconds: float = 0.5
         cycles = reader.read(limit=100_000)
     finally:
         reader.close()
-    place = "calibrate encoders --from-pose"
+    location = "calibrate encoders --from-pose"
     if len(cycles) < _LEAST:
         raise Refused(
-            place, f"{len(cycles)} cycles in {seconds:g} s", "a running loop", "Start `golfbench run` again."
+            location,
+            f"{len(cycles)} cycles in {seconds:g} s",
+            "a running loop",
+            "Start `golfbench run` again.",
         )
     middles = []
     for joint, name in enumerate(JOINTS):
         if not cycles["encoder_valid"][:, joint].all():
             raise Refused(
-                place,
+                location,
                 f"{name}: invalid readings",
                 "valid readings",
                 f"Check the cable of the {name} encoder.",
@@ -65,7 +68,7 @@ def standing_counts(ring: Path, counts_per_revolution: int, seconds: float = 0.5
         spread = int(np.ptp(around))
         if spread > _STILL:
             found = f"{name}: it moved by {spread} counts in {seconds:g} s"
-            raise Refused(place, found, f"{_STILL} at most", "Lock the robot at its mechanical reference.")
+            raise Refused(location, found, f"{_STILL} at most", "Lock the robot at its mechanical reference.")
         middles.append(int(counts[-1] + round(float(np.median(around)))) % counts_per_revolution)
     a, b, c = middles
     return a, b, c

@@ -68,10 +68,10 @@ def robot_file(
         note = f"± {errors}{unit}; {found[0].step}"
         tables.setdefault(table, []).append(f"{name} = {text}  # {note}")
     for table in sorted(tables):
-        place = f"clubs.{known.plant.robot.club.name}" if table == _CLUB else f"plant.{table}".rstrip(".")
+        location = f"clubs.{known.plant.robot.club.name}" if table == _CLUB else f"plant.{table}".rstrip(".")
         lines += [""]
         lines += _calibration(known) if table == _ENCODERS else []
-        lines += [f"[{place}]", *tables[table]]
+        lines += [f"[{location}]", *tables[table]]
     if envelope is not None and _SUPPLY in known.found:
         share = known.plant.supply.pressure / known.nominal.supply.pressure
         low, high = share * envelope.min_supply_pressure, share * envelope.max_supply_pressure

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from bench.base.configuration_files import PRINT, SHIPPED, find_configuration, read_layers, shown_path
 from bench.base.errors import BenchError
-from bench.base.from_toml import Builder, TomlValue, Tree, errors_of, format_value, laid_over, place_of
+from bench.base.from_toml import Builder, TomlValue, Tree, errors_of, format_value, laid_over, location_of
 from bench.config.club_site import ClubSite
 from bench.config.defaults import DERIVED, default_tables
 from bench.config.rules import RULES
@@ -66,8 +66,8 @@ def _complete_likes(tree: Tree, section: str, file: Path, faults: list[BenchErro
                 entries[name] = laid_over(whole[like.value], rest)
             else:
                 known = f"one of {', '.join(whole)}, which say no like themselves"
-                place = place_of(tree, file, f"{section}.{name}.like")
-                faults.append(BenchError(place, format_value(like.value), known, "Name one of them."))
+                location = location_of(tree, file, f"{section}.{name}.like")
+                faults.append(BenchError(location, format_value(like.value), known, "Name one of them."))
                 entries[name] = {key: node for key, node in entry.items() if key != "like"}
 
 

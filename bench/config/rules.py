@@ -82,8 +82,13 @@ def _names(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         try:
             float(value_at(c.plant, name))
         except (KeyError, IndexError, TypeError, ValueError):
-            place = f"envelope.model.standard_errors.{name}"
-            yield place, "no number below [plant]", "a key such as shoulder.area_a", "Correct or delete it."
+            location = f"envelope.model.standard_errors.{name}"
+            yield (
+                location,
+                "no number below [plant]",
+                "a key such as shoulder.area_a",
+                "Correct or delete it.",
+            )
 
 
 def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
@@ -323,10 +328,10 @@ def unheard_phases(configuration: Configuration) -> list[BenchError]:
     """Return the faults that would never begin on a running bench: only a plant in step knows the phase."""
     if configuration.driver.paced:
         return []
-    place = ", ".join(map(str, configuration.files))
+    location = ", ".join(map(str, configuration.files))
     return [
         BenchError(
-            f"{place}: faults.{name}.phase",
+            f"{location}: faults.{name}.phase",
             format_value(fault.phase),
             '"any": a plant on its own clock does not know the phase',
             'Name a time, or a joint and an angle; or run with driver "sim".',
@@ -380,9 +385,9 @@ RULES: tuple[Callable[[Configuration, Tree], Iterator[Mistake]], ...] = (
 
 def contradictions(configuration: Configuration) -> list[BenchError]:
     """Return the contradictions in a configuration that was changed after it was loaded."""
-    place = ", ".join(map(str, configuration.files))
+    location = ", ".join(map(str, configuration.files))
     return [
-        BenchError(f"{place}: {key}", found, wanted, action)
+        BenchError(f"{location}: {key}", found, wanted, action)
         for rule in RULES
         for key, found, wanted, action in rule(configuration, {})
     ]

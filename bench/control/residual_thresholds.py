@@ -119,12 +119,12 @@ def load_limits(path: Path) -> ModelLimits:
     return ModelLimits(str(raw["profile"]), int(raw["draws"]), made_for, tables)
 
 
-def _made_for(place: str, table: Any) -> LimitsFingerprint:
+def _made_for(location: str, table: Any) -> LimitsFingerprint:
     if not isinstance(table, dict) or table.keys() != set(LimitsFingerprint._fields):
-        raise BenchError(place, format_value(table), f"{', '.join(LimitsFingerprint._fields)}", _ACTION)
+        raise BenchError(location, format_value(table), f"{', '.join(LimitsFingerprint._fields)}", _ACTION)
     for part in ("plant", "controller"):
         if not isinstance(table[part], dict):
-            raise BenchError(f"{place}.{part}", format_value(table[part]), "a table of values", _ACTION)
+            raise BenchError(f"{location}.{part}", format_value(table[part]), "a table of values", _ACTION)
     return LimitsFingerprint(
         str(table["profile"]), _ungrouped(table["plant"]), _ungrouped(table["controller"])
     )
@@ -152,10 +152,10 @@ def _table(path: Path, kind: str, table: Any) -> dict[str, Triple]:
     return {row: _limits(f"{path}: {kind}.{row}", limits) for row, limits in table.items()}
 
 
-def _limits(place: str, limits: Any) -> Triple:
+def _limits(location: str, limits: Any) -> Triple:
     good = isinstance(limits, list) and len(limits) == 3
     if not good or not all(type(v) in (int, float) and isfinite(v) and v > 0 for v in limits):
-        raise BenchError(place, format_value(limits), "three finite numbers above 0", _ACTION)
+        raise BenchError(location, format_value(limits), "three finite numbers above 0", _ACTION)
     a, b, c = map(float, limits)
     return a, b, c
 

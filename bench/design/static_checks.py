@@ -59,12 +59,12 @@ class MachineSwing(NamedTuple):
     plant: PlantParameters
     envelope: EnvelopeSettings
     motion: Motion
-    place: str
+    location: str
     """The profile's file, for messages."""
 
     def key(self, name: str, found: str, expected: str, action: str) -> BenchError:
         """Return a fault of one key of the profile."""
-        return BenchError(f"{self.place}: {name}", found, expected, action)
+        return BenchError(f"{self.location}: {name}", found, expected, action)
 
     def row(self, where: tuple[str, int, int | None], found: str, expected: str, action: str) -> BenchError:
         """Return the error of one row or value of a table: table, sample, joint."""
@@ -75,45 +75,45 @@ class MachineSwing(NamedTuple):
 
 
 def check_profile(
-    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
+    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, location: str | None = None
 ) -> list[Check]:
-    """Return every check of `profile` on the machine but that of its rate; `place` names its file.
+    """Return every check of `profile` on the machine but that of its rate; `location` names its file.
 
     A running bench swings with values between the samples, see `other_rate`.
     """
-    plan = MachineSwing(profile, plant, envelope, Motion(profile, plant), place or profile.name)
+    plan = MachineSwing(profile, plant, envelope, Motion(profile, plant), location or profile.name)
     done = [check(plan) for check in _CHECKS]
     # The force that the air must give follows from the tables' slopes.
     return done if _tables(plan).faults else [*done, _air(plan)]
 
 
 def profile_faults(
-    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
+    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, location: str | None = None
 ) -> list[BenchError]:
     """Return every reason why `profile` may not be swung on the machine with a sample a tick."""
-    checks = check_profile(profile, plant, envelope, place)
-    return [*rate_faults(profile, plant, place), *(fault for check in checks for fault in check.faults)]
+    checks = check_profile(profile, plant, envelope, location)
+    return [*rate_faults(profile, plant, location), *(fault for check in checks for fault in check.faults)]
 
 
-def rate_faults(profile: Profile, plant: PlantParameters, place: str | None = None) -> list[BenchError]:
+def rate_faults(profile: Profile, plant: PlantParameters, location: str | None = None) -> list[BenchError]:
     """Return the fault of a profile that has no sample for each of the loop's ticks, if it is so."""
     if not other_rate(profile, plant):
         return []
     found, wanted = f"{profile.period:g} s", f"{plant.tick:g} s, the loop's tick"
     action = "Set loop.rate_hz to its inverse."
-    return [BenchError(f"{place or profile.name}: period_s", found, wanted, action)]
+    return [BenchError(f"{location or profile.name}: period_s", found, wanted, action)]
 
 
 def require_possible(
-    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, place: str | None = None
+    profile: Profile, plant: PlantParameters, envelope: EnvelopeSettings, location: str | None = None
 ) -> None:
     """Refuse a swing that is impossible.
 
     Raises:
         ExceptionGroup: of BenchErrors, one for each reason.
     """
-    if faults := profile_faults(profile, plant, envelope, place):
-        raise ExceptionGroup(f"{place or profile.name} cannot be swung here", faults)
+    if faults := profile_faults(profile, plant, envelope, location):
+        raise ExceptionGroup(f"{location or profile.name} cannot be swung here", faults)
 
 
 def _peak(values: Array) -> tuple[int, int]:
@@ -204,8 +204,8 @@ def beyond_range(profile: Profile, plant: PlantParameters, envelope: EnvelopeSet
         beyond = _beyond(actuator, motion.position[:, i])
         k = int(beyond.argmax())
         if beyond[k] > share * actuator.stop.travel:
-            place = f"{motion.position[k, i]:.4f} {_POSITION[i]}"
-            return f"the {JOINTS[i]} is led to {place} after {k * profile.period:.3f} s, beyond its range"
+            location = f"{motion.position[k, i]:.4f} {_POSITION[i]}"
+            return f"the {JOINTS[i]} is led to {location} after {k * profile.period:.3f} s, beyond its range"
     return ""
 
 
@@ -221,8 +221,8 @@ def _range(plan: MachineSwing) -> Check:
         position, unit, stop = plan.motion.position[:, i], _POSITION[i], actuator.stop
         beyond = _beyond(actuator, position)
         k = int(beyond.argmax())
-        place, speed = _between_samples(position, plan.motion.speed[:, i], plan.profile.period)
-        force = stop_forces(actuator, place, speed)
+        location, speed = _between_samples(position, plan.motion.speed[:, i], plan.profile.period)
+        force = stop_forces(actuator, location, speed)
         energy = _greatest_visit(-force * speed * plan.profile.period / _PARTS)
         if beyond[k] > share * stop.travel:
             low, high = actuator.lower - share * stop.travel, actuator.upper + share * stop.travel

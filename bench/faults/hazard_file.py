@@ -199,39 +199,41 @@ def load_judgement(path: Path = FILE) -> Judgement:
 
 
 def _entry_faults(
-    place: str, name: str, entry: Mapping[str, Any], read: Mapping[str, Any]
+    location: str, name: str, entry: Mapping[str, Any], read: Mapping[str, Any]
 ) -> list[BenchError]:
     """Return the mistakes in one entry of the list `name`."""
     faults = []
     allowed = {*_KEYS[name], *(("kinds",) if name == "failures" else ())}
     for key in _KEYS[name]:
         if not entry.get(key):
-            faults.append(BenchError(f"{place}.{key}", "missing", "a text", f"Add the key {key}."))
+            faults.append(BenchError(f"{location}.{key}", "missing", "a text", f"Add the key {key}."))
     for key in set(entry) - allowed:
         faults.append(
             BenchError(
-                f"{place}.{key}",
+                f"{location}.{key}",
                 "unknown",
                 f"one of {', '.join(sorted(allowed))}",
-                f"Correct the key in {place}.",
+                f"Correct the key in {location}.",
             )
         )
     for key, table in (("interval", "intervals"), ("owner", "owners")):
         if key in entry and entry[key] not in read[table]:
             known = f"one of {', '.join(read[table])}"
             faults.append(
-                BenchError(f"{place}.{key}", format_value(entry[key]), known, f"Correct the value of {key}.")
+                BenchError(
+                    f"{location}.{key}", format_value(entry[key]), known, f"Correct the value of {key}."
+                )
             )
     if "severity" in entry and entry["severity"] not in (1, 2, 3, 4):
         faults.append(
             BenchError(
-                f"{place}.severity", format_value(entry["severity"]), "1 to 4", "Set severity from 1 to 4."
+                f"{location}.severity", format_value(entry["severity"]), "1 to 4", "Set severity from 1 to 4."
             )
         )
     if name == "functions" and _risk(entry) not in RISK_GRAPH:
         found = " ".join(_risk(entry))
         faults.append(
-            BenchError(f"{place}.s", found, "S1 or S2, F1 or F2, P1 or P2", "Correct the keys s, f and p.")
+            BenchError(f"{location}.s", found, "S1 or S2, F1 or F2, P1 or P2", "Correct the keys s, f and p.")
         )
     return faults
 

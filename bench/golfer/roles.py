@@ -44,16 +44,16 @@ class Capture:
         self, found: str, expected: str, action: str, frame: int | None = None, marker: str = ""
     ) -> BenchError:
         """Return the refusal of this file, with the 0-based `frame` and the `marker` in its place."""
-        place = str(self.path)
+        location = str(self.path)
         if frame is not None:
-            place += f", frame {frame + 1} ({self.start + frame / self.rate:.3f} s)"
-        return BenchError(place + (f", marker {marker}" if marker else ""), found, expected, action)
+            location += f", frame {frame + 1} ({self.start + frame / self.rate:.3f} s)"
+        return BenchError(location + (f", marker {marker}" if marker else ""), found, expected, action)
 
 
 def damaged(path: Path, found: str, where: str = "", expected: str = "a complete recording") -> BenchError:
     """Return the error of a file that cannot be decoded; `where` is a line or part of it."""
-    place = f"{path}, {where}" if where else str(path)
-    return BenchError(place, found, expected, "Export or copy the file again.")
+    location = f"{path}, {where}" if where else str(path)
+    return BenchError(location, found, expected, "Export or copy the file again.")
 
 
 def number(path: Path, text: str, where: str) -> float:

@@ -105,8 +105,8 @@ class Model:
         swing = self.swing(point)
         if swing.cause or swing.delivery is None:
             found = CAUSE_TEXT[swing.cause] if swing.cause else "the club misses the ball"
-            place, wanted = f"{self._bench.profile.name} on the model", "a swing that strikes the ball"
-            raise BenchError(place, found, wanted, "Identify the plant, or design a new swing.")
+            location, wanted = f"{self._bench.profile.name} on the model", "a swing that strikes the ball"
+            raise BenchError(location, found, wanted, "Identify the plant, or design a new swing.")
         figures, path = self._seen(swing)
         free = self.free()
         by_figures, by_path = np.zeros((4, m)), np.zeros((path.size, m))

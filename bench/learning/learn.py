@@ -221,7 +221,7 @@ def read_recorded(paths: Sequence[Path]) -> list[Recorded]:
     return swings
 
 
-def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
+def from_first_tick(cycles: Cycles, profile: Profile, location: str) -> Cycles:
     """Return the records of a swing from its first tick on.
 
     Raises:
@@ -232,7 +232,7 @@ def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
     swing = cycles[max(first, 0) :]
     if first < 0 or len(swing) < profile.begins[5] or swing["cause"][: profile.begins[5]].any():
         raise BenchError(
-            place,
+            location,
             "no complete swing",
             "a swing from the address to the ball",
             "Give a record of a complete swing.",
@@ -240,15 +240,17 @@ def from_first_tick(cycles: Cycles, profile: Profile, place: str) -> Cycles:
     return swing
 
 
-def require_alike(one: Profile, other: Profile, place: str) -> None:
-    """Refuse swings with different plans or corrections; `place` names the compared record.
+def require_alike(one: Profile, other: Profile, location: str) -> None:
+    """Refuse swings with different plans or corrections; `location` names the compared record.
 
     Raises:
         BenchError: they were not.
     """
     if digest_of(one) != digest_of(other):
         found = f"a swing of {other.name}" + (", with another correction" if one.name == other.name else "")
-        raise BenchError(place, found, f"of {one.name}, as in the records before", "Identify one at a time.")
+        raise BenchError(
+            location, found, f"of {one.name}, as in the records before", "Identify one at a time."
+        )
 
 
 OFFSET, PATH_OFFSET, DOUBT, RADIUS = (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1

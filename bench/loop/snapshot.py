@@ -56,25 +56,25 @@ def unpack_snapshot(snapshot: np.ndarray[Any, Any]) -> ControlState:
     return state
 
 
-def read_snapshot(metadata: Mapping[str, Any], place: str) -> np.ndarray[Any, Any]:
+def read_snapshot(metadata: Mapping[str, Any], location: str) -> np.ndarray[Any, Any]:
     """Return the snapshot (one-element array of SNAPSHOT) in a record's `metadata`.
 
     Raises:
-        BenchError: it is missing or damaged, or this program's controller has another memory; `place` is
+        BenchError: it is missing or damaged, or this program's controller has another memory; `location` is
             the record's path.
     """
     entry = metadata.get("snapshot")
-    place = f"{place}: snapshot"
+    location = f"{location}: snapshot"
     if not isinstance(entry, Mapping):
         raise BenchError(
-            place,
+            location,
             "missing",
             "the controller's memory before the first tick",
             "Replay a record of this version.",
         )
     if entry.get("layout") != layout_of(SNAPSHOT):
         raise BenchError(
-            place,
+            location,
             f"a controller's memory of layout {entry.get('layout')}",
             f"layout {layout_of(SNAPSHOT)}",
             "Replay it with the version of golfbench that wrote it, or renew the record.",
@@ -88,5 +88,5 @@ def read_snapshot(metadata: Mapping[str, Any], place: str) -> np.ndarray[Any, An
     else:
         found = f"{len(data)} bytes"
     if len(data) != SNAPSHOT.itemsize or not inflate.eof:
-        raise BenchError(place, found, f"{SNAPSHOT.itemsize} bytes", "Restore the record from a copy.")
+        raise BenchError(location, found, f"{SNAPSHOT.itemsize} bytes", "Restore the record from a copy.")
     return np.frombuffer(bytearray(data), SNAPSHOT)

@@ -257,9 +257,9 @@ class BenchClient:
             if reply.ok is None or not (content := reply.ok.payload.to_bytes()):
                 continue
             if (message := json_object(content)) is None:
-                place = f"bench {self.bench}, {reply.ok.key_expr}"
+                location = f"bench {self.bench}, {reply.ok.key_expr}"
                 raise BenchError(
-                    place,
+                    location,
                     "no JSON object",
                     "the state of a campaign",
                     "Update golfbench on the bench's machine.",
@@ -450,8 +450,11 @@ class BenchClient:
                     end = max(end, now + monitor["settled_s"] + TIMEOUT)
         if stored is not None:
             return stored
-        place, action = f"swing of bench {self.bench}", "Look at golfbench status: is the recorder running?"
-        raise Refused(place, f"no record within {timeout:g} s", "the record of the swing", action)
+        location, action = (
+            f"swing of bench {self.bench}",
+            "Look at golfbench status: is the recorder running?",
+        )
+        raise Refused(location, f"no record within {timeout:g} s", "the record of the swing", action)
 
     def tee(self, retry_timeout: float = SETTLING_TIMEOUT) -> CommandAnswer:
         """Raise the next ball."""
@@ -480,8 +483,8 @@ class BenchClient:
 
     def _require_lease(self, verb: Verb) -> HeldLease:
         if self.held is None:
-            place = f"{verb} of bench {self.bench}"
-            raise Refused(place, "no lease", "the lease of the bench", "Take it: golfbench lease take.")
+            location = f"{verb} of bench {self.bench}"
+            raise Refused(location, "no lease", "the lease of the bench", "Take it: golfbench lease take.")
         return self.held
 
     def _ask_keyed(self, verb: Verb, **values: Any) -> CommandAnswer:

@@ -211,18 +211,18 @@ def parse_command(verb: str, payload: bytes) -> Command:
         raise BenchError(
             f"command {shown(verb)}", "an unknown verb", f"one of {known}", f"Use one of {known}."
         )
-    place = f"command {verb}"
-    message = _read_object(place, payload)
+    location = f"command {verb}"
+    message = _read_object(location, payload)
     form = verb
     if verb == Verb.LEASE:
         action = message.get("action")
         if action not in ("take", "renew", "release"):
             found = "missing" if "action" not in message else shown(action)
             raise BenchError(
-                f"{place}: action", found, '"take", "renew" or "release"', "Set action to one of these."
+                f"{location}: action", found, '"take", "renew" or "release"', "Set action to one of these."
             )
         form = f"{verb} {action}"
-    _check_keys(place, message, *FORMS[form])
+    _check_keys(location, message, *FORMS[form])
     values = {name: value for name, value in message.items() if name not in ("version", "action")}
     if "weights" in values:
         values["weights"] = tuple(map(float, values["weights"]))
@@ -236,31 +236,33 @@ def encode_command(verb: Verb, **values: Any) -> bytes:
 
 
 def _check_keys(
-    place: str, message: dict[str, Any], needed: tuple[str, ...], allowed: tuple[str, ...]
+    location: str, message: dict[str, Any], needed: tuple[str, ...], allowed: tuple[str, ...]
 ) -> None:
     known = ", ".join((*needed, *(f"{name} (optional)" for name in allowed)))
     for name in message:
         if name not in needed and name not in allowed:
-            raise BenchError(f"{place}: {shown(name)}", "an unknown key", known, "Remove or correct it.")
+            raise BenchError(f"{location}: {shown(name)}", "an unknown key", known, "Remove or correct it.")
     for name in needed:
         if name not in message:
-            raise BenchError(f"{place}: {name}", "missing", known, f"Add the key {name}.")
+            raise BenchError(f"{location}: {name}", "missing", known, f"Add the key {name}.")
     for name, value in message.items():
         if name == "action":
             continue
         wanted = _VALUES[name]
         if any(misfits(value, wanted.schema, name)) or not wanted.holds(value):
             found = "something else, not repeated here" if wanted.secret else shown(value)
-            raise BenchError(f"{place}: {name}", found, wanted.expected, f"Correct the value of {name}.")
+            raise BenchError(f"{location}: {name}", found, wanted.expected, f"Correct the value of {name}.")
 
 
-def _read_object(place: str, payload: bytes) -> dict[str, Any]:
+def _read_object(location: str, payload: bytes) -> dict[str, Any]:
     expected, action = "a JSON object in UTF-8", "Send an object as `golfbench` does."
     if len(payload) > LONGEST_MESSAGE:
-        raise too_long(place, len(payload))
+        raise too_long(location, len(payload))
 
     def no_number(text: str) -> NoReturn:
-        raise BenchError(place, f"the number {text[:20]}", "numbers that JSON has and a double holds", action)
+        raise BenchError(
+            location, f"the number {text[:20]}", "numbers that JSON has and a double holds", action
+        )
 
     def finite(text: str) -> float:
         number = float(text)
@@ -271,7 +273,7 @@ def _read_object(place: str, payload: bytes) -> dict[str, Any]:
         for name, value in pairs:
             if name in read:
                 raise BenchError(
-                    f"{place}: {shown(name)}", "given twice", "each key once", "Remove one of the two."
+                    f"{location}: {shown(name)}", "given twice", "each key once", "Remove one of the two."
                 )
             read[name] = value
         return read
@@ -281,19 +283,23 @@ def _read_object(place: str, payload: bytes) -> dict[str, Any]:
             payload.decode("utf-8"), object_pairs_hook=unique, parse_constant=no_number, parse_float=finite
         )
     except UnicodeDecodeError as error:
-        raise BenchError(place, f"a byte at {error.start} that is no UTF-8", expected, action) from None
+        raise BenchError(location, f"a byte at {error.start} that is no UTF-8", expected, action) from None
     except json.JSONDecodeError as error:
-        raise BenchError(place, f"no JSON: {error.msg} at character {error.pos}", expected, action) from None
+        raise BenchError(
+            location, f"no JSON: {error.msg} at character {error.pos}", expected, action
+        ) from None
     except RecursionError:
-        raise BenchError(place, "values nested too deep", "one flat JSON object", action) from None
+        raise BenchError(location, "values nested too deep", "one flat JSON object", action) from None
     if not isinstance(message, dict):
-        raise BenchError(place, shown(message), expected, action)
+        raise BenchError(location, shown(message), expected, action)
     return message
 
 
-def too_long(place: str, length: int) -> BenchError:
+def too_long(location: str, length: int) -> BenchError:
     """Return the error for a message of `length` bytes."""
-    return BenchError(place, f"{length} bytes", f"at most {LONGEST_MESSAGE} bytes", "Send a shorter message.")
+    return BenchError(
+        location, f"{length} bytes", f"at most {LONGEST_MESSAGE} bytes", "Send a shorter message."
+    )
 
 
 # Answers ---------------------------------------------------------------------------------------------
@@ -387,13 +393,13 @@ def parse_error(payload: bytes) -> BenchError:
         case {
             "version": 1,
             "error": {
-                "location": str(place),
+                "location": str(location),
                 "found": str(found),
                 "expected": str(expected),
                 "action": str(action),
             },
         }:
-            return BenchError(place, found, expected, action)
+            return BenchError(location, found, expected, action)
     return _other_version(payload)
 
 

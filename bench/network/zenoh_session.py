@@ -76,9 +76,11 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
             of another machine; the certificate or its key is invalid.
     """
     if network.endpoint.startswith(TLS):
-        place, found = f"network.endpoint {network.endpoint}", "an endpoint for other machines"
+        location, found = f"network.endpoint {network.endpoint}", "an endpoint for other machines"
         action = "Write it as network.beyond. As network.endpoint it is what a client on another machine has."
-        raise BenchError(place, found, "tcp/127.0.0.1:PORT, where the bench's own processes connect", action)
+        raise BenchError(
+            location, found, "tcp/127.0.0.1:PORT, where the bench's own processes connect", action
+        )
     listen = [endpoint for endpoint in (network.endpoint, network.beyond) if endpoint]
     configuration = _configuration("peer", network, listen=listen, connect=[network.router])
     if network.beyond or network.router:
@@ -87,11 +89,11 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(configuration)))
     except zenoh.ZError as error:
         in_use = "in use" in str(error)
-        place = f"network.endpoint {' and network.beyond '.join(listen)}"
+        location = f"network.endpoint {' and network.beyond '.join(listen)}"
         expected = "a free endpoint of this machine"
         action = "Another bench may be running: golfbench status. Or choose another port."
         raise BenchError(
-            place, "already in use" if in_use else _first_line(error), expected, action
+            location, "already in use" if in_use else _first_line(error), expected, action
         ) from None
 
 

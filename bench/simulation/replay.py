@@ -179,31 +179,31 @@ class ReplayStart(NamedTuple):
 def replay_cycles(
     cycles: Cycles,
     metadata: Mapping[str, Any],
-    place: str,
+    location: str,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Replay:
-    """Replay `cycles` with their record's `metadata`; `place` names it, `progress` gets the ticks.
+    """Replay `cycles` with their record's `metadata`; `location` names it, `progress` gets the ticks.
 
     Raises:
         BenchError, ExceptionGroup: as `replay_start`.
     """
-    start = replay_start(cycles, metadata, place)
+    start = replay_start(cycles, metadata, location)
     replayed = run_replay(start, lambda state, tick, time: progress(tick, len(start.recorded)))
     progress(len(start.recorded), len(start.recorded))
     return Replay(start.recorded, since(replayed, start.begin), start.defaults)
 
 
-def replay_start(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> ReplayStart:
-    """Return where a replay of `cycles` with their record's `metadata` begins; `place` names it.
+def replay_start(cycles: Cycles, metadata: Mapping[str, Any], location: str) -> ReplayStart:
+    """Return where a replay of `cycles` with their record's `metadata` begins; `location` names it.
 
     Raises:
         BenchError: the record has no snapshot, one of another controller, or lost cycles.
         ExceptionGroup: of BenchErrors, the values of its configuration that today's program rejects.
     """
-    snapshot = read_snapshot(metadata, place)
+    snapshot = read_snapshot(metadata, location)
     if not metadata.get("replayable", False):
         raise BenchError(
-            place,
+            location,
             f"a record with {metadata.get('lost_records', 'some')} cycles lost",
             "every cycle, as the controller has a memory",
             "Replay a record without lost cycles.",
@@ -211,7 +211,7 @@ def replay_start(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> Rep
     begin = metadata.get("begin")
     if not isinstance(begin, int | float):
         raise BenchError(
-            f"{place}: begin",
+            f"{location}: begin",
             repr(begin),
             "the loop time at the record's time zero, s",
             "Restore the record from a copy.",
@@ -220,18 +220,18 @@ def replay_start(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> Rep
     recorded = cycles[first:]
     if first == 0 or cycles["tick"][first - 1] != snapshot["tick"][0] or len(recorded) == 0:
         raise BenchError(
-            f"{place}: snapshot",
+            f"{location}: snapshot",
             f"tick {snapshot['tick'][0]}",
             f"one of {cycles['tick'][0]} to {cycles['tick'][-1] - 1}"
             if len(cycles)
             else "a record with cycles",
             "Restore the record from a copy.",
         )
-    parameters, defaults = controller_of(metadata, place)
+    parameters, defaults = controller_of(metadata, location)
     return ReplayStart(recorded, float(begin), unpack_snapshot(snapshot), parameters, defaults)
 
 
-def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParameters, tuple[str, ...]]:
+def controller_of(metadata: Mapping[str, Any], location: str) -> tuple[ControlParameters, tuple[str, ...]]:
     """Return today's controller for a record's configuration and profile.
 
     Also returns the keys that the record lacks, as it is older than they are.
@@ -240,20 +240,20 @@ def controller_of(metadata: Mapping[str, Any], place: str) -> tuple[ControlParam
         BenchError: configuration or profile is missing or damaged.
         ExceptionGroup: of BenchErrors, one for each value that today's program rejects.
     """
-    profile = read_profile(metadata, place)
-    built, defaults = settings_of(metadata, place)
+    profile = read_profile(metadata, location)
+    built, defaults = settings_of(metadata, location)
     try:
         return build_controller(built.pop("plant"), profile, **built), defaults
     except ValueError as error:
         raise BenchError(
-            f"{place}: configuration",
+            f"{location}: configuration",
             str(error),
             "settings of a controller",
             "Replay a record of this version.",
         ) from None
 
 
-def settings_of(metadata: Mapping[str, Any], place: str) -> tuple[dict[str, Any], tuple[str, ...]]:
+def settings_of(metadata: Mapping[str, Any], location: str) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return a record's settings by the names of `build_controller`, and the keys that the record lacks.
 
     Raises:
@@ -263,10 +263,13 @@ def settings_of(metadata: Mapping[str, Any], place: str) -> tuple[dict[str, Any]
     configuration = metadata.get("configuration")
     if not isinstance(configuration, Mapping):
         raise BenchError(
-            f"{place}: configuration", "missing", "the bench's settings", "Replay a record of this version."
+            f"{location}: configuration",
+            "missing",
+            "the bench's settings",
+            "Replay a record of this version.",
         )
     file, faults, built, defaults = (
-        Path(f"{place}: configuration"),
+        Path(f"{location}: configuration"),
         list[BenchError](),
         dict[str, Any](),
         list[str](),
@@ -280,7 +283,7 @@ def settings_of(metadata: Mapping[str, Any], place: str) -> tuple[dict[str, Any]
         action = "Replay it with the version of golfbench that wrote it, or renew the record."
         built[name] = Builder(tree, file, action, action, faults=faults).build(kind)  # type: ignore[arg-type]
     if faults:
-        raise ExceptionGroup(f"{place} cannot be replayed", faults)
+        raise ExceptionGroup(f"{location} cannot be replayed", faults)
     return built, tuple(defaults)
 
 
@@ -418,7 +421,7 @@ FEW, _ENOUGH = 5, 10
 """Swings of a median, and least number of swings of a trend."""
 
 
-def residual_shares(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> NDArray[np.float64]:
+def residual_shares(cycles: Cycles, metadata: Mapping[str, Any], location: str) -> NDArray[np.float64]:
     """Return the largest residuals of a record by comparison and joint, (5, 3), as shares of their limits.
 
     The limits are those that the bench used, KINDS in order; 0 where nothing was compared.
@@ -426,7 +429,7 @@ def residual_shares(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> 
     Raises:
         BenchError, ExceptionGroup: as `bench.simulation.replay.replay_start`.
     """
-    start = replay_start(cycles, metadata, place)
+    start = replay_start(cycles, metadata, location)
     limits, shares = start.parameters.model, np.zeros((len(KINDS), 3))
     watched = limits.copy()
     watched["check"] = True

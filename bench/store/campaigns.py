@@ -353,8 +353,8 @@ class CampaignStore:
             self._write(work)
         except IntegrityError:
             there = f"shot {shots[0].shot.shot}" if shots else "what was to be added"
-            place, expected = f"campaign {entry.id}", "one runner a campaign"
-            raise Refused(place, f"{there} there already", expected, "Stop the other runner.") from None
+            location, expected = f"campaign {entry.id}", "one runner a campaign"
+            raise Refused(location, f"{there} there already", expected, "Stop the other runner.") from None
 
     @_again_if_lost
     def _rows(self, table: Table, record: type[_Row], campaign: str, *order: str) -> list[_Row]:

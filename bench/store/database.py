@@ -291,8 +291,8 @@ class DatabaseLocked(Refused):
     expected_state = "a database that is free to write"
     action = "End the program that holds it (a backup, a database browser), then try again."
 
-    def __init__(self, place: str, waited: float) -> None:
-        super().__init__(place, f"{self.state} for {waited:.0f} s", self.expected_state, self.action)
+    def __init__(self, location: str, waited: float) -> None:
+        super().__init__(location, f"{self.state} for {waited:.0f} s", self.expected_state, self.action)
         self.waited = waited
         """Time waited, s."""
 
@@ -395,20 +395,20 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         BenchError: it cannot be opened, is no golfbench database, or is of another version.
         OSError: its folder cannot be made.
     """
-    place = url.render_as_string(hide_password=True)
+    location = url.render_as_string(hide_password=True)
     read_only = False
     if url.get_backend_name() == "sqlite":
-        place = str(url.database)
-        Path(place).parent.mkdir(parents=True, exist_ok=True)
-        if read_only := is_read_only(Path(place)):
-            url = _read_only_url(Path(place))
+        location = str(url.database)
+        Path(location).parent.mkdir(parents=True, exist_ok=True)
+        if read_only := is_read_only(Path(location)):
+            url = _read_only_url(Path(location))
     try:
         # A connection that a restart of the server has cut is replaced when it is next used.
         pings = url.get_backend_name() != "sqlite"
         engine = create_engine(url, connect_args=_connect_arguments(url), pool_pre_ping=pings)
     except ModuleNotFoundError as error:
         raise BenchError(
-            place,
+            location,
             f"package {error.name} is not installed",
             "the database's driver",
             f"Run pip install {error.name}.",
@@ -417,23 +417,23 @@ def open_database(url: URL, now: datetime | None = None) -> Iterator[Engine]:
         event.listen(engine, "connect", _prepare_reading if read_only else _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
     try:
-        _make_tables(engine, place, now or datetime.now(UTC))
+        _make_tables(engine, location, now or datetime.now(UTC))
         yield engine
     except IntegrityError:
         raise
     except DatabaseError as error:
         if is_busy(error):
-            raise DatabaseLocked(place, BUSY_TIMEOUT) from error
+            raise DatabaseLocked(location, BUSY_TIMEOUT) from error
         if is_away(error):
-            raise DatabaseAway(place, 0.0) from error
-        if read_only and _log_of(Path(place)).exists():
-            found = f"{str(error.orig).strip()}: read-only, with changes in {_log_of(Path(place)).name}"
+            raise DatabaseAway(location, 0.0) from error
+        if read_only and _log_of(Path(location)).exists():
+            found = f"{str(error.orig).strip()}: read-only, with changes in {_log_of(Path(location)).name}"
             expected = "a database that was closed, or one that can be written"
             action = "Copy its folder to a disk that can be written, and read it there."
-            raise BenchError(place, found, expected, action) from error
+            raise BenchError(location, found, expected, action) from error
         expected = "a database of golfbench that can be read and written"
         action = "Check that this user may write to it and its folder, and that the disk has room."
-        raise BenchError(place, str(error.orig).strip(), expected, action) from error
+        raise BenchError(location, str(error.orig).strip(), expected, action) from error
     finally:
         engine.dispose()
 
@@ -483,19 +483,19 @@ def _begin_sqlite(connection: Connection) -> None:
     connection.exec_driver_sql(f"BEGIN {kind}")
 
 
-def _make_tables(engine: Engine, place: str, now: datetime) -> None:
+def _make_tables(engine: Engine, location: str, now: datetime) -> None:
     """Make the tables of an empty database; refuse one of another version."""
     with engine.connect() as connection:
-        if _has_tables(connection, place):
+        if _has_tables(connection, location):
             return
     with engine.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
-        if not _has_tables(connection, place):  # another process may have been faster
+        if not _has_tables(connection, location):  # another process may have been faster
             Row.metadata.create_all(connection)
             made = SchemaVersionRow.__table__.insert()  # type: ignore[attr-defined]
             connection.execute(made.values(version=SCHEMA_VERSION, date=now))
 
 
-def _has_tables(connection: Connection, place: str) -> bool:
+def _has_tables(connection: Connection, location: str) -> bool:
     """Return whether the tables exist in SCHEMA_VERSION; BenchError if in a different one."""
     tables = inspect(connection).get_table_names()
     if not tables:
@@ -503,10 +503,10 @@ def _has_tables(connection: Connection, place: str) -> bool:
     if SchemaVersionRow.__tablename__ not in tables:
         found = f"tables {', '.join(sorted(tables)[:5])}, but no {SchemaVersionRow.__tablename__}"
         raise BenchError(
-            place, found, "a database of golfbench, or an empty one", "Set bench.database to another one."
+            location, found, "a database of golfbench, or an empty one", "Set bench.database to another one."
         )
     version = connection.scalar(select(func.max(SchemaVersionRow.version)))
     if version != SCHEMA_VERSION:
         action = "Use the version of golfbench that wrote it, or name another database: bench.database."
-        raise BenchError(place, f"schema version {version}", f"version {SCHEMA_VERSION}", action)
+        raise BenchError(location, f"schema version {version}", f"version {SCHEMA_VERSION}", action)
     return True

@@ -136,10 +136,12 @@ def send_event(event: str, **details: Any) -> None:
 def send_failure(error: BenchError | SharedMemoryError | DriverError) -> int:
     """Report `error` to the parent as the reason of failure, and return the exit code."""
     if isinstance(error, DriverError):
-        place, found = "driver", str(error)
+        location, found = "driver", str(error)
         expected, action = "a working device", "Correct the fault, then restart."
     else:
-        place, found, expected, action = error.args
+        location, found, expected, action = error.args
     code = error.exit_code if isinstance(error, BenchError) else ExitCode.DEVICE
-    send_event("failed", location=place, found=found, expected=expected, action=action, exit_code=int(code))
+    send_event(
+        "failed", location=location, found=found, expected=expected, action=action, exit_code=int(code)
+    )
     return int(code)

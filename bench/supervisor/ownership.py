@@ -258,22 +258,22 @@ def _open_folder(path: Path) -> int:
 def _refusal(bench_id: str, path: Path, owner: Owner | None) -> Refused:
     """Return the refusal with the owner and the action."""
     free = "a bench that is not running"
-    place = f"bench {bench_id}"
+    location = f"bench {bench_id}"
     if owner and owner.supervisor.lives:
         pid = owner.supervisor.pid
         action = f"End it first (kill {pid}), or give this bench another id."
-        return Refused(place, f"it run by process {pid}", free, action)
+        return Refused(location, f"it run by process {pid}", free, action)
     if owner:
         loop = f"process {owner.loop.pid}" if owner.loop and owner.loop.lives else "a process"
         return Refused(
-            place,
+            location,
             f"its daemon (process {owner.supervisor.pid}) dead, but its loop ({loop}) still running",
             free,
             "Wait until the loop has stopped the robot and ends. If it hangs, kill -9 it, which leaves "
             f"the valves to the device's watchdog; fuser -v {path / OWNER} shows it.",
         )
     return Refused(
-        place, f"{path / OWNER} locked by an unnamed process", free, f"Find it: fuser -v {path / OWNER}"
+        location, f"{path / OWNER} locked by an unnamed process", free, f"Find it: fuser -v {path / OWNER}"
     )
 
 

@@ -15,14 +15,14 @@ def record_files(places: Sequence[Path]) -> list[Path]:
         BenchError: a place does not exist, or no record is found.
     """
     files: list[Path] = []
-    for place in places:
-        if place.is_dir():
-            files += sorted(place.rglob("*.parquet"))
-        elif place.exists():
-            files.append(place)
+    for location in places:
+        if location.is_dir():
+            files += sorted(location.rglob("*.parquet"))
+        elif location.exists():
+            files.append(location)
         else:
             raise BenchError(
-                str(place),
+                str(location),
                 "no such file or folder",
                 "a record or a folder of records",
                 "Correct the path of the records.",

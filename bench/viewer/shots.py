@@ -107,7 +107,7 @@ class ShotSeries:
         landed = [r for r in self.records if r.flight is not None and r.shot.status is not ShotStatus.FAILED]
         points = np.array([(r.flight.carry_side, _along(r)) for r in landed if r.flight is not None])
         corner, unit = _log_grid(recording, now, points)
-        for place, (ball, colour) in enumerate(self._balls.items()):
+        for location, (ball, colour) in enumerate(self._balls.items()):
             mine = points[[r.shot.ball == ball for r in landed]]
             numbers = [str(r.shot.shot) for r in landed if r.shot.ball == ball]
             if not len(mine):
@@ -118,7 +118,7 @@ class ShotSeries:
             recording.send_columns(f"{entity}/shots", now, dots)
             style = rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(5.0), show_labels=False)
             recording.log(f"{entity}/shots", style, static=True)
-            key = corner + unit * np.array([0.5, 0.06 + 0.08 * place])
+            key = corner + unit * np.array([0.5, 0.06 + 0.08 * location])
             words = f"{ball}: {mine[:, 1].mean():.1f} m, {len(mine)} shots"
             recording.send_columns(f"{entity}/key", now, rr.Points2D.columns(positions=[key], labels=[words]))
             style = rr.Points2D.from_fields(colors=colour, radii=rr.Radius.ui_points(5.0), show_labels=True)

@@ -68,7 +68,7 @@ class ViewClock:
         self._utc_zero: float | None = None
         self._tick, self._time = 0, 0.0
 
-    def place(self, cycles: Cycles, utc: float) -> Placed:
+    def location(self, cycles: Cycles, utc: float) -> Placed:
         """Return the times of `cycles`, whose newest is at `utc` (s since 1970)."""
         first, last = float(cycles["time"][0]), float(cycles["time"][-1])
         tick = int(cycles["tick"][0])
@@ -213,7 +213,7 @@ class LiveView:
             self.to_subscriber.add(arrived.age)
             self._heard = time.monotonic()
             cycles = arrived.batch.cycles
-            placed = self.axis.place(cycles, arrived.batch.time)
+            placed = self.axis.location(cycles, arrived.batch.time)
             if placed.hole:
                 self._show(group)
                 group = []
@@ -228,7 +228,7 @@ class LiveView:
             return
         # As bytes, since numpy joins records field by field.
         cycles = np.concatenate([part.view(np.uint8) for part, _ in group]).view(group[0][0].dtype)
-        at = np.concatenate([place for _, place in group])
+        at = np.concatenate([location for _, location in group])
         recording = self._recording
         log_signals(recording, self._times, at, cycles, self._plant)
         log_codes(recording, self._times, at, cycles, self._codes)
@@ -244,9 +244,9 @@ class LiveView:
         """Interrupt all lines where cycles are missing."""
         self._trace, self._limited = None, -np.inf
         self._swing.clear()
-        place = self._times(np.array([at - 1e-4]))
+        location = self._times(np.array([at - 1e-4]))
         for name, values in signals_of(np.zeros(1, CYCLE), self._plant).items():
-            send_scalars(self._recording, f"signals/{name}", place, np.full_like(values, np.nan))
+            send_scalars(self._recording, f"signals/{name}", location, np.full_like(values, np.nan))
 
     def _count_latency(self, cycles: Cycles, at: float) -> None:
         """Count wake-up latencies; show the histogram once a second."""
@@ -349,13 +349,13 @@ class LiveView:
         """Log an event as a line, at its loop time if given."""
         tick = message.get("loop_time")
         if isinstance(tick, int | float):
-            place = self.axis.of_loop(float(tick))
+            location = self.axis.of_loop(float(tick))
         else:
-            place = self._at(time.monotonic())
+            location = self._at(time.monotonic())
         latched = message.get("state") in ("ESTOP", "FAULT")
         level = _LEVELS.get(str(message.get("event")), "WARN" if latched else "INFO")
         self._recording.send_columns(
-            "events", self._times(place), rr.TextLog.columns(text=[event_text(message)], level=[level])
+            "events", self._times(location), rr.TextLog.columns(text=[event_text(message)], level=[level])
         )
 
     # Status text ---------------------------------------------------------------------------------

@@ -147,7 +147,7 @@ def rerun_program() -> Path:
         ViewerFailed: the package has no executable for this machine.
     """
     found = importlib.util.find_spec("rerun_cli")
-    folders = [] if found is None else [Path(place) for place in found.submodule_search_locations or ()]
+    folders = [] if found is None else [Path(location) for location in found.submodule_search_locations or ()]
     for folder in folders:
         if (program := folder / "rerun").exists():
             return program

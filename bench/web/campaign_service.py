@@ -49,8 +49,10 @@ class CampaignArchive:
     @contextmanager
     def _store(self) -> Iterator[CampaignStore]:
         if not is_there(self._url):
-            place, expected = f"bench {self._settings.id}", "the database on the bench's computer"
-            raise Refused(place, "no campaigns on this computer", expected, "Use the page of that computer.")
+            location, expected = f"bench {self._settings.id}", "the database on the bench's computer"
+            raise Refused(
+                location, "no campaigns on this computer", expected, "Use the page of that computer."
+            )
         with open_database(self._url) as engine:
             yield CampaignStore(engine)
 
@@ -142,8 +144,8 @@ class CampaignArchive:
             entry = store.entry(campaign)
             waiting = _open_prompt(store.prompts(entry.id))
             if waiting is None or waiting.number != prompt:
-                place, found = f"campaign {entry.id}", "this prompt does not wait any more"
-                raise Refused(place, found, "the prompt that waits", "Read the present prompt.")
+                location, found = f"campaign {entry.id}", "this prompt does not wait any more"
+                raise Refused(location, found, "the prompt that waits", "Read the present prompt.")
             now = datetime.now(UTC)
             return answer(store, self._settings.data_dir, entry.id, by, now, balls)[0]
 

@@ -54,20 +54,20 @@ class CommandLine:
         Raises:
             BenchError: the command refuses, in its own words; too many run at a time; it does not end.
         """
-        place = f"golfbench {arguments[0]}"
+        location = f"golfbench {arguments[0]}"
         if not self._free.acquire(blocking=False):
             raise Refused(
-                place,
+                location,
                 "too many commands at a time",
                 f"at most {MAX_COMMANDS} commands",
                 "Retry when a command has ended.",
             )
         try:
-            code, output, said = self._run(place, self.arguments(*arguments))
+            code, output, said = self._run(location, self.arguments(*arguments))
         finally:
             self._free.release()
         if code not in passed or (code and faults_in(said)):
-            raise fault_of(place, code, said)
+            raise fault_of(location, code, said)
         return output
 
     def close(self) -> None:
@@ -77,11 +77,11 @@ class CommandLine:
             for process in self._running:
                 process.terminate()
 
-    def _run(self, place: str, arguments: Sequence[str]) -> tuple[int, str, str]:
+    def _run(self, location: str, arguments: Sequence[str]) -> tuple[int, str, str]:
         """Return exit code, output and errors of a program."""
         with self._lock:
             if self._closed:
-                raise Refused(place, "the page ends", "a running page", "Start the page again.")
+                raise Refused(location, "the page ends", "a running page", "Start the page again.")
             process = subprocess.Popen(
                 arguments,
                 stdin=subprocess.DEVNULL,
@@ -98,7 +98,7 @@ class CommandLine:
             process.kill()
             process.communicate()
             expected = f"an end within {LONGEST_COMMAND:g} s"
-            raise BenchError(place, "still running", expected, "Use the command line.") from None
+            raise BenchError(location, "still running", expected, "Use the command line.") from None
         finally:
             with self._lock:
                 self._running.discard(process)
@@ -125,7 +125,7 @@ def faults_in(text: str) -> list[BenchError]:
     return found
 
 
-def fault_of(place: str, code: int, text: str) -> BenchError:
+def fault_of(location: str, code: int, text: str) -> BenchError:
     """Return the error that a command ended with: exit `code` and what it said, `text`."""
     faults = faults_in(text)
     if len(faults) == 1:
@@ -136,11 +136,11 @@ def fault_of(place: str, code: int, text: str) -> BenchError:
             found = _cut("; ".join(one.found for one in faults))
             return BenchError(faults[0].location, found, faults[0].expected, action)
         found = "; ".join(f"{one.location}: {one.found}, expected {one.expected}" for one in faults)
-        return BenchError(place, _cut(found), "a valid input", action)
+        return BenchError(location, _cut(found), "a valid input", action)
     lines = [line.strip(" │╭╰─╮╯") for line in text.strip().splitlines()]
     said = next((line for line in reversed(lines) if line), "")
     action = "See it at the command line."
-    return BenchError(place, f"exit code {code}{f': {_cut(said)}' if said else ''}", "exit code 0", action)
+    return BenchError(location, f"exit code {code}{f': {_cut(said)}' if said else ''}", "exit code 0", action)
 
 
 def _cut(text: str) -> str:

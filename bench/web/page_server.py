@@ -156,9 +156,9 @@ def _listening(address: PageAddress) -> Iterator[socket.socket]:
         try:
             listener.bind((address.host, address.port))
         except OSError as error:
-            place = f"--host {address.host} --port {address.port}"
+            location = f"--host {address.host} --port {address.port}"
             action = "Choose another --port, or end the process that listens there."
-            raise BenchError(place, error.strerror or str(error), "a free address", action) from None
+            raise BenchError(location, error.strerror or str(error), "a free address", action) from None
         yield listener
     finally:
         listener.close()

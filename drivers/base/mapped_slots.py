@@ -55,12 +55,12 @@ last one that compiled code has read here (0 before the first)."""
 class SharedMemoryError(RuntimeError):
     """A shared file cannot be made or used: place, what was found, what was expected, what to do."""
 
-    def __init__(self, place: str, found: str, expected: str, action: str) -> None:
-        super().__init__(place, found, expected, action)
+    def __init__(self, location: str, found: str, expected: str, action: str) -> None:
+        super().__init__(location, found, expected, action)
 
     def __str__(self) -> str:
-        place, found, expected, action = self.args
-        return f"{place}: found {found}, expected {expected}. {action}"
+        location, found, expected, action = self.args
+        return f"{location}: found {found}, expected {expected}. {action}"
 
 
 class MappedSlots:

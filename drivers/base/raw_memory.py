@@ -36,8 +36,8 @@ def load_word(typing: Any, address: Any) -> Any:
     """Return the word at `address`; no later load or store comes before this load."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = builder.inttoptr(arguments[0], _WORD.as_pointer())
-        return builder.load_atomic(place, "acquire", 8)
+        location = builder.inttoptr(arguments[0], _WORD.as_pointer())
+        return builder.load_atomic(location, "acquire", 8)
 
     return types.int64(types.int64), generate
 
@@ -47,8 +47,8 @@ def store_word(typing: Any, address: Any, value: Any) -> Any:
     """Store the word `value` at `address`; no earlier load or store comes after this store."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = builder.inttoptr(arguments[0], _WORD.as_pointer())
-        builder.store_atomic(arguments[1], place, "release", 8)
+        location = builder.inttoptr(arguments[0], _WORD.as_pointer())
+        builder.store_atomic(arguments[1], location, "release", 8)
         return context.get_dummy_value()
 
     return types.void(types.int64, types.int64), generate

@@ -96,11 +96,11 @@ class NativeState:
             state[name] = 0
         for name, value in values.items():
             state[name] = value
-        place = {channel: k for k, channel in enumerate(channels)} | {0: NOWHERE}
-        for channel, k in place.items():
+        location = {channel: k for k, channel in enumerate(channels)} | {0: NOWHERE}
+        for channel, k in location.items():
             state["pressures"][k] = pressures[channel]
-        state["supply"] = place[node.supply_pressure]
-        state["chambers"] = [place[channel] for channel in node.chamber_pressures]
+        state["supply"] = location[node.supply_pressure]
+        state["chambers"] = [location[channel] for channel in node.chamber_pressures]
         sizes = [len(group) for group in pressure_groups(node)]
         state["group_sizes"], state["pressures_received"] = (sizes + [0, 0])[:2], (received + [0.0, 0.0])[:2]
         prepare(self._state)

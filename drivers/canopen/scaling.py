@@ -99,8 +99,8 @@ def check_stored(node: Node, inverted: bool, stored: bool) -> None:
     """
     if inverted and not stored:
         raise DriverError(
-            f"{node.place(0x6202, 1, POLARITY[0x6202])}: found inverted outputs, and the device cannot store "
-            "the change (1010h), so they are energised after a loss of power; set the polarity to 0 with "
+            f"{node.location(0x6202, 1, POLARITY[0x6202])}: found inverted outputs, and the device cannot "
+            "store the change (1010h), so they are energised after a loss of power; set the polarity to 0 with "
             "the device's own tool, or use another device"
         )
 
@@ -212,13 +212,13 @@ def wanted_settings(node: Node, scale: EncoderScale, counts: int) -> list[tuple[
     """
     if scale.kind not in _ROTARY_ABSOLUTE:
         raise DriverError(
-            f"{node.place(0x1000, 0, _NAMES[0x1000])}: found encoder type {scale.kind}, expected an absolute "
-            "rotary encoder (1, 2 or 3); use another encoder"
+            f"{node.location(0x1000, 0, _NAMES[0x1000])}: found encoder type {scale.kind}, expected an "
+            "absolute rotary encoder (1, 2 or 3); use another encoder"
         )
     if scale.step:
         raise DriverError(
-            f"{node.place(_STEP, 1, _NAMES[_STEP])}: found {scale.step}, so the device counts lengths, not "
-            "parts of a revolution; use a rotary encoder"
+            f"{node.location(_STEP, 1, _NAMES[_STEP])}: found {scale.step}, so the device counts lengths, "
+            "not parts of a revolution; use a rotary encoder"
         )
     if counts != scale.disc and not (scale.scaled and scale.units == counts and scale.disc % counts == 0):
         raise _wrong_resolution(node, scale, counts)
@@ -254,14 +254,14 @@ def set_scale(node: Node, counts: int, position: int) -> int:
         scale = read_scale(node)
         for index, value in wanted_settings(node, scale, counts):
             raise DriverError(
-                f"{node.place(index, 0, _NAMES[index])}: expected {value:#x} and set it, but the device has "
-                "changed it again; set it with the device's own tool, or use another device"
+                f"{node.location(index, 0, _NAMES[index])}: expected {value:#x} and set it, but the device "
+                "has changed it again; set it with the device's own tool, or use another device"
             )
     total = counts * scale.revolutions
     found = node.read(position, 0, "position")
     if found >= total:
         raise DriverError(
-            f"{node.place(position, 0, 'position')}: found {found}, expected less than {total} ({counts} "
+            f"{node.location(position, 0, 'position')}: found {found}, expected less than {total} ({counts} "
             f"counts per revolution, {scale.revolutions} revolutions); cycle the device's power, then check "
             "its scaling (6000h, 6001h, 6002h)"
         )
@@ -325,14 +325,14 @@ def _is_fixed(node: Node, wanted: list[tuple[int, int]], scale: EncoderScale, co
 
 
 def _wrong_resolution(node: Node, scale: EncoderScale, counts: int) -> DriverError:
-    place = node.place(_RESOLUTION, 0, _NAMES[_RESOLUTION])
+    location = node.location(_RESOLUTION, 0, _NAMES[_RESOLUTION])
     if not scale.disc:
         return DriverError(
-            f"{place}: found none, and none in 6001h, expected {counts}; use an encoder that gives its "
+            f"{location}: found none, and none in 6001h, expected {counts}; use an encoder that gives its "
             "resolution"
         )
     scaled = f" scaled to {scale.units} (6000h bit 2, 6001h)," if scale.scaled else ""
     return DriverError(
-        f"{place}: found {scale.disc},{scaled} expected {counts}; set plant.encoders.counts_per_revolution = "
-        f"{scale.disc} if this is the right encoder: the startup switches scaling off"
+        f"{location}: found {scale.disc},{scaled} expected {counts}; set plant.encoders.counts_per_revolution "
+        f"= {scale.disc} if this is the right encoder: the startup switches scaling off"
     )

@@ -139,7 +139,7 @@ class Node:
         size = len(found)
         if value >= 1 << 8 * size:
             raise ServiceError(
-                f"{self.place(index, subindex, name)}: found {size} bytes, which cannot hold {value:#x}; "
+                f"{self.location(index, subindex, name)}: found {size} bytes, which cannot hold {value:#x}; "
                 "see the device's manual, or use another device"
             )
         self.set(index, subindex, value, size, name)
@@ -163,25 +163,25 @@ class Node:
         found = self.read(index, subindex, name)
         if (found ^ value) & mask:
             raise ServiceError(
-                f"{self.place(index, subindex, name)}: found {found:#x}, expected {value:#x}; {action}"
+                f"{self.location(index, subindex, name)}: found {found:#x}, expected {value:#x}; {action}"
             )
 
-    def place(self, index: int, subindex: int, name: str) -> str:
+    def location(self, index: int, subindex: int, name: str) -> str:
         """Return node and object as text."""
         return f"canopen: node {self.number} ({self.role}), object {index:04X}h:{subindex} ({name})"
 
     def _failure(self, what: str, index: int, subindex: int, name: str, error: Exception) -> ServiceError:
-        place = self.place(index, subindex, name)
+        location = self.location(index, subindex, name)
         match error:
             case SdoAbortedError():
                 action = _ACTIONS.get(error.code, "see the device's manual")
                 text = SdoAbortedError.CODES.get(error.code, "a device-specific code")
-                message = f"{place}: cannot be {what}: abort code {error.code:08X}h, {text}; {action}"
+                message = f"{location}: cannot be {what}: abort code {error.code:08X}h, {text}; {action}"
                 return ServiceError(message, error.code)
             case OSError():
-                return ServiceError(f"{place}: cannot be {what}: {error}; check that the interface is up")
+                return ServiceError(f"{location}: cannot be {what}: {error}; check that the interface is up")
             case _:
-                return ServiceError(f"{place}: cannot be {what}: {error}; {_ACTIONS[0x05040000]}")
+                return ServiceError(f"{location}: cannot be {what}: {error}; {_ACTIONS[0x05040000]}")
 
 
 class _PolledClient(SdoClient):

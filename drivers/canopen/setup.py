@@ -58,7 +58,7 @@ def require_position_pdo(node: Node, chosen: EncoderSettings) -> tuple[int, int]
     for index, subindex, name in ((pdo, 1, "identifier of the PDO"), (mapping, 0, "mapping of the PDO")):
         if node.find(index, subindex, name) is None:
             raise DriverError(
-                f"{node.place(index, subindex, name)}: found no such object, expected the PDO that the "
+                f"{node.location(index, subindex, name)}: found no such object, expected the PDO that the "
                 "encoder sends with SYNC; set canopen.encoders.position_pdo to the one in its manual: "
                 "0x1801, or 0x1802 in version 2 of DS 406"
             )
@@ -92,7 +92,7 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
     inputs_timer = round(1e3 * settings.interlock_period)
     if not _set_pdo(node, _TPDO, _TPDO_MAP, TPDO1 + node.number, _ON_EVENT, [0x60000108], inputs_timer):
         raise DriverError(
-            f"{node.place(_TPDO, 5, 'event timer of the inputs')}: missing in the device, so a broken "
+            f"{node.location(_TPDO, 5, 'event timer of the inputs')}: missing in the device, so a broken "
             "line would go undetected; use another device"
         )
     for n, group in enumerate(groups, start=1):
@@ -149,7 +149,7 @@ def _set_error_value(node: Node, channel: int, count: int, shift: int, actuator:
     size = len(node.read_bytes(0x6444, channel, name))
     if size not in {2, 4}:
         raise ServiceError(
-            f"{node.place(0x6444, channel, name)}: found {size} bytes, expected 2 or 4; use another device"
+            f"{node.location(0x6444, channel, name)}: found {size} bytes, expected 2 or 4; use another device"
         )
     try:
         return node.set_if_different(0x6444, channel, count << shift if size == 4 else count, name)

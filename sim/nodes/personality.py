@@ -102,8 +102,8 @@ def find_personality(name: str, role: str) -> Personality:
 
 def _read(name: str, entry: Mapping[str, Any]) -> Personality:
     changes = []
-    for place, change in entry.get("objects", {}).items():
-        index, subindex = _place(place)
+    for location, change in entry.get("objects", {}).items():
+        index, subindex = _place(location)
         kind = change.get("type")
         changes.append(
             ObjectChange(
@@ -115,7 +115,7 @@ def _read(name: str, entry: Mapping[str, Any]) -> Personality:
             )
         )
     plain = {key: value for key, value in entry.items() if key not in {"objects", "absent"}}
-    absent = frozenset(_place(place) for place in entry.get("absent", ()))
+    absent = frozenset(_place(location) for location in entry.get("absent", ()))
     return Personality(name=name, objects=tuple(changes), absent=absent, **plain)
 
 

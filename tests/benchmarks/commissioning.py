@@ -194,7 +194,7 @@ def _wrong(console: Console, configuration: Configuration) -> list[Row]:
     cases = wrong_machines(drawn_robot(4, configuration.plant))
     for name, case in cases.items():
         _, said, unsafe, _ = _commissioned(configuration, case.robot, case.faults)
-        named = case.words in said and case.place in said
+        named = case.words in said and case.location in said
         console.print(f"{name}: {said or 'nothing'} {'; '.join(unsafe)}\n", highlight=False)
         rows.append(Row(NAME, name, float(named and not unsafe), "", "named and safe", at_least=1.0))
     return rows

@@ -72,24 +72,26 @@ class LyingNodes:
         return self._lie(identifier, data)
 
     def _lie(self, identifier: int, data: bytes) -> list[tuple[int, bytes]]:
-        chance, place = self._random, data[1:4]
+        chance, location = self._random, data[1:4]
         match chance.randrange(9):
             case 0:
                 return []
             case 1:
                 code = chance.choice((*_ABORTS, chance.getrandbits(32)))
-                return [(identifier, b"\x80" + place + code.to_bytes(4, "little"))]
+                return [(identifier, b"\x80" + location + code.to_bytes(4, "little"))]
             case 2:
                 return [(identifier, chance.randbytes(chance.randrange(9)))]
             case 3:  # another value, in another size
                 return [
                     (
                         identifier,
-                        bytes([chance.choice((0x43, 0x47, 0x4B, 0x4F, 0x42))]) + place + chance.randbytes(4),
+                        bytes([chance.choice((0x43, 0x47, 0x4B, 0x4F, 0x42))])
+                        + location
+                        + chance.randbytes(4),
                     )
                 ]
             case 4:  # segments are announced, and anything follows
-                return [(identifier, bytes([chance.choice((0x40, 0x41))]) + place + chance.randbytes(4))]
+                return [(identifier, bytes([chance.choice((0x40, 0x41))]) + location + chance.randbytes(4))]
             case 5:  # segments without an end
                 return [(identifier, bytes([chance.choice((0x00, 0x10))]) + chance.randbytes(7))]
             case 6:

@@ -69,14 +69,14 @@ def mutants(source: str, members: Members | None = None) -> Iterator[Mutant]:
     tree, lines = ast.parse(source), source.splitlines()
     original = ast.unparse(tree)
     seen: Counter[tuple[str, str]] = Counter()
-    for place in list(_places(tree)):
-        for new in _changes(place.node, members or {}):
-            change = f"{_head(place.node)} -> {_head(new)}"
-            _put(place, new)
+    for location in list(_places(tree)):
+        for new in _changes(location.node, members or {}):
+            change = f"{_head(location.node)} -> {_head(new)}"
+            _put(location, new)
             mutated = ast.unparse(ast.fix_missing_locations(tree))
-            _put(place, place.node)
+            _put(location, location.node)
             if mutated != original:
-                line = getattr(place.node, "lineno", 0)
+                line = getattr(location.node, "lineno", 0)
                 text = lines[line - 1].strip()
                 seen[text, change] += 1
                 yield Mutant(line, text, change, seen[text, change], mutated)
@@ -138,8 +138,8 @@ def _changes(node: ast.AST, members: Members) -> Iterator[ast.AST]:
             yield ast.Pass()
 
 
-def _put(place: _Place, node: ast.AST) -> None:
-    if place.position is None:
-        setattr(place.parent, place.field, node)
+def _put(location: _Place, node: ast.AST) -> None:
+    if location.position is None:
+        setattr(location.parent, location.field, node)
     else:
-        getattr(place.parent, place.field)[place.position] = node
+        getattr(location.parent, location.field)[location.position] = node

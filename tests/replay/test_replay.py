@@ -319,7 +319,7 @@ def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> No
 
 
 @pytest.mark.parametrize(
-    ("keys", "value", "place"),
+    ("keys", "value", "location"),
     [
         (("snapshot",), None, "swing: snapshot"),
         (("snapshot", "layout"), "0123", "swing: snapshot"),
@@ -331,7 +331,7 @@ def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> No
     ],
 )
 def test_what_is_missing_or_damaged_is_told(
-    swing: Record, keys: tuple[str, ...], value: Any, place: str
+    swing: Record, keys: tuple[str, ...], value: Any, location: str
 ) -> None:
     metadata = json.loads(json.dumps(swing[1]))
     node = metadata
@@ -340,7 +340,7 @@ def test_what_is_missing_or_damaged_is_told(
     node[keys[-1]] = value
     with pytest.raises(BenchError) as refusal:
         replay_cycles(swing[0], metadata, "swing")
-    assert refusal.value.location == place
+    assert refusal.value.location == location
 
 
 def test_settings_that_this_program_does_not_take_are_all_named(swing: Record) -> None:
@@ -351,7 +351,7 @@ def test_settings_that_this_program_does_not_take_are_all_named(swing: Record) -
     with pytest.raises(ExceptionGroup) as group:
         replay_cycles(swing[0], metadata, "swing")
     places = [error.location for error in group.value.exceptions if isinstance(error, BenchError)]
-    assert [place.split(": ")[-1] for place in places] == [
+    assert [location.split(": ")[-1] for location in places] == [
         "plant.robot.l12",
         "control.rest_time",
         "envelope.glue",

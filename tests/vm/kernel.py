@@ -17,13 +17,13 @@ def unpack_kernel(vmlinuz: Path, vmlinux: Path) -> None:
         ValueError: there is none that xz has packed.
     """
     packed = vmlinuz.read_bytes()
-    place = packed.find(_XZ)
-    while place >= 0:
-        kernel = lzma.LZMADecompressor().decompress(packed[place:])
+    location = packed.find(_XZ)
+    while location >= 0:
+        kernel = lzma.LZMADecompressor().decompress(packed[location:])
         if kernel.startswith(_ELF):
             vmlinux.write_bytes(kernel)
             return
-        place = packed.find(_XZ, place + 1)
+        location = packed.find(_XZ, location + 1)
     raise ValueError(f"{vmlinuz}: no kernel packed with xz in it")
 
 

@@ -111,8 +111,8 @@ def _command(kernel: Path, initramfs: Path, share: Path) -> list[str | Path]:
         "can-bus,id=wire",
         *(
             word
-            for card, place in CARDS.items()
-            for word in ("-device", f"kvaser_pci,canbus=wire,id={card},addr={place}")
+            for card, location in CARDS.items()
+            for word in ("-device", f"kvaser_pci,canbus=wire,id={card},addr={location}")
         ),
     ]
 

@@ -23,10 +23,12 @@ Measured = Mapping[str, AerodynamicsEntry]
 """Measured aerodynamics by ball."""
 
 
-def measured_of(calibrations: Mapping[str, Any], place: str) -> dict[str, AerodynamicsEntry]:
+def measured_of(calibrations: Mapping[str, Any], location: str) -> dict[str, AerodynamicsEntry]:
     """Return the measured aerodynamics that a campaign was begun with, from its `calibrations`."""
     stored = calibrations.get("aerodynamics", {})
-    return {ball: aerodynamics_from_record(entry, f"{place}: aerodynamics") for ball, entry in stored.items()}
+    return {
+        ball: aerodynamics_from_record(entry, f"{location}: aerodynamics") for ball, entry in stored.items()
+    }
 
 
 def require_carry(plan: CampaignPlan, measured: Measured) -> None:
@@ -35,10 +37,10 @@ def require_carry(plan: CampaignPlan, measured: Measured) -> None:
     Raises:
         Refused: it compares a carry without saying which, or a ball's aerodynamics were not measured.
     """
-    place, a = f"plan {plan.campaign.name}: analysis.carry", plan.analysis
+    location, a = f"plan {plan.campaign.name}: analysis.carry", plan.analysis
     if a.quantity in FLOWN and not a.carry:
         raise Refused(
-            place,
+            location,
             f"empty, while {a.quantity} is compared",
             '"reference", "monitor" or "measured"',
             'Name the carry: "monitor" as the launch monitor reports it, "measured" flown with coefficients '
@@ -49,7 +51,7 @@ def require_carry(plan: CampaignPlan, measured: Measured) -> None:
     if a.carry == "measured" and missing:
         found = f'"measured", but no aerodynamics of {", ".join(missing)}'
         action = f"golfbench calibrate aerodynamics {missing[0]} FLIGHTS.csv --source TEXT"
-        raise Refused(place, found, "measured coefficients of each ball", action)
+        raise Refused(location, found, "measured coefficients of each ball", action)
 
 
 class ShotCarry:

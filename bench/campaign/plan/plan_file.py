@@ -92,7 +92,7 @@ def load_plan(path: Path, configuration: Configuration) -> CampaignPlan:
     return plan
 
 
-def plan_from_record(record: Mapping[str, Any], place: str) -> CampaignPlan:
+def plan_from_record(record: Mapping[str, Any], location: str) -> CampaignPlan:
     """Return the plan that `CampaignPlan.record` gave.
 
     Raises:
@@ -103,9 +103,9 @@ def plan_from_record(record: Mapping[str, Any], place: str) -> CampaignPlan:
     for name in ("balls", "clubs"):
         for entry in tables.get(name, {}).values():
             entry.pop("name", None)
-    plan, _ = _build(as_tree(tables, Path(place), faults), Path(place), faults)
+    plan, _ = _build(as_tree(tables, Path(location), faults), Path(location), faults)
     if plan is None:
-        raise ExceptionGroup(f"{place} is invalid", faults)
+        raise ExceptionGroup(f"{location} is invalid", faults)
     return plan
 
 
@@ -137,10 +137,10 @@ def _completed(
         if isinstance(entry, dict) and isinstance(like := entry.get("like"), TomlValue):
             rest = {key: value for key, value in entry.items() if key != "like"}
             if like.value not in known:
-                place = f"{file}: {section}.{name}.like"
+                location = f"{file}: {section}.{name}.like"
                 faults.append(
                     BenchError(
-                        place, format_value(like.value), f"one of {', '.join(known)}", "Name one of them."
+                        location, format_value(like.value), f"one of {', '.join(known)}", "Name one of them."
                     )
                 )
                 continue

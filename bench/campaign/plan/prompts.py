@@ -24,7 +24,7 @@ Numbered = tuple[str, int]
 
 def places(balls: Sequence[Numbered]) -> list[str]:
     """Return the places of the magazine with their balls, in the order of hitting."""
-    return [f"{place}. {name} {number}" for place, (name, number) in enumerate(balls, 1)]
+    return [f"{location}. {name} {number}" for location, (name, number) in enumerate(balls, 1)]
 
 
 def balls_of(prompt: Prompt) -> list[Numbered]:
@@ -39,10 +39,10 @@ def require_count(prompt: Prompt, count: int) -> None:
         Refused: too few or too many, or `prompt` asks for no balls.
     """
     balls = balls_of(prompt)
-    place, found = f"before shot {prompt.before_shot}", f"{count} balls loaded"
+    location, found = f"before shot {prompt.before_shot}", f"{count} balls loaded"
     if not balls:
         expected = f"no number, as the prompt reads: {prompt.text}"
-        raise Refused(place, found, expected, "Answer without a number of balls.")
+        raise Refused(location, found, expected, "Answer without a number of balls.")
     if count < len(balls):
         action = (
             f"Load the rest from {places(balls)[count]} on, if the others are by the list; then answer again."
@@ -50,4 +50,4 @@ def require_count(prompt: Prompt, count: int) -> None:
     else:
         action = "Empty the feeder and load it by the list; then answer again."
     if count != len(balls):
-        raise Refused(place, found, f"{len(balls)}, as listed", action)
+        raise Refused(location, found, f"{len(balls)}, as listed", action)

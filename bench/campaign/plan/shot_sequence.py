@@ -104,7 +104,10 @@ def block_trials(plan: CampaignPlan, section: Section, number: int) -> list[Plan
         middle = (len(line) + 1) // 2
         between = [control] if len(line) > 1 else []
         line = [control, *line[:middle], *between, *line[middle:], control]
-    return [PlannedShot(role, section.number, block, place, arm) for place, (role, arm) in enumerate(line, 1)]
+    return [
+        PlannedShot(role, section.number, block, location, arm)
+        for location, (role, arm) in enumerate(line, 1)
+    ]
 
 
 def _shuffled(arms: Sequence[Arm], random: np.random.Generator) -> list[Arm]:

@@ -32,8 +32,8 @@ def answer(
     if balls is not None and prompts and prompts[-1].answered is None:
         require_count(prompts[-1], balls)
     if not prompts or not store.answer(campaign, prompts[-1].number, by, now):
-        place, expected = f"campaign {campaign}", "a prompt that waits for an answer"
-        raise Refused(place, "no open prompt", expected, "See golfbench campaign list.")
+        location, expected = f"campaign {campaign}", "a prompt that waits for an answer"
+        raise Refused(location, "no open prompt", expected, "See golfbench campaign list.")
     return prompts[-1].text, is_running(data_dir, campaign)
 
 
@@ -48,8 +48,8 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: s
     store.entry(campaign)
     standing = store.standing(campaign)
     if standing.state in ENDED:
-        place = f"campaign {campaign}"
-        raise Refused(place, str(standing.state), "an unfinished campaign", "See golfbench campaign list.")
+        location = f"campaign {campaign}"
+        raise Refused(location, str(standing.state), "an unfinished campaign", "See golfbench campaign list.")
     if not is_running(data_dir, campaign):
         if request == "abort":
             reason = f"aborted by request{f' of {by}' if by else ''}"
@@ -90,7 +90,7 @@ def bench_lock(data_dir: Path, entry: CampaignEntry) -> Iterator[None]:
 
 
 @contextmanager
-def _locked(path: Path, place: str, name: str) -> Iterator[None]:
+def _locked(path: Path, location: str, name: str) -> Iterator[None]:
     """Hold the lock at `path` as the runner of campaign `name`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+", encoding="ascii") as file:
@@ -101,7 +101,7 @@ def _locked(path: Path, place: str, name: str) -> Iterator[None]:
                 "no other runner",
                 f"Wait for it, or end it: golfbench campaign stop {campaign}",
             )
-            raise Refused(place, f"process {process}, which runs campaign {campaign}", expected, action)
+            raise Refused(location, f"process {process}, which runs campaign {campaign}", expected, action)
         file.truncate(0)
         file.write(f"{os.getpid()} {name}")
         file.flush()
@@ -154,14 +154,14 @@ def find_campaign(store: CampaignStore, wanted: str) -> CampaignEntry:
     Raises:
         BenchError: no campaign, several campaigns, or fewer than `SHORTEST_PREFIX` characters to go by.
     """
-    place = f"campaign {wanted}"
+    location = f"campaign {wanted}"
     found = [entry for entry, _, _ in store.entries() if entry.id.startswith(wanted)]
     for entry in found:
         if entry.id == wanted:
             return entry
     if not found:
         expected = f"an id, or at least its first {SHORTEST_PREFIX} characters"
-        raise BenchError(place, "no such campaign", expected, "See golfbench campaign list.")
+        raise BenchError(location, "no such campaign", expected, "See golfbench campaign list.")
     named = [entry for entry in found if entry.name == wanted]
     if len(named) == 1:
         return named[0]
@@ -169,7 +169,7 @@ def find_campaign(store: CampaignStore, wanted: str) -> CampaignEntry:
         shown = ", ".join(entry.id for entry in found[:5]) + ", ..." * (len(found) > 5)
         number = "1 campaign begins" if len(found) == 1 else f"{len(found)} campaigns begin"
         raise BenchError(
-            place,
+            location,
             f"{number} so: {shown}",
             f"an id, or enough of its beginning to fit one campaign, at least {SHORTEST_PREFIX} characters",
             f"Give the id: for the newest, {found[0].id}.",

@@ -90,15 +90,15 @@ def require_live(
             is simulated and vents between swings, which the gate excludes without planned air; or the plan
             does not name the carry it compares, or a ball's aerodynamics were not `measured`.
     """
-    place, lease = f"plan {plan.campaign.name}", status["lease"]
+    location, lease = f"plan {plan.campaign.name}", status["lease"]
     if lease is not None and not lease["holder"].startswith(HOLDER):
-        place = f"bench {status['bench']}"
+        location = f"bench {status['bench']}"
         found = f"held by {lease['holder']}, for another {lease['seconds_left']:.0f} s"
-        raise Refused(place, found, "a free bench", "Ask for it, or wait: golfbench status.")
+        raise Refused(location, found, "a free bench", "Ask for it, or wait: golfbench status.")
     if not any(_fits(plan, club, profile, clubs, status) for (_, club), profile in profiles.items()):
         wanted = dict.fromkeys(f"{profiles[arm].name} with club {arm[1]}" for arm in profiles)
         raise Refused(
-            f"{place}: design.swings and design.clubs",
+            f"{location}: design.swings and design.clubs",
             f"{', '.join(wanted)}",
             f"among them profile {status['profile']} with club {status['club']}, which bench "
             f"{status['bench']} swings",
@@ -111,7 +111,7 @@ def require_live(
         return
     if plan.analysis.quantity != "club_speed_mps" and status["launch_monitor"] is None:
         raise Refused(
-            f"{place}: analysis.quantity",
+            f"{location}: analysis.quantity",
             plan.analysis.quantity,
             "club_speed_mps",
             "This bench measures the club only: ball data need a launch monitor, [launch_monitor] "
@@ -120,7 +120,7 @@ def require_live(
     require_carry(plan, measured or {})
     if plan.ball_handling.identify or not plan.ball_handling.magazine:
         raise Refused(
-            f"{place}: ball_handling",
+            f"{location}: ball_handling",
             f"identify {format_value(plan.ball_handling.identify)}, magazine {plan.ball_handling.magazine}",
             "identify false and a magazine of at least 1",
             "A real feeder reads no numbers: a person fills it in the order asked for, and answers for it.",

@@ -267,7 +267,7 @@ _WORDS = {
 class Service(NamedTuple):
     """One service that receives notifications."""
 
-    place: str
+    location: str
     """File and line of its URL, for messages."""
     send: Callable[[str, str], bool]
     """Send title and text; return whether it was accepted."""
@@ -298,11 +298,11 @@ def read_services(file: Path) -> list[Service]:
     for number, line in enumerate(map(str.strip, text.splitlines()), 1):
         if not line or line.startswith("#"):
             continue
-        place, one = f"{file}, line {number}", apprise.Apprise.instantiate(line)
+        location, one = f"{file}, line {number}", apprise.Apprise.instantiate(line)
         if one is None:
             action = "See apprise's list of services. The line is not shown: it may hold a secret."
-            raise BenchError(place, "a URL that apprise does not know", "the URL of a service", action)
-        services.append(Service(place, _sender(one)))
+            raise BenchError(location, "a URL that apprise does not know", "the URL of a service", action)
+        services.append(Service(location, _sender(one)))
     return services
 
 
@@ -363,7 +363,7 @@ class Notifier(Watcher):
             with suppress(Exception):  # whatever a service does, the campaign goes on
                 if service.send(title, text):
                     return
-        self._say(f"A notification was not sent ({service.place}): {title}")
+        self._say(f"A notification was not sent ({service.location}): {title}")
 
 
 @contextmanager

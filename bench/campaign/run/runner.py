@@ -337,9 +337,9 @@ class Runner:
         planned = (trial.role, trial.block, trial.position, trial.arm.swing, trial.arm.club, trial.arm.ball)
         stored = (shot.role, shot.block, shot.position, shot.swing, shot.club, shot.ball)
         if planned != stored or step.attempt != shot.attempt:
-            place = f"campaign {self._entry.id}, shot {shot.shot}"
+            location = f"campaign {self._entry.id}, shot {shot.shot}"
             action = "Its records do not belong to its plan; start a new campaign."
-            raise BenchError(place, f"stored as {stored}", f"{planned} by its plan", action)
+            raise BenchError(location, f"stored as {stored}", f"{planned} by its plan", action)
 
     def _go_on(
         self, course: Course, step: Step | Ending, interrupted: Callable[[], bool], writer: ThreadPoolExecutor
@@ -434,20 +434,20 @@ class Runner:
             else "an unknown time without a shot (the clock went back)"
         )
         trial, warm_up = step.trial, self._plan.warm_up.at_most
-        place = f"block {trial.block}" if trial.block else f"the warm-up of section {trial.section}"
+        location = f"block {trial.block}" if trial.block else f"the warm-up of section {trial.section}"
         tried = [shot for shot in self._block if shot.block == trial.block]
         if tried or (warm_up and (trial.role is not Role.WARM_UP or trial.position > 1)):
             if self._restarts[trial.section, trial.block] < _MAX_RESTARTS:
                 aside = [shot.shot for shot in tried]
                 after = " after a new warm-up" if warm_up and trial.block else ""
-                text = f"{words}: {place} restarts{after}"
+                text = f"{words}: {location} restarts{after}"
                 text += f"; set aside: shots {aside[0]} to {aside[-1]}" if aside else ""
                 event = Event(now, number, "restart", text)
                 self._store.set_aside(self._entry.id, aside, event)
                 self.valid -= sum(shot.status is ShotStatus.VALID for shot in tried)
                 self._watcher.say(text)
                 return True
-            words += f"; {place} was restarted {_MAX_RESTARTS} times already and goes on"
+            words += f"; {location} was restarted {_MAX_RESTARTS} times already and goes on"
         self._note_event("gap", words)
         self._watcher.say(words)
         return False

@@ -240,18 +240,18 @@ def require_resumable(
     Raises:
         Refused: the text says which.
     """
-    place = f"campaign {entry.id}"
+    location = f"campaign {entry.id}"
     if state in ENDED:
-        raise Refused(place, str(state), "an unfinished campaign", "Begin a new one.")
-    if plan is not None and plan != plan_from_record(entry.plan, place):
+        raise Refused(location, str(state), "an unfinished campaign", "Begin a new one.")
+    if plan is not None and plan != plan_from_record(entry.plan, location):
         found = "another plan than it was begun with"
         action = "Leave the file out to go on as planned, or begin a new campaign."
-        raise Refused(place, found, f"the plan {entry.digest}, which is stored with it", action)
+        raise Refused(location, found, f"the plan {entry.digest}, which is stored with it", action)
     changed = [key for key, _, _ in differences(entry.configuration, configuration.effective())]
     if changed := [key for key in changed if _can_change_a_shot(key)]:
         found = f"a configuration that differs in {', '.join(changed[:5])}"
         action = "Go on with --config and that configuration, or begin a new campaign."
-        raise Refused(place, found, "the one it was begun with", action)
+        raise Refused(location, found, "the one it was begun with", action)
 
 
 def _can_change_a_shot(key: str) -> bool:

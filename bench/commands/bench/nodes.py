@@ -137,14 +137,14 @@ def turn_regulator(folder: Path | None, bar: str) -> None:
     """
     from bench.commissioning.machine.inputs import SERVICE, of_simulation
 
-    place = f"nodes --turn-regulator {bar}"
+    location = f"nodes --turn-regulator {bar}"
     try:
         pressure = math.inf if bar == SERVICE else 1e5 * float(bar)
     except ValueError:
         pressure = math.nan
     if not pressure > 0.0:
-        raise Refused(place, repr(bar), f"bar absolute above 0, or {SERVICE!r}", "Give one of them.")
-    _at_nodes(folder, place, lambda there: of_simulation(there)(pressure))
+        raise Refused(location, repr(bar), f"bar absolute above 0, or {SERVICE!r}", "Give one of them.")
+    _at_nodes(folder, location, lambda there: of_simulation(there)(pressure))
 
 
 def act_at(folder: Path | None, key: str) -> None:
@@ -155,22 +155,22 @@ def act_at(folder: Path | None, key: str) -> None:
     """
     from bench.commissioning.machine.inputs import ACTS, act_in_simulation
 
-    place = f"nodes --act {key}"
+    location = f"nodes --act {key}"
     if key not in ACTS:
-        raise Refused(place, repr(key), f"one of {', '.join(ACTS)}", "Give one of them.")
-    _at_nodes(folder, place, lambda there: act_in_simulation(there)(ACTS[key]))
+        raise Refused(location, repr(key), f"one of {', '.join(ACTS)}", "Give one of them.")
+    _at_nodes(folder, location, lambda there: act_in_simulation(there)(ACTS[key]))
 
 
-def _at_nodes(folder: Path | None, place: str, act: Callable[[Path], None]) -> None:
+def _at_nodes(folder: Path | None, location: str, act: Callable[[Path], None]) -> None:
     """Do `act` at the simulated nodes with their files in `folder`; raises Refused where none are."""
     from drivers.base.shared_record import SharedMemoryError
 
     if folder is None:
-        raise Refused(place, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
+        raise Refused(location, "no --folder", "the folder of running nodes", "Start them with --folder DIR.")
     try:
         act(folder)
     except SharedMemoryError as error:
-        raise Refused(place, str(error), "running nodes", f"Start them with --folder {folder}.") from error
+        raise Refused(location, str(error), "running nodes", f"Start them with --folder {folder}.") from error
 
 
 def show_scan(configuration: Configuration) -> None:

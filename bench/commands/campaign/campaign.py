@@ -270,9 +270,12 @@ def resume(
         if is_running(configuration.bench.data_dir, entry.id):
             typer.echo(f"{entry.id} {ask(store, configuration.bench.data_dir, entry.id, '', by)}")
             return
-        facts, place = {}, f"campaign {entry.id}"
+        facts, location = {}, f"campaign {entry.id}"
         if entry.real_time:
-            begun, measured = plan_from_record(entry.plan, place), measured_of(entry.calibrations, place)
+            begun, measured = (
+                plan_from_record(entry.plan, location),
+                measured_of(entry.calibrations, location),
+            )
             facts = _bench_facts(begun, configuration, measured, store)
         _run(store, entry, configuration, outputs, facts, ask=ask_, by=by)
 
@@ -520,9 +523,9 @@ def watch(
     with session.connect() as client, campaign_bar() as bar:
         message = running()
         if message is None:
-            place = f"campaign {campaign}" if campaign else f"bench {address.bench.id}"
+            location = f"campaign {campaign}" if campaign else f"bench {address.bench.id}"
             raise Refused(
-                place, "no runner publishes it", "a running campaign", "See golfbench campaign list."
+                location, "no runner publishes it", "a running campaign", "See golfbench campaign list."
             )
         if json_:
             return show_json(message)

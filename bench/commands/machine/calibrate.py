@@ -83,7 +83,7 @@ def encoders(
     from bench.calibration.calibration import CalibrationKind
     from bench.calibration.calibration import zero_counts as zeros_at
 
-    place = "calibrate encoders"
+    location = "calibrate encoders"
     configuration = _calibrated(context)
     here = configuration.plant.encoders
     sign = sign or here.sign
@@ -95,7 +95,7 @@ def encoders(
     }
     if (zero_counts is None) == (from_pose is None) or (counts is not None and from_pose is None):
         raise BenchError(
-            place,
+            location,
             "--zero-counts and --from-pose" if zero_counts and from_pose else "no measurement",
             "--zero-counts, or --from-pose with or without --counts",
             "Give one of the two.",
@@ -187,11 +187,11 @@ def valves(
     """Set the valves' centres and dead bands, entered or found by a slow ramp."""
     from bench.calibration.calibration import CalibrationKind
 
-    place = "calibrate valves"
+    location = "calibrate valves"
     given = (centre, dead_band, uncertainty)
     if measure == any(v is not None for v in given) or (not measure and None in given):
         expected, action = "--measure, or --centre, --dead-band and --uncertainty", "Give one or the other."
-        raise BenchError(place, "--measure and values" if measure else "values missing", expected, action)
+        raise BenchError(location, "--measure and values" if measure else "values missing", expected, action)
     content: dict[str, Any] = {"centre": centre, "dead_band": dead_band, "uncertainty": uncertainty}
     if measure:
         content = _measured_valves(context.ensure_object(Session).configuration())
@@ -298,17 +298,17 @@ def _require_pose(configuration: Configuration, angles: tuple[float, ...]) -> No
 
     for name, angle, (low, high) in zip(JOINTS, angles, angle_travel(configuration.plant), strict=True):
         if not low <= angle <= high:
-            place, found = f"calibrate encoders: --from-pose, {name}", f"{degrees(angle):g} deg"
+            location, found = f"calibrate encoders: --from-pose, {name}", f"{degrees(angle):g} deg"
             expected = f"{degrees(low):.1f} to {degrees(high):.1f} deg, between its stops"
-            raise BenchError(place, found, expected, "Give the angle of the mechanical reference.")
+            raise BenchError(location, found, expected, "Give the angle of the mechanical reference.")
 
 
 def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) -> None:
 
     for i, count in enumerate(counts):
         if not 0 <= count < counts_per_revolution:
-            place, expected = f"calibrate encoders: --counts[{i}]", f"0 to {counts_per_revolution - 1}"
-            raise BenchError(place, str(count), expected, "Give what the encoder shows.")
+            location, expected = f"calibrate encoders: --counts[{i}]", f"0 to {counts_per_revolution - 1}"
+            raise BenchError(location, str(count), expected, "Give what the encoder shows.")
 
 
 def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
@@ -321,10 +321,10 @@ def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
     try:
         return standing_counts(ring, configuration.plant.encoders.counts_per_revolution)
     except NoRing as error:
-        place = "calibrate encoders --from-pose"
+        location = "calibrate encoders --from-pose"
         found = f"no bench {configuration.bench.id} running on this machine ({error.found})"
         action = "Start `golfbench run --read-only`, or give what the encoders show with --counts."
-        raise Refused(place, found, "one that reads the encoders, or --counts", action) from error
+        raise Refused(location, found, "one that reads the encoders, or --counts", action) from error
 
 
 def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:

@@ -56,7 +56,7 @@ def cluster(
     load_distributed()
     identity = context.ensure_object(Session).configuration().network.identity
     files = identity_files(identity) if identity else None
-    beyond = [place for place in (host, _host_of(join)) if place and not _is_loopback(place)]
+    beyond = [location for location in (host, _host_of(join)) if location and not _is_loopback(location)]
     if files is None and beyond:
         found = f"{beyond[0]} without a certificate"
         action = "Make one with `golfbench certificates` and name it in network.identity."

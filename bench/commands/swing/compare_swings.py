@@ -37,17 +37,17 @@ def compare(
     """
     require_picture(plot)
     places = (first, second)
-    settings = [_settings(place) for place in places]
+    settings = [_settings(location) for location in places]
     if settings[0] is not None and settings[1] is not None:
         if plot is not None:
             raise BenchError(
                 "--plot", "two configurations", "two swings", "Leave --plot out: it draws two swings."
             )
         return _show_keys(places, _keys(settings[0]), _keys(settings[1]), json_)
-    for place, found, other in zip(places, settings, reversed(places), strict=True):
+    for location, found, other in zip(places, settings, reversed(places), strict=True):
         if found is not None:
             action = "Compare two configurations, or two records or profiles."
-            raise BenchError(place, f"a configuration beside {other}", "a record or a profile", action)
+            raise BenchError(location, f"a configuration beside {other}", "a record or a profile", action)
     from bench.records.shot.overlay import clocks, differences
 
     configuration = context.ensure_object(Session).configuration()
@@ -69,36 +69,38 @@ def compare(
         typer.echo(f"Picture: {plot}")
 
 
-def _settings(place: str) -> Configuration | None:
-    """Return the configuration at `place`, None if it names something else."""
+def _settings(location: str) -> Configuration | None:
+    """Return the configuration at `location`, None if it names something else."""
     from bench.base.configuration_files import variant_names
     from bench.base.from_toml import read_toml
     from bench.config import load_configuration
 
-    path = Path(place)
+    path = Path(location)
     if path.suffix == ".toml" and "schema" not in read_toml(path, "a configuration or a profile", _ACTION):
         return load_configuration(path)
-    return load_configuration(path) if place in variant_names() else None
+    return load_configuration(path) if location in variant_names() else None
 
 
-def _course(place: str, configuration: Configuration) -> SwingCourse:
-    """Return the swing at `place`, a record or a profile."""
+def _course(location: str, configuration: Configuration) -> SwingCourse:
+    """Return the swing at `location`, a record or a profile."""
     from bench.records.shot.overlay import course_of_profile, course_of_record
     from bench.records.shot.recorded_shot import read_shot
     from bench.swing.library import find_profile
     from bench.swing.profile import load_profile
 
-    if place.endswith(".parquet"):
-        course = course_of_record("/".join(Path(place).with_suffix("").parts[-2:]), read_shot(Path(place)))
+    if location.endswith(".parquet"):
+        course = course_of_record(
+            "/".join(Path(location).with_suffix("").parts[-2:]), read_shot(Path(location))
+        )
         if not len(course.time):
             raise BenchError(
-                place,
+                location,
                 "no swing in the record",
                 "a record of a swing",
                 "Name a record in which the robot swung.",
             )
         return course
-    return course_of_profile(configuration.plant, load_profile(find_profile(place)))
+    return course_of_profile(configuration.plant, load_profile(find_profile(location)))
 
 
 def _table(rows: list[FigureDifference], first: str, second: str) -> Table:

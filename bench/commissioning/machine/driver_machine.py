@@ -65,10 +65,10 @@ class Stalled(Refused):
     """A stall of the computer ended a motion; its step can be repeated."""
 
 
-def stopped_by_operator(place: str = "commission", action: str = _RESUME) -> Refused:
+def stopped_by_operator(location: str = "commission", action: str = _RESUME) -> Refused:
     """Return the error of a motion that was asked to end."""
     return Refused(
-        place, "stopped by the operator", "a motion without a stop", action[0].upper() + action[1:]
+        location, "stopped by the operator", "a motion without a stop", action[0].upper() + action[1:]
     )
 
 

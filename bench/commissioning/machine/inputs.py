@@ -147,7 +147,7 @@ def stages(*, local_reset: bool) -> tuple[Stage, ...]:
 class InputFinding(NamedTuple):
     """Something wrong with an input."""
 
-    place: str
+    location: str
     found: str
     expected: str
     action: str
@@ -155,7 +155,7 @@ class InputFinding(NamedTuple):
     @property
     def text(self) -> str:
         """The finding as a sentence."""
-        return f"{self.place}: {self.found}; expected {self.expected}. {self.action}"
+        return f"{self.location}: {self.found}; expected {self.expected}. {self.action}"
 
 
 Column = tuple[bool, ...]

@@ -135,10 +135,10 @@ def check_inputs(
 def raise_findings(findings: list[InputFinding]) -> None:
     """Raise MachineFault with all `findings`, if there are any."""
     if findings:
-        place, found, expected, action = (
+        location, found, expected, action = (
             "; ".join(dict.fromkeys(part)) for part in zip(*findings, strict=True)
         )
-        raise MachineFault(place, found, expected, action)
+        raise MachineFault(location, found, expected, action)
 
 
 def _watched(

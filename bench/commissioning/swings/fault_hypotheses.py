@@ -26,7 +26,7 @@ Changed = Callable[[RecordedSwing, PlantParameters, float], Array]
 class SwingCause(NamedTuple):
     """A cause with one parameter."""
 
-    place: str
+    location: str
     what: str
     """The fault there: causes alike in place and fault are one."""
     errors: Changed
@@ -152,19 +152,19 @@ def _milliseconds(word: str) -> Callable[[float], str]:
 
 
 def _factor(
-    place: str, what: str, keys: tuple[str, ...], values: tuple[float, ...], action: str
+    location: str, what: str, keys: tuple[str, ...], values: tuple[float, ...], action: str
 ) -> SwingCause:
     def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
         return recorded.errors(with_values(plant, {key: value * float(value_at(plant, key)) for key in keys}))
 
-    return SwingCause(place, what, errors, values, _times, action)
+    return SwingCause(location, what, errors, values, _times, action)
 
 
-def _added(place: str, what: str, key: str, values: tuple[float, ...], action: str) -> SwingCause:
+def _added(location: str, what: str, key: str, values: tuple[float, ...], action: str) -> SwingCause:
     def errors(recorded: RecordedSwing, plant: PlantParameters, value: float) -> Array:
         return recorded.errors(with_values(plant, {key: value + float(value_at(plant, key))}))
 
-    return SwingCause(place, what, errors, values, lambda value: f"{value:+.2g}", action)
+    return SwingCause(location, what, errors, values, lambda value: f"{value:+.2g}", action)
 
 
 def _opening(joint: int) -> Changed:

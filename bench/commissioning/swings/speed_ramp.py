@@ -231,27 +231,27 @@ def _prediction_fails(bench: Bench, fastest: float) -> str:
 
 def _swung(robot: SwungRobot, bench: Bench, share: float, folder: Path) -> str:
     """Swing `bench` once, and return what came of it; raises MachineFault if it is not as predicted."""
-    ball, place = share >= DESIGNED_SHARES[0], f"swing of {100 * share:.0f} %"
+    ball, location = share >= DESIGNED_SHARES[0], f"swing of {100 * share:.0f} %"
     model = Series(bench, bench.model)
     predicted = [model.swing(bench.profile, ball=ball) for _ in range(_PREDICTIONS)]
-    require_safe(model.loads(), f"prediction of the {place}", PredictionFails)
+    require_safe(model.loads(), f"prediction of the {location}", PredictionFails)
     whole = [one for one in predicted if not one.cause]
     if not whole:
         said = f"{_STOPPED}{CAUSE_TEXT[predicted[0].cause]}"
         action = "Look at friction and dead bands: the robot as measured cannot make a swing designed for it."
-        raise PredictionStopped(f"prediction of the {place}", said, "a whole swing", action)
+        raise PredictionStopped(f"prediction of the {location}", said, "a whole swing", action)
     series = robot.series(bench)
     made = series.swing(bench.profile, ball=ball)
     np.savez_compressed(folder / f"records/6-swing-{100 * share:.0f}.npz", cycles=made.cycles)
-    require_safe(series.loads(), place)
+    require_safe(series.loads(), location)
     found = nearest([deviation(bench, one, made) for one in whole])
     spread = widest([deviation(bench, one, whole[0]) for one in whole[1:]])
-    require_as_predicted(found, made.cause, place, share, spread)
+    require_as_predicted(found, made.cause, location, share, spread)
     offs = ", ".join(
         f"{joint} {1e3 * off:.0f} mrad" for joint, off in zip(JOINTS, found.path.tolist(), strict=True)
     )
     return (
-        f"{place}: {found.measured:.1f} m/s, predicted {found.predicted:.1f} m/s; "
+        f"{location}: {found.measured:.1f} m/s, predicted {found.predicted:.1f} m/s; "
         f"largest deviation up to the ball {offs}"
     )
 
@@ -266,7 +266,7 @@ def exceeded(loads: Loads | None) -> list[str]:
     return [] if loads is None else unsafe_reasons(RunEnd(loads), SafetyLimits())
 
 
-def require_safe(loads: Loads | None, place: str, error: type[MachineFault] = MachineFault) -> None:
+def require_safe(loads: Loads | None, location: str, error: type[MachineFault] = MachineFault) -> None:
     """Refuse to go on after `loads` beyond a rating; None: nothing measures them.
 
     Raises:
@@ -274,7 +274,7 @@ def require_safe(loads: Loads | None, place: str, error: type[MachineFault] = Ma
     """
     if unsafe := exceeded(loads):
         action = "Inspect cushions, chambers and club before anything moves; brakes are weaker than assumed."
-        raise error(place, "; ".join(unsafe), "loads within every rating", action)
+        raise error(location, "; ".join(unsafe), "loads within every rating", action)
 
 
 def deviation(bench: Bench, predicted: SeriesSwing, made: SeriesSwing) -> SwingDeviation:
@@ -327,7 +327,7 @@ def widest(found: Sequence[SwingDeviation]) -> PredictionSpread:
 def require_as_predicted(
     found: SwingDeviation,
     cause: Cause,
-    place: str,
+    location: str,
     share: float = 1.0,
     spread: PredictionSpread | None = None,
 ) -> None:
@@ -342,21 +342,21 @@ def require_as_predicted(
         "Look for what changed since the steps before: supply and hoses, play, a rubbing joint, the club."
     )
     if cause:
-        raise SwingStopped(place, f"{_STOPPED}{CAUSE_TEXT[cause]}", "a whole swing", action)
+        raise SwingStopped(location, f"{_STOPPED}{CAUSE_TEXT[cause]}", "a whole swing", action)
     off = found.measured / found.predicted - 1.0
     spread = spread or PredictionSpread()
     most = _MOST_SPEED / share + spread.speed
     if not abs(off) <= most:
         said = f"head speed {100 * off:+.0f} % beside its prediction"
-        raise MachineFault(place, said, f"within {100 * most:.0f} %", action)
+        raise MachineFault(location, said, f"within {100 * most:.0f} %", action)
     for i, joint in enumerate(JOINTS):
         if not found.path[i] <= (bound := _MOST_PATH[i] + spread.path[i]):
             away = f"the {joint} {found.path[i]:.2f} rad beside its prediction"
-            raise MachineFault(place, away, f"at most {bound:.2f} rad", action)
+            raise MachineFault(location, away, f"at most {bound:.2f} rad", action)
         measured, predicted = found.braking[:, i].tolist()
         if measured > (1.0 + _MOST_BRAKE[0]) * predicted + _MOST_BRAKE[1]:
             raise MachineFault(
-                f"{place}, {joint}",
+                f"{location}, {joint}",
                 f"{measured:.1f} rad/s {1e3 * _BRAKED:.0f} ms after the ball",
                 f"about {predicted:.1f} rad/s: it brakes less than assumed",
                 "Check valve, hoses and vents of this joint: the brake is weaker than measured slowly.",

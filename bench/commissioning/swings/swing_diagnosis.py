@@ -189,7 +189,7 @@ class Diagnosis(NamedTuple):
         best, second = self.fitted[:2]
         left = f"misfit {self.misfit:.3g} without a cause, {best.misfit:.3g} with"
         if self.named is not None:
-            other = f"{second.cause.place}: {second.cause.what}"
+            other = f"{second.cause.location}: {second.cause.what}"
             return f"{_named(best)}; {left} it; {self.ratio:.1f} times as much with the next best, {other}"
         return (
             f"its record does not say clearly why: {left} {_named(best)}; {self.ratio:.1f} times as much "
@@ -199,7 +199,7 @@ class Diagnosis(NamedTuple):
 
 def _named(one: FittedCause) -> str:
     since = f"from {one.since:.2f} s of the swing on"
-    return f"{one.cause.place}: {one.cause.what} ({one.cause.words(one.value)}, {since})"
+    return f"{one.cause.location}: {one.cause.what} ({one.cause.words(one.value)}, {since})"
 
 
 def diagnose(cycles: Cycles, plant: PlantParameters, found: Iterable[ParameterEstimate]) -> Diagnosis:
@@ -215,7 +215,7 @@ def diagnose(cycles: Cycles, plant: PlantParameters, found: Iterable[ParameterEs
     fitted = sorted([*(_fine(one, misfit) for one in coarse[:_REFINED]), *coarse[_REFINED:]], key=_misfit_of)
     best = dict[tuple[str, str], FittedCause]()
     for one in fitted:
-        best.setdefault((one.cause.place, one.cause.what), one)
+        best.setdefault((one.cause.location, one.cause.what), one)
     ranked = list(best.values())
     least = ranked[0].misfit + _USUAL
     ratio = (ranked[1].misfit + _USUAL) / least

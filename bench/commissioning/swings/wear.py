@@ -138,17 +138,17 @@ class SwingWear(NamedTuple):
     """(p,) standard errors."""
 
 
-def swing_wear(cycles: Cycles, metadata: Mapping[str, Any], place: str) -> SwingWear:
+def swing_wear(cycles: Cycles, metadata: Mapping[str, Any], location: str) -> SwingWear:
     """Return what changed against the configuration of a record, from its `cycles` and `metadata`.
 
     Raises:
         BenchError: the record has no configuration, or a chamber shows no pressure.
         ExceptionGroup: of BenchErrors, the values of its configuration that today's program rejects.
     """
-    plant = settings_of(metadata, place)[0]["plant"]
+    plant = settings_of(metadata, location)[0]["plant"]
     if not np.isfinite(cycles["chamber_pressure"]).any(axis=0).all():
         raise BenchError(
-            place,
+            location,
             "a chamber without pressures",
             "the pressure of each chamber, which separates the parts",
             "Fit a sensor to each chamber.",

@@ -64,11 +64,11 @@ def read_shot(path: Path, number: int = 1) -> RecordedShot:
     return recorded_shot(*read_swing(path), str(path), number)
 
 
-def recorded_shot(cycles: Cycles, metadata: dict[str, Any], place: str, number: int = 1) -> RecordedShot:
-    """Return the shot of a record's `cycles` and `metadata`; `place` names it. Raises as `read_shot`."""
-    plant, around = plant_of(metadata, place)
+def recorded_shot(cycles: Cycles, metadata: dict[str, Any], location: str, number: int = 1) -> RecordedShot:
+    """Return the shot of a record's `cycles` and `metadata`; `location` names it. Raises as `read_shot`."""
+    plant, around = plant_of(metadata, location)
     if (given := metadata.get("shot")) is not None:
-        shot = shot_from_json(given, f"{place}: shot")
+        shot = shot_from_json(given, f"{location}: shot")
         return RecordedShot(ShotRecord(shot, cycles, flight_of(shot, plant, around)), plant, metadata)
     time = metadata.get("time_utc")
     record = shot_of_cycles(
@@ -91,7 +91,7 @@ def warm_up_shots(plant: PlantParameters, around: FlightConditions) -> None:
     fly(strike(delivery, robot.club, plant.ball), around.air, plant.ball, around.wind, around.turf)
 
 
-def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, FlightConditions]:
+def plant_of(metadata: Mapping[str, Any], location: str) -> tuple[PlantParameters, FlightConditions]:
     """Return the plant and the surroundings in a record's configuration, today's defaults for missing keys.
 
     Raises:
@@ -102,7 +102,7 @@ def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, 
     if isinstance(around := configuration.get("surroundings"), Mapping):
         configuration |= around
     faults: list[BenchError] = []
-    file = Path(f"{place}: configuration")
+    file = Path(f"{location}: configuration")
     built: dict[str, Any] = {}
     for name, kind in (("plant", PlantParameters), ("air", Air), ("wind", Wind), ("turf", Turf)):
         table = configuration.get(name)
@@ -113,24 +113,24 @@ def plant_of(metadata: Mapping[str, Any], place: str) -> tuple[PlantParameters, 
         tree = laid_over(today, recorded)[name]
         built[name] = Builder(tree, file, action, action, faults=faults).build(kind)  # type: ignore[arg-type]
     if faults:
-        raise ExceptionGroup(f"{place} has an invalid configuration", faults)
+        raise ExceptionGroup(f"{location} has an invalid configuration", faults)
     return built["plant"], FlightConditions(built["air"], built["wind"], built["turf"])
 
 
-def shot_from_json(given: Any, place: str) -> Shot:
+def shot_from_json(given: Any, location: str) -> Shot:
     """Return the shot with the JSON object `given`: the names of the shot table.
 
     Raises:
         BenchError: a column is missing or of another type, or the shot is invalid.
     """
     action = "Restore it, or use the version of golfbench that wrote it."
-    require_fit(given, Shot, place, action)
+    require_fit(given, Shot, location, action)
     values = {name: given[name] for name in COLUMNS}
     try:
         time = datetime.fromisoformat(given["time_utc"])
         return Shot(**values | {"status": ShotStatus(given["status"]), "time_utc": time})
     except ValueError as error:
-        raise BenchError(place, str(error), "a shot", action) from None
+        raise BenchError(location, str(error), "a shot", action) from None
 
 
 def shot_to_json(shot: Shot) -> dict[str, Any]:

@@ -92,11 +92,11 @@ def read_shot_message(payload: bytes) -> ShotPublication:
     Raises:
         BenchError: the message is not of this version, or a key is missing or not of its type.
     """
-    place = "shot message"
+    location = "shot message"
     read = json_object(payload)
     if read is None or read.get("version") != SHOT_VERSION:
-        raise BenchError(place, repr(payload[:40]), f"an object of version {SHOT_VERSION}", _ACTION)
-    require_fit(read, ShotPublication, place, _ACTION)
+        raise BenchError(location, repr(payload[:40]), f"an object of version {SHOT_VERSION}", _ACTION)
+    require_fit(read, ShotPublication, location, _ACTION)
     return cast(ShotPublication, read)
 
 

@@ -210,9 +210,9 @@ class _Past:
     def append(self, cycles: Cycles) -> None:
         """Take up to `room` cycles in place of the oldest."""
         data = np.ascontiguousarray(cycles).view(np.uint8).reshape(len(cycles), CYCLE.itemsize)
-        place = self.end % self.room
-        straight = min(len(cycles), self.room - place)
-        self._bytes[place : place + straight] = data[:straight]
+        location = self.end % self.room
+        straight = min(len(cycles), self.room - location)
+        self._bytes[location : location + straight] = data[:straight]
         self._bytes[: len(cycles) - straight] = data[straight:]
         self.end += len(cycles)
 
@@ -220,9 +220,9 @@ class _Past:
         """Return the cycles `begin` to `end` - 1 as an array of their own."""
         found = np.empty(end - begin, CYCLE)
         data = found.view(np.uint8).reshape(len(found), CYCLE.itemsize)
-        place = begin % self.room
-        straight = min(len(found), self.room - place)
-        data[:straight] = self._bytes[place : place + straight]
+        location = begin % self.room
+        straight = min(len(found), self.room - location)
+        data[:straight] = self._bytes[location : location + straight]
         data[straight:] = self._bytes[: len(found) - straight]
         return found
 

@@ -202,11 +202,11 @@ def profile_entry(profile: Profile) -> dict[str, Any]:
     }
 
 
-def read_profile(metadata: Mapping[str, Any], place: str) -> Profile:
+def read_profile(metadata: Mapping[str, Any], location: str) -> Profile:
     """Return the profile in a record's `metadata`, bit for bit.
 
     Raises:
-        BenchError: the profile is missing or damaged; `place` is the record's path.
+        BenchError: the profile is missing or damaged; `location` is the record's path.
     """
     try:
         inflate = zlib.decompressobj()
@@ -221,7 +221,7 @@ def read_profile(metadata: Mapping[str, Any], place: str) -> Profile:
         return Profile(**{**values, **arrays, **pairs})
     except (KeyError, TypeError, ValueError, zlib.error) as error:
         raise BenchError(
-            f"{place}: profile",
+            f"{location}: profile",
             f"not readable: {error!r}",
             "the profile's data",
             "Replay a record that the daemon wrote, or restore it from a copy.",

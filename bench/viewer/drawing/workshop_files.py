@@ -149,10 +149,10 @@ def step_assembly(b: Any, bodies: Sequence[PlacedBody]) -> Any:
     """Return the bodies as a labelled, coloured assembly; `b` is build123d."""
     assemblies = []
     for one in bodies:
-        place = _location(b, Y_UP_TO_Z_UP @ one.turn, _MM * (Y_UP_TO_Z_UP @ one.at))
+        location = _location(b, Y_UP_TO_Z_UP @ one.turn, _MM * (Y_UP_TO_Z_UP @ one.at))
         children = []
         for part in one.body.parts:
-            shape = _one(solid_shape(b, part.solid)).moved(place)
+            shape = _one(solid_shape(b, part.solid)).moved(location)
             shape.label = part.name
             shape.color = b.Color(*(value / 255 for value in part.material.colour))
             children.append(shape)

@@ -37,7 +37,7 @@ def test_load_address_with_a_mistake_elsewhere_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "place"),
+    ("text", "location"),
     [
         ('[bench]\nid = "a b"', "bench.id"),
         ("[bench]\nid = 3", "bench.id"),
@@ -46,11 +46,11 @@ def test_load_address_with_a_mistake_elsewhere_is_read(tmp_path: Path) -> None:
         ('[network]\nendpoint = "tls/host:7451"', "network.identity"),
     ],
 )
-def test_load_address_with_a_mistake_in_it_is_refused(tmp_path: Path, text: str, place: str) -> None:
+def test_load_address_with_a_mistake_in_it_is_refused(tmp_path: Path, text: str, location: str) -> None:
     file = tmp_path / "bench.toml"
     file.write_text(f'base = "shipped"\n{text}\n')
     with pytest.raises(ExceptionGroup) as caught:
         load_address(file)
     (fault,) = caught.value.exceptions
     assert isinstance(fault, BenchError)
-    assert place in fault.location
+    assert location in fault.location

@@ -120,12 +120,12 @@ def test_an_older_one_does_not_supersede(database: Engine) -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "place"), [({"by": " "}, "--by"), ({"method": ""}, "--method"), ({"days": 0}, "expires")]
+    ("more", "location"), [({"by": " "}, "--by"), ({"method": ""}, "--method"), ({"days": 0}, "expires")]
 )
-def test_who_how_and_until_when_must_be_said(database: Engine, more: dict[str, Any], place: str) -> None:
+def test_who_how_and_until_when_must_be_said(database: Engine, more: dict[str, Any], location: str) -> None:
     with pytest.raises(BenchError) as refusal:
         add(database, BALL, **more)
-    assert place in refusal.value.location
+    assert location in refusal.value.location
     assert list_calibrations(database, "b") == []
 
 
@@ -217,5 +217,5 @@ def test_every_wrong_value_is_named(
         values_of(kind, content, "here")
     found = [error.location for error in group.value.exceptions if isinstance(error, BenchError)]
     assert len(found) == len(places)
-    for place, start in zip(found, places, strict=True):
-        assert place.startswith(start)
+    for location, start in zip(found, places, strict=True):
+        assert location.startswith(start)

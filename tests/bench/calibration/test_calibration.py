@@ -157,7 +157,7 @@ def _controller(c: Configuration, plant: PlantParameters) -> ControlParameters:
 
 
 @pytest.mark.parametrize(
-    ("values", "place"),
+    ("values", "location"),
     [
         (BallPosition(0.60, -1.56, 1e-3), "calibrate ball"),
         (ClubInMount("driver", 1.20, 0.18, 0.92, 1e-3, 1e-3), "calibrate club driver"),
@@ -166,11 +166,11 @@ def _controller(c: Configuration, plant: PlantParameters) -> ControlParameters:
     ],
 )
 def test_what_cannot_be_true_of_this_bench_is_refused(
-    shipped: Configuration, values: Values, place: str
+    shipped: Configuration, values: Values, location: str
 ) -> None:
     with pytest.raises(BenchError) as refusal:
         require_plausible(values, shipped)
-    assert refusal.value.location == place
+    assert refusal.value.location == location
 
 
 def test_a_ball_below_the_ground_contradicts_the_configuration(shipped: Configuration) -> None:

@@ -155,7 +155,7 @@ def test_a_row_of_averages_or_deviations_is_no_flight(tmp_path: Path, row: str) 
 
 
 @pytest.mark.parametrize(
-    ("text", "place", "found"),
+    ("text", "location", "found"),
     [
         (f"{HEADER},carry_yd\n{FLIGHT},296\n", "line 1, carry_yd (column 5)", "name of another column"),
         (f"{HEADER},Carry (yd)\n{FLIGHT},282\n", "line 1, Carry (yd) (column 5)", "name of another column"),
@@ -185,9 +185,9 @@ def test_a_row_of_averages_or_deviations_is_no_flight(tmp_path: Path, row: str) 
     ],
 )
 def test_a_table_that_is_not_clear_is_refused_with_its_place(
-    tmp_path: Path, text: str | bytes, place: str, found: str
+    tmp_path: Path, text: str | bytes, location: str, found: str
 ) -> None:
     with pytest.raises(BenchError) as raised:
         read(tmp_path, text)
-    assert place in raised.value.location
+    assert location in raised.value.location
     assert found in raised.value.found

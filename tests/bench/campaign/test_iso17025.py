@@ -78,14 +78,14 @@ def test_a_plan_names_laboratory_items_and_calibrations(tmp_path: Path) -> None:
     assert plan.items["tour"].received == "2025-12-20"
     assert plan.calibrations["monitor"].uncertainty == {"ball_speed_mps": 0.1}
     assert plan_from_record(plan.record(), "record") == plan
-    for wrong, place in (
+    for wrong, location in (
         ('received = "20.12.2025"', "items.tour.received"),
         ('received = "2025-12-20"\n[items.tuor]', "items.tuor"),
     ):
         file.write_text(PLAN.replace('received = "2025-12-20"', wrong))
         with pytest.raises(ExceptionGroup) as caught:
             load_plan(file, configuration)
-        assert place in str(caught.value.exceptions)
+        assert location in str(caught.value.exceptions)
     file.write_text(PLAN.replace("ball_speed_mps = 0.1", "speed = 0.1"))
     with pytest.raises(ExceptionGroup) as caught:
         load_plan(file, configuration)

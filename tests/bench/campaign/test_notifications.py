@@ -127,18 +127,18 @@ def test_a_service_that_hangs_or_fails_is_in_nobodys_way(campaign: CampaignEntry
 
 
 @pytest.mark.parametrize(
-    ("text", "mode", "place", "found"),
+    ("text", "mode", "location", "found"),
     [
         (f"json://127.0.0.1/{HIDDEN}", 0o644, "notify.urls", "mode 644"),
         (f"# chat\nnosuch://{HIDDEN}", 0o600, "notify.urls, line 2", "does not know"),
     ],
 )
 def test_a_bad_file_is_refused_without_showing_what_is_in_it(
-    tmp_path: Path, text: str, mode: int, place: str, found: str
+    tmp_path: Path, text: str, mode: int, location: str, found: str
 ) -> None:
     with pytest.raises(BenchError) as error:
         read_services(url_file(tmp_path, text, mode))
-    assert error.value.location.endswith(place)
+    assert error.value.location.endswith(location)
     assert found in error.value.found
     assert HIDDEN not in str(error.value)
 

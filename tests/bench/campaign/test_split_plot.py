@@ -244,7 +244,7 @@ def test_check_names_the_split_plot_of_a_plan_whose_clubs_change_from_shot_to_sh
 
 
 @pytest.mark.parametrize(
-    ("change", "place"),
+    ("change", "location"),
     [
         (('compare = "club"', 'compare = "ball"'), "design.hits_per_mounting"),
         (("blocks = 5", "blocks = 1"), "design.blocks"),
@@ -252,14 +252,14 @@ def test_check_names_the_split_plot_of_a_plan_whose_clubs_change_from_shot_to_sh
     ],
 )
 def test_a_split_plot_that_cannot_answer_is_refused(
-    change: tuple[str, str], place: str, tmp_path: Path
+    change: tuple[str, str], location: str, tmp_path: Path
 ) -> None:
     text = (Path("bench") / "campaigns" / "clubs-split-plot.toml").read_text()
     file = tmp_path / "plan.toml"
     file.write_text(text.replace(*change))
     with pytest.raises(ExceptionGroup) as caught:
         load_plan(file, SHIPPED)
-    assert [place in str(fault) for fault in caught.value.exceptions] == [True]
+    assert [location in str(fault) for fault in caught.value.exceptions] == [True]
 
 
 def test_progress_counts_mountings() -> None:

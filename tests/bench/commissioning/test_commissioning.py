@@ -268,7 +268,7 @@ def test_a_wrong_machine_is_named_by_the_first_step(name: str) -> None:
 
         with pytest.raises(MachineFault) as error:
             take()
-        assert case.place in error.value.location
+        assert case.location in error.value.location
         assert case.words in str(error.value)
         assert machine.loads.stop_share < 1.0
 
@@ -356,7 +356,7 @@ def test_without_a_learned_swing_the_command_does_not_exit_with_0(
 
 
 @pytest.mark.parametrize(
-    ("configured", "options", "place"),
+    ("configured", "options", "location"),
     [
         ('[driver]\nname = "mock"\n', ["--robot", "other.toml"], "commission --robot"),
         ("", ["--regulator", "turn"], "commission --regulator"),
@@ -365,14 +365,14 @@ def test_without_a_learned_swing_the_command_does_not_exit_with_0(
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], configured: str, options: list[str], place: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], configured: str, options: list[str], location: str
 ) -> None:
     file = tmp_path / "bench.toml"
     file.write_text(f'base = "shipped"\n{configured}')
     with pytest.raises(SystemExit) as ended:
         main(["--config", str(file), "commission", "--output", str(tmp_path / "day"), *options])
     assert ended.value.code not in (0, None)
-    assert place in capsys.readouterr().err
+    assert location in capsys.readouterr().err
     assert not (tmp_path / "day").exists()
 
 

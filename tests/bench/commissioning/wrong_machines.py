@@ -39,7 +39,7 @@ class WrongCase(NamedTuple):
 
     robot: PlantParameters
     faults: tuple[Fault, ...]
-    place: str
+    location: str
     """Part of the place that is named."""
     words: str
     """Part of the text."""
@@ -50,8 +50,8 @@ class WrongCase(NamedTuple):
 def wrong_machines(robot: PlantParameters) -> dict[str, WrongCase]:
     """Return wrong machines that are otherwise like `robot`, by name."""
 
-    def broken(signal: str, kind: str, value: float, place: str, words: str, step: int = 1) -> WrongCase:
-        return WrongCase(robot, (Fault("wrong", signal, kind, value),), place, words, step)  # type: ignore[arg-type]
+    def broken(signal: str, kind: str, value: float, location: str, words: str, step: int = 1) -> WrongCase:
+        return WrongCase(robot, (Fault("wrong", signal, kind, value),), location, words, step)  # type: ignore[arg-type]
 
     encoders, wrist = robot.encoders, robot.wrist
     half = replace(
@@ -87,7 +87,7 @@ class SwungWrongly(NamedTuple):
 
     robot: PlantParameters
     faults: tuple[Fault, ...]
-    place: str
+    location: str
     """What is named; empty: nothing is wrong."""
     what: str
     """Part of what is said of it."""
@@ -95,7 +95,7 @@ class SwungWrongly(NamedTuple):
     def is_named_by(self, diagnosis: Diagnosis) -> bool:
         """Return whether `diagnosis` names what is wrong."""
         named = diagnosis.named
-        return named is not None and named.cause.place == self.place and self.what in named.cause.what
+        return named is not None and named.cause.location == self.location and self.what in named.cause.what
 
 
 def measured_values(plant: PlantParameters) -> list[ParameterEstimate]:
@@ -131,14 +131,14 @@ def swung_wrongly(robot: PlantParameters) -> dict[str, SwungWrongly]:
     """Return machines that become wrong and are otherwise like `robot`, by name."""
 
     def broken(
-        signal: str, kind: str, value: float, place: str, what: str, phase: str = "backswing"
+        signal: str, kind: str, value: float, location: str, what: str, phase: str = "backswing"
     ) -> SwungWrongly:
         fault = Fault("wrong", signal, kind, value, phase=phase)  # type: ignore[arg-type]
-        return SwungWrongly(robot, (fault,), place, what)
+        return SwungWrongly(robot, (fault,), location, what)
 
-    def other(keys: tuple[str, ...], factor: float, place: str, what: str) -> SwungWrongly:
+    def other(keys: tuple[str, ...], factor: float, location: str, what: str) -> SwungWrongly:
         values = {key: factor * float(value_at(robot, key)) for key in keys}
-        return SwungWrongly(with_values(robot, values), (), place, what)
+        return SwungWrongly(with_values(robot, values), (), location, what)
 
     def rubbing(key: str, factor: float, joint: str) -> SwungWrongly:
         kinds = tuple(f"{key}.friction.{kind}" for kind in ("coulomb", "static", "viscous"))

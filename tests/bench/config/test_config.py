@@ -296,7 +296,7 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "place", "found", "expected"),
+    ("text", "location", "found", "expected"),
     [
         ("[plant.supply]\npressure = 8", "plant.supply.pressure", "8", "200000 to 1.2e6 Pa absolute"),
         ("[clubs.driver]\nhead_mass = 200.0", "clubs.driver.head_mass", "200.0", "0.02 to 0.6 kg"),
@@ -402,11 +402,11 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
     ],
 )
 def test_each_mistake_names_place_found_and_expected(
-    text: str, place: str, found: str, expected: str, overlay: Overlay
+    text: str, location: str, found: str, expected: str, overlay: Overlay
 ) -> None:
     path = overlay(text)
-    fault = next(fault for fault in faults(path) if fault.location.endswith(f": {place}"))
-    assert fault.location == f"{path}: {place}"
+    fault = next(fault for fault in faults(path) if fault.location.endswith(f": {location}"))
+    assert fault.location == f"{path}: {location}"
     assert found in fault.found
     assert expected in fault.expected
     assert fault.action
@@ -521,7 +521,7 @@ def test_any_value_is_taken_or_refused_in_words(
 
 
 @pytest.mark.parametrize(
-    ("text", "place"),
+    ("text", "location"),
     [
         ('[faults.a]\nsignal = "no such"\nkind = "off"', "faults.a"),
         ('[faults.a]\nsignal = "club head"\nkind = "stuck"', "faults.a"),
@@ -532,8 +532,8 @@ def test_any_value_is_taken_or_refused_in_words(
         ("[envelope.model.air]\nswing = [1.0, 1.0, 1.0]", "envelope.model.air.swing"),
     ],
 )
-def test_faults_that_cannot_be_are_refused(overlay: Overlay, text: str, place: str) -> None:
-    assert any(place in fault.location for fault in faults(overlay(text)))
+def test_faults_that_cannot_be_are_refused(overlay: Overlay, text: str, location: str) -> None:
+    assert any(location in fault.location for fault in faults(overlay(text)))
 
 
 def test_a_phase_is_nothing_to_a_plant_on_its_own_clock(overlay: Overlay) -> None:

@@ -66,9 +66,9 @@ def still_profile() -> Profile:
 STILL = still_profile()
 
 
-def put(record: np.ndarray[Any, Any], place: str, value: Any) -> None:
-    """Set the field at `place` of `record`, as "venting.start"."""
-    *groups, field = place.split(".")
+def put(record: np.ndarray[Any, Any], location: str, value: Any) -> None:
+    """Set the field at `location` of `record`, as "venting.start"."""
+    *groups, field = location.split(".")
     for group in groups:
         record = record[group]
     record[field] = value

@@ -93,7 +93,7 @@ Edit = Callable[[str], str]
 
 
 @pytest.mark.parametrize(
-    ("edit", "place", "found"),
+    ("edit", "location", "found"),
     [
         (lambda t: t.replace("limits/2", "limits/9"), "schema", '"golfbench-limits/9"'),
         (lambda t: t.replace("draws = 300\n", ""), "draws", "missing"),
@@ -110,12 +110,12 @@ Edit = Callable[[str], str]
         (lambda t: t + "[", "", "invalid TOML"),
     ],
 )
-def test_a_bad_file_is_named_with_its_place(file: Path, edit: Edit, place: str, found: str) -> None:
+def test_a_bad_file_is_named_with_its_place(file: Path, edit: Edit, location: str, found: str) -> None:
     file.write_text(edit(file.read_text()))
     with pytest.raises(BenchError) as error:
         load_limits(file)
     assert str(file) in error.value.location
-    assert error.value.location.endswith(place)
+    assert error.value.location.endswith(location)
     assert found in error.value.found
 
 

@@ -98,7 +98,7 @@ def _site(**changes: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("change", "place", "found", "expected"),
+    ("change", "location", "found", "expected"),
     [
         (_profile(club="putter"), "club", '"putter"', '"driver"'),
         (_machine(tick=0.002), "period_s", "0.001 s", "0.002 s"),
@@ -123,7 +123,7 @@ def _site(**changes: Any) -> Any:
 )
 def test_each_reason_is_named(
     change: Any,
-    place: str,
+    location: str,
     found: str,
     expected: str,
     slow_swing: Profile,
@@ -133,7 +133,7 @@ def test_each_reason_is_named(
     profile, machine = change(slow_swing, plant)
     faults = profile_faults(profile, machine, envelope, "slow.toml")
     texts = [str(fault) for fault in faults]
-    fault = next((fault for fault in faults if fault.location.startswith(f"slow.toml: {place}")), None)
+    fault = next((fault for fault in faults if fault.location.startswith(f"slow.toml: {location}")), None)
     assert fault is not None, texts
     assert found in fault.found
     assert expected in fault.expected
@@ -141,7 +141,7 @@ def test_each_reason_is_named(
 
 
 @pytest.mark.parametrize(
-    ("limits", "place", "expected"),
+    ("limits", "location", "expected"),
     [
         ({"max_speed": (0.1, 6.0, 48.0)}, "velocity_rad_per_s[1000][0]", "at most 0.1 rad/s"),
         ({"min_frame_distance": 1.0}, "angle_rad[", "at least 1 m"),
@@ -150,10 +150,10 @@ def test_each_reason_is_named(
     ],
 )
 def test_the_envelopes_limits_are_kept_in_the_plan(
-    limits: dict[str, Any], place: str, expected: str, slow_swing: Profile, plant: PlantParameters
+    limits: dict[str, Any], location: str, expected: str, slow_swing: Profile, plant: PlantParameters
 ) -> None:
     (fault,) = profile_faults(slow_swing, plant, EnvelopeSettings(**limits))
-    assert fault.location.startswith(f"slow: {place}")
+    assert fault.location.startswith(f"slow: {location}")
     assert expected in fault.expected
 
 

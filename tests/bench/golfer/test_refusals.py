@@ -142,7 +142,7 @@ def test_a_recording_at_60_hz_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "new", "place", "found"),
+    ("line", "new", "location", "found"),
     [
         (100, "0.4125,zero", "line 100, column 2", "'zero'"),
         (0, "time,LSHO1_x", "line 1", "time"),
@@ -152,15 +152,15 @@ def test_a_recording_at_60_hz_is_refused(tmp_path: Path) -> None:
     ids=["text", "header", "cut row", "short row"],
 )
 def test_a_damaged_csv_is_refused_with_its_line(
-    line: int, new: str, place: str, found: str, tmp_path: Path
+    line: int, new: str, location: str, found: str, tmp_path: Path
 ) -> None:
     path = _csv(tmp_path)
     lines = path.read_text().splitlines()
-    if place.endswith("column 2"):
+    if location.endswith("column 2"):
         cells = lines[line - 1].split(",")
         cells[1] = "zero"
         new = ",".join(cells)
-    if not place:
+    if not location:
         lines, new, line = lines[:line], "0.829167,0.1,0.2,0.3", 0
         lines.append(new)
     else:
@@ -169,7 +169,7 @@ def test_a_damaged_csv_is_refused_with_its_line(
 
     refusal = _refusal(path)
 
-    assert place in refusal.location
+    assert location in refusal.location
     assert found in refusal.found
 
 
@@ -265,7 +265,7 @@ def test_lead_and_trail_swapped_in_a_map_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "place"),
+    ("options", "location"),
     [
         (ImportOptions(lead="right"), "swing.csv"),
         (ImportOptions(up="-z"), "--up"),
@@ -275,12 +275,12 @@ def test_lead_and_trail_swapped_in_a_map_are_refused(tmp_path: Path) -> None:
     ids=["lead", "up", "impact", "top"],
 )
 def test_a_stated_value_that_contradicts_the_file_is_refused(
-    options: ImportOptions, place: str, tmp_path: Path
+    options: ImportOptions, location: str, tmp_path: Path
 ) -> None:
     with pytest.raises(BenchError) as refused:
         imported(_csv(tmp_path), options=options)
 
-    assert place in refused.value.location
+    assert location in refused.value.location
 
 
 def test_c3d_without_its_package_is_refused_with_the_action(

@@ -107,7 +107,7 @@ def test_an_unknown_verb_is_told_the_known_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "payload", "place", "found"),
+    ("verb", "payload", "location", "found"),
     [
         ("status", b"", "command status", "no JSON"),
         ("status", b"\xff\xfe", "command status", "a byte at 0 that is no UTF-8"),
@@ -135,9 +135,9 @@ def test_an_unknown_verb_is_told_the_known_ones() -> None:
         ("lease", b'{"version": 1, "action": "take"}', "command lease: holder", "missing"),
     ],
 )
-def test_what_does_not_hold_is_named(verb: str, payload: bytes, place: str, found: str) -> None:
+def test_what_does_not_hold_is_named(verb: str, payload: bytes, location: str, found: str) -> None:
     error = refused(verb, payload)
-    assert error.location == place
+    assert error.location == location
     assert error.found.startswith(found)
     assert error.expected
     assert error.action

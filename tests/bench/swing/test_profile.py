@@ -240,7 +240,7 @@ GOOD_ADDRESS = {"supply_pressure_pa": "8e5", "chamber_pressures_pa": f"{list(AIR
 
 
 @pytest.mark.parametrize(
-    ("change", "place", "expected"),
+    ("change", "location", "expected"),
     [
         ({"supply_pressure_pa": None}, "address", "chamber_pressures_pa"),
         ({"other": "1.0"}, "address", "chamber_pressures_pa"),
@@ -264,7 +264,7 @@ GOOD_ADDRESS = {"supply_pressure_pa": "8e5", "chamber_pressures_pa": f"{list(AIR
     ],
 )
 def test_bad_planned_pressures_are_refused(
-    change: dict[str, str | None], place: str, expected: str, one_file: Path
+    change: dict[str, str | None], location: str, expected: str, one_file: Path
 ) -> None:
     table = "\n".join(
         f"{key} = {value}" for key, value in (GOOD_ADDRESS | change).items() if value is not None
@@ -272,7 +272,7 @@ def test_bad_planned_pressures_are_refused(
     one_file.write_text(f"{one_file.read_text()}\n[address]\n{table}\n")
     with pytest.raises(BenchError) as raised:
         load_profile(one_file)
-    assert raised.value.location == f"{one_file}: {place}"
+    assert raised.value.location == f"{one_file}: {location}"
     assert expected in raised.value.expected
 
 
@@ -280,7 +280,7 @@ ROW = r"angle_rad = \[\n  \[[^\]]*\]"
 
 
 @pytest.mark.parametrize(
-    ("pattern", "text", "place", "found", "expected"),
+    ("pattern", "text", "location", "found", "expected"),
     [
         ('golfer = "nobody"', 'golfr = "nobody"', "golfr", "an unknown key", "golfer"),
         ('golfer = "nobody"\n', "", "golfer", "missing", "the key golfer"),
@@ -315,7 +315,7 @@ ROW = r"angle_rad = \[\n  \[[^\]]*\]"
     ],
 )
 def test_each_bad_profile_is_refused_with_its_place(
-    pattern: str, text: str, place: str, found: str, expected: str, one_file: Path
+    pattern: str, text: str, location: str, found: str, expected: str, one_file: Path
 ) -> None:
     good = one_file.read_text()
     bad = re.sub(pattern, text.replace("\\", r"\\"), good, count=1)
@@ -323,7 +323,7 @@ def test_each_bad_profile_is_refused_with_its_place(
     one_file.write_text(bad)
     with pytest.raises(BenchError) as raised:
         load_profile(one_file)
-    assert raised.value.location == f"{one_file}: {place}"
+    assert raised.value.location == f"{one_file}: {location}"
     assert found in raised.value.found
     assert expected in raised.value.expected
     assert raised.value.action

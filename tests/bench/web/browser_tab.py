@@ -35,10 +35,10 @@ class Tab:
         if not asked.startswith(own):
             self.foreign.append(asked)
 
-    def text(self, place: str) -> Any:
+    def text(self, location: str) -> Any:
         from playwright.sync_api import expect
 
-        return expect(self.page.locator(place))
+        return expect(self.page.locator(location))
 
     def do(self, name: str, ask: bool = True) -> None:
         self.text(f"#do-{name}").to_be_enabled()

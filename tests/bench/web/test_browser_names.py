@@ -261,7 +261,7 @@ def test_script_in_every_name_stays_text(browser: Any, page: RunningPage) -> Non
         tab.page.on("dialog", lambda dialog: dialogs.append(dialog.message))
         answer_all(tab)
         tab.page.reload()
-        for place in (
+        for location in (
             "#state-words",
             "#lease",
             "#warnings",
@@ -270,9 +270,9 @@ def test_script_in_every_name_stays_text(browser: Any, page: RunningPage) -> Non
             "#campaign .prompt",
             "#campaign .interim",
         ):
-            tab.text(place).to_contain_text(SCRIPT)
-        for place in ("#runner", "#commissionings .prompt", "#archive", "#values"):
-            tab.text(place).to_contain_text(SCRIPT)
+            tab.text(location).to_contain_text(SCRIPT)
+        for location in ("#runner", "#commissionings .prompt", "#archive", "#values"):
+            tab.text(location).to_contain_text(SCRIPT)
         tab.page.locator("#archive button:has-text('Figures')").first.click()
         tab.text("#archive .plots").to_contain_text(SCRIPT)
         for box in tab.page.locator("#archive input[type=checkbox]").all():

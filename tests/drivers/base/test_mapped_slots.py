@@ -95,14 +95,14 @@ class _Dying:
     def __init__(self, memory: Any, left: list[int]) -> None:
         self.memory, self.left = memory, left
 
-    def __getitem__(self, place: Any) -> Any:
-        return self.memory[place]
+    def __getitem__(self, location: Any) -> Any:
+        return self.memory[location]
 
-    def __setitem__(self, place: Any, value: Any) -> None:
+    def __setitem__(self, location: Any, value: Any) -> None:
         self.left[0] -= 1
         if self.left[0] < 0:
             raise _Death
-        self.memory[place] = value
+        self.memory[location] = value
 
 
 STORES = 5
@@ -143,16 +143,16 @@ def test_a_writer_that_dies_at_any_store_spoils_nothing_but_the_oldest(
     memory.close()
 
 
-@given(place=st.integers(0, VALUE.itemsize + 4 * 8), bit=st.integers(0, 7))
+@given(location=st.integers(0, VALUE.itemsize + 4 * 8), bit=st.integers(0, 7))
 @SAME_FOLDER
-def test_any_flipped_bit_of_a_slot_is_seen(place: int, bit: int, slots: MappedSlots) -> None:
+def test_any_flipped_bit_of_a_slot_is_seen(location: int, bit: int, slots: MappedSlots) -> None:
     slots.put(data_of(7))
     number = slots.head
-    at = 128 + number % SLOTS * 64 + place
+    at = 128 + number % SLOTS * 64 + location
     memory = slots._memory
     memory[at] ^= 1 << bit
     assert slots.fetch(number) in {None, data_of(7)}  # the same when only padding changed
-    if place < 16 + VALUE.itemsize:
+    if location < 16 + VALUE.itemsize:
         assert slots.fetch(number) is None
     memory[at] ^= 1 << bit
     assert slots.fetch(number) == data_of(7)
@@ -178,8 +178,8 @@ def refused(path: Path) -> str:
     """Return what is said of the file at `path`; every refusal names it and an action."""
     with pytest.raises(SharedMemoryError) as caught:
         opened(path)
-    place, *_, action = caught.value.args
-    assert place == str(path)
+    location, *_, action = caught.value.args
+    assert location == str(path)
     assert action.endswith(".")
     return str(caught.value)
 
@@ -209,13 +209,13 @@ def test_a_file_of_zeros_is_refused(whole: bytes, path: Path) -> None:
     assert "begin with" in refused(path)
 
 
-@given(place=st.integers(0, 55), value=st.integers(0, 255))
+@given(location=st.integers(0, 55), value=st.integers(0, 255))
 @SAME_FOLDER
-def test_a_header_with_any_wrong_byte_is_refused(place: int, value: int, whole: bytes, path: Path) -> None:
+def test_a_header_with_any_wrong_byte_is_refused(location: int, value: int, whole: bytes, path: Path) -> None:
     content = bytearray(whole)
-    if content[place] == value:
+    if content[location] == value:
         return
-    content[place] = value
+    content[location] = value
     path.write_bytes(content)
     refused(path)
 

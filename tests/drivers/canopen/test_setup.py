@@ -192,7 +192,7 @@ def test_beside_a_relay_all_that_the_node_has_is_set_before_it_starts() -> None:
 
     def note(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
         if identifier == 0x581 and not values:  # the valve node comes before the encoders
-            values.append(tuple(node.number_at(*place) for place in places))
+            values.append(tuple(node.number_at(*location) for location in places))
         return [(identifier, data)]
 
     wire.meddle = note

@@ -86,7 +86,7 @@ def test_the_examples_are_there() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "place", "found"),
+    ("change", "location", "found"),
     [
         (('"range"]', '"rnage"]'), "design.balls", "rnage"),
         (("blocks = 4", "blocks = 0"), "design.blocks", "0"),
@@ -124,11 +124,11 @@ def test_the_examples_are_there() -> None:
     ],
 )
 def test_a_mistake_is_told_with_its_place(
-    tmp_path: Path, configuration: Configuration, change: tuple[str, str], place: str, found: str
+    tmp_path: Path, configuration: Configuration, change: tuple[str, str], location: str, found: str
 ) -> None:
     assert change[0] in TWO
     faults = _faults(tmp_path, configuration, TWO.replace(*change))
-    assert found in faults[place].found
+    assert found in faults[location].found
 
 
 def test_reference_is_a_level_or_the_first_one(tmp_path: Path, configuration: Configuration) -> None:
@@ -180,8 +180,8 @@ def test_what_a_club_needs_is_asked_for_with_it(tmp_path: Path, configuration: C
         assert needed is not None
         texts.append(needed.text)
     assert texts == ["Mount club toe in place of driver. Move the tee.", "Mount club driver in place of toe."]
-    (place,) = _faults(tmp_path, configuration, text.replace('toe = "Move', 'putter = "Move'))
-    assert place.endswith("preparation.putter")
+    (location,) = _faults(tmp_path, configuration, text.replace('toe = "Move', 'putter = "Move'))
+    assert location.endswith("preparation.putter")
 
 
 def test_a_club_that_differs_in_its_loft_only_fits(tmp_path: Path, configuration: Configuration) -> None:

@@ -107,7 +107,7 @@ def test_line_is_the_arguments_of_a_command(line: str, arguments: list[str]) -> 
 
 
 @pytest.mark.parametrize(
-    ("line", "place", "action"),
+    ("line", "location", "action"),
     [
         ("swng", "swng", "Did you mean swing?"),
         ("run", "run", "Start it in another terminal: golfbench run."),
@@ -116,10 +116,10 @@ def test_line_is_the_arguments_of_a_command(line: str, arguments: list[str]) -> 
         ("arm 'x", "arm 'x", "Add the closing quotation mark."),
     ],
 )
-def test_line_that_is_no_command_is_refused(line: str, place: str, action: str) -> None:
+def test_line_that_is_no_command_is_refused(line: str, location: str, action: str) -> None:
     with pytest.raises(BenchError) as refused:
         arguments_of(line, command_line().commands)
-    assert (refused.value.location, refused.value.action) == (place, action)
+    assert (refused.value.location, refused.value.action) == (location, action)
 
 
 @pytest.mark.parametrize(

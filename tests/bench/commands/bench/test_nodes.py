@@ -84,7 +84,7 @@ def test_only_the_canopen_driver_takes_the_settings_of_the_bus(file: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("text", "place", "told"),
+    ("text", "location", "told"),
     [
         ("bitrate = 500_000", "canopen.bitrate", "a bus load of 10"),
         ("sync_timeout = 0.0009", "canopen.sync_timeout", "0.0009 s"),
@@ -94,7 +94,7 @@ def test_only_the_canopen_driver_takes_the_settings_of_the_bus(file: Path) -> No
     ],
 )
 def test_a_bus_that_cannot_work_is_told_before_it_is_opened(
-    file: Path, text: str, place: str, told: str
+    file: Path, text: str, location: str, told: str
 ) -> None:
     key = text.split(" = ", maxsplit=1)[0]
     kept = [line for line in file.read_text().splitlines() if not line.startswith(key)]
@@ -104,7 +104,7 @@ def test_a_bus_that_cannot_work_is_told_before_it_is_opened(
         load_configuration(file)
     (fault,) = raised.value.exceptions
     assert isinstance(fault, BenchError)
-    assert fault.location == f"{file}: {place}"
+    assert fault.location == f"{file}: {location}"
     assert told in fault.found
 
 

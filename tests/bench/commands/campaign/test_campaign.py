@@ -222,7 +222,7 @@ reference = "planned"
 
 
 @pytest.mark.parametrize(
-    ("change", "place", "words"),
+    ("change", "location", "words"),
     [
         (('"range"]', '"rnage"]'), "short.toml: design.balls", "Did you mean range?"),
         (("blocks = 1", "blocks = 500"), "ball_handling.samples", '500 hits of "tour" are planned'),
@@ -233,13 +233,13 @@ reference = "planned"
     ],
 )
 def test_a_plan_that_does_not_hold_begins_nothing(
-    user: User, tmp_path: Path, change: tuple[str, str], place: str, words: str
+    user: User, tmp_path: Path, change: tuple[str, str], location: str, words: str
 ) -> None:
     (tmp_path / "short.toml").write_text(SHORT.replace(*change))
     for command in (("check", tmp_path / "short.toml"), ("run", tmp_path / "short.toml", "--sim")):
         code, text = user(*command)
         assert code == ExitCode.BAD_INPUT
-        assert place in text
+        assert location in text
         assert words in text
     assert not (tmp_path / "data").exists()
 

@@ -107,7 +107,7 @@ def test_every_input_has_a_column_of_its_own() -> None:
 def test_two_exchanged_inputs_are_named_as_a_pair(a: str, b: str) -> None:
     seen = [readings(levels | {a: levels[b], b: levels[a]}) for levels in healthy()]
     (finding,) = judged(STAGES, seen, ALL)
-    assert set(finding.place.split(" and ")) == {a, b}
+    assert set(finding.location.split(" and ")) == {a, b}
     assert "exchanged" in finding.found
 
 
@@ -115,14 +115,14 @@ def test_two_exchanged_inputs_are_named_as_a_pair(a: str, b: str) -> None:
 @pytest.mark.parametrize("level", [True, False])
 def test_an_input_that_never_changes_is_named(name: str, level: bool) -> None:
     (finding,) = judged(STAGES, [readings(levels | {name: level}) for levels in healthy()], ALL)
-    assert finding.place == name
+    assert finding.location == name
     assert "all the time" in finding.found
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_an_input_of_reversed_polarity_is_named(name: str) -> None:
     (finding,) = judged(STAGES, [readings(levels | {name: not levels[name]}) for levels in healthy()], ALL)
-    assert (finding.place, "opposite" in finding.found) == (name, True)
+    assert (finding.location, "opposite" in finding.found) == (name, True)
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -130,7 +130,7 @@ def test_an_input_that_changes_with_another_one_is_named_with_the_stage(name: st
     wrong = healthy()
     wrong[3][name] = not wrong[3][name]
     (finding,) = judged(STAGES, [readings(levels) for levels in wrong], ALL)
-    assert finding.place == name
+    assert finding.location == name
     assert "emergency stop released" in finding.found
 
 
@@ -155,13 +155,13 @@ EVERYDAY = (FAULTS[0], FAULTS[5], FAULTS[8])
 
 
 @pytest.mark.parametrize(
-    ("fault", "place", "words"),
+    ("fault", "location", "words"),
     [pytest.param(*case, marks=() if case in EVERYDAY else pytest.mark.release) for case in FAULTS],
     ids=lambda value: f"{value.name} {value.value:g}" if isinstance(value, Fault) else "",
 )
-def test_a_fault_of_an_input_is_found(wired: Configuration, fault: Fault, place: str, words: str) -> None:
+def test_a_fault_of_an_input_is_found(wired: Configuration, fault: Fault, location: str, words: str) -> None:
     findings = checked(wired, fault)
-    assert any(place in one.place and words in one.found for one in findings), findings
+    assert any(location in one.location and words in one.found for one in findings), findings
     assert all(one.expected and one.action for one in findings)
 
 
@@ -179,7 +179,7 @@ def test_spans_are_found_whose_regulator_was_turned_to_read_right(
             own.regulator(atmosphere + (pressure - atmosphere) / 0.8)
 
         findings = check_inputs(machine, own._replace(regulator=turned_to_read_right), wired)[1]
-    assert [one.place for one in findings] == ["supply sensor"] * len(PRESSURES)
+    assert [one.location for one in findings] == ["supply sensor"] * len(PRESSURES)
     assert "by the gauge" in findings[-1].found
 
 

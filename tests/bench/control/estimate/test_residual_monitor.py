@@ -388,8 +388,8 @@ def test_an_observer_that_met_nan_once_begins_again(joint: int) -> None:
     run(60)
     for spoilt, name in ((readings, "chamber_pressure"), (estimator, "angle"), (model, "air")):
         before = spoilt[name].copy()
-        place = 6 + 2 * joint if name == "air" else 2 * joint if name == "chamber_pressure" else joint
-        spoilt[name][0, place] = np.nan
+        location = 6 + 2 * joint if name == "air" else 2 * joint if name == "chamber_pressure" else joint
+        spoilt[name][0, location] = np.nan
         run(1)
         spoilt[name] = before
         run(60)

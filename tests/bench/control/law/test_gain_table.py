@@ -62,8 +62,8 @@ def test_gains_set_by_hand_are_exactly_those(pose: tuple[float, float, float]) -
 def test_between_poses_gains_are_interpolated_and_outside_the_border_holds(
     pose: tuple[float, float, float],
 ) -> None:
-    place = np.clip((np.array(pose) - LOWER) / SPACING, 0.0, np.array(SHAPE) - 1.0)
-    expected = (1 + place @ [1.0, 10.0, 100.0]) * np.arange(1, 16).reshape(5, 3)
+    location = np.clip((np.array(pose) - LOWER) / SPACING, 0.0, np.array(SHAPE) - 1.0)
+    expected = (1 + location @ [1.0, 10.0, 100.0]) * np.arange(1, 16).reshape(5, 3)
     found = gains_along(record(linear()), np.array([pose]))[0]
     assert found == pytest.approx(expected, rel=1e-12)
 

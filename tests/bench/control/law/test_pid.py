@@ -133,8 +133,8 @@ def test_the_integral_may_bring_the_output_to_its_limit() -> None:
 
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")  # plain Python warns of 0 × inf
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("place", range(6))
-def test_what_is_not_finite_shows_and_leaves_no_trace(bad: float, place: int) -> None:
+@pytest.mark.parametrize("location", range(6))
+def test_what_is_not_finite_shows_and_leaves_no_trace(bad: float, location: int) -> None:
     parameters = designed(derivative=(0.1, 0.2, 0.3))
     signals: list[Any] = [np.full(3, 0.01 * k) for k in range(5)]
     state = begun(parameters)
@@ -142,14 +142,14 @@ def test_what_is_not_finite_shows_and_leaves_no_trace(bad: float, place: int) ->
     before = state["integral"].copy()
     broken = [s.copy() for s in signals]
     dt = PERIOD
-    if place < 5:
-        broken[place][1] = bad
+    if location < 5:
+        broken[location][1] = bad
     else:
         dt = bad
     tick(state, parameters, *broken, dt)
     assert np.isnan(state["output"][0, 1])
     assert np.isnan(state["unsaturated"][0, 1])
-    assert np.all(np.isfinite(state["output"][0, [0, 2]])) or place == 5
+    assert np.all(np.isfinite(state["output"][0, [0, 2]])) or location == 5
     assert state["integral"][0, 1] == before[0, 1]
     tick(state, parameters, *signals, PERIOD)
     assert np.all(np.isfinite(state["output"]))

@@ -52,7 +52,7 @@ LAUNCH = launch_to_json(FULL)
 
 
 @pytest.mark.parametrize(
-    ("changes", "place", "found"),
+    ("changes", "location", "found"),
     [
         ({"version": 2}, "", "b'"),
         ({"outcome": "won"}, ".outcome", '"won"'),
@@ -71,10 +71,10 @@ LAUNCH = launch_to_json(FULL)
         ({"launch": {name: v for name, v in LAUNCH.items() if name != "spin"}}, ".launch.spin", "nothing"),
     ],
 )
-def test_what_is_no_shot_is_refused_at_its_place(changes: dict[str, Any], place: str, found: str) -> None:
+def test_what_is_no_shot_is_refused_at_its_place(changes: dict[str, Any], location: str, found: str) -> None:
     with pytest.raises(BenchError) as refused:
         read_shot_message(json.dumps({**MESSAGE, **changes}).encode())
-    assert refused.value.location == f"shot message{place}"
+    assert refused.value.location == f"shot message{location}"
     assert refused.value.found.startswith(found)
 
 

@@ -148,9 +148,15 @@ def test_the_bytes_are_on_the_disk_before_the_name_and_the_name_before_it_ends(
     real_sync, real_replace = os.fsync, Path.replace
 
     def sync(descriptor: int) -> None:
-        place = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
-        kind = "folder" if place == tmp_path else "partial file" if ".partial" in place.name else place.name
-        size = 0 if place == tmp_path else place.stat().st_size
+        location = Path(os.readlink(f"/proc/self/fd/{descriptor}"))
+        kind = (
+            "folder"
+            if location == tmp_path
+            else "partial file"
+            if ".partial" in location.name
+            else location.name
+        )
+        size = 0 if location == tmp_path else location.stat().st_size
         steps.append((f"sync {kind}", path.exists(), size))
         real_sync(descriptor)
 

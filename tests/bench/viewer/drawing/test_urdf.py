@@ -193,8 +193,8 @@ class PinocchioReader:
         library, model, data = self._pin, self._model, self._data
         library.computeJointJacobians(model, data, position)
         club, arm = (model.getJointId(name) for name in ("wrist", "arm"))
-        place = data.oMi[club].act(pin)
-        there = library.SE3(np.eye(3), place)
+        location = data.oMi[club].act(pin)
+        there = library.SE3(np.eye(3), location)
         world = [library.getJointJacobian(model, data, i, library.ReferenceFrame.WORLD) for i in (club, arm)]
         moved = there.toActionMatrixInverse() @ (world[0] - world[1])
         return np.array((data.oMi[arm].rotation[:, 0] @ moved[:3])[self._order])
@@ -241,10 +241,10 @@ class MujocoReader:
         data.qpos[self._order], _ = with_right_arm(self._robot, q, np.zeros(3))
         self._mujoco.mj_forward(self._model, data)
         club, arm = data.body("club"), data.body("left_arm")
-        place = club.xpos + club.xmat.reshape(3, 3) @ pin
+        location = club.xpos + club.xmat.reshape(3, 3) @ pin
         moved = np.zeros((2, 3, self._model.nv))
         for jacobian, link in zip(moved, (club, arm), strict=True):
-            self._mujoco.mj_jac(self._model, data, jacobian, None, place, link.id)
+            self._mujoco.mj_jac(self._model, data, jacobian, None, location, link.id)
         return np.array((arm.xmat.reshape(3, 3)[:, 0] @ (moved[0] - moved[1]))[self._order])
 
 
