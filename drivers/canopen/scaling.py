@@ -100,8 +100,8 @@ def check_stored(node: Node, inverted: bool, stored: bool) -> None:
     if inverted and not stored:
         raise DriverError(
             f"{node.location(0x6202, 1, POLARITY[0x6202])}: found inverted outputs, and the device cannot "
-            "store the change (1010h), so they are energised after a loss of power; set the polarity to 0 with "
-            "the device's own tool, or use another device"
+            "store the change (1010h), so they are energised after a loss of power; set the polarity to 0 "
+            "with the device's own tool, or use another device"
         )
 
 
@@ -333,6 +333,6 @@ def _wrong_resolution(node: Node, scale: EncoderScale, counts: int) -> DriverErr
         )
     scaled = f" scaled to {scale.units} (6000h bit 2, 6001h)," if scale.scaled else ""
     return DriverError(
-        f"{location}: found {scale.disc},{scaled} expected {counts}; set plant.encoders.counts_per_revolution "
-        f"= {scale.disc} if this is the right encoder: the startup switches scaling off"
+        f"{location}: found {scale.disc},{scaled} expected {counts}; set "
+        f"plant.encoders.counts_per_revolution = {scale.disc} if this is the right encoder: the startup switches scaling off"
     )
