@@ -334,5 +334,6 @@ def _wrong_resolution(node: Node, scale: EncoderScale, counts: int) -> DriverErr
     scaled = f" scaled to {scale.units} (6000h bit 2, 6001h)," if scale.scaled else ""
     return DriverError(
         f"{location}: found {scale.disc},{scaled} expected {counts}; set "
-        f"plant.encoders.counts_per_revolution = {scale.disc} if this is the right encoder: the startup switches scaling off"
+        f"plant.encoders.counts_per_revolution = {scale.disc} if this is the right encoder: the startup "
+        "switches scaling off"
     )

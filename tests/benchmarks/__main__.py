@@ -21,6 +21,7 @@ BENCHMARKS = (
     "campaign_kills",
     "campaign_speed",
     "campaign_statistics",
+    "canopen_commissioning",
     "canopen_reactions",
     "command_fuzz",
     "commissioning",
