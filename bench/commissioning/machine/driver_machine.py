@@ -113,8 +113,8 @@ class DriverMachine:
         self._failed, self._fault, self._inputs_only = 0, _Fault(), inputs_only
         self._place = "check of the inputs" if inputs_only else "commission"
         self._again = "begin again." if inputs_only else _RESUME
-        self._stall = self._stalled_at = 0.0
-        """Duration and end of the last stall, s."""
+        self._stall, self._stalled_at = "", 0.0
+        """The last stall in words, and its end (s)."""
         self._seen = deque[NDArray[np.int64]](maxlen=_SPEED_SPAN + 1)
         self._readings = new_record(READINGS)
         self._readings["chamber_pressure"] = self._readings["supply_pressure"] = ABSENT
@@ -125,6 +125,7 @@ class DriverMachine:
         self._began = self._stalled_at = self._now
         self._read()
         self._await_readings()
+        self._stall = ""
 
     def __enter__(self) -> Self:
         return self
@@ -337,13 +338,20 @@ class DriverMachine:
         """Wait for the next tick, and note a stall before it."""
         before, self._now = self._now, self._clock.wait()
         if self._now - before > _STALL * self._tick:
-            self._stall, self._stalled_at = self._now - before, self._now
+            duration = f"{1e3 * (self._now - before):.0f} ms"
+            self._stall = f"this program stood still for {duration}, a stall of the computer"
+            self._stalled_at = self._now
 
     def _read(self) -> None:
         """Take the readings; a pressure without a believable value keeps its last one, and is a problem."""
         before = self._readings["chamber_pressure"].copy(), self._readings["supply_pressure"].copy()
         self._read_record(self._now, self._readings)
         self._fault = self._problem()
+        seen, age = self._readings["encoder_valid"][0] != 0, self._readings["encoder_age"][0]
+        if not np.any(seen & (age < _STALL * self._tick)):
+            # Not a cable: it takes one. Pressures come more rarely, and are missed for longer.
+            self._stall = "all encoders were silent at once: their bus or, of a simulated robot, the computer"
+            self._stalled_at = self._now
         for name, last in zip(("chamber_pressure", "supply_pressure"), before, strict=True):
             given = self._readings[name]
             np.copyto(given, last, where=~np.isfinite(given) & np.isfinite(last))
@@ -369,9 +377,8 @@ class DriverMachine:
         self.make_passive()
         expected, text, action = "a machine that reads and may move", self._fault.text, self._fault.action
         if self._fault.of_device and self._stall and self._now - self._stalled_at < _STALL_FELT:
-            stall = f"this program stood still for {1e3 * self._stall:.0f} ms, a stall of the computer"
-            text = f"{text}, after {stall}"
-            action = f"End other programs, see golfbench doctor, then {self._again}"
+            text = f"{text}, after {self._stall}"
+            action = f"End other programs, look at the bus, see golfbench doctor, then {self._again}"
             raise Stalled(self._place, text, expected, action)
         raise Refused(self._place, text, expected, action)
 

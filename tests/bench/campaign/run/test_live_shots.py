@@ -699,7 +699,7 @@ def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_r
 ) -> None:
     urls = tmp_path / "notify.urls"
     file = write_configuration(
-        tmp_path, "clubs", f'[lifecycle]\nseries = true\n[notifications]\nfile = "{urls}"\n'
+        tmp_path, "clubs", f'[lifecycle]\nhold_between_swings = true\n[notifications]\nfile = "{urls}"\n'
     )
     (tmp_path / "plan.toml").write_text(TWO_CLUBS)
     data_dir = load_configuration(file).bench.data_dir
@@ -756,7 +756,7 @@ def wait_for(store: CampaignStore, name: str, state: CampaignState, process: sub
 @pytest.mark.paced
 @pytest.mark.timeout(600)
 def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
-    file = write_configuration(tmp_path, "obeys", "[lifecycle]\nseries = true\n")
+    file = write_configuration(tmp_path, "obeys", "[lifecycle]\nhold_between_swings = true\n")
     (tmp_path / "plan.toml").write_text(PLAN.replace("blocks = 1", "blocks = 3"))
     data_dir = load_configuration(file).bench.data_dir
 
@@ -865,7 +865,7 @@ def test_a_swing_is_relearned_on_the_bench_without_a_ball(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """That it drifts is said here; a simulated robot of a running bench does not."""
-    file = write_configuration(tmp_path, "relearned", "[lifecycle]\nseries = true\n")
+    file = write_configuration(tmp_path, "relearned", "[lifecycle]\nhold_between_swings = true\n")
     (tmp_path / "plan.toml").write_text(PLAN + "[learning]\nrefresh = true\nswings = 1\n")
     configuration = load_configuration(file)
     plan = load_plan(tmp_path / "plan.toml", configuration)

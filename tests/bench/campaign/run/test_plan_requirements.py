@@ -53,7 +53,7 @@ def test_check_says_with_which_option_the_bench_is_to_be_started(
     tmp_path: Path, series: bool, profile: str, warned: bool
 ) -> None:
     file = tmp_path / "bench.toml"
-    file.write_text(f'base = "shipped"\n[lifecycle]\nseries = {str(series).lower()}\n')
+    file.write_text(f'base = "shipped"\n[lifecycle]\nhold_between_swings = {str(series).lower()}\n')
     shipped = (resources.files("bench") / "campaigns" / "two-balls.toml").read_text()
     free = replace(load_profile(find_profile("default")), name="free", air=(), air_supply=0.0)
     save_profile(tmp_path / "free.toml", free)

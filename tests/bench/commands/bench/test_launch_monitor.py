@@ -44,7 +44,7 @@ pytestmark = [
 def configuration(folder: Path, name: str) -> tuple[Path, int]:
     port = free_port()
     text = (
-        "[lifecycle]\nseries = true\n"
+        "[lifecycle]\nhold_between_swings = true\n"
         f"[launch_monitor]\nenabled = true\nport = {port}\n"
         f"[launch_monitor.window]\nlatest = {LATEST}\npatience = 12.0\n"
     )

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
+import numpy as np
 import pytest
 
 from bench.base.errors import Refused
 from bench.commissioning.machine.driver_machine import DriverMachine, Stalled
 from bench.commissioning.machine.machine import MotionBounds, Segment
+from drivers.base import INVALID
 from sim.driver import SimDriver
 from sim.plant import PlantParameters, build_plant
 
@@ -65,3 +68,30 @@ def test_driver_machine_that_goes_passive_reports_the_stall_before_it(
         assert type(refused.value) is error
         assert re.search(found, refused.value.found)
         assert action in refused.value.action
+
+
+class SilentDriver(SimDriver):
+    """Its first `silent` encoders give no readings for 4 ms; pressures come again 40 ms later."""
+
+    silent = 3
+
+    def read_record(self, time: float, record: np.ndarray[Any, Any]) -> None:
+        super().read_record(time, record)
+        if 0.1 <= time < 0.104:
+            record["encoder_valid"][0, : self.silent] = 0
+        if 0.104 <= time < 0.144:
+            record["supply_pressure"] = INVALID
+
+
+@pytest.mark.parametrize(("silent", "error"), [(3, Stalled), (2, Refused), (0, Refused)])
+def test_driver_machine_attributes_lost_pressures_to_silence_of_all_encoders(
+    silent: int, error: type[Refused]
+) -> None:
+    driver = SilentDriver(build_plant(PLANT))
+    driver.silent = silent
+    with DriverMachine(driver, PLANT) as machine:
+        with pytest.raises(Refused) as refused:
+            machine.run((Segment(0.3, (0.0, 0.0, 0.0)),), BOUNDS)
+        assert type(refused.value) is error
+        assert "supply" in refused.value.found
+        assert ("all encoders were silent at once" in refused.value.found) is (silent == 3)
