@@ -22,7 +22,7 @@ from bench.control.monitor.pressure_monitor import air_cause
 from bench.control.moves.address_pressure import address_air_cause
 from bench.control.moves.first_motion import first_motion_cause
 from bench.control.moves.homing import search_cause
-from bench.control.moves.initial_clearance import watch_low_head
+from bench.control.moves.initial_clearance import monitor_low_head
 from bench.control.moves.references import charging
 from bench.control.states import disarm, react
 from drivers.base.compiled import compiled
@@ -81,15 +81,15 @@ def monitor_motion(
             react(state, parameters, int(s.homing.index_wrong), READINGS_VALID, time)
         # A stop needs its valves and encoders as much as a swing does: it is monitored, too.
         if s.reaction > Reaction.COMPLETE:
-            _watch_braking(state, parameters, readings, time)
+            _monitor_braking(state, parameters, readings, time)
         elif s.phase == Phase.HOMING:
-            _watch_search(state, parameters, time)
+            _monitor_search(state, parameters, time)
         else:
-            _watch_swing(state, parameters, readings, time)
+            _monitor_swing(state, parameters, readings, time)
 
 
 @compiled
-def _watch_braking(state: Any, parameters: Any, readings: Any, time: float) -> None:
+def _monitor_braking(state: Any, parameters: Any, readings: Any, time: float) -> None:
     """Escalate a BRAKE that does not fit the model, and name one that has lost its supply.
 
     The envelope has nothing to add: without a reference no following error exists, and for its other limits
@@ -127,7 +127,7 @@ def _note_doubted(s: Any, limits: Any, e: Any, broken: int) -> None:
 
 
 @compiled
-def _watch_search(state: Any, parameters: Any, time: float) -> None:
+def _monitor_search(state: Any, parameters: Any, time: float) -> None:
     """Stop the search for an index that leaves its limits, or does not fit the model."""
     s, e, limits = state.control[0], state.estimator[0], parameters.envelope[0]
     following = limits.max_following_error[Phase.HOMING.value]
@@ -149,11 +149,11 @@ def _watch_search(state: Any, parameters: Any, time: float) -> None:
 
 
 @compiled
-def _watch_swing(state: Any, parameters: Any, readings: Any, time: float) -> None:
+def _monitor_swing(state: Any, parameters: Any, readings: Any, time: float) -> None:
     """Stop a swing, a move or a hold that leaves the envelope, or does not fit the model."""
     s = state.control[0]
     # With planned air the joints stay where they are while it comes in.
-    low = watch_low_head(s, parameters.envelope, time) if parameters.profile[0].air_planned else 0.0
+    low = monitor_low_head(s, parameters.envelope, time) if parameters.profile[0].air_planned else 0.0
     broken = motion_cause(
         parameters.envelope,
         parameters.robot,

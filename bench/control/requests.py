@@ -49,7 +49,7 @@ def is_released(s: Any) -> bool:
 
 
 @compiled
-def watch_local_reset(s: Any, readings: Any, time: float) -> None:
+def monitor_local_reset(s: Any, readings: Any, time: float) -> None:
     """Note a press of the local reset, and forget one that cannot speak for what is now.
 
     Inputs that do not arrive read False: a low level counts only while the device answers and the emergency

@@ -106,7 +106,7 @@ def _report_trapped_pressure(s: Any, trapped: int) -> None:
 
 
 @compiled
-def _watch_homing(state: Any, parameters: Any, readings: Any, time: float) -> None:
+def _monitor_homing(state: Any, parameters: Any, readings: Any, time: float) -> None:
     """Compare absolute encoders with the vented robot's pose; nothing moves before they agree."""
     s, p, e = state.control[0], parameters.control[0], state.estimator[0]
     good = True
@@ -151,7 +151,7 @@ def _forget_lost_index(s: Any, readings: Any) -> None:
 
 
 @compiled
-def _watch_access(s: Any, parameters: Any, readings: Any, interlock: int, time: float) -> None:
+def _monitor_access(s: Any, parameters: Any, readings: Any, interlock: int, time: float) -> None:
     """Latch pressure that comes back while the guard is released; end ACCESS once it is seen locked."""
     if not s.vented:
         latch(s, parameters, _cause_in_access(parameters.control[0], s, readings), time)
@@ -198,7 +198,7 @@ def monitor_standstill(
     if not s.supervisor_alive or not s.device_operational:
         latch(s, parameters, Cause.DEVICE_PASSIVE if s.supervisor_alive else Cause.SUPERVISOR, time)
     elif s.state == State.ACCESS:
-        _watch_access(s, parameters, readings, interlock, time)
+        _monitor_access(s, parameters, readings, interlock, time)
     elif s.tick > 1 and not s.measured_step > 0.0:
         latch(s, parameters, Cause.TICK_GAP, time)
     elif interlock != 0:
@@ -220,4 +220,4 @@ def monitor_standstill(
         if not s.lease_held:
             disarm(s, parameters, time)
         else:
-            _watch_homing(state, parameters, readings, time)
+            _monitor_homing(state, parameters, readings, time)

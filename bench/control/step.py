@@ -21,17 +21,17 @@ from bench.control.estimate.residual_monitor import observe
 from bench.control.law.feed_forward import PNEUMATIC
 from bench.control.law.gain_table import supply_factor
 from bench.control.monitor.encoder_monitor import index_cause
-from bench.control.monitor.exhaust_monitor import watch_exhausts
-from bench.control.monitor.guard_lock_monitor import watch_lock
-from bench.control.monitor.manifold_monitor import watch_manifold
-from bench.control.monitor.pressure_monitor import VENTS, air_fault, watch_air
+from bench.control.monitor.exhaust_monitor import monitor_exhausts
+from bench.control.monitor.guard_lock_monitor import monitor_guard_lock
+from bench.control.monitor.manifold_monitor import monitor_manifold
+from bench.control.monitor.pressure_monitor import VENTS, air_fault, monitor_pressures
 from bench.control.motion_monitor import monitor_motion, monitor_permission
 from bench.control.moves.braking import brake, brake_blind, wait_passive
 from bench.control.moves.homing import bounded
 from bench.control.moves.motion import follow
 from bench.control.moves.turf_avoidance import escape
 from bench.control.request_actions import execute_request
-from bench.control.requests import handle_request, is_released, watch_local_reset
+from bench.control.requests import handle_request, is_released, monitor_local_reset
 from bench.control.standstill_monitor import monitor_standstill
 from bench.control.states import filter_velocity, is_at_rest
 from bench.control.step_records import ControlParameters, ControlState
@@ -72,7 +72,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
         parameters.robot[0], e.angle[0], e.angle[1], e.angle[2], e.velocity[0], e.velocity[1], e.velocity[2]
     )
     _observe(state, parameters, readings, elapsed)
-    _watch_inputs(state, parameters, readings, elapsed, time)
+    _monitor_inputs(state, parameters, readings, elapsed, time)
     s.encoder_fault = readings_cause(parameters.envelope, state.estimator)
     _note_lost_index(s, readings)
     s.encoders_seen_valid = s.encoders_seen_valid or s.encoder_fault == 0
@@ -118,13 +118,13 @@ def _observe(state: Any, parameters: Any, readings: Any, elapsed: float) -> None
 
 
 @compiled
-def _watch_inputs(state: Any, parameters: Any, readings: Any, elapsed: float, time: float) -> None:
+def _monitor_inputs(state: Any, parameters: Any, readings: Any, elapsed: float, time: float) -> None:
     """Judge sensors, vents, manifold, guard's lock and index `elapsed` s after the last tick."""
     s, p = state.control[0], parameters.control[0]
-    watch_air(s, p, readings, s.exhaust_closed, elapsed, time)
-    watch_manifold(s, p, parameters.plant[0], readings, s.exhaust_closed, elapsed)
-    watch_exhausts(s, p, parameters.robot, parameters.plant[0], state.estimator[0], readings, elapsed)
-    watch_lock(s, readings, is_released(s), time)
+    monitor_pressures(s, p, readings, s.exhaust_closed, elapsed, time)
+    monitor_manifold(s, p, parameters.plant[0], readings, s.exhaust_closed, elapsed)
+    monitor_exhausts(s, p, parameters.robot, parameters.plant[0], state.estimator[0], readings, elapsed)
+    monitor_guard_lock(s, readings, is_released(s), time)
     s.homing.index_wrong = index_cause(s, p, state.encoder[0], parameters.encoder[0], state.estimator[0])
 
 
@@ -144,7 +144,7 @@ def decide_tick(state: ControlState, parameters: ControlParameters, readings: An
     if not np.isfinite(time):
         time = s.time
     interlock = interlock_cause(readings)
-    watch_local_reset(s, readings, time)
+    monitor_local_reset(s, readings, time)
     if not is_at_rest(s, parameters.control[0]):
         s.moved_at = time
     request = handle_request(state, parameters, readings, time)

@@ -116,7 +116,7 @@ class Watch:
         moving = np.flatnonzero((np.abs(cycles["plant_velocity"]) > _STILL).any(axis=1))
         if len(moving):
             self.rest_tick = self.ticks + int(moving[-1]) + 1
-        self._watch_access(cycles)
+        self._monitor_access(cycles)
         empty = np.flatnonzero(cycles["vented"])
         if len(empty) and self.vented_tick < 0 and self.state in _LATCHED:
             self.vented_tick = self.ticks + int(empty[0])
@@ -127,7 +127,7 @@ class Watch:
             self.device_passive = self.ticks + max(0, ticks - 1)
         self.ticks += ticks
 
-    def _watch_access(self, cycles: Cycles) -> None:
+    def _monitor_access(self, cycles: Cycles) -> None:
         """Note pressure and motion from a release of the guard until a person has secured it."""
         ran = cycles["tick"] > 0
         released = np.flatnonzero(ran & ~cycles["guard_lock"])

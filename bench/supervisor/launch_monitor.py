@@ -70,7 +70,7 @@ class ShotPresence:
         return self._unanswered is None or now - self._unanswered <= SEEN_WITHIN
 
 
-class ArmingWatch:
+class ArmingMonitor:
     """Follows the state of the bench; for one run of its loop."""
 
     def __init__(self) -> None:
@@ -130,7 +130,7 @@ class LaunchMonitorService:
         self._book = ShotMatcher(settings.window, plan.plant, around)
         self._per_shot, self._presence = settings.presence == "per_shot", ShotPresence()
         self._lost = 0
-        self._arming = ArmingWatch()
+        self._arming = ArmingMonitor()
         self._fault = "not listening yet"
         self._listen_at = self._link_at = -float("inf")
         self._linked: Any = None

@@ -33,7 +33,7 @@ from bench.base.errors import BenchError, ExitCode
 from bench.base.lifecycle import Cause, State
 from bench.records.shot.ball_struck import ball_struck
 from bench.records.shot.recorded_shot import FlightConditions, shot_of_cycles, shot_to_json, warm_up_shots
-from bench.records.shot.swing_drift import DriftWatch, strike_seen
+from bench.records.shot.swing_drift import DriftMonitor, strike_seen
 from bench.records.telemetry.record_queue import (
     QueuedRecord,
     RecordQueue,
@@ -148,7 +148,7 @@ class Recorder:
         self._queue = RecordQueue(plan.waiting, _PAUSE)
         self._timing = None if plan.timing is None else TimingReader(plan.timing)
         self._timed = None if self._timing is None else self._timing.snapshot()
-        self._drift = DriftWatch()
+        self._drift = DriftMonitor()
         self._swings = plan.data_dir / "swings" / plan.bench
         remove_partial(self._swings)
         self._number = int(self._heartbeat.last["done"][0])

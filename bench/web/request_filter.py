@@ -168,17 +168,17 @@ def http_protocol() -> type[asyncio.Protocol]:
                 return
             name = common_name(transport.get_extra_info("peercert"))
             self.app = _with_state(self.app, {"certificate": name, "abort": transport.abort})
-            self._watch_head()
+            self._monitor_head()
 
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
-            self._watch_head()
+            self._monitor_head()
 
         def connection_lost(self, exc: Exception | None) -> None:
             self._stop_watch()
             super().connection_lost(exc)
 
-        def _watch_head(self) -> None:
+        def _monitor_head(self) -> None:
             if self.conn.their_state is not h11.IDLE:
                 self._stop_watch()
             elif self._head is None:

@@ -132,11 +132,11 @@ def play(
     from drivers.base import Launch
     from drivers.base.shared_record import SharedMemoryError
     from sim.launch_monitor import ClubMotion, SimulatedMonitor
-    from sim.live.contact_watch import ContactWatch, warm_up
+    from sim.live.contact_monitor import ContactMonitor, warm_up
 
     warm_up()
     _carry(Launch(60.0, 0.2, 0.0, 250.0, 0.0), folder, plant, around)
-    watch, monitor = ContactWatch(folder), SimulatedMonitor(parameters, *address)
+    watch, monitor = ContactMonitor(folder), SimulatedMonitor(parameters, *address)
     where = f"{address[0]} port {address[1]}"
     place = plant.site.ball_x, plant.site.ball_y
     balls, attach_at = 0, -1.0

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from bench.commissioning.steps.inputs_check import WatchedMachine
     from bench.config import Configuration
     from bench.control.settings import EnvelopeSettings
-    from sim.live.contact_watch import ContactWatch
+    from sim.live.contact_monitor import ContactMonitor
     from sim.plant import PlantParameters
 
 Simulated = Annotated[bool, flag("--sim", "Simulate the robot in lock-step.")]
@@ -254,7 +254,7 @@ def _live(
     from bench.commissioning.machine.inputs import in_simulation
     from bench.commissioning.machine.live_robot import OperatorIO, live_robot
     from bench.supervisor.ownership import take_bench
-    from sim.live.contact_watch import ContactWatch
+    from sim.live.contact_monitor import ContactMonitor
 
     def say(text: str) -> None:
         bar.console.print(text, highlight=False)
@@ -262,7 +262,7 @@ def _live(
     c, supply = configuration, configuration.plant.supply
     with take_bench(c.bench.id) as owner:
         if c.driver.name == "sim":
-            marks = ContactWatch(owner.folder)
+            marks = ContactMonitor(owner.folder)
             plant = in_simulation(owner.folder, supply.pressure, supply.atmosphere)
             hands = OperatorIO(
                 plant.turn,
@@ -312,7 +312,7 @@ def _hands_of_person(
     return OperatorIO(turned_once(turn), say, person, act=saying(say), gauge=gauge)
 
 
-def _mark_in(contacts: ContactWatch, truth: PlantParameters) -> tuple[float, float] | None:
+def _mark_in(contacts: ContactMonitor, truth: PlantParameters) -> tuple[float, float] | None:
     """Return the mark of the newest of the simulated `contacts` on the club of `truth`."""
     from bench.commissioning.machine.step import read_mark
 

@@ -29,7 +29,7 @@ _LONGEST = 0.02
 
 
 @compiled
-def watch_exhausts(s: Any, p: Any, robot: Any, plant: Any, e: Any, readings: Any, step: float) -> None:
+def monitor_exhausts(s: Any, p: Any, robot: Any, plant: Any, e: Any, readings: Any, step: float) -> None:
     """Judge each chamber that a living sensor shows, `step` s after the last tick.
 
     `plant` is one of PLANT_PARAMETERS, `e` the estimator's state. Without trusted encoders, or before

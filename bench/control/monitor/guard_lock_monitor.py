@@ -17,7 +17,7 @@ UNLOCKING = 1.0
 
 
 @compiled
-def watch_lock(s: Any, readings: Any, released: bool, time: float) -> None:
+def monitor_guard_lock(s: Any, readings: Any, released: bool, time: float) -> None:
     """Compare the lock's feedback with the command; `released` was commanded in the last tick.
 
     A device that went passive locks the guard by itself.

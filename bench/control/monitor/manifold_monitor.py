@@ -38,7 +38,7 @@ _LONGEST = 0.02
 
 
 @compiled
-def watch_manifold(s: Any, p: Any, plant: Any, readings: Any, powered: bool, step: float) -> None:
+def monitor_manifold(s: Any, p: Any, plant: Any, readings: Any, powered: bool, step: float) -> None:
     """Judge the manifold's sensor `step` s after the last tick, in which the supply was `powered`.
 
     `plant` is one of PLANT_PARAMETERS.

@@ -52,7 +52,7 @@ def _is_believable(p: Any, pressure: float) -> bool:
 
 
 @compiled
-def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, time: float) -> None:
+def monitor_pressures(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, time: float) -> None:
     """Judge sensors and vents `step` s after the last tick; `exhaust_closed` was commanded in it."""
     r, sensors, vents = readings[0], s.sensors, s.vents
     passed = min(step, _LONGEST)
@@ -89,11 +89,11 @@ def watch_air(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, 
         if not fitted or position == wanted or (exhaust_closed and opened):
             vents.agreed[k] = time
         vents.wrong[k] = fitted and time - vents.agreed[k] > allowed
-    _watch_shut_off(s.shut_off, p, r.shut_off_open, exhaust_closed, opened, s.tick <= 1, time)
+    _monitor_shut_off(s.shut_off, p, r.shut_off_open, exhaust_closed, opened, s.tick <= 1, time)
 
 
 @compiled
-def _watch_shut_off(
+def _monitor_shut_off(
     valve: Any, p: Any, position: float, powered: bool, opened: bool, first: bool, time: float
 ) -> None:
     """Judge the shut-off valve's `position`; open while `powered`, but where the vents `opened`.

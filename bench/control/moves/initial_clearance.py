@@ -16,7 +16,7 @@ _SLACK = 0.001
 
 
 @compiled
-def watch_low_head(s: Any, envelope: Any, time: float) -> float:
+def monitor_low_head(s: Any, envelope: Any, time: float) -> float:
     """Return by how much (m) less than the clearance is enough in this tick, from where the head rested.
 
     Only on the way to the address after arming, and never again what the head has risen by since the air.

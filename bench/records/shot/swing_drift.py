@@ -100,7 +100,7 @@ def _bend(cycles: Cycles, counts: int) -> float:
     return float(times[at + 1] + share * (times[at + 2] - times[at + 1]))
 
 
-class DriftWatch:
+class DriftMonitor:
     """Remembers the first and the latest swings of the tables in use."""
 
     def __init__(self) -> None:

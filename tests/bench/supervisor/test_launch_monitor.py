@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.base.lifecycle import State
-from bench.supervisor.launch_monitor import ArmingWatch, ShotPresence
+from bench.supervisor.launch_monitor import ArmingMonitor, ShotPresence
 
 R, A, S = State.READY, State.ARMED, State.SWINGING
 
@@ -19,10 +19,10 @@ R, A, S = State.READY, State.ARMED, State.SWINGING
 def test_each_arming_counts_once(states: list[State], times: int) -> None:
     cycles = np.zeros(len(states), [("state", "u1")])
     cycles["state"] = states
-    each = ArmingWatch()
+    each = ArmingMonitor()
     assert sum(each.take(cycles[n : n + 1]) for n in range(len(states))) == times
     for cut in range(len(states) + 1):
-        watch = ArmingWatch()
+        watch = ArmingMonitor()
         edges = pairwise(accumulate([0, cut, len(states) - cut]))
         assert any([watch.take(cycles[start:end]) for start, end in edges]) is (times > 0)
 

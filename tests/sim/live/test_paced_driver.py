@@ -12,7 +12,7 @@ import pytest
 from drivers.base import PASSIVE, DriverError
 from sim.ball import Ball
 from sim.driver import SimDriver
-from sim.live.contact_watch import ContactWatch, warm_up
+from sim.live.contact_monitor import ContactMonitor, warm_up
 from sim.live.exchange import REPORT_FILE, SURROUNDINGS_FILE
 from sim.live.paced_driver import PacedPlantDriver
 from sim.live.surroundings import SurroundingsWriter
@@ -35,7 +35,7 @@ def strike(driver: PacedPlantDriver, time: float, speed: float) -> None:
     driver.read(time)
 
 
-def attached(watch: ContactWatch) -> bool:
+def attached(watch: ContactMonitor) -> bool:
     watch.attach()
     return watch.attached
 
@@ -72,7 +72,7 @@ def test_hands_around_it(driver: PacedPlantDriver, tmp_path: Path) -> None:
 
 
 def test_each_ball_is_seen_once_and_plants_may_come_and_go(driver: PacedPlantDriver, tmp_path: Path) -> None:
-    watch = ContactWatch(tmp_path)
+    watch = ContactMonitor(tmp_path)
     assert watch.look() is None  # not attached yet
     assert attached(watch)
     assert watch.look() is None
@@ -101,7 +101,7 @@ def test_each_ball_is_seen_once_and_plants_may_come_and_go(driver: PacedPlantDri
 
 def test_the_launch_of_a_contact_is_compiled_beforehand(driver: PacedPlantDriver, tmp_path: Path) -> None:
     warm_up()
-    watch = ContactWatch(tmp_path)
+    watch = ContactMonitor(tmp_path)
     assert attached(watch)
     strike(driver, 0.001, 60.0)
     contact = watch.look()

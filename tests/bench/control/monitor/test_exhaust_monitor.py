@@ -11,7 +11,7 @@ import pytest
 from bench.base.lifecycle import Cause, Phase, Refusal, Request, State
 from bench.control.estimate.air import actuator_motion
 from bench.control.estimate.estimator import ESTIMATOR_STATE
-from bench.control.monitor.exhaust_monitor import LATE, SLOWEST, exhaust_cause, watch_exhausts
+from bench.control.monitor.exhaust_monitor import LATE, SLOWEST, exhaust_cause, monitor_exhausts
 from bench.control.monitor.pressure_monitor import SWITCHING, air_fault
 from bench.control.settings import holding_pressure
 from bench.control.step_records import CONTROL_PARAMETERS, CONTROL_STATE
@@ -62,7 +62,7 @@ class Exhausts:
                 chambers(plant, i, self.pressure, self.rate, 0.0, position, speed, vent)
             self.pressure[6:12] += TICK * self.rate[6:12]
             self.control["sensors"]["shown"][0, 1:] = self.pressure[6:12] + self.shown
-            watch_exhausts(
+            monitor_exhausts(
                 self.control[0], self.limits[0], BUILT.robot, BUILT.plant[0], e, self.readings, TICK
             )
         return self

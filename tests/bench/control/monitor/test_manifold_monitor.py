@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from bench.base.lifecycle import Cause, Refusal, Request, State
-from bench.control.monitor.manifold_monitor import LATE, MARGIN, PROOF_TIME, SHUTTING, watch_manifold
+from bench.control.monitor.manifold_monitor import LATE, MARGIN, PROOF_TIME, SHUTTING, monitor_manifold
 from bench.control.step_records import CONTROL_PARAMETERS, CONTROL_STATE
 from drivers.base.compiled import new_record
 from drivers.base.records import READINGS
@@ -35,7 +35,7 @@ class Manifold:
     def tick(self, shown: float, *, powered: bool = False, step: float = 1e-3) -> None:
         self.shown = shown
         self.readings["supply_pressure"] = shown
-        watch_manifold(self.control[0], self.limits[0], PLANT[0], self.readings, powered, step)
+        monitor_manifold(self.control[0], self.limits[0], PLANT[0], self.readings, powered, step)
 
     def fall(self, constant: float, seconds: float, end: float = ATMOSPHERE) -> Manifold:
         """Shut the supply; let the sensor fall to `end` (Pa) with a time constant of `constant` s."""

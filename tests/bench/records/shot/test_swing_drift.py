@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from bench.config import load_configuration, shipped_configuration
-from bench.records.shot.swing_drift import LASTING, NEEDED, REFERENCE, DriftWatch, ObservedImpact, strike_seen
+from bench.records.shot.swing_drift import (
+    LASTING,
+    NEEDED,
+    REFERENCE,
+    DriftMonitor,
+    ObservedImpact,
+    strike_seen,
+)
 from bench.simulation.plant_variation import healthy_plant
 from bench.simulation.series import Bench, Series
 from bench.swing.library import find_profile
@@ -19,16 +26,16 @@ from sim.plant import PlantParameters, build_plant
 from tests.compiled_only import needs_speed
 
 
-def watch_after(swings: int, scatter: float = 0.0, seed: int = 1) -> DriftWatch:
+def watch_after(swings: int, scatter: float = 0.0, seed: int = 1) -> DriftMonitor:
     """Return a watch that has seen healthy `swings`, 43 m/s on average."""
-    random, watch = np.random.default_rng(seed), DriftWatch()
+    random, watch = np.random.default_rng(seed), DriftMonitor()
     for _ in range(swings):
         seen = ObservedImpact(43.0 * (1.0 + scatter * random.normal()), 0.25 + 0.003 * random.normal())
         assert watch.take(seen, "a").warnings == ()
     return watch
 
 
-def lost(watch: DriftWatch, share: float, swings: int, tables: str = "a") -> list[tuple[str, ...]]:
+def lost(watch: DriftMonitor, share: float, swings: int, tables: str = "a") -> list[tuple[str, ...]]:
     return [watch.take(ObservedImpact(43.0 * (1.0 - share), 0.25), tables).warnings for _ in range(swings)]
 
 
@@ -72,7 +79,7 @@ def test_a_ball_that_is_met_elsewhere_is_a_warning_at_once(off: float) -> None:
 
 
 def test_json_has_no_nan() -> None:
-    told = DriftWatch().take(ObservedImpact(43.0, nan), "a").as_json()
+    told = DriftMonitor().take(ObservedImpact(43.0, nan), "a").as_json()
     assert told["club_speed_mps"] == 43.0
     assert told["ball_met_m"] is told["first_ball_met_m"] is None
 
@@ -87,7 +94,7 @@ def shipped() -> tuple[Series, Any, PlantParameters]:
     return Series(Bench(c.plant, profile, c.control, envelope, c.estimator), plant), profile, plant
 
 
-def swung(watch: DriftWatch, series: Series, profile: Any, counts: int) -> tuple[str, ...]:
+def swung(watch: DriftMonitor, series: Series, profile: Any, counts: int) -> tuple[str, ...]:
     cycles = series.swing(profile).cycles
     seen = strike_seen(cycles, counts, struck=True)
     assert seen is not None
@@ -99,7 +106,7 @@ def swung(watch: DriftWatch, series: Series, profile: Any, counts: int) -> tuple
 @pytest.mark.parametrize("joint", range(3))
 def test_an_encoder_that_slipped_by_twenty_millirad_shows_where_the_ball_is_met(joint: int) -> None:
     series, profile, plant = shipped()
-    counts, watch = plant.encoders.counts_per_revolution, DriftWatch()
+    counts, watch = plant.encoders.counts_per_revolution, DriftMonitor()
     for _ in range(NEEDED + 1):
         assert swung(watch, series, profile, counts) == ()
     for part in range(1, 11):  # it crept in, so that no sample jumps

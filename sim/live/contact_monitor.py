@@ -17,7 +17,7 @@ def warm_up() -> None:
     _ = Contact(0.0, at_rest, at_rest, (60.0, 10.0, 0.0), (0.0, 0.0, -300.0)).launch
 
 
-class ContactWatch:
+class ContactMonitor:
     """Reads the report of the plant in a folder; the plant may stop and restart."""
 
     def __init__(self, folder: Path) -> None:
