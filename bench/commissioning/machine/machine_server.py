@@ -145,7 +145,8 @@ class LiveSeries:
     def _swing(self, profile: Profile, *, ball: bool) -> tuple[Cycles, bool]:
         """Return the records of a swing, one a tick, and whether none is missing up to the ball."""
         operator, loop = self._operator, self._operator.stepper
-        for tries_left in reversed(range(ADDRESS_TRIES)):
+        slips, stalls = ADDRESS_TRIES, _REPEATED
+        while True:
             operator.begin_record()
             if not operator.holding():
                 self._arm()
@@ -155,17 +156,20 @@ class LiveSeries:
             try:
                 self._tee_up(ball=ball)
             except Refused:
-                if not (tries_left and self._stall()):
+                if not (stalls > 1 and self._stall()):
                     raise
             else:
                 if operator.start_swing(_SWINGS, _CHUNK):
                     break
             self._require_no_stop()
-            if not (tries_left and operator.cause):
+            if not operator.cause:
                 raise operator.refusal("the robot does not come to rest there")
-            self._say(
-                f"stopped at the address: {cause_text(operator.cause, self._stall())}; it is armed again"
-            )
+            stall = self._stall()
+            slips, stalls = (slips, stalls - 1) if stall else (slips - 1, stalls)
+            found = f"stopped at the address: {cause_text(operator.cause, stall)}"
+            if not (slips and stalls):
+                raise operator.refusal(found)
+            self._say(f"{found}; it is armed again")
         made, end = [operator.latest], len(profile.angle)
         while (done := int(made[-1]["tick"][-1]) - int(made[0]["tick"][0]) + 1) < end:
             made.append(operator.advance(min(_CHUNK, end - done), Request.STOP if operator.stop() else 0))
@@ -189,10 +193,12 @@ class LiveSeries:
     def _stall(self) -> str:
         """Return the stall of this machine behind the stop in the records kept; empty without one."""
         cycles = self._operator.record()
-        stopped = np.flatnonzero(cycles["cause"])
-        if not len(stopped):
+        stops = cycles["cause"] != 0
+        if not stops.any():
             return ""
-        first, lost = int(stopped[0]), self.bench.envelope.encoder_timeout
+        # The last stop: the cause of an earlier one is latched until the robot is armed again.
+        begins = np.flatnonzero(stops & ~np.append(False, stops[:-1]))
+        first, lost = int(begins[-1]), self.bench.envelope.encoder_timeout
         cause, fault = Cause(int(cycles["cause"][first])), getattr(self._driver, "fault", "")
         if cause is Cause.TICK_GAP:
             return CAUSE_WORDS[cause][1]

@@ -42,6 +42,7 @@ from bench.commissioning.machine.machine_server import (
 from bench.commissioning.swings.robot_swings import slowed
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration
+from bench.simulation.series import ADDRESS_TRIES
 from bench.simulation.swing_operator import SwingOperator
 from bench.supervisor.ownership import take_bench
 from bench.swing.library import find_profile
@@ -364,6 +365,47 @@ def test_an_arming_that_a_stall_stopped_is_repeated_and_said(
     assert "the interlocks have not been received; it is armed again" in said[0]
     assert server.obey(Swing(slow, ball=False)).cause is Cause.NONE  # type: ignore[attr-defined]
     server.obey(Vent(40.0))
+
+
+@compiled_only
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(("stalls", "ends"), [(ADDRESS_TRIES + 1, False), (99, True)])
+def test_stalls_at_the_address_are_repeated_more_often_than_slips(
+    server: MachineServer,
+    driver: WatchedDriver,
+    configuration: Configuration,
+    slow: Profile,
+    said: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    stalls: int,
+    ends: bool,
+) -> None:
+    original, left, reads = driver.read_record, [stalls], [99]
+
+    def read(at: float, record: np.ndarray) -> None:
+        original(at, record)
+        reads[0] += 1
+        if reads[0] < 60:
+            record["encoder_valid"] = 0
+
+    start = SwingOperator.start_swing
+
+    def stalled(self: SwingOperator[Any], *given: int) -> bool:
+        if left[0]:
+            left[0], reads[0] = left[0] - 1, 0
+            self.advance(80)
+        return start(self, *given)
+
+    monkeypatch.setattr(driver, "read_record", read)
+    monkeypatch.setattr(SwingOperator, "start_swing", stalled)
+    monkeypatch.setattr("bench.commissioning.machine.machine_server._REPEATED", ADDRESS_TRIES + 2)
+    server.obey(ArmBench(bench_of(configuration, slow)))
+    if ends:
+        with pytest.raises(Refused, match=r"stopped at the address: .* all three encoders were lost at once"):
+            server.obey(Swing(slow, ball=False))
+    else:
+        assert server.obey(Swing(slow, ball=False)).cause is Cause.NONE  # type: ignore[attr-defined]
+    assert sum("stopped at the address" in text for text in said) == ADDRESS_TRIES + 1
 
 
 @compiled_only
