@@ -190,7 +190,7 @@ def show(folder: Path) -> Result:
     configuration = load_configuration(file)
     plan = load_plan(plan_file, configuration)
     with (
-        running_bench(file, clock="paced") as bench,
+        running_bench(file) as bench,
         open_database(database_url("", configuration.bench.data_dir)) as engine,
     ):
         played = Show(bench, file, CampaignStore(engine))

@@ -149,7 +149,7 @@ url, name, count, away = sys.argv[1], sys.argv[2], int(sys.argv[3]), Path(sys.ar
 entry = replace(ENTRY, id=name, bench=name)
 with open_database(make_url(url)) as engine:
     store = CampaignStore(engine)
-    store.waiting = lambda trouble: print(f"{name} waits: {trouble.state}", file=sys.stderr)
+    store.waiting = lambda locked: print(f"{name} waits: {locked.state}", file=sys.stderr)
     if name not in {found.id for found, _, _ in store.entries()}:
         store.begin(entry)
     for number in range(len(store.shots(name)) + 1, count + 1):

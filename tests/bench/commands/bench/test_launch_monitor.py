@@ -46,7 +46,7 @@ def configuration(folder: Path, name: str) -> tuple[Path, int]:
     text = (
         "[lifecycle]\nhold_between_swings = true\n"
         f"[launch_monitor]\nenabled = true\nport = {port}\n"
-        f"[launch_monitor.window]\nlatest = {LATEST}\npatience = 12.0\n"
+        f"[launch_monitor.window]\nlatest = {LATEST}\ntimeout = 12.0\n"
     )
     return write_configuration(folder, name, text), port
 
