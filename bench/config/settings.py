@@ -65,7 +65,7 @@ class DriverSettings:
 
     @property
     def paced(self) -> bool:
-        """Whether a simulated plant runs in step with the loop's ticks; otherwise the clock decides."""
+        """Whether a simulated plant runs in step with the loop's ticks; else ticks follow the wall clock."""
         return self.name == "sim"
 
 

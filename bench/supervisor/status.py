@@ -71,7 +71,7 @@ def stall_note(
     if missing or (jump and late):
         return (
             f"all three encoders were {'late' if jump else 'lost'} at once: check their bus and supply; with "
-            "a simulated robot its process stood still, a stall of this machine: that of driver "
+            "simulated nodes their process stood still, a stall of this machine; driver "
             '"sim" waits for the loop'
         )
     return ""

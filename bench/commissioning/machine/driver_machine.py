@@ -350,7 +350,10 @@ class DriverMachine:
         seen, age = self._readings["encoder_valid"][0] != 0, self._readings["encoder_age"][0]
         if not np.any(seen & (age < _STALL * self._tick)):
             # Not a cable: it takes one. Pressures come more rarely, and are missed for longer.
-            self._stall = "all encoders were silent at once: their bus or, of a simulated robot, the computer"
+            self._stall = (
+                "all encoders were silent at once, by a fault of their bus or, with simulated nodes, a stall "
+                "of the computer"
+            )
             self._stalled_at = self._now
         for name, last in zip(("chamber_pressure", "supply_pressure"), before, strict=True):
             given = self._readings[name]
