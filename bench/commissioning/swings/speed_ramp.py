@@ -163,14 +163,20 @@ def swung_slowly(
 
 
 def _for_slow_swings(known: Configuration) -> Configuration:
-    """Return `known` with openings from the model, and room for what friction holds back near the top."""
+    """Return `known` with openings from the model, and room for what friction holds back near the top.
+
+    Gains are those placed by pose, with their damping: the stiffer ones of a full downswing oscillate at
+    25 Hz in one that lasts longer.
+    """
     room = {
         phase: (_ROOM * a, _ROOM * b, _ROOM * c)
         for phase, (a, b, c) in known.envelope.max_following_error.items()
     }
     return replace(
         known,
-        control=replace(known.control, feed_forward=_FEED_FORWARD),
+        control=replace(
+            known.control, feed_forward=_FEED_FORWARD, downswing_damping=1.0, downswing_gain_factor=1.0
+        ),
         envelope=replace(known.envelope, max_following_error=room),
     )
 

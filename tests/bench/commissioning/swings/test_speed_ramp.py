@@ -82,6 +82,17 @@ def test_a_slower_swing_comes_as_fast_as_its_share(
         require_as_predicted(deviation(bench, predicted, other), other.cause, "swing of 50 %")
 
 
+@compiled_only
+def test_slow_swing_downswing_does_not_oscillate(configuration: Configuration, default: Profile) -> None:
+    slow = slow_swing(configuration, default, 0.4, SPEED)
+    swing = SimulatedRobot(configuration.plant).series(slow.bench).swing(slow.bench.profile, ball=False)
+    begins = slow.bench.profile.begins
+    rows = swing.cycles[begins[3] : begins[5]]
+    deviation_rms = np.sqrt(np.mean((rows["velocity"] - rows["reference_velocity"]) ** 2, axis=0))
+    assert not slow.designed
+    assert deviation_rms.max() < 0.5
+
+
 @pytest.mark.release
 @compiled_only
 def test_a_slow_swing_that_its_prediction_stops_is_designed(
