@@ -177,6 +177,8 @@ class LiveShots:
         self._ball_chosen, self._stays_armed = False, True
         self._events: list[tuple[str, str]] = []
         """(kind, text) of what happened on the way to the shot under way."""
+        self._drift: list[str] = []
+        """Warnings of the bench's status about the swings so far."""
 
     def __enter__(self) -> Self:
         self._operator.__enter__()
@@ -308,7 +310,14 @@ class LiveShots:
             self._practise()
             return False
         self._correct(step, status)
+        self._note_drift(status["drift"])
         return True
+
+    def _note_drift(self, warnings: list[str]) -> None:
+        """Note the drift of the robot when it is first reported, and again after swings without it."""
+        if warnings and not self._drift:
+            self._events += [("drift", f"{text}; parts: golfbench wear") for text in warnings]
+        self._drift = warnings
 
     def _note_reset(self, cause: str) -> None:
         self._events.append(("reset", f"{cause}; a simulated bench resets, homes and arms itself"))

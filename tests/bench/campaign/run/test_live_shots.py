@@ -231,6 +231,7 @@ class StandingBench:
             "tick": 1,
             "supply_pressure_pa": 8.0e5,
             "correction": 0,
+            "drift": [],
             **status,
         }
 
@@ -845,6 +846,17 @@ def test_a_swing_without_a_ball_follows_each_arming_that_brings_no_planned_air(
             source._operator.begin_swing(lambda status: source._prepare(a_step(), status), ball=True)
     assert bench.asked == asked
     assert [kind for kind, _ in source._events] == ["practice"] * (practice and not planned)
+
+
+def test_live_shots_drift_in_status_becomes_one_event(plan: CampaignPlan) -> None:
+    bench, noted = ArmableBench(series=True), list[str]()
+    with shots_of(plan, bench) as source:
+        for drift in ([], ["club speed 43.1 m/s"], ["club speed 43.0 m/s"], [], ["club speed 42.9 m/s"]):
+            bench._status["drift"] = drift
+            source._operator.begin_swing(lambda status: source._prepare(a_step(), status), ball=True)
+            noted += [text for kind, text in source._events if kind == "drift"]
+            source._events.clear()
+    assert noted == [f"club speed {speed} m/s; parts: golfbench wear" for speed in ("43.1", "42.9")]
 
 
 class Listening(Watcher):
