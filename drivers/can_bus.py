@@ -31,6 +31,8 @@ from typing import Any
 
 import can
 
+from drivers.base.clocks import WallOffset
+
 FRAME = struct.Struct("=IB3x8s")
 """`struct can_frame` of Linux: identifier with flags, length, eight bytes."""
 
@@ -73,6 +75,7 @@ class LocalSocketBus(can.BusABC):
         self.folder = folder_of(channel)
         self.channel_info = f"local_socket {self.folder}"
         self._own = receive_own_messages
+        self._wall = WallOffset()
         self._name = f"{os.getpid()}-{secrets.token_hex(4)}.sock"
         self._peers: dict[str, socket.socket] = {}
         self._down = False
@@ -232,8 +235,8 @@ class LocalSocketBus(can.BusABC):
         stamped = self._next(timeout)
         if stamped is None:
             return None, True
-        age = time.monotonic_ns() - int.from_bytes(stamped[FRAME.size :], "big")
-        return message_of(stamped[: FRAME.size], self.channel_info, time.time() - 1e-9 * age), True
+        sent = int.from_bytes(stamped[FRAME.size :], "big") + self._wall.read()
+        return message_of(stamped[: FRAME.size], self.channel_info, 1e-9 * sent), True
 
     def _apply_filters(self, filters: Any) -> None:
         chosen = []

@@ -706,7 +706,7 @@ class CanopenDriver:
             return
         values = {field: getattr(self, name) for field, name in (SHARED | FIXED).items()}
         values |= {"sync": words_of(self._sync), "beat": words_of(self._beat), "applied": self._applied}
-        values |= {"descriptor": link.descriptor, "echoed": link.echoed, "ahead": link.ahead}
+        values |= {"descriptor": link.descriptor, "echoed": link.echoed, "ahead": link.wall.ns}
         values["sync_timeout"] = self.settings.sync_timeout
         self._native.store(values, self._pressures, self._pressures_received)
 
@@ -725,7 +725,7 @@ class CanopenDriver:
         self._pending.extend(values["pending"])
         self._receive_error, self._send_error = values["receive_error"], values["send_error"]
         if isinstance(self._link, SocketcanLink):
-            self._link.echoed, self._link.ahead = values["echoed"], values["ahead"]
+            self._link.echoed, self._link.wall.ns = values["echoed"], values["ahead"]
 
     # Bus access during startup -------------------------------------------------------------------
 

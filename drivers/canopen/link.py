@@ -22,6 +22,7 @@ from can.interfaces.socketcan import SocketcanBus
 from can.interfaces.socketcan.constants import SO_TIMESTAMPNS
 
 from drivers.base import DriverError
+from drivers.base.clocks import WallOffset
 from drivers.can_bus import ERROR, EXTENDED, FRAME, REMOTE, LocalSocketBus, message_of
 from drivers.canopen.frames import SYNC
 from drivers.canopen.settings import CanopenSettings
@@ -79,8 +80,6 @@ _RECEIVE_BUFFER = 8 * 2**20
 """Receive buffer in bytes; the kernel's default of 212,992 holds 278 frames."""
 _STAMP = struct.Struct("@ll")
 _ANCILLARY_SIZE = socket.CMSG_SPACE(_STAMP.size)
-_MAX_CLOCK_READ = 2_000
-"""ns that reading both clocks takes without interruption."""
 _MAX_ECHO_DELAY = 0.005
 """s after which an echo does not belong to the last SYNC."""
 
@@ -122,8 +121,7 @@ class SocketcanLink:
         self._bus, self._socket = bus, bus.socket
         self.echoed = -math.inf
         """Time of transmission of the last own SYNC, s."""
-        self.ahead = time.time_ns() - time.monotonic_ns()
-        """Offset of the time stamp clock to CLOCK_MONOTONIC, ns."""
+        self.wall = WallOffset()
         with suppress(OSError):  # needs CAP_NET_ADMIN
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)
 
@@ -161,13 +159,11 @@ class SocketcanLink:
 
     def _note_echo(self, ancillary: list[tuple[int, int, bytes]]) -> None:
         """Note when the own SYNC was transmitted; the filters pass no other own frame."""
-        before, now, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-        if after - before < _MAX_CLOCK_READ:  # else the thread was interrupted: keep the last offset
-            self.ahead = now - (before + after) // 2
+        ahead = self.wall.read()
         for _, kind, content in ancillary:
             if kind == SO_TIMESTAMPNS:
                 seconds, rest = _STAMP.unpack(content)
-                self.echoed = 1e-9 * (seconds * 1_000_000_000 + rest - self.ahead)
+                self.echoed = 1e-9 * (seconds * 1_000_000_000 + rest - ahead)
 
     def shutdown(self) -> None:
         """Close the interface. May be called twice."""

@@ -32,6 +32,7 @@ import can
 import numpy as np
 
 from drivers.base import Command
+from drivers.base.clocks import WallOffset
 from drivers.base.compiled import new_record
 from drivers.base.records import unpack_readings
 from drivers.base.shared_record import SharedMemoryError
@@ -310,15 +311,16 @@ def _live(
     """Run plant and devices in wall-clock time."""
     surroundings, report, clock = new_record(PLANT_SURROUNDINGS), nodes.plant.report, time.monotonic
     looked, surrounded, tick = 0.0, 0, plan.plant.tick
-    grid, offset = WallGrid(tick, clock(), plan.max_catch_up), 0.0
+    grid, offset, wall = WallGrid(tick, clock(), plan.max_catch_up), 0.0, WallOffset()
     while True:
         left = _FRAMES_AT_ONCE
         while left and (message := bus.receive(max(0.0, grid.instant + offset - clock()))) is not None:
             left -= 1
             if not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
                 # A device latches its shaft at the bus time stamp of the SYNC, not when this process runs.
-                age = time.time() - message.timestamp
-                received = clock() - (age if 0.0 < age < _MAX_AGE else 0.0)
+                received, now = message.timestamp - 1e-9 * wall.read(), clock()
+                if not now - _MAX_AGE < received < now:
+                    received = now
                 nodes.catch_up(grid, offset, received)
                 nodes.receive(message.arbitration_id, bytes(message.data), received)
                 if message.arbitration_id == SYNC:
