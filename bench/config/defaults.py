@@ -1,8 +1,8 @@
 """The defaults of the code as tables of a configuration file.
 
 The fields of the settings' dataclasses are the only source of these values, with unit and bounds in their
-annotations and the meaning in their docstrings. What has no default (name and driver of a bench, its loop and
-its swing) stands in config.toml.
+annotations and the meaning in their docstrings. Keys without a default (name and driver of a bench, its loop
+and its swing) are in config.toml.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ def load_configuration(path: Path | None = None) -> Configuration:
 
     Raises:
         BenchError: a file is missing, cannot be read, or is not TOML.
-        ExceptionGroup: of BenchErrors, one for each mistake in the files.
+        ExceptionGroup: the files have mistakes; it has one BenchError for each.
     """
     faults: list[BenchError] = []
     file = find_configuration(path)

@@ -117,7 +117,7 @@ def _actuators(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         rated = _leaf(tree, f"{key}.stop.rated")
         if stop.rated > stop.energy and _is_below(rated, _leaf(tree, energy), c.files):
             found = f"{short(stop.energy)} J without `rated`, which stays {short(stop.rated)} J"
-            yield energy, found, "both in one file", "Give `rated`, too; 0 if it is `energy`."
+            yield energy, found, "both in one file", "Also give `rated`; 0 if it is `energy`."
         travel = actuator.upper - actuator.lower + 4 * actuator.stop.travel
         if name != "right_arm" and travel >= 2 * pi:
             found = f"{short(travel)} rad of travel with twice the cushions"
@@ -278,7 +278,7 @@ def _club_sites(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         if club is None:
             yield key, "no such club", f"one of {', '.join(c.clubs)}", f"Rename it, or add [clubs.{name}]."
             continue
-        # A club that has no site of its own stands where the plant does, which is checked there.
+        # A club without a separate site uses the plant's, which is checked there.
         if _leaf(tree, f"{key}.plane") is None:
             continue
         for part, found, wanted, action in _site(replace(c, plant=c.plant_of(name, club)), tree):
@@ -333,7 +333,7 @@ def unheard_phases(configuration: Configuration) -> list[BenchError]:
         BenchError(
             f"{location}: faults.{name}.phase",
             format_value(fault.phase),
-            '"any": a plant on its own clock does not know the phase',
+            '"any": a plant with a separate clock does not know the phase',
             'Name a time, or a joint and an angle; or run with driver "sim".',
         )
         for name, fault in configuration.faults.items()

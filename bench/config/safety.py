@@ -13,7 +13,7 @@ from drivers.base.ranges import Range, short
 
 
 class Bound(NamedTuple):
-    """What a value of the configuration may be, each number of a list by itself."""
+    """Bounds of a value of the configuration, or of each number of a list."""
 
     key: str
     """Dotted name in the configuration."""
@@ -23,15 +23,15 @@ class Bound(NamedTuple):
     reason: str
 
     def allowed(self, *, is_machine: bool) -> Range:
-        """Return what holds for a real or a simulated robot."""
+        """Return the range for a real or a simulated robot."""
         return Range(*(self.real if is_machine else self.simulated), self.unit)
 
 
 BOUNDS = (
     Bound("lifecycle.warning_time", (0.0, inf), (1.0, 60.0), "s",
-          "who stands beside the robot must have time to see the beacon and step back"),
+          "people at the robot must have time to see the beacon and step back"),
     Bound("lifecycle.armed_timeout", (0.0, inf), (1.0, 600.0), "s",
-          "a robot with air that nobody has used for ten minutes is forgotten"),
+          "a pressurised robot without use for ten minutes is forgotten"),
     Bound("lifecycle.vented_pressure", (0.5e5, 3e5), (1.05e5, 1.5e5), "Pa",
           "half a bar above the atmosphere lifts an arm; below the atmosphere nothing ever counts as empty"),
     Bound("lifecycle.vent_timeout", (0.0, inf), (1.0, 120.0), "s",
@@ -39,21 +39,21 @@ BOUNDS = (
     Bound("lifecycle.rest_time_vented", (0.0, inf), (0.5, 60.0), "s",
           "a raised arm hangs on what little air is left, and sinks late"),
     Bound("lifecycle.rest_time_without_encoders", (0.0, inf), (5.0, 120.0), "s",
-          "where encoders cannot tell, only time shows that a raised arm has sunk"),
+          "without encoder readings only time shows that a raised arm has sunk"),
     Bound("lifecycle.access_delay", (0.0, inf), (5.0, 120.0), "s",
           "an encoder that is stuck shows rest while a raised arm sinks"),
     Bound("lifecycle.local_reset_time", (0.0, inf), (0.5, 30.0), "s",
-          "an older press does not speak for who stands beside the robot now"),
+          "an older press does not account for a person at the robot now"),
     Bound("lifecycle.supervisor_timeout", (0.0, inf), (0.05, 2.0), "s",
-          "who asks for a stop over the network must be heard, or the robot stop by itself"),
+          "if a stop over the network cannot arrive, the robot must stop automatically"),
     Bound("control.rest_speed", (0.0, 1.0), (0.0, 0.2), "rad/s",
           "a faster joint does not rest: its club's head moves by more than 0.3 m/s"),
     Bound("control.rest_time", (0.0, inf), (0.02, 1.0), "s",
-          "a joint that turns round rests for an instant, too"),
+          "a joint that reverses also rests for an instant"),
     Bound("control.brake_timeout", (0.05, inf), (0.5, 10.0), "s",
           "a brake that ends sooner vents a robot that still moves, which then nothing brakes"),
     Bound("control.open_loop_settling_time", (0.0, inf), (0.1, 10.0), "s",
-          "after a blind brake closed chambers stop what the pattern has left"),
+          "after an open-loop brake closed chambers stop the remaining motion"),
     Bound("control.address_tolerance", (0.0, 0.2), (0.0, 0.05), "rad",
           "a swing that begins elsewhere than designed passes elsewhere over the ground"),
     Bound("envelope.max_tick_interval", (0.0, 0.5), (0.0, 0.02), "s",
@@ -67,11 +67,11 @@ BOUNDS = (
     Bound("homing.head_tolerance", (0.0, 1.0), (0.0, 0.03), "m",
           "with zeros 0.1 rad off, 0.15 m at the head, the club passes 2 mm over the ground"),
 )  # fmt: skip
-"""Every value with what may be given in simulation, with a real robot, and why."""
+"""Bounds of each value in simulation and with a real robot, and their reasons."""
 
 
 def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
-    """Yield what a person beside the robot could not rely on; `tree` is not looked at."""
+    """Yield the values that are unsafe for a person at the robot; `tree` is not used."""
     for bound in BOUNDS:
         value = attrgetter(bound.key)(c)
         allowed = bound.allowed(is_machine=c.is_machine)
@@ -82,7 +82,7 @@ def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
     if not c.is_machine:
         return
     if not c.lifecycle.local_reset:
-        wanted = "true with a real robot: a remote operator cannot see who stands beside it"
+        wanted = "true with a real robot: a remote operator cannot see people near it"
         yield "lifecycle.local_reset", "false", wanted, "Wire the button and set the key to true."
     if c.loop.realtime != "require":
         found, action = format_value(c.loop.realtime), "Set it, and try it with `golfbench doctor`."
@@ -99,8 +99,8 @@ def check_safety(c: Configuration, tree: Any) -> Iterator[Mistake]:
 def _shut_off_proof(c: Configuration) -> Iterator[Mistake]:
     """Yield a missing position switch of a real robot's shut-off valve.
 
-    It is the only part that keeps the manifold empty beside a person if the supply valve stays open; one that
-    is stuck shows in nothing else until then.
+    Only this valve keeps the manifold empty during access if the supply valve stays open. Nothing else shows
+    beforehand that it is stuck.
     """
     if c.driver.name == "daq":
         key, fitted = "daq.shut_off_feedback", bool(c.daq.shut_off_feedback)
@@ -113,10 +113,10 @@ def _shut_off_proof(c: Configuration) -> Iterator[Mistake]:
 
 
 def _vent_proof(c: Configuration) -> Iterator[Mistake]:
-    """Yield what a real robot's air would be proven by time alone.
+    """Yield the missing pressure sensors of a real robot whose venting only time would verify.
 
-    Time proves no vent, and a vent's position no flow: behind a clogged silencer both leave chambers full.
-    Only a pressure shows that they are empty: of a sensor in each chamber and in the manifold, or of pressure
+    Time proves no vent, and a vent's position no flow: behind a clogged silencer chambers stay full. Only a
+    pressure shows that they are empty. It needs a sensor in each chamber and in the manifold, or pressure
     switches outside the bench on the manifold and on each actuator's exhaust.
     """
     node = c.canopen.valve_node
@@ -126,7 +126,7 @@ def _vent_proof(c: Configuration) -> Iterator[Mistake]:
     section = "daq" if c.driver.name == "daq" else "canopen.valve_node"
     action = f"Fit sensors, or name in {section}.vent_proof the switches on the manifold and on each exhaust."
     if not settings.supply_pressure:
-        wanted = f"a sensor, or {section}.vent_proof: nothing else shows what the manifold holds"
+        wanted = f"a sensor, or {section}.vent_proof: nothing else shows the pressure in the manifold"
         yield f"{section}.supply_pressure", "no sensor", wanted, action
     if not all(settings.chamber_pressures):
         found = "no sensor" if not any(settings.chamber_pressures) else "a chamber without sensor"

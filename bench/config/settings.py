@@ -61,7 +61,7 @@ class DriverSettings:
     """Driver: "sim", the simulated plant; "canopen", "daq", hardware; "mock", whose valves move the joints at
     once; or the name of a plug-in."""
     watchdog: Annotated[float, Range(0.005, 0.5, "s")]
-    """Silence after which the device goes passive by itself (s)."""
+    """Time without a command after which the device goes passive automatically (s)."""
 
     @property
     def paced(self) -> bool:
@@ -169,8 +169,8 @@ class Configuration:
     def running(self) -> Configuration:
         """Return the configuration of a running bench.
 
-        A plant on a clock of its own obeys some part of a tick earlier or later than the model has it, which
-        the model's limits do not allow for.
+        A plant on a separate clock follows commands a fraction of a tick earlier or later than the model
+        assumes. The model's limits do not allow for this.
         """
         if self.driver.paced or self.envelope.model.check != "simulated":
             return self
@@ -193,7 +193,7 @@ class Configuration:
     def for_profile(self, profile: Profile, file: Path) -> Configuration:
         """Return the configuration with the limits of the model-based check for `profile`, read from `file`.
 
-        Stale limits are named in the log and not used.
+        The log reports stale limits, which are not used.
 
         Raises:
             BenchError: a file of limits is invalid.

@@ -101,7 +101,7 @@ def _in_people_units(name: str, hint: Any, value: Any) -> tuple[str, Any]:
 
 
 def _bounds(hint: Any, suffix: str) -> str:
-    """Return in words what the key takes, unless that is any value of its kind."""
+    """Return the permitted values of the key in words; empty for any value of its kind."""
     text = expected(hint, suffix)
     if text.endswith("true or false") or " in brackets" in text:
         return ""

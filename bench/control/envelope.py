@@ -1,8 +1,8 @@
 """The envelope: the one layer between controller and driver that no command bypasses.
 
-`interlock_cause`, `readings_cause` and `motion_cause` name the first cause to stop; `limit` bounds what may
-go to the valves. They see only estimates, readings and the command: pure, compiled, no clock. A value that
-is not finite fails every comparison that would let it pass.
+`interlock_cause`, `readings_cause` and `motion_cause` return the first cause to stop; `limit` bounds the
+valve commands. They use only estimates, readings and the command: pure, compiled, no clock. A value that is
+not finite violates its limit; only an ABSENT supply pressure violates none.
 """
 
 from __future__ import annotations

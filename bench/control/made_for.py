@@ -101,9 +101,9 @@ class LimitsFingerprint(NamedTuple):
 
 
 def _as_acting(control: ControlSettings, plant: PlantParameters) -> dict[str, Any]:
-    """Return `control` without what does not act on `plant`.
+    """Return `control` without the values that have no effect on `plant`.
 
-    Gains by hand beside those from the machine, a factor 1, a lift where there is no turf.
+    These are manual gains where scheduled ones are used, a factor of 1, and the turf lift on surface "none".
     """
     values = asdict(control)
     if plant.site.surface == "none":

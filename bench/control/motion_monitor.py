@@ -70,7 +70,7 @@ def monitor_motion(
         elif asked != 0:
             react(state, parameters, asked, EMERGENCY if emergency else READINGS_VALID, time)
         elif not s.device_operational:
-            # No command arrives; at least no air is left to be let in later.
+            # No command arrives; at least no air remains that could enter later.
             react(state, parameters, Cause.DEVICE_PASSIVE, ACTUATOR_FAULT, time)
         elif not s.supervisor_alive:
             react(state, parameters, Cause.SUPERVISOR, READINGS_VALID, time)
@@ -79,7 +79,7 @@ def monitor_motion(
         elif s.homing.index_wrong != 0:
             # From here on the count is right.
             react(state, parameters, int(s.homing.index_wrong), READINGS_VALID, time)
-        # A stop needs its valves and encoders as much as a swing does: it is monitored, too.
+        # A stop needs its valves and encoders as much as a swing does, so it is also monitored.
         if s.reaction > Reaction.COMPLETE:
             _monitor_braking(state, parameters, readings, time)
         elif s.phase == Phase.HOMING:
@@ -113,9 +113,9 @@ def _monitor_braking(state: Any, parameters: Any, readings: Any, time: float) ->
 
 @compiled
 def _note_doubted(s: Any, limits: Any, e: Any, broken: int) -> None:
-    """Note the joints whose encoders `broken` doubts.
+    """Note the joints whose encoders the cause `broken` makes suspect.
 
-    One that jumps, or gives no sample, spoils the torques of all: then it is meant, whichever is named.
+    An encoder that jumps, or gives no sample, distorts the torques of all joints: then only it is suspect.
     """
     found, row = False, limits.first_row + BRAKING + s.phase
     for i in range(3):
@@ -191,4 +191,4 @@ def monitor_permission(s: Any, parameters: Any, time: float) -> None:
     elif s.state == State.HOMING and s.reaction == Reaction.NONE and not s.lease_held:
         disarm(s, parameters, time)
     elif s.state in (State.SWINGING, State.RECOVERING) and not (s.lease_held and s.support_ready):
-        s.disarming = True  # also if both come back: nothing is armed again by itself
+        s.disarming = True  # also if both come back: nothing is rearmed automatically

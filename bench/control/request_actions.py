@@ -1,4 +1,4 @@
-"""What an accepted request does; stops are not carried out here."""
+"""Actions of accepted requests; stops are not carried out here."""
 
 from __future__ import annotations
 
@@ -79,5 +79,5 @@ def _begin_swing(s: Any, parameters: Any, time: float) -> None:
         return
     s.swinging, s.swing.start, s.swing.struck, s.swing.fastest_head = True, time, False, 0.0
     s.swings += 1
-    # The integrals go on: the output of this tick also holds the damping term's noise.
+    # The integrals continue: the output of this tick also holds the damping term's noise.
     follow_profile(parameters, s, time)

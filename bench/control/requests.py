@@ -41,20 +41,20 @@ def note_local_reset(s: Any, pressed: bool, time: float) -> None:
 
 @compiled
 def is_released(s: Any) -> bool:
-    """Return whether the guard's lock is released: in ACCESS, and after it until SECURE if somebody went in.
+    """Return whether the guard's lock is released: in ACCESS, and until SECURE once the guard was opened.
 
-    A cause found in ACCESS ends that state, but does not lock in who may be inside.
+    A cause found in ACCESS ends that state, but does not lock in a person inside.
     """
     return bool((s.state == State.ACCESS or s.guard_was_opened) and not s.securing)
 
 
 @compiled
 def monitor_local_reset(s: Any, readings: Any, time: float) -> None:
-    """Note a press of the local reset, and forget one that cannot speak for what is now.
+    """Record a press of the local reset, and discard one that an open interlock has made void.
 
     Inputs that do not arrive read False: a low level counts only while the device answers and the emergency
     stop circuit is seen closed, so that a stuck button gives no edge when a lost link comes back. A press
-    before an interlock opened is void: whoever gave it did not see what happened since.
+    before an interlock opened is void: the person who gave it did not see the later events.
     """
     r = readings[0]
     note_local_reset(s, r.local_reset, time)
@@ -67,7 +67,7 @@ def monitor_local_reset(s: Any, readings: Any, time: float) -> None:
 
 @compiled
 def _is_confirmed(p: Any, s: Any, time: float) -> bool:
-    """Return whether a person beside the robot has pressed the local reset, where there is one."""
+    """Return whether a person at the robot has pressed the local reset, where one is fitted."""
     return bool(not p.local_reset or time - s.reset_pressed <= p.local_reset_time)  # False with NaN
 
 
@@ -105,7 +105,7 @@ def _failing(s: Any, request: int) -> int:
 @compiled
 def _settling(p: Any, s: Any, request: int, time: float) -> int:
     """Return the refusal of `request` while a joint moves or, before arming, a chamber holds air, or 0."""
-    # A joint that turns round is slow for an instant, too. A swing asks more: rest at the address.
+    # A joint that reverses is also slow for an instant. A swing requires more: rest at the address.
     if request != Request.SWING and time - s.moved_at < p.rest_time:
         return Refusal.MOVING.value
     # Trapped air holds a robot up, and lets it fall while its chambers vent further in the warning.
@@ -130,10 +130,10 @@ def _access_refusal(p: Any, s: Any, readings: Any, time: float) -> int:
         return Refusal.EMERGENCY_STOP.value
     if s.manifold.unproven:
         return Refusal.SENSOR.value
-    # A robot at power-up may still sink: nobody has seen it rest yet.
+    # A robot at power-up may still sink: its rest is not verified yet.
     if not (s.vented and time - s.venting.start >= p.rest_time_vented):
         return _not_vented(p, s, readings)
-    # Time and a vent's position prove no flow: what no sensor has shown to go, a person reads at the gauge.
+    # Time and a vent's position prove no flow: without a sensor's evidence a person reads the gauge.
     read = p.local_reset and _is_confirmed(p, s, time)
     unread = (s.venting.trapped or not all_chambers_are_seen(s.sensors)) and not read
     return Refusal.GAUGE.value if unread else Refusal.NONE.value

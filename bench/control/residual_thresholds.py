@@ -61,7 +61,7 @@ class LimitsInUse(NamedTuple):
 
 
 def limits_path(profile: Path) -> Path:
-    """Return where the limits of the profile in file `profile` are: beside it."""
+    """Return the path of the limits of the profile in file `profile`: in its folder."""
     return profile.with_name(profile.name.removesuffix(".toml") + ENDING)
 
 

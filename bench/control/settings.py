@@ -57,7 +57,7 @@ class EstimatorSettings:
     """Kalman filters; joints in the order shoulder, arm, wrist."""
 
     noise: NotNegativeTriple = (0.0, 0.0, 0.0)
-    """Standard deviation of a sample beside its rounding, rad."""
+    """Standard deviation of a sample in addition to its rounding, rad."""
     jitter: NotNegativeTriple = (0.0, 0.0, 0.0)
     """Standard deviation of the sampling instant, s."""
     acceleration_change: PositiveTriple = (50.0, 50.0, 100.0)
@@ -80,7 +80,7 @@ class PidSettings:
 
 @dataclass(frozen=True)
 class ControlSettings:
-    """What is added to the PIDs, the BRAKE law and the times of moves and stops."""
+    """Additions to the PIDs, the BRAKE law and the times of moves and stops."""
 
     gains: GainSource = "machine"
     """Gains of PIDs, damping and slow moves: "machine", by pose from the robot's linearised loops
@@ -88,21 +88,20 @@ class ControlSettings:
     pid: PidSettings = field(default_factory=PidSettings)
     """Gains set by hand."""
     feed_forward: FeedForward = "planned"
-    """What opens the valves beside the PIDs in a swing, see `bench.control.law.feed_forward`."""
+    """Source of the openings added to those of the PIDs in a swing, see `bench.control.law.feed_forward`."""
     force_gain: NotNegativeTriple = (20.0, 10.0, 20.0)
-    """Of "kane+pneumatic": rate at which a force that is missing in the chambers is made up for, 1/s."""
+    """Rate at which "kane+pneumatic" corrects the force error of the chambers, 1/s."""
     damping: NotNegativeTriple = (0.0046, 0.00067, 0.0004)
     """Opening per rad/s2 against the estimated acceleration's error, set by hand; 0 switches it off."""
     downswing_damping: Share = 0.0
-    """Share of `damping` in the downswing. The estimated acceleration is noisy: what it opens there goes into
-    the club's speed, a little differently in every swing."""
+    """Share of `damping` in the downswing. Noise of the estimated acceleration there changes the club's speed
+    a little from swing to swing."""
     downswing_gain_factor: Positive = 2.5
     """Factor on the PIDs' proportional and derivative gains in the downswing, which ends before what would
     grow with them has grown."""
     dither: tuple[Share, Share, Share] = (0.1, 0.1, 0.1)
-    """Opening to either side of what is wanted, in backswing and top. It carries spools through their dead
-    band and joints through dry friction, so that every swing begins its downswing in the same pose with the
-    same air."""
+    """Dither amplitude in backswing and top, as an opening. It carries spools through their dead band and
+    joints through dry friction, so that every downswing starts in the same pose with the same pressures."""
     dither_period: Positive = 0.03
     """s"""
     dither_delay: NotNegative = 0.25
@@ -125,7 +124,7 @@ class ControlSettings:
     brake_timeout: Positive = 1.5
     """A brake that takes longer ends in VENT all the same, s."""
     open_loop_settling_time: NotNegative = 0.6
-    """Spools centred after a blind brake before the air is let out, s."""
+    """Time with centred spools between an open-loop brake and venting, s."""
     precharge_time: Positive = 2.0
     """Supply soft start and charging of the chambers before the first move, s."""
     precharge_opening: Annotated[float, Above(0), AtMost(1)] = 0.12
@@ -153,8 +152,8 @@ class LifecycleSettings:
     armed_timeout: Positive = 120.0
     """Holding the address for longer disarms, s."""
     vented_pressure: Positive = 1.3e5
-    """Chambers and manifold below it are empty enough for a reset, homing and arming, Pa absolute. People are
-    let in below the pressure that holds nothing up, about 1.05 bar, which follows from the plant."""
+    """Max pressure of chambers and manifold for a reset, homing and arming, Pa absolute. Access requires a
+    pressure that holds nothing up, about 1.05 bar, which follows from the plant."""
     vent_timeout: Positive = 10.0
     """In which they are to be empty; without chamber sensors the proof itself, s."""
     rest_time_vented: NotNegative = 2.0
@@ -162,14 +161,14 @@ class LifecycleSettings:
     rest_time_without_encoders: NotNegative = 10.0
     """The same without trusted encoders: as long as a raised arm may take to sink, s."""
     access_delay: NotNegative = 7.0
-    """For which chambers must hold nothing up before people are let in, whatever the encoders show, s; for as
-    long as they took to vent, if that was longer."""
+    """Min time for which chambers must hold nothing up before access, regardless of encoder readings, s; the
+    time that they took to vent, if that was longer."""
     pressure_tolerance: Positive = 1.0e4
     """Max deviation of a chamber from its planned pressure at the address when a swing begins, Pa."""
     pressure_timeout: Positive = 20.0
     """Longest time for which the address is held until the chambers are as planned, s."""
     local_reset: bool = False
-    """Reset and secure also take the button beside the robot; required with a real robot."""
+    """Reset and secure also need a press of the button at the robot; required with a real robot."""
     local_reset_time: Positive = 10.0
     """How long a press of it counts for one reset or secure, s."""
     hold_between_swings: bool = False
@@ -185,9 +184,9 @@ class HomingSettings:
     method: Literal["absolute", "index"] = "absolute"
     """Compare absolute encoders with a mechanical reference, or search the index slowly, valves bounded."""
     reference: Literal["travel", "pose"] = "travel"
-    """Of absolute encoders: between the stops, or the pose in which the robot hangs, to which a person brings
-    it by hand. It seldom comes to hang there by itself: chambers that vent and friction leave it up to 3 rad
-    off. The pose also finds a coupling that slipped by less than the travel."""
+    """Reference of absolute encoders: the range between the stops, or the hanging pose, into which a person
+    moves the robot by hand. It seldom reaches that pose alone: venting chambers and friction leave it up to
+    3 rad off. The pose also finds a coupling that slipped by less than the travel."""
     tolerance: PositiveTriple = (0.15, 0.10, 0.15)
     """rad, beyond the travel or from the pose."""
     time: Positive = 0.5
@@ -207,7 +206,7 @@ class HomingSettings:
     order: tuple[JointName, JointName, JointName] = ("wrist", "arm", "shoulder")
     """In which the joints search, one at a time."""
     direction: tuple[Direction, Direction, Direction] = (-1, -1, -1)
-    """Of the search and to the stop; -1 lowers the angle, which lifts the club away from the ground."""
+    """Direction of the search and to the stop; -1 lowers the angle, which lifts the club off the ground."""
     travel: PositiveTriple = (1.5, 0.7, 1.5)
     """rad, of the search at most, in either direction; the way from stop to index, if that is longer."""
     speed: PositiveTriple = (0.3, 0.2, 0.4)
@@ -218,7 +217,7 @@ class HomingSettings:
     """s, of search and stops together."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError if a joint is named twice or a direction is 0."""
+        """Raise ValueError if a joint occurs twice or a direction is 0."""
         if len(set(self.order)) < len(self.order):
             raise ValueError("order: each joint once")
         if 0 in self.direction:
@@ -229,11 +228,11 @@ class HomingSettings:
 class ModelSettings:
     """The model-based check (`bench.control.estimate.residual_monitor`) and its limits by phase.
 
-    These hold for profiles without limits of their own (`bench.control.residual_thresholds`).
+    These hold for profiles without separate limits (`bench.control.residual_thresholds`).
     """
 
     check: Literal["off", "simulated", "always"] = "off"
-    """Stop when what is measured does not fit the plant's model; "simulated": only with the `sim` driver;
+    """Stop when measurements deviate from the plant's model; "simulated": only with the `sim` driver;
     "always": with each driver, for a robot that was measured."""
     off_reason: str = ""
     """Why a real robot moves without the check, or without a sensor in each chamber. Needed there; each
@@ -315,7 +314,7 @@ class ModelSettings:
             "arming": (38.0, 120.0, 20.0),
         }
     )
-    """Torque from the chambers' pressures from what the motion needs, N m."""
+    """Torque from the chambers' pressures from that of the motion, N m."""
 
     @property
     def knows_learning(self) -> bool:
@@ -383,7 +382,7 @@ class EnvelopeSettings:
 
 
 _CREEP = 1e-3
-"""Way of a joint beyond which it does not rest, rad; of coarse or noisy encoders what they show at rest."""
+"""Min travel of a joint that does not count as rest, rad; more for coarse or noisy encoders."""
 _HELD_BY_AIR = 0.2
 """Share of a joint's static friction that the air of a chamber which holds nothing up may carry."""
 _RESOLVED = 3.0e3
@@ -414,7 +413,7 @@ OPTIONAL_ROWS = MODEL_ROWS.keys() - MODEL_PHASES["jump"].keys()
 """Rows that a table may leave out: those of BRAKE, of blows, of arming, and of learning."""
 
 SIMULATED = LifecycleSettings(warning_time=0.0, hold_between_swings=True)
-"""Of a bench without anybody beside it: no warning, and the address is held after a swing."""
+"""Settings of a bench without people near it: no warning, and the address is held after a swing."""
 
 
 def build_controller(

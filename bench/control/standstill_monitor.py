@@ -46,21 +46,20 @@ def _crept(p: Any, s: Any, e: Any) -> bool:
 
 @compiled
 def _monitor_venting(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
-    """Judge whether chambers and manifold are empty; return the cause if they should be and are not.
+    """Check whether chambers and manifold are empty; return the cause if they should be and are not.
 
-    Behind empty chambers a full manifold is one leaking or moving spool away from a swing. A raised arm hangs
-    on what little air is left and then sinks: it has to rest for a while with empty chambers. Without trusted
-    encoders: for as long as sinking may take. Before anybody goes near, chambers have to be empty for that
-    long in any case: an encoder that is stuck shows rest, and an arm that friction holds may let go late. So,
-    too, from power-up on: the bench may have been restarted as soon as it stopped. That time counts from a
-    pressure that holds nothing up, and is as long as it took to get there: behind a throttled exhaust the
-    last air goes as slowly as the first.
+    A full manifold counts as not vented: one leaking or moving spool could swing the robot. A raised arm
+    hangs on residual air and then sinks: it must rest with empty chambers for `rest_time_vented`, without
+    trusted encoders for `rest_time_without_encoders`. Access also requires empty chambers for `access_delay`:
+    a stuck encoder shows rest, and an arm held by friction may drop late. This applies from power-up, as the
+    bench may have restarted right after a stop. The delay counts from a pressure that holds nothing up, and
+    is at least the time to reach it: behind a throttled exhaust the last air leaves as slowly as the first.
     """
     blind = s.encoder_fault != 0 or s.encoders_suspect
     empty = not chambers_show_pressure(s.sensors, p)
     shut = not manifold_shows_pressure(s.sensors, p)
     calm = is_at_rest(s, p)
-    # Of an encoder that is not trusted a slow way is believed, no fast one.
+    # From an untrusted encoder only slow motion counts.
     crept = _crept(p, s, e) and s.encoder_fault == 0 and (calm or not blind)
     if not (empty and shut and (blind or (calm and not crept))):
         s.still_since = time
@@ -91,9 +90,9 @@ def _monitor_venting(p: Any, s: Any, e: Any, readings: Any, time: float) -> int:
 
 @compiled
 def _report_trapped_pressure(s: Any, trapped: int) -> None:
-    """Name trapped pressure in ESTOP and FAULT, too: it endangers who comes to clear the first cause.
+    """Report trapped pressure also in ESTOP and FAULT: it endangers the person who clears the first cause.
 
-    A sensor or vent that fails then is the latest cause; what it may hide is no proof for access.
+    A sensor or vent that fails then is the latest cause; from then on it is no evidence for access.
     """
     slow = Cause.SHOULDER_A_EXHAUST <= s.cause <= Cause.WRIST_B_EXHAUST
     named = slow or s.cause in (Cause.NOT_VENTED, Cause.MANIFOLD)
@@ -168,7 +167,7 @@ def _monitor_access(s: Any, parameters: Any, readings: Any, interlock: int, time
 def monitor_standstill(
     state: Any, parameters: Any, readings: Any, interlock: int, asked: int, time: float
 ) -> None:
-    """Latch what must not be while the robot stands, and leave the states in which it stands."""
+    """Latch the causes found at standstill, and leave the states of standstill."""
     s, p = state.control[0], parameters.control[0]
     trapped = _monitor_venting(p, s, state.estimator[0], readings, time)
     jumped = model_cause(parameters.model, state.model[0], state.estimator, s.reference_velocity, s.phase)

@@ -15,7 +15,7 @@ from drivers.base.compiled import compiled
 _CALMING = 0.03
 """s over which a resting robot's velocities are smoothed: an encoder's noise alone passes `rest_speed`."""
 _MOVES = 3.0
-"""Times `rest_speed` that count of a velocity: after a fast motion, too, rest shows soon."""
+"""Limit of a velocity before smoothing, in `rest_speed`: rest also shows soon after a fast motion."""
 
 
 @compiled
@@ -49,9 +49,9 @@ def is_slow_now(p: Any, e: Any) -> bool:
 def begin_reaction(s: Any, parameters: Any, reaction: int, time: float) -> bool:
     """Begin `reaction` unless one as severe is under way; return whether it began.
 
-    A pattern of BLIND_BRAKE belongs to the swing as planned: it brakes all joints, seen or not. Out of a
-    BRAKE the robot is elsewhere and slower, and the pattern would drive it on; joints that are seen then go
-    on braking by their encoders, and the others get centred spools, whose chambers no longer push.
+    A pattern of BLIND_BRAKE belongs to the swing as planned: it brakes all joints, with or without readings.
+    After a BRAKE the robot is elsewhere and slower, and the pattern would drive it on. Joints with readings
+    then continue to brake by their encoders; the others get centred spools, whose chambers no longer push.
     """
     if reaction <= s.reaction:
         return False
@@ -75,7 +75,7 @@ def change_state(s: Any, parameters: Any, state: State, time: float) -> bool:
     if s.state < len(p.transitions) and p.transitions[s.state, state.value] != 0:
         s.state, s.state_since = state, time
         if state in (State.ESTOP, State.FAULT, State.ACCESS):
-            s.reset_pressed = -np.inf  # a press of before does not speak for what happened now
+            s.reset_pressed = -np.inf  # an earlier press does not cover the present cause
         return True
     s.latest_cause = Cause.EXCEPTION
     if s.cause == 0:

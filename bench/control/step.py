@@ -201,7 +201,7 @@ def limit_tick(
         p.home_by_index and s.phase == Phase.HOMING and s.reaction < Reaction.PASSIVE and not p.read_only
     )
     c.guard_lock = not is_released(s)
-    s.tee = s.tee and powered  # after a stop no ball rises by itself
+    s.tee = s.tee and powered  # after a stop no ball rises automatically
     c.tee = s.tee
     _record(state, readings, command, cycle)
 
@@ -221,11 +221,11 @@ def step(
 
 @compiled
 def _move_to_new_zeros(s: Any, e: Any, encoder: Any, elapsed: float) -> None:
-    """Let estimates of angles that count from another zero since this tick go on from there."""
+    """Shift the estimates of angles whose zero changed in this tick."""
     for i in range(3):
         s.homing.zero_shift[i] = 0.0
         if encoder.zero_set[i] != 0 and encoder.fresh[i] != 0:
-            # The angle counts from another zero; the joint went on as before.
+            # The angle counts from another zero; the joint's motion is unchanged.
             begun = encoder.angle[i] - e.velocity[i] * elapsed
             s.homing.zero_shift[i] = begun - e.angle[i]
             e.angle[i] = begun

@@ -1,4 +1,4 @@
-"""Records of the control step: its parameters, what it remembers, and the profile's tables."""
+"""Records of the control step: its parameters, its memory, and the profile's tables."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ CONTROL_PARAMETERS = np.dtype(
 )
 """Gains and times. `downswing_damping` is the share of the damping left in the downswing, `dither` swings the
 spools around their openings up to the top. `feed_forward` is a code of `bench.control.law.feed_forward`,
-`rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the openings that carry the spools
-out of their dead bands in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
+`rate_opening` and `speed_opening` are its `kane_gains`; `move_band` are the openings that overcome the
+dead bands of the spools in slow moves; `brake_gain`, `brake_damping` are the BRAKE law's."""
 
 
 def _nested(*fields: tuple[Any, ...]) -> np.dtype[Any]:
@@ -127,7 +127,7 @@ FIRST_MOTION = _nested(
 VENTING = _nested(
     ("emptied", "?"),  # chambers and manifold are proven empty
     ("empty_since", "f8"),  # s: from when on the time for sinking counts
-    ("drained_at", "f8"),  # s: when living sensors last showed what may hold an arm up
+    ("drained_at", "f8"),  # s: when working sensors last showed no pressure that may hold an arm up
     ("trapped", "?"),  # air stayed in the chambers: a person reads the gauges before access
     ("rest_angle", "f8", (3,)),  # rad: where the joints came to rest
     ("start", "f8"),  # s: when the vents were opened
@@ -259,7 +259,7 @@ CONTROL_STATE = np.dtype(
         (
             "guard_was_opened",
             "?",
-        ),  # the guard was seen open in ACCESS: somebody may be inside until SECURE ends it
+        ),  # the guard was seen open in ACCESS: a person may be inside until SECURE ends it
         ("reset_was_low", "?"),
         ("reset_pressed", "f8"),  # s
         ("tee", "?"),
@@ -274,7 +274,7 @@ CONTROL_STATE = np.dtype(
         ("head", "f8", (6,)),  # x, y, theta (m, m, rad) and their speeds
         ("clearance_relief", "f8"),  # m less than the clearance that are enough, of a head that rested low
         ("filtered_velocity", "f8", (3,)),  # rad/s by which rest is judged
-        ("stopped_at", "f8"),  # s: when a stop was last asked for
+        ("stopped_at", "f8"),  # s: time of the last stop request
         ("moved_at", "f8"),  # s: when a joint last did not rest
         (
             "turf_override",
@@ -329,9 +329,9 @@ class ControlState(NamedTuple):
     estimator: Any
     pid: Any
     model: Any
-    """Of the model-based check."""
+    """Memory of the model-based check."""
     air: Any
-    """Of the chamber-pressure observer; moved on only where feed-forward or address take it."""
+    """Memory of the chamber-pressure observer; updated only where feed-forward or address use it."""
 
 
 class ControlParameters(NamedTuple):

@@ -38,10 +38,10 @@ what each sensor showed last and for how long (s); the force of each actuator as
 acceleration is (N, shoulder N m)."""
 
 SENSOR_MEMORY = 0.010
-"""s in which the observer takes over what a sensor shows."""
+"""Time constant with which the observer follows a pressure sensor (s)."""
 MOTION_MEMORY = 0.100
-"""s in which it takes over the force that the motion needs: long against the noise of an estimated
-acceleration, short against a swing."""
+"""Time constant with which it follows the force that the motion needs (s): long against the noise of an
+estimated acceleration, short against a swing."""
 _LAG = 0.003
 """s that the estimated acceleration is late."""
 _MOVING = 0.3
@@ -62,7 +62,7 @@ def actuator_motion(robot: Any, p: Any, angle: Any, velocity: Any, i: int) -> tu
 
 @compiled
 def conductance_of_vents(p: Any, r: Any, unpowered: float) -> float:
-    """Return what a chamber's vents pass, m3/(s Pa), `unpowered` s after their coils lost their power.
+    """Return the conductance of a chamber's vents (m3/(s Pa)), `unpowered` s after power loss of their coils.
 
     Vents that both report shut are shut: a machine may have no safety relay, or an output sticks.
     """
@@ -106,8 +106,8 @@ def observe_air(
     """Move the observer `a` on by `step` s under the openings `applied` since the last tick.
 
     `estimator` and `readings` are this tick's; `plant` is the machine's PLANT_PARAMETERS. `exhaust_closed`
-    was commanded in the last one, `vent` is what a chamber's vents pass, m3/(s Pa). `free`: nothing but
-    air, friction and weight acts on the joints.
+    was commanded in the last tick; `vent` is the conductance of a chamber's vents (m3/(s Pa)). `free`: only
+    chamber pressures, friction and weight act on the joints.
     """
     p, e, r = plant[0], estimator[0], readings[0]
     if not a.started:

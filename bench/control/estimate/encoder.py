@@ -1,15 +1,14 @@
-"""Encoder counts to continuous joint angles, believing only what the joint can have done.
+"""Conversion of encoder counts to continuous joint angles, without impossible jumps.
 
 An absolute single-turn encoder gives a count modulo its range. The branch of every absolute count is the one
 nearest to the middle of the joint's travel, which is narrower than the range (`design_encoders` requires it).
 The branch therefore depends on no earlier sample: garbage that was accepted leaves no whole turns behind.
-An incremental count before its index has no known zero. It is unwrapped against the last accepted one, in
-whole counts, so that nothing drifts; after a silence in which half a range could have passed it is placed
-nearest to the middle of the travel, too.
+An incremental count before its index has no known zero. It is unwrapped against the last accepted count, in
+whole counts, so that nothing drifts. After a gap in which half a range could have passed, it is also placed
+nearest to the middle of the travel.
 
-A jump that the joint could not have made in the time between two samples is named implausible and not
-believed; the time keeps running, so that a joint that truly is elsewhere is believed again once it could have
-got there.
+A jump beyond the joint's possible travel since the last accepted sample is IMPLAUSIBLE and rejected. This
+time continues to run: a joint that really is elsewhere is accepted once it could have travelled that far.
 """
 
 from __future__ import annotations
@@ -169,11 +168,11 @@ def decode_encoders(
             s.verdict[i] = INVALID
             continue
         if s.sample_time[i] > time + p.max_age[i]:
-            s.started[i] = 0  # the clock went back: no sample of before says how far the joint can have come
+            s.started[i] = 0  # the clock went back: earlier samples do not bound the joint's travel
         if s.started[i] and sample_time <= s.sample_time[i]:
             s.verdict[i] = REPEATED
             continue
-        if not abs(time - sample_time) <= p.max_age[i]:  # so that NaN is stale, too
+        if not abs(time - sample_time) <= p.max_age[i]:  # so that NaN is also stale
             s.verdict[i] = STALE
             continue
         if r.encoder_indexed[i] != s.indexed[i]:

@@ -39,8 +39,8 @@ ESTIMATOR_PARAMETERS = np.dtype(
     align=True,
 )
 """Per joint: variance of the encoder's rounding and noise (rad²); standard deviation of a sample's time (s);
-variance of the acceleration's change per second (rad²/s⁵); of the velocity's jumps per second inside the
-impact window (rad²/s³); variances of angle, velocity and acceleration after the first sample."""
+variance of the acceleration's change per second (rad²/s⁵); variance of the velocity's jumps per second
+inside the impact window (rad²/s³); variances of angle, velocity and acceleration after the first sample."""
 
 ESTIMATOR_STATE = np.dtype(
     [
@@ -75,7 +75,7 @@ def design_estimator(
 ) -> np.ndarray[Any, Any]:
     """Return an ESTIMATOR_PARAMETERS record for ticks of about `period` (s); tuples are in joint order.
 
-    Standard deviations: `noise` of a sample beside its rounding (rad), `jitter` of a sample's time (s),
+    Standard deviations: `noise` of a sample without its rounding (rad), `jitter` of a sample's time (s),
     `acceleration_change` in one period (rad/s²), `velocity_jump` in one period of the impact window (rad/s),
     `initial_velocity` (rad/s) and `initial_acceleration` (rad/s²) at the first sample.
 

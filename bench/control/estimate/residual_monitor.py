@@ -1,23 +1,22 @@
-"""The model-based check: measurements against what the plant's model says must come of it.
+"""Model-based fault detection: comparison of measurements with the predictions of the plant's model.
 
-Five comparisons, each against a limit by phase that healthy swings stay below:
+Five comparisons, each with a limit by phase that fault-free swings stay below:
 
 air       each chamber's pressure against an observer, which knows the valve's command, the motion and the
-          supply: a valve that does not obey, a sagging actuator or a wrong pressure sensor
+          supply: a valve that does not follow, a sagging actuator or a wrong pressure sensor
 flow      the same, smoothed: a valve that leaks, misses ticks or is off its centre, an encoder that drifts;
           too little to be seen in one tick, and nothing that must be answered within one
 velocity  each joint against its reference, which in a swing is the plant model's own prediction: the same,
           seen later, but without pressure sensors
-jump      each encoder's sample against what the motion so far predicts: steps, garbage, a count that stands
+jump      each encoder's sample against the estimator's prediction: steps, garbage, a frozen count
 effort    torque from the chambers' pressures against Kane's equations of the measured motion: an encoder
           whose scale or time is wrong, a head that came off
 
-A pressure that is ABSENT, or the supply's, leaves out what would need it. So does an encoder that counts
-from power-up until its index has passed: without a zero a joint has no position, its chambers no volume. A
-blow is in no prediction: when a joint, or its reference, runs into its cushion, or the club's head is at the
-ball or at the turf at speed, the limits of blows hold for a while if they are wider, and efforts are not
-compared. BRAKE has limits of its own.
-All pure, time is an argument.
+An ABSENT pressure of chamber or supply disables the comparisons that need it. So does an incremental encoder
+before its index: without a zero the joint's position and its chambers' volumes are unknown. The model
+predicts no shock: a joint or its reference at its shock absorber, or the club's head at ball or turf, at
+speed. For a while after a shock the limits of shocks hold where they are wider, and efforts are not compared.
+BRAKE has separate limits. All pure, time is an argument.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ swing."""
 LEARNING = ARMING + 1
 """First row of the limits, as above, of a robot or reference that differs from the planned one on purpose."""
 KINDS = ("air", "flow", "velocity", "jump", "effort")
-"""Comparisons, as their limits are named."""
+"""Names of the comparisons and of their limits."""
 
 MODEL_LIMITS = np.dtype(
     [
@@ -86,15 +85,15 @@ same smoothed and, smoothed, of the torques (N m); s since the observer began or
 and which joint's reference is at its cushion; s for which the latest blow still counts."""
 
 _MEMORY = 0.010
-"""s in which the observer takes over what is measured."""
+"""Time constant with which the observer follows the measured pressures (s)."""
 _SETTLING = 0.050
-"""s from its begin, or a stall of the loop, until it is believed."""
+"""Settling time of the observer after its start or a stall of the loop (s)."""
 _SMOOTHING = 0.020
 """s over which torques are smoothed: the estimated acceleration is noisy, and late in a jerk."""
 _FLOW_SMOOTHING = 0.050
 """s over which chambers are smoothed: long against noise and the shocks of a swing, short against a swing."""
 _BOTH = 0.2
-"""Share of the limit that the other chamber must be off, too, for a valve to be at fault."""
+"""Fraction of the limit that the other chamber must also exceed to identify a valve fault."""
 _CLOSE = 1e-4
 _BLOW = 0.030
 """s for which a blow shakes all joints."""
@@ -132,8 +131,8 @@ def observe(
     """Move the observer `m` on by `step` s under the openings `applied` since the last tick; set residuals.
 
     `estimator`, `indexed` (3,) of ENCODER_STATE, `readings` and `head` (6,) of `head_motion` are this tick's,
-    `reference` (3,) rad is the last one's; `plant` is the machine's PLANT_PARAMETERS. `vent` is what a
-    chamber's vents pass, m3/(s Pa); `braking`: by BRAKE.
+    `reference` (3,) rad is the last one's; `plant` is the machine's PLANT_PARAMETERS. `vent` is the
+    conductance of a chamber's vents (m3/(s Pa)); `braking`: by BRAKE.
     """
     p, e, r = plant[0], estimator[0], readings[0]
     fresh = m.started and 0.0 < step <= 1.5 * p.tick  # after a stall the observer restarts
@@ -181,7 +180,7 @@ def _compare_chamber(m: Any, pressure: float, k: int, step: float) -> None:
 
 @compiled
 def _is_shown(m: Any, r: Any, k: int) -> bool:
-    """Return whether chamber `k` shows a pressure, and the observer has one to go on from."""
+    """Return whether sensor and observer of chamber `k` both have a finite pressure."""
     # One missing value must not stay in the observer for ever.
     return bool(np.isfinite(r.chamber_pressure[k]) and np.isfinite(m.air[6 + k]))
 
@@ -224,9 +223,9 @@ def _note_contact(m: Any, envelope: Any, head: Any, braking: bool) -> None:
 
 @compiled
 def _compare_efforts(m: Any, robot: Any, p: Any, e: Any, indexed: Any, step: float) -> None:
-    """Smooth the residual of Kane's equations (N m a joint) on; zero at a cushion, and in a blow for all.
+    """Smooth the residuals of Kane's equations (N m); zero for a joint at its cushion, for all in a shock.
 
-    Each joint's angle is in the equations of all: zero, too, until all zeros are known.
+    Each equation contains all joint angles: the residuals also stay zero until all encoder zeros are known.
     """
     if indexed[0] == 0 or indexed[1] == 0 or indexed[2] == 0:
         m.effort[0] = m.effort[1] = m.effort[2] = 0.0
@@ -268,8 +267,8 @@ def model_cause(
 ) -> int:
     """Return the number of the first comparison that exceeds the limits of `row`, or 0.
 
-    A row is a phase, BRAKING + a phase, or ARMING. Of joint `doubted` one chamber did not fit before: it
-    leaks, or its sensor is wrong, and only the other one's own limit shows a wrong spool.
+    A row is a phase, BRAKING + a phase, or ARMING. One chamber of joint `doubted` exceeded its limit earlier:
+    it leaks, or its sensor is wrong. A spool fault then needs both chambers beyond the full limit.
 
     Unknown residuals fail no comparison.
     """
@@ -285,7 +284,7 @@ def model_cause(
         air = max(p.air[row, i], p.air[loosest, i])
         a, b = abs(m.residual[2 * i]), abs(m.residual[2 * i + 1])
         if max(a, b) > air:
-            # A wrong spool changes the air in both chambers, a wrong sensor only what is read in one.
+            # A wrong spool changes the pressures of both chambers, a wrong sensor only one reading.
             return Cause.SHOULDER_AIR + i if min(a, b) > both * air else Cause.SHOULDER_SENSOR + i
         if abs(reference_velocity[i] - e.velocity[i]) > max(p.velocity[row, i], p.velocity[loosest, i]):
             return Cause.SHOULDER_VELOCITY + i
@@ -307,7 +306,7 @@ def note_deviations(largest: Any, m: Any, estimator: Any, reference_velocity: An
     if m.blow > 0.0:
         row = SHOCK
     for i in range(3):
-        # A comparison with NaN, what is unknown, raises nothing.
+        # A comparison with NaN, an unknown value, raises nothing.
         for k in range(2 * i, 2 * i + 2):
             largest[0, row, i] = max(largest[0, row, i], abs(m.residual[k]))
             largest[1, row, i] = max(largest[1, row, i], abs(m.flow[k]))

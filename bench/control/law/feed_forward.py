@@ -1,4 +1,4 @@
-"""Valve openings ahead of the error: what the profile plans, or what the robot's model says the motion takes.
+"""Feed-forward valve commands: planned by the profile, or computed from the robot's model.
 
 planned         the profile's openings, found for this very loop on the nominal plant
 kane            a spool meters flow, and flow changes the force: the rate of the force that Kane's equations
@@ -77,7 +77,7 @@ def pneumatic_opening(
 ) -> float:
     """Return the opening of actuator `i` for a demanded `force` and its `rate` at the observed pressures.
 
-    `angle`, `velocity` (3,) are the motion's; what is missing in force is made up for at `gain` (1/s).
+    `angle`, `velocity` (3,) are the reference's; the force error is corrected at the rate `gain` (1/s).
     """
     position, speed = actuator_motion(robot, p, angle, velocity, i)
     rates = force_rates(p, i, air.pressure, position, speed)

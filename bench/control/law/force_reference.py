@@ -37,16 +37,16 @@ class ForceDemand(NamedTuple):
 
 
 def demand_for(feed_forward: FeedForward, plant: PlantParameters, profile: Profile) -> ForceDemand:
-    """Return what a controller with `feed_forward` needs: `demand_of`, or zeros where it looks at none."""
+    """Return the forces for a controller with `feed_forward`: `demand_of`, or zeros if it uses none."""
     if CODES.index(feed_forward) >= KANE:
         return demand_of(plant, profile)
     return ForceDemand(np.zeros(profile.angle.shape), np.zeros(profile.angle.shape))
 
 
 def demand_of(plant: PlantParameters, profile: Profile) -> ForceDemand:
-    """Return what `profile` demands of the actuators of `plant`, friction included.
+    """Return the actuator forces that `profile` requires of `plant`, friction included.
 
-    The tables are early by what the spools are late.
+    The tables lead by the lag of each spool and half a tick.
     """
     period, n = profile.period, len(profile.angle)
     force, rate = np.zeros((n, 3)), np.zeros((n, 3))

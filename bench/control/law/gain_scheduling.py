@@ -5,8 +5,8 @@ joint i, the others held, by
 
     q''' + c q'' + k b q' = b u
 
-c is the friction's damping (1/s), b what the spool adds to the jerk (rad/s3), 1 / k the speed at which an
-opening moves the joint in the end (rad/s). Damping, derivative and proportional gains make it
+c is the friction's damping (1/s), b the jerk per spool opening (rad/s3), 1 / k the steady joint speed per
+opening (rad/s). Damping, derivative and proportional gains make it
 
     q''' + a2 q'' + a1 q' + a0 (q - reference) = 0
     a2 = the joint's bandwidth, a1 = max(k b, shape a2^2), a0 = stiffness a1 a2 / 4
@@ -197,7 +197,7 @@ def joint_chains(plant: Plant, angle: Array) -> JointChains:
 
 
 class _Opened(NamedTuple):
-    """What the integral has to move."""
+    """Dead bands, tolerances and time that set the minimum of the integral gains."""
 
     band: Array
     """(3,) dead bands."""

@@ -125,5 +125,5 @@ def _cell(angle: float, lower: float, spacing: float, count: int) -> tuple[int, 
 
 @compiled
 def _between(one: float, other: float, share: float) -> float:
-    # Equal values give exactly that value, so that gains set by hand are what was set.
+    # Equal values give exactly that value, so that manual gains stay unchanged.
     return one + share * (other - one)

@@ -75,7 +75,7 @@ def loop_responses(frozen: LinearPlant, estimated: Complex, gains: Gains, period
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         own_j, own_k = 1 + ratio[:, j, j], 1 + ratio[:, k, k]
-        # What comes back through the other two loops: their two equations solved.
+        # Feedback through the other two loops: the solution of their two equations.
         to_j, to_k = ratio[:, j, i], ratio[:, k, i]
         both = own_j * own_k - ratio[:, j, k] * ratio[:, k, j]
         of_j = (own_k * to_j - ratio[:, j, k] * to_k) / both

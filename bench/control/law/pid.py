@@ -9,8 +9,8 @@
 The velocity comes from the estimator; nothing is differentiated here.
 
 Anti-windup is conditional integration: a step of the integral may bring the output to its limit, but
-not beyond, and the integral outside lowest…highest only back. Back-calculation was not taken: it needs a
-time constant of its own per actuator, and it lets a spike of P or D pull the integral the wrong way.
+not beyond, and the integral outside lowest…highest only back. Back-calculation is not used: it needs an
+additional time constant per actuator, and a spike of P or D would pull the integral the wrong way.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ PID_STATE = np.dtype(
     ],
     align=True,
 )
-"""Per actuator: the three terms, their sum with the feed-forward, that sum within the limits, and the gains
-of this tick, in the order of `Gains`; the factor on them by the supply, 0 before the first one. Only
-`integral` and the factor carry over to the next tick; the rest is for the log and the envelope."""
+"""Per actuator: the three terms, their sum with the feed-forward, that sum within the limits, and this tick's
+gains, in the order of `Gains`; the factor on them by the supply, 0 before the first one. Only `integral` and
+the factor carry over to the next tick; the rest is for the log and the envelope."""
 
 Values = tuple[float, float, float]
 

@@ -1,8 +1,8 @@
-"""Watch over the chambers' exhausts: with the vents open a pressure must fall, also while the arms sink.
+"""Monitor of the chambers' exhausts: with the vents open a pressure must fall, also while the arms sink.
 
-The bound falls from the pressure at which the vents opened, as the plant's own chamber does where each
-exhaust passes a share SLOWEST of what it is assumed to pass. Of a chamber above it the silencer is clogged,
-the hose is kinked, or the sensor's zero is off. A vent's position switch shows nothing of that.
+The bound falls from the pressure at which the vents opened, as in a simulated chamber whose exhaust passes
+the fraction SLOWEST of its assumed flow. A chamber above it has a clogged silencer, a kinked hose or a sensor
+with a zero error. A vent's position switch shows none of these faults.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SLOWEST = 1.0 / 3.0
 MARGIN = 2e3
 """Pa between the bound and a violation: a sensor's noise and zero."""
 LATE = 0.1
-"""s above the bound that are believed."""
+"""Time above the bound after which an exhaust is too slow (s)."""
 CHAMBERS = 6
 _LONGEST = 0.02
 """Longest time, s, by which a tick moves the bounds: a stalled loop has read nothing."""
@@ -33,7 +33,7 @@ def monitor_exhausts(s: Any, p: Any, robot: Any, plant: Any, e: Any, readings: A
     """Judge each chamber that a living sensor shows, `step` s after the last tick.
 
     `plant` is one of PLANT_PARAMETERS, `e` the estimator's state. Without trusted encoders, or before
-    incremental ones are homed, a chamber's volume is unknown: nothing is judged, and what was found stays.
+    incremental ones are homed, a chamber's volume is unknown: none is judged, and earlier findings stay.
     """
     opened = s.venting.timer - SWITCHING
     vent = SLOWEST * conductance_of_vents(plant, readings[0], opened)

@@ -1,9 +1,8 @@
-"""Watch over the guard's lock: its feedback must follow the command.
+"""Monitor of the guard's lock: its feedback must follow the command.
 
-A released lock reads unlocked within a second, whether the guard is opened or not. Feedback that goes on
-reading locked, or reads locked beside an open guard, proves nothing afterwards: the robot would move behind a
-guard that may be unlocked. It counts again once it has been seen unlocked, as after a repair or at the next
-release.
+A released lock reads unlocked within a second, whether the guard is opened or not. Feedback that still reads
+locked, or reads locked with the guard open, is invalid from then on: the robot could move behind an unlocked
+guard. It is valid again once it has read unlocked, as after a repair or at the next release.
 """
 
 from __future__ import annotations
@@ -13,14 +12,14 @@ from typing import Any
 from drivers.base.compiled import compiled
 
 UNLOCKING = 1.0
-"""s that the lock and its switch may take to follow: a bolt under load lets go when the guard is pushed."""
+"""Max time for lock and switch to follow (s): a bolt under load releases when the guard is pushed."""
 
 
 @compiled
 def monitor_guard_lock(s: Any, readings: Any, released: bool, time: float) -> None:
     """Compare the lock's feedback with the command; `released` was commanded in the last tick.
 
-    A device that went passive locks the guard by itself.
+    A device that went passive locks the guard automatically.
     """
     r = readings[0]
     wrong = r.guard_locked and ((released and s.device_operational) or not r.guard_closed)

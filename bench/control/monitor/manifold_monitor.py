@@ -20,13 +20,13 @@ from drivers.base.compiled import compiled
 from sim.pneumatics import flow
 
 SLOWEST, FASTEST = 0.25, 3.0
-"""Shares of the assumed dump valve's flow: silencers clog, and spools that still are open take air, too."""
+"""Fractions of the assumed dump valve's flow: silencers clog, and spools still open also take air."""
 SHUTTING = 0.3
 """s that the supply valve may take to shut."""
 MARGIN = 0.3e5
 """Pa between a bound and a violation: noise, and samples as old as a message."""
 LATE, EARLY = 0.1, 0.02
-"""s above and below the bounds that are believed."""
+"""Times above and below the bounds that count as a fault (s)."""
 PROOF_FROM = 3e5
 """Pa from which on a venting that takes its time proves the sensor."""
 PROOF_TIME = 1.5

@@ -1,12 +1,12 @@
-"""Watch over the air's sensors and vents: what fails is named, and proves nothing any more.
+"""Monitor of pressure sensors, vents and shut-off valve.
 
-A pressure sensor that was believable once, or that its driver calls INVALID, is fitted. One that gives no
-believable value for a while is dead: nothing is armed, homed or reset, and what it would have shown has to be
-proven in another way. One lost frame is no death: until then its last value counts.
+A pressure sensor counts as fitted after one plausible value, or if its driver reports INVALID. It fails after
+DEAD_AFTER without a plausible value; until then its last value counts. While a sensor has failed, arming,
+homing and reset are refused. Access then needs other evidence for a chamber, and is refused for the manifold.
 
-The chambers vent through either of two valves. Each may report its position; one that does not follow its
-command is named at that switching, while the other still vents. The shut-off valve, which keeps the manifold
-empty while people are inside, is watched in the same way.
+The chambers vent through either of two valves. Each may report its position; the monitor reports one that
+does not follow its command at that switching, while the other still vents. It checks the shut-off valve,
+which keeps the manifold empty while people are inside, in the same way.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ FAULTS = (
 `bench.control.monitor.guard_lock_monitor`, exhausts by `bench.control.monitor.exhaust_monitor`."""
 
 DEAD_AFTER = 0.1
-"""s without a believable value after which a sensor is dead."""
+"""Time without a plausible value after which a sensor counts as failed (s)."""
 RECOVERY = 0.25
 """s of doubt that a second of believable values takes away: one value in five may be missing for ever."""
 SWITCHING = 0.5
-"""s that a vent may take to follow its command, beside its delay."""
+"""Max time for a vent to follow its command, in addition to its delay (s)."""
 MAX_FALL = 1.0e5
 """Pa by which a sensor may fall from one tick to the next while the chambers vent: more is a jump."""
 _LONGEST = 0.02
@@ -77,7 +77,7 @@ def monitor_pressures(s: Any, p: Any, readings: Any, exhaust_closed: bool, step:
         elif sensors.doubt[k] <= 0.0:
             sensors.dead[k] = 0
     wanted = 0.0 if exhaust_closed else 1.0
-    # A passive device and an open safety relay let the vents open by themselves.
+    # A passive device or an open safety relay opens the vents automatically.
     opened = not s.device_operational or not relay_closed(readings)
     allowed = SWITCHING + (0.0 if exhaust_closed else p.vent_delay)
     for k in range(VENTS):
@@ -192,16 +192,15 @@ def all_chambers_are_seen(sensors: Any) -> bool:
 
 @compiled
 def emptiness_is_proven(s: Any, p: Any, readings: Any, time: float) -> bool:
-    """Return whether manifold and chambers that show no pressure are proven empty.
+    """Return whether manifold and chambers that show no pressure are verified as empty.
 
-    Chambers by a sensor in each that was seen to fall since they began to vent. One that showed no pressure
-    even then, or jumped, may be stuck: by the time for venting, too. For a dead one, by a vent that reports
-    open and the longest time; without that feedback it may as well be full. Without sensors, by a vent that
-    reports open and the time for venting; without feedback by that time alone. A manifold with a dead sensor
-    is proven by nothing. So is one behind a shut-off valve that does not follow its command, as the supply
-    valve alone keeps it empty. So are chambers whose vents report their positions, and none is open: the air
-    left below `vented_pressure` carries an arm, which sinks as it leaks away. A doubt refuses access, and
-    does not end it.
+    With a sensor in each chamber, each reading must have fallen since venting started. A sensor that showed
+    no pressure even then, or jumped, may be stuck: `vent_timeout` must pass. With a failed sensor, a vent
+    must report open, and `vent_timeout` plus `rest_time_without_encoders` must pass. Without a sensor in each
+    chamber, `vent_timeout` must pass. If vents have feedback and none reports open, nothing verifies the
+    chambers: the air left below `vented_pressure` carries an arm, which sinks as it leaks away. Nothing
+    verifies a manifold whose sensor has failed, or whose shut-off valve does not follow its command: only
+    the supply valve keeps it empty. A suspect sensor prevents access, but does not end it.
     """
     whole, dead, fell = True, False, True
     for k in range(SENSORS):

@@ -1,22 +1,22 @@
-"""The air at the address: brought to the pressures that the profile plans, before a swing may begin.
+"""Pressure control at the address: chambers reach the planned pressures before a swing may start.
 
-With its spool centred a chamber keeps what came into it, and dry friction holds the joint wherever its air
-leaves it: neither sum nor difference of an actuator's pressures follows from its pose. A closed-centre spool
-moves air in both chambers, with two handles:
+With the spool centred a chamber holds its pressure, and dry friction holds the joint over a range of
+pressures: neither sum nor difference of an actuator's pressures follows from its pose. A closed-centre spool
+controls both chambers by two quantities:
 
-sum         swung around its centre, the spool lets as much air into each chamber as out of it, and both go to
-            where inflow and outflow are equal: about three quarters of the supply. The longer it is swung,
-            the less is left of what was there. That is why the planned pressures lie on this balance
-            (`bench.control.moves.pressure_plan`); leakage past the centred spool leads nearly there, too.
-difference  an offset of the swing fills one chamber and empties the other.
+sum         dithered around its centre, the spool admits as much air to each chamber as it releases. Both
+            pressures approach the balance of inflow and outflow, about three quarters of the supply. The
+            longer the dither, the less the earlier pressures matter. The planned pressures therefore lie on
+            this balance (`bench.control.moves.pressure_plan`); leakage of the centred spool leads near it.
+difference  an offset of the dither fills one chamber and empties the other.
 
-A joint is first brought into its band around the address by its PID, the spool swung, so that neither dead
-band nor friction keeps it away. From then on its valve serves the air: friction holds the joint as long as
-the planned force is near its load. Once both chambers are as planned the spool rests at its centre. On a
-robot whose air leaks away faster than all three come to rest together, the spools go on swinging instead.
-Where dry friction is large beside the pneumatic stiffness a joint sticks beside its address, breaks away and
-slips past it: after some time of that its force is brought beyond its friction, and it is caught as it slips.
-A move that ends in that is taken over by the hold.
+The PID first moves each joint into its band around the address. The spool is dithered, so that neither dead
+band nor friction keeps the joint away. From then on the valve controls pressure only: friction holds the
+joint as long as the planned force is near its load. Once both chambers are as planned the spool rests at its
+centre. If leakage prevents all three spools from resting together, the dither continues instead.
+With dry friction large compared with the pneumatic stiffness, a joint sticks off its address, breaks away and
+overshoots. After some time the controller raises its force beyond its friction, and stops it as it slips. The
+hold takes over a move that ends in this way.
 
 The pressures are those of `bench.control.estimate.air`: sensors, or the observer where none are fitted.
 Planned pressures are in proportion to the supply.
@@ -37,7 +37,7 @@ from drivers.base.compiled import compiled
 _BAND = 2.0
 """Times the band around the address that a joint may leave it while its valve serves the air."""
 _STOPPING = 0.04
-"""s in which friction stops a joint that is let go: a slipping one is caught before it is at the address."""
+"""Time in which friction stops a released joint (s): a slipping one is stopped this long ahead."""
 _LOOSENING = 2.0
 """Times the dry friction that a force beyond the load comes to until a joint breaks away; static is less."""
 _SLIPS = 2.0
@@ -47,7 +47,7 @@ _CAUGHT = 8.0
 _FIRM = 0.5
 """Share of the dry friction by which a stuck joint's force may be off: beyond friction it slides."""
 _NEARER = 0.5
-"""Share of the tolerance within which a swung spool comes to rest."""
+"""Fraction of the tolerance within which the dither of a spool ends."""
 _RATE = 6.0
 """Rate at which a missing difference is made up for, 1/s."""
 _CHARGING_RATE = 30.0
@@ -57,7 +57,7 @@ _TRIM_RATE = 1.0
 _MAX_TRIM = 0.1
 """Opening; a spool farther off its centre is out of order."""
 _MISSED = 1.5
-"""s after a move's end without all joints at the address: one sticks beside it and slips past it."""
+"""Time after a move's end with a joint off its address (s): it alternately sticks and overshoots."""
 _REACH = 0.5
 """Share of the hold's following limit within which such a joint is left to the hold."""
 _SETTLING = 0.1
@@ -73,12 +73,12 @@ One that slipped past its address is only caught."""
 _LEAKING = 1.5
 """Times the tolerance within which the pressures of late joints are as planned: spools hold them."""
 _OFFSET = 0.8
-"""Share of the swing to either side that an offset may take: the rest goes on moving the sum."""
+"""Max offset as a fraction of the dither beyond the dead band: the rest still controls the sum."""
 
 
 @compiled
 def leave_address_air(s: Any, time: float) -> None:
-    """Forget what was brought about at the address; the next hold begins from what it finds."""
+    """Reset flags and times of the pressure control at the address, for the next hold."""
     for i in range(3):
         s.address_air.held[i] = s.address_air.swung[i] = 0
     s.address_air.ready, s.address_air.good, s.address_air.since = False, time, time
@@ -92,9 +92,9 @@ def _has_missed(s: Any, time: float) -> bool:
 
 @compiled
 def take_over_unsettled_move(s: Any, parameters: Any, estimator: Any, time: float) -> bool:
-    """Return whether the hold takes over a robot whose move ended beside its address; note its late joints.
+    """Return whether the hold takes over a move that ended off its address; mark its unsettled joints.
 
-    A PID alone lets a joint with much friction hunt there; the hold catches a late one as it slips.
+    With a PID alone a joint with high friction hunts there; the hold stops an unsettled one as it slips.
     """
     p, following = parameters.control[0], parameters.envelope[0].max_following_error
     if not (parameters.profile[0].air_planned and _has_missed(s, time)):
@@ -122,7 +122,7 @@ def worst_chamber(profile: Any, air: Any) -> tuple[int, float]:
     worst, most = 0, 0.0
     for k in range(6):
         away = abs(air.pressure[6 + k] - planned_pressure(profile, air, k))
-        if not away <= most:  # NaN, too
+        if not away <= most:  # also NaN
             worst, most = k, away
     return worst, most
 
@@ -146,14 +146,14 @@ def _planned_force(plant: Any, profile: Any, air: Any, i: int) -> float:
 
 @compiled
 def _bounded(parameters: Any, i: int, offset: float) -> float:
-    """Return the `offset` of spool `i` that leaves enough of its swing to go on moving the sum."""
+    """Return the `offset` of spool `i`, bounded so that its dither still controls the sum."""
     most = _OFFSET * (parameters.profile[0].dither_amplitude[i] - parameters.plant[0].dead_band[i])
     return float(min(max(offset, -most), most))
 
 
 @compiled
 def _offset_for(state: Any, parameters: Any, i: int, missing: float, rate: float) -> float:
-    """Return the offset of a spool that swings that makes up for a `missing` force (N, N m) at `rate` 1/s."""
+    """Return the dither offset that corrects a `missing` force (N, N m) at `rate` (1/s)."""
     e, air, plant = state.estimator[0], state.air[0], parameters.plant[0]
     position, _ = actuator_motion(parameters.robot, plant, e.angle, e.velocity, i)
     _, up, down = force_rates(plant, i, air.pressure, position, 0.0)
@@ -164,9 +164,9 @@ def _offset_for(state: Any, parameters: Any, i: int, missing: float, rate: float
 
 @compiled
 def _balancing(state: Any, parameters: Any, i: int) -> float:
-    """Return the offset with which a swung spool leaves the force where it is, by the model.
+    """Return the dither offset that keeps the force constant, by the model.
 
-    One side lets in more than the other lets out, and chambers leak.
+    The inflow of one chamber differs from the outflow of the other, and chambers leak.
     """
     e, air, plant = state.estimator[0], state.air[0], parameters.plant[0]
     position, _ = actuator_motion(parameters.robot, plant, e.angle, e.velocity, i)
@@ -178,9 +178,9 @@ def _balancing(state: Any, parameters: Any, i: int) -> float:
 
 @compiled
 def _push(state: Any, parameters: Any, i: int) -> float:
-    """Return what the force (N, N m) of actuator `i` misses to loosen its joint, at rest beside the address.
+    """Return the force (N, N m) that actuator `i` lacks to break its joint away, at rest off the address.
 
-    Not against a PID that pushes more: it knows what the model does not.
+    It is 0 if the PID already pushes more, as the PID also corrects errors of the model.
     """
     e, plant = state.estimator[0], parameters.plant[0]
     towards = parameters.angle[0] - e.angle
@@ -227,7 +227,7 @@ def regulate_address_pressure(state: Any, parameters: Any, time: float) -> None:
         settled = settled and held and (s.address_air.swung[i] == 0 or missing <= enough)
         rate = _CHARGING_RATE if slips and stopped else _RATE
         if held:
-            # The swing begins as if nothing had been before it.
+            # The swing starts with an empty integral.
             state.pid[0].integral[i], s.desired[i] = 0.0, s.address_air.trim[i]
         elif slips and stopped:
             state.pid[0].integral[i], force = 0.0, 0.0
@@ -242,7 +242,7 @@ def regulate_address_pressure(state: Any, parameters: Any, time: float) -> None:
             if held or (late and not slips):
                 trim = s.address_air.trim[i] + _TRIM_RATE * s.measured_step * offset
                 s.address_air.trim[i] = min(max(trim, -_MAX_TRIM), _MAX_TRIM)
-            if late or not held:  # a PID as soft as its air cannot make up for what the swing does
+            if late or not held:  # a soft PID cannot compensate the dither's force drift
                 offset = _bounded(parameters, i, offset + _balancing(state, parameters, i))
             s.desired[i] += side * profile.dither_amplitude[i] + offset
     if not settled:
@@ -272,12 +272,12 @@ def precharge(state: Any, parameters: Any, time: float) -> None:
 
 @compiled
 def dither_move(state: Any, parameters: Any, time: float) -> None:
-    """Swing the spools of a slow move, so that dead band and friction hold no joint behind the others.
+    """Dither the spools of a slow move, so that dead band and friction hold no joint behind the others.
 
-    Near the ground all of them together lift the head; and on the way the chambers come near to the plan. A
-    joint that slips past the address where the move ended forgets the integral that it slipped with: it would
-    be as far beyond, and hunt there for ever. From then on what the swing does to the forces by itself is
-    made up for: a soft PID cannot.
+    Near the ground all joints together lift the head, and on the way the chambers approach their planned
+    pressures. From _MISSED after the move's end a slipping joint loses its integral, which would drive it as
+    far beyond the address and make it hunt for ever. An offset then also compensates the dither's force
+    drift, which a soft PID cannot.
     """
     s, p, e, profile = state.control[0], parameters.control[0], state.estimator[0], parameters.profile[0]
     missed = _has_missed(s, time)

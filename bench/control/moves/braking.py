@@ -72,8 +72,8 @@ def _rest_or_wait(s: Any, parameters: Any, e: Any, trusted: bool, time: float) -
 def brake(state: Any, parameters: Any, readings: Any, trusted: bool, time: float) -> None:
     """Set the desired openings of BRAKE: air against the motion, until all joints rest.
 
-    Behind an open safety relay until its vents open: spools would let arms fall into an empty manifold. Where
-    both vents report shut, as on a machine without that relay, it goes on.
+    Behind an open safety relay it ends when the vents open: spools would drop arms into an empty manifold.
+    Where both vents report shut, as on a machine without that relay, it continues.
     """
     s, e = state.control[0], state.estimator[0]
     brake_openings(s, parameters.control[0], e)

@@ -37,7 +37,7 @@ def note_answers(s: Any, d: Any, e: Any) -> None:
     for i in range(3):
         way = np.sign(s.reference_velocity[i])
         m.start[i] += s.homing.zero_shift[i]
-        if way not in (0.0, m.way[i]):  # a reference that waits for its joint goes on
+        if way not in (0.0, m.way[i]):  # a waiting reference keeps its direction
             m.way[i], m.start[i] = way, e.angle[i]
         elif m.answered[i] == 0 and way * (e.angle[i] - m.start[i]) >= _ANSWER:
             m.answered[i] = 1

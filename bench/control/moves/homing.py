@@ -45,8 +45,8 @@ _BEYOND = 0.1
 _EASE = 0.4
 """Share of the lead that pulls a joint off its stop: a full chamber throws it the harder the more it lags."""
 _LEASH = 1.5
-"""Times the lead by which a joint is held while chambers that fill push it. Then it begins where it is: drawn
-back, it would be thrown, and the wrist would go on swinging above the speed that ends homing."""
+"""Max lead, as a multiple of `stop_contact_lead`, while filling chambers push a joint. The search then starts
+at its angle: drawn back, it would be thrown, and the wrist would swing faster than homing allows."""
 _LONGEST_PUSH = 2.0
 """s for which a joint may rest against its reference anywhere else: dry friction holds it as long as the air
 takes to change sides."""
@@ -80,7 +80,7 @@ def search(s: Any, p: Any, e: Any, d: Any, indexed: Any, time: float, measured_s
     """
     h = s.homing
     for i in range(3):
-        # A zero that was set in this tick: the joint went on as before.
+        # A zero that was set in this tick: the joint's motion is unchanged.
         s.reference[i] += h.zero_shift[i]
         h.start[i] += h.zero_shift[i]
         h.origin[i] += h.zero_shift[i]
@@ -116,7 +116,7 @@ def search(s: Any, p: Any, e: Any, d: Any, indexed: Any, time: float, measured_s
 
 @compiled
 def _begin_way(s: Any, e: Any, joint: int, time: float) -> None:
-    """Let `joint` go on from where it is."""
+    """Start the next travel of `joint` at its present angle."""
     h = s.homing
     s.reference[joint] = h.start[joint] = h.pushed_at = e.angle[joint]
     h.since = h.pushed_since = time
@@ -200,7 +200,7 @@ def _go_back(s: Any, p: Any, e: Any, time: float, measured_step: float) -> bool:
 
 @compiled
 def bounded(p: Any, opening: float) -> float:
-    """Return `opening` within what the search allows; NaN stays NaN, for the envelope."""
+    """Return `opening` within the limits of the search; NaN stays NaN, for the envelope."""
     return min(max(opening, -p.home_opening), p.home_opening) if np.isfinite(opening) else opening
 
 
@@ -220,7 +220,7 @@ def search_cause(
         return Cause.HOMING_FAILED
     for i in range(3):
         if h.free[i] == 0 and time > h.began:
-            return Cause.HOMING_FAILED  # the device knows of no new search: an index of before proves nothing
+            return Cause.HOMING_FAILED  # no new search has started: an earlier index is no evidence
     # Off its stop a full chamber throws a joint, whose zero is proven by then.
     faster = _FASTER if h.turn < 3 else 2.0 * _FASTER
     turned = p.home_order[h.turn] if h.turn < 3 else -1

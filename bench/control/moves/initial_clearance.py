@@ -17,9 +17,9 @@ _SLACK = 0.001
 
 @compiled
 def monitor_low_head(s: Any, envelope: Any, time: float) -> float:
-    """Return by how much (m) less than the clearance is enough in this tick, from where the head rested.
+    """Return the reduction of the required clearance (m) in this tick, for a head that rested low.
 
-    Only on the way to the address after arming, and never again what the head has risen by since the air.
+    It applies only on the way to the address after arming. With the air on it only falls, as the head rises.
     """
     p = envelope[0]
     if not (s.state == State.ARMED and s.phase == Phase.RETURN):

@@ -17,9 +17,9 @@ _SHOULDER = 0
 _MIN_MARGIN = 0.030
 """m over the required clearance that are enough: an arm that sticks until its PID moves it costs 23 mm."""
 _MIN_IMPROVEMENT = 0.001
-"""m by which the other order must pass higher."""
+"""Required gain in ground clearance to change the order (m)."""
 _POSES = 24
-"""Poses of a way that are looked at."""
+"""Number of poses checked on a path."""
 
 
 @compiled
@@ -33,7 +33,10 @@ def moves_arm_first(parameters: Any, start: Any) -> bool:
 
 @compiled
 def joint_progress(part: float, joint: int, first: bool) -> float:
-    """Return the part of its own time (0 to 1) of `joint` at `part` of the move; `first`: arm and wrist."""
+    """Return the progress (0 to 1) of `joint` at `part` of the move.
+
+    With `first`, arm and wrist use the first half and the shoulder the second.
+    """
     if not first:
         return part
     own = 2.0 * part - 1.0 if joint == _SHOULDER else 2.0 * part
@@ -42,7 +45,7 @@ def joint_progress(part: float, joint: int, first: bool) -> float:
 
 @compiled
 def _spare(parameters: Any, start: Any, first: bool) -> float:
-    """Return by how much (m) the head clears what it has to on its way; negative where it is too low."""
+    """Return the min spare clearance (m) of the head on its path; negative where it is too low."""
     p, robot, end = parameters.envelope[0], parameters.robot[0], parameters.angle[0]
     least = 10.0
     for k in range(_POSES + 1):

@@ -1,8 +1,8 @@
-"""Chamber pressures that a profile plans for its address: those that a swung spool leads to under the load.
+"""Chamber pressures that a profile plans for its address: the balance under load with a dithered spool.
 
-A spool that lets air in for a share of the time, and out of the other chamber meanwhile, leads either chamber
-to where its inflow and outflow are equal. One share gives the actuator the force that holds the joint at the
-address without friction; its pressures are planned, as a robot comes to them by itself and stays there.
+A spool that fills one chamber for a share of the time, and exhausts the other meanwhile, drives each chamber
+to the pressure at which its inflow and outflow are equal. One share gives the force that holds the joint at
+the address without friction. Its pressures are planned, as the robot reaches and keeps them automatically.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ SETTLING = 0.5
 _PERIOD, _QUICK = 0.012, 2.0 * pi * 100.0
 """s between two changes of side that lead the same way, for spools of at least this frequency, rad/s."""
 _WIDEST = 0.4
-"""Max opening of a swung spool to either side."""
+"""Max dither amplitude of a spool, as an opening."""
 _HARMONICS = 30
-"""Of a square wave; a spool follows the first few."""
+"""Limit of the harmonics of a square wave; a spool follows the first few."""
 _LEAST, _MOST = 0.02, 0.98
 """Shares of time between which a load must be held."""
 
@@ -66,7 +66,7 @@ def planned_air(plant: PlantParameters, angle: Array) -> Array:
 
 
 def dither_amplitudes(plant: PlantParameters, machine: Array, angle: Array) -> Array:
-    """Return the openings (3,) to either side with which each spool is swung at the address `angle` (3,).
+    """Return the dither amplitudes (3,) of the spools, as openings, at the address `angle` (3,) in rad.
 
     They follow from the chambers' volumes and the valves: each sum settles in SETTLING. `machine` is the
     plant's PLANT_PARAMETERS record.
@@ -92,19 +92,19 @@ def dither_amplitudes(plant: PlantParameters, machine: Array, angle: Array) -> A
 
 
 def dither_periods(plant: PlantParameters) -> Array:
-    """Return the periods (3,) s in which spools are swung: longer where a slow one would not follow.
+    """Return the dither periods (3,) of the spools (s): longer where a slow one would not follow.
 
-    Each its own: in a long period a quick spool lets in so much air that the joint leaves its friction.
+    They differ, as in a long period a quick spool admits so much air that the joint breaks away.
     """
     frequency = np.array([actuator.valve.natural_frequency for actuator in plant.actuators])
     return np.asarray(_PERIOD * np.maximum(_QUICK / frequency, 1.0))
 
 
 def dither_duties(plant: PlantParameters, widths: Array) -> Array:
-    """Return the mean share of the stroke (3,) that a spool swung by `widths` (3,) opens to each side.
+    """Return the mean share of the stroke (3,) that a spool dithered by `widths` (3,) opens to each side.
 
-    Beyond the dead band, over a whole period; of the spool's second-order model, by the square wave's Fourier
-    series.
+    This is the mean beyond the dead band over a whole period of the spool's second-order model, from the
+    square wave's Fourier series.
     """
     shares = np.zeros(3)
     turn = np.linspace(0.0, 2.0 * pi, 400, endpoint=False)[:, np.newaxis]

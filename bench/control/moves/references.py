@@ -79,7 +79,7 @@ def follow_move(parameters: Any, s: Any, time: float) -> bool:
         s.reference[i] = s.move.origin[i] + way * shape
         s.reference_velocity[i] = way * slope
         s.reference_acceleration[i] = way * bend
-        # Swung spools are beyond their dead band by themselves.
+        # Dither alone carries the spools beyond their dead band.
         band = 0.0 if parameters.profile[0].air_planned else p.move_band[i] * direction(way * slope)
         s.feed_forward[i] = s.move.gain[i] * way * slope + band
     return bool(whole < 1.0)

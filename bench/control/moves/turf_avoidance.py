@@ -1,15 +1,15 @@
-"""Openings that keep the head off the turf where an actuator does not obey around the ball.
+"""Valve commands that keep the head off the turf after an actuator fault near the ball.
 
-A stop takes the air away, or brakes with it. Over turf both may come too late: what drives the club on digs
-it in, and what braked it throws it back along the arc of a stretched arm, which lies below the ground. So one
-of the other actuators acts for a few hundredths of a second:
+A stop cuts the supply, or brakes with it. Over turf both may act too late: driving pressure digs the club in,
+and braking pressure throws it back along the arc of a stretched arm, below the ground. So another actuator
+acts for 0.03 s to 0.1 s:
 
-- the shoulder does not obey: the wrist's driving chamber is let off, and the club stays back;
-- the arm does not obey: the shoulder's braking chamber is let off, and does not throw the club back;
-- the wrist does not obey: the right arm pulls in, beside the brake.
+- shoulder fault: the wrist's driving chamber exhausts, and the club stays back;
+- arm fault: the shoulder's braking chamber exhausts, and does not throw the club back;
+- wrist fault: the right arm pulls in, in addition to the brake.
 
-With PASSIVE the supply is cut as ever: chambers lose air, and get what the manifold still has. Openings
-and times were found on the plant, `bench/manual/control/architecture.md`.
+PASSIVE still cuts the supply: chambers lose air, or receive the rest in the manifold. Openings and times were
+found on the plant, `bench/manual/control/architecture.md`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from drivers.base.compiled import compiled
 OPENINGS = ((nan, 0.0, -0.4), (0.4, nan, 0.0), (0.0, -1.0, nan))
 """Openings of shoulder, arm and wrist, by the joint that does not obey; NaN: as the reaction sets it."""
 TIMES = (0.03, 0.10, 0.06)
-"""s from the begin of the reaction, by that joint."""
+"""Duration from the start of the reaction, by that joint (s)."""
 
 
 @compiled
