@@ -1,7 +1,7 @@
 """Operation of a running bench by a program: lease, way to the address, correction, ball, swing, record.
 
-After a stop only a person's reset and homing go on; a simulated bench is reset, homed and armed from here.
-What a refusal means is decided by its code: some last until a person has done something, others pass.
+After a stop a person resets and homes the bench; a simulated bench is reset, homed and armed from here.
+The code of a refusal decides whether it lasts until a person has acted, or passes.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class BenchOperator:
         aborted: Callable[[], bool] = lambda: False,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
-        """`ask_person` shows what a person has to do before this goes on, or raises to give up.
+        """`ask_person` shows the action that a person must take first, or raises to give up.
 
         `on_reset` gets the cause of each stop after which a simulated bench is reset.
         `aborted` stops the robot, `interrupted` raises KeyboardInterrupt before a swing and never in one.
@@ -227,7 +227,7 @@ class BenchOperator:
         return Refused(f"bench {self.client.bench}", found, expected, action)
 
     def _persons_work(self, status: BenchStatus) -> str:
-        """Return what only a person may do on the way to the address; empty if nothing."""
+        """Return the action that only a person may take on the way to the address; empty if none."""
         if status["state"] == "ACCESS":
             return "the guard is unlocked: golfbench access --end"
         if not self.simulated and status["state"] in {*LATCHED, "SAFE"}:

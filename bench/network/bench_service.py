@@ -82,7 +82,7 @@ class LoopStatus(TypedDict):
     late: int
     page_faults: int
     preemptions: int
-    """Of the loop's thread since it became ready."""
+    """Preemptions of the loop's thread since it became ready."""
     stalls: dict[str, int]
     """Ticks that were late or followed skipped ones, by why: `preemption`, `page_fault`, `long_tick` (the
     bench's own work), or `machine` (stolen time, interrupts)."""
@@ -272,7 +272,7 @@ class BenchStatus(TypedDict):
 class BenchService(Protocol):
     """A running bench.
 
-    The command plane calls it from threads of its own: `request` one at a time, the others at any moment,
+    The command plane calls it from separate threads: `request` one at a time, the others at any moment,
     also while `request` waits.
     """
 

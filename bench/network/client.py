@@ -48,30 +48,29 @@ REST = 1.0
 """s at rest at the address before a swing: the air in the chambers settles later than the robot."""
 
 SETTLING_TIMEOUT = 10.0
-"""s for which home, arm and reset wait until the robot rests, and arm until no chamber shows pressure.
+"""Time for which home, arm and reset wait until the robot rests, and arm until no chamber shows pressure, s.
 
-As long as a raised arm may take to sink, and as chambers may take to vent as shipped
-(`lifecycle.vent_timeout`).
+It covers the sinking of a raised arm, and venting with the default `lifecycle.vent_timeout`.
 """
 
 PRESSURE_TIMEOUT = 60.0
-"""s for which a swing waits for its air; a bench that cannot bring it ends the waiting by itself."""
+"""Max wait of a swing for its address pressures, s; a bench that cannot reach them ends the wait."""
 
 _LOOK_FOR_REST = 0.1
-"""s between two requests while it sways."""
+"""Period of the retries, s."""
 
 _LOOK_AT_SWING = 0.5
-"""s between two looks at the state during a swing."""
+"""Period of the status requests during a swing, s."""
 
 LONGEST_STOP = 20.0
-"""s that a stop may take until the robot stands; the slowest is a swing that completes and returns."""
+"""Max time from a stop until the robot stands, s; a swing that completes and returns takes longest."""
 
 LATCHED = frozenset(state.name for state in status_words.LATCHED)
 _MOVING = frozenset(state.name for state in status_words.MOVING)
 
 _PASSING_STATES = {Verb.HOME: ("RECOVERING",), Verb.ARM: ("HOMING", "RECOVERING")}
-"""States in which a verb is refused, and that end by themselves where it is accepted. None for a swing: one
-that was asked for twice is not made twice."""
+"""States that refuse a verb and end automatically in one that accepts it. None for a swing: two requests must
+not make two swings."""
 
 Watch = Callable[[BenchStatus], None]
 """Gets every status while a client waits."""
@@ -114,7 +113,7 @@ class CommandRefused(Refused):
 
     @property
     def passes(self) -> bool:
-        """Whether the reason passes by itself: waiting, then asking again, is all it takes."""
+        """Whether the reason passes without action, so that a later retry is enough."""
         if self.refusal is Refusal.STATE:
             return self.answer.state in _PASSING_STATES.get(self.verb, ())
         return self.refusal in PASSING
@@ -395,8 +394,8 @@ class BenchClient:
     def home(self, retry_timeout: float = SETTLING_TIMEOUT, watch: Watch | None = None) -> CommandAnswer:
         """Prove the encoders' zeros.
 
-        While it is refused for what passes by itself (the robot sways or returns, chambers vent) it is asked
-        again for `retry_timeout` (s), also in arm, swing, tee and reset; `watch` gets the states meanwhile.
+        While it is refused for a passing reason (the robot sways or returns, chambers vent), it is retried
+        for `retry_timeout` (s), also in arm, swing, tee and reset; `watch` gets the states meanwhile.
         """
         return self._ask_again(Verb.HOME, retry_timeout, watch)
 
@@ -495,7 +494,7 @@ class BenchClient:
             return self._ask(verb, key=held.key, sequence=held.sequence, **values)
 
     def _ask_again(self, verb: Verb, retry_timeout: float, watch: Watch | None) -> CommandAnswer:
-        """Ask again while the bench refuses for what passes by itself, at most for `retry_timeout` (s)."""
+        """Send `verb`; retry for up to `retry_timeout` (s) while it is refused for a passing reason."""
         end = time.monotonic() + retry_timeout
         while True:
             try:

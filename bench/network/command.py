@@ -1,7 +1,7 @@
 """Messages of the command plane: commands over the network and their answers.
 
 A command is a JSON object at `golfbench/<bench>/command/<verb>`, of the keys that `FORMS` gives for its
-verb and no others. `parse_command` is the edge: what it returns needs no further check. Answers are JSON
+verb and no others. `parse_command` is the edge: its results need no further check. Answers are JSON
 objects too (`encode_answer`, `parse_answer`); an invalid message gets an error (`encode_error`).
 """
 
@@ -31,7 +31,7 @@ LAST_SEQUENCE = 2**53 - 1
 
 CONVENIENCE = (
     "An emergency stop over the network is a convenience, not a safety function: "
-    "in danger press the button beside the robot."
+    "in danger press the button next to the robot."
 )
 
 
@@ -127,7 +127,7 @@ class _Value(NamedTuple):
 
     expected: str
     schema: Mapping[str, Any]
-    """JSON Schema; what it does not say, `holds` does."""
+    """JSON Schema; `holds` checks the rest."""
     holds: Callable[[Any], bool] = lambda _: True
     secret: bool = False
 
@@ -231,7 +231,7 @@ def parse_command(verb: str, payload: bytes) -> Command:
 
 
 def encode_command(verb: Verb, **values: Any) -> bytes:
-    """Return the message for `verb` with `values` as its keys beside the version."""
+    """Return the message for `verb` with `values` as its keys in addition to the version."""
     return json.dumps({"version": VERSION, **values}).encode()
 
 
@@ -306,12 +306,12 @@ def too_long(location: str, length: int) -> BenchError:
 
 
 class LeaseContent(TypedDict):
-    """Content of the answer to who takes or renews the lease."""
+    """Content of the answer when the lease is taken or renewed."""
 
     holder: str
     seconds_left: float
     key: NotRequired[str]
-    """Of a lease that was taken now: every keyed command carries it."""
+    """Key of a newly taken lease; every keyed command carries it."""
 
 
 class ArmContent(TypedDict):

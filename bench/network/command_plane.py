@@ -1,9 +1,9 @@
 """The command plane of the daemon: commands in over a zenoh queryable, state and events out.
 
-Three lanes, each a bounded queue with a thread of its own: stops, requests (one at a time to the loop), and
-what only looks. zenoh's threads do no more than sort a message into its lane; where a lane is full they
-answer "busy" themselves, so that who floods waits for its own flood. A stop is noted before anything else
-is done with its message, also with an invalid one: only its answer may get lost, never the stop.
+Three lanes, each a bounded queue with its own thread: stops, requests (one at a time to the loop), and
+lookups. zenoh's threads only sort a message into its lane. For a full lane they answer "busy" themselves,
+so that a flood delays only its sender; a stop they accept. A stop is noted before anything else is done with
+its message, even an invalid one: only its answer may get lost, never the stop.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class _Lane:
 
 
 class CommandPlane:
-    """Answers commands for `service` on an open session, and publishes what the supervisor gives it."""
+    """Answers commands for `service` on an open session, and publishes the supervisor's messages."""
 
     def __init__(
         self,
@@ -168,7 +168,7 @@ class CommandPlane:
         self._stops = _Lane("command stops", self._do_stops, QUEUE)
         self._requests = _Lane("command requests", self._do_request, 1)
         self._lookups = _Lane("command lookups", self._do_lookup, 1)
-        # All drop what a receiver does not take.
+        # All drop messages that a receiver does not take.
         self._state, self._event, self._shot = (
             session.declare_publisher(
                 f"{self._root}/{name}",
@@ -246,7 +246,7 @@ class CommandPlane:
         return True
 
     def publish_event(self, event: str, content: Mapping[str, Any]) -> None:
-        """Publish that `event` happened, with `content` beside its name and time (s, the plane's clock)."""
+        """Publish that `event` happened, with `content` after its name and time (s, the plane's clock)."""
         message = {"version": VERSION, "event": event, "time": self._clock(), **content}
         with suppress(zenoh.ZError):
             self._event.put(json.dumps(message, allow_nan=False))
@@ -278,7 +278,7 @@ class CommandPlane:
                 self._answer(query, verb, CommandAnswer(True, self._last_state, note=note))
             else:
                 self._refuse(query, verb, Refusal.SHUTTING_DOWN if self._closing else Refusal.BUSY)
-        except Exception:  # whatever it was, zenoh's thread has to go on
+        except Exception:  # whatever the error, zenoh's thread must continue
             with self._count_lock:
                 self._counts["dropped"] += 1
 
@@ -382,7 +382,7 @@ class CommandPlane:
         return self._answer_of(Reply(True, ""))._replace(content={**content, **more})
 
     def _answer_of(self, reply: Reply) -> CommandAnswer:
-        """Return `reply` with state, cause and, refused for its state, what is possible in it."""
+        """Return `reply` with state, cause and, if refused for its state, the next step."""
         try:
             status = self._service.status()
         except Exception:  # see _do

@@ -108,7 +108,7 @@ class LoopMessage(TypedDict):
     """Ticks that began late."""
     page_faults: int
     preemptions: int
-    """Of the loop's thread."""
+    """Preemptions of the loop's thread."""
     stalls: dict[str, int]
     """Ticks that were late or followed skipped ones, by why."""
     period_us: float
@@ -194,7 +194,7 @@ class CampaignMessage(TypedDict):
 
 
 CONTRACT_VERSION = 1
-"""Version of the contract itself: of the keys below, and of the form in which they are described."""
+"""Version of the contract itself: its keys below, and the form of their description."""
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -224,7 +224,7 @@ _LEASE = (
     "Each keyed command carries the key and a sequence, from 1 on, higher each time: one that does not rise "
     "is refused and not done. Renewing and releasing are keyed commands.",
     "The lease expires unless renewed: renew at a third of its duration. When it expires or is released, "
-    "an armed bench disarms; a swing that has begun completes. A restart of the bench voids it.",
+    "an armed bench disarms; a swing in progress completes. A restart of the bench voids it.",
     "Stop, emergency stop, disarm and status need no lease.",
 )
 

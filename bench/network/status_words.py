@@ -26,7 +26,7 @@ STATE_WORDS = {
     State.ACCESS: ("Access: vented, guard unlocked", "Close the guard, then end the access."),
     State.FAULT: ("Fault, latched", "Clear the cause, then reset."),
 }
-"""State and next step, for the operator; of a robot whose chambers are proven empty where it says vented."""
+"""State and next step, for the operator; "vented" means that the chambers are verified empty."""
 
 COMMANDS = {
     State.STARTING: "golfbench status --watch",
@@ -87,12 +87,12 @@ REACTION_WORDS = {
 
 
 def state_words(status: BenchStatus) -> str:
-    """Return what the state of the bench is, for the operator."""
+    """Return the state of the bench in words, for the operator."""
     return _words_of(status)[0]
 
 
 def next_step(status: BenchStatus) -> str:
-    """Return what is to be done next in the state of the bench, for the operator."""
+    """Return the next step in the state of the bench, for the operator."""
     following = _words_of(status)[1]
     if status["state"] == State.READY.name and status["arming_blocks"]:
         return ARMING_BLOCKED

@@ -1,15 +1,15 @@
-"""zenoh sessions: the daemon listens at one endpoint, everybody else connects there and nowhere else.
+"""zenoh sessions: the daemon listens at one endpoint, all others connect there and nowhere else.
 
 No scouting by multicast or gossip, no shared memory (a process that is killed would leave its files). The
-daemon is a peer, all others are clients, because a peer passes on what comes from clients only: so the
-telemetry of the publisher process, a client as well, reaches a viewer through the daemon.
+daemon is a peer and all others are clients, because a peer forwards only messages from clients. So the
+telemetry of the publisher process, also a client, reaches a viewer through the daemon.
 
-Other machines come by TLS with a certificate on either side, to the daemon's endpoint `network.beyond` or to
-a zenoh router that the daemon connects to. Their roles are by the name in the certificate, in the form of
+Other machines connect by TLS with a certificate on either side, to the daemon's `network.beyond` or to a
+zenoh router that the daemon connects to. Their roles are by the name in the certificate, in the form of
 zenoh's access control. A viewer receives what bench and campaigns publish and asks for their status; an
-operator commands and runs campaigns as well. Whoever may connect at all, which takes a certificate of the
-bench's authority, may stop it. What comes without TLS comes from this machine (the configuration takes
-nothing else) and is not restricted. What is denied is dropped silently.
+operator also commands and runs campaigns. Every client that may connect, which takes a certificate of the
+bench's authority, may stop the bench. Messages without TLS come from this machine (the configuration allows
+nothing else) and are not restricted. Denied messages are dropped silently.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ class NoAnswer(BenchError):
             f"no answer: denied or not running ({waited})",
             "a running bench of this name",
             "Start it (golfbench run), or correct bench.id and network.endpoint of the configuration."
-            + " Or ask whoever runs it for a role, or for a new certificate." * endpoint.startswith(TLS),
+            + " Or ask the bench's administrator for a role, or for a new certificate."
+            * endpoint.startswith(TLS),
         )
 
 
@@ -77,7 +78,7 @@ def open_daemon(network: NetworkSettings) -> zenoh.Session:
     """
     if network.endpoint.startswith(TLS):
         location, found = f"network.endpoint {network.endpoint}", "an endpoint for other machines"
-        action = "Write it as network.beyond. As network.endpoint it is what a client on another machine has."
+        action = "Write it as network.beyond. Only a client on another machine has it as network.endpoint."
         raise BenchError(
             location, found, "tcp/127.0.0.1:PORT, where the bench's own processes connect", action
         )
@@ -219,7 +220,7 @@ def access_control(
         *_asks("schema", _SCHEMA),
         _allow("campaign told", "ingress", ("put", "declare_queryable", "reply"), _CAMPAIGNS),
         _allow("campaign offered", "egress", ("query", "declare_queryable"), _CAMPAIGNS),
-        # A client asks without knowing whether somebody answers; a router passes on what it knows of.
+        # A client asks even if no one answers; a router passes on the commands that it knows of.
         _allow("command offered", "egress", "declare_queryable", _COMMANDS),
     ]
     policies = [_policy("anybody", ["stop", "stop answered"], link_protocols=["tls"])]

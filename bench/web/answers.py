@@ -21,7 +21,7 @@ LONGEST_NAME = 64
 
 
 class InvalidBody(Exception):
-    """A request whose body is not what the page sends."""
+    """A request with a body that the page does not send."""
 
 
 class UnknownName(Exception):
@@ -35,7 +35,7 @@ class Asked(NamedTuple):
     """Names in its path."""
     body: dict[str, Any]
     ticket: str
-    """Of the tab's lease; empty: none."""
+    """Ticket of the tab's lease; empty: none."""
     check: Callable[[str, float | None], None]
     """Takes each number once, as `CommandNumbers.check`."""
 
@@ -78,7 +78,7 @@ def refusal_answer(error: BenchError) -> Response:
     if isinstance(error, NoAnswer):
         what = "The bench does not answer: it is unknown whether the command arrived."
         return json_answer(
-            {"what": what, "action": "Look at the robot. Nothing is sent again by itself."}, 504
+            {"what": what, "action": "Look at the robot. No command is repeated automatically."}, 504
         )
     what = f"{error.location}: {error.found}; expected {error.expected}."
     return json_answer({"what": f"{what[:1].upper()}{what[1:]}", "action": error.action}, 409)
@@ -99,7 +99,7 @@ def text_in(body: dict[str, Any], name: str, longest: int, shortest: int = 1) ->
     """Return the text `name` of `body`, without surrounding blanks.
 
     Raises:
-        InvalidBody: it is missing, no text, too short or too long, or has control characters.
+        InvalidBody: it is missing, no text, of invalid length, or has control characters.
     """
     value = body.get(name)
     if not isinstance(value, str) or not shortest <= len(value.strip()) <= longest:

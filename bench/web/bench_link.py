@@ -1,8 +1,8 @@
-"""The page's connection to its bench: retried until there is one, followed in threads of its own.
+"""The page's connection to its bench: retried until there is one, followed in separate threads.
 
-It receives what the bench publishes and asks with `BenchClient`, so it can do what that client can and no
-more. Commands are sent once: after a lost connection nothing is repeated. The page gets
-the state as words for the operator, with figures in SI for the browser's units.
+It receives the bench's publications and asks with `BenchClient`, so it can do no more than that client.
+Commands are sent once: after a lost connection nothing is repeated. The page gets the state as words for the
+operator, with figures in SI for the browser's units.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def _cause(cause: CauseStatus | None) -> dict[str, str] | None:
 
 
 def _warnings(status: BenchStatus) -> list[str]:
-    """Return what needs attention: readiness, air, drift, device, processes, launch monitor."""
+    """Return the warnings to the operator: readiness, air, drift, device, processes, launch monitor."""
     found = [f"arming blocked: {block_text(block)}" for block in status["arming_blocks"]]
     found += [*status["readiness_warnings"], *status["air_faults"], *status["drift"]]
     if fault := status["device"]["fault"]:
@@ -164,7 +164,7 @@ _log = logging.getLogger("golfbench")
 
 
 class BenchLink:
-    """Follows one bench and passes on what it publishes; `close` ends its threads."""
+    """Follows one bench and passes on its publications; `close` ends its threads."""
 
     def __init__(
         self,

@@ -243,7 +243,7 @@ def _landing(plan: CampaignPlan, shots: list[Shot]) -> list[dict[str, Any]]:
 
 
 class RunningCampaigns:
-    """What the page shows of running campaigns: their messages, with prompt and charts of the database."""
+    """Running campaigns on the page: their messages, with prompt and charts from the database."""
 
     def __init__(self, archive: CampaignArchive) -> None:
         self._archive = archive

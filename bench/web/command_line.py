@@ -1,12 +1,12 @@
-"""Commands of the command line, run beside the page: it can do nothing there that `golfbench` cannot.
+"""Commands of the command line, run by the page: it can do nothing there that `golfbench` cannot.
 
-Each is a process of its own with the page's configuration, so that neither its work nor its end touches the
+Each is a separate process with the page's configuration, so that neither its work nor its end affects the
 page: a stop never waits for one. Arguments are passed as a list, never through a shell.
 
-A background command, a campaign's runner or a commissioning, outlives the page. Its session is its own, so
-that neither Ctrl-C at the page nor the page's death reaches it, and what it prints goes to a file, not to a
-pipe that would break. A page that is started later finds it as any other one: by its lock, what it publishes
-or what it has stored. The unit of the page has KillMode=process for the same reason.
+A background command, a campaign's runner or a commissioning, outlives the page. It has a separate session:
+neither Ctrl-C at the page nor the page's end reaches it. Its output goes to a file, not to a pipe that would
+break. A page that is started later finds it by its lock, its publications or its stored results, as any
+other one. The unit of the page has KillMode=process for the same reason.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class CommandLine:
         return [*self._golfbench, *arguments]
 
     def output(self, *arguments: str, passed: Collection[int] = (0,)) -> str:
-        """Run a command to its end; return what it prints if it ends with one of the codes `passed`.
+        """Run a command to its end; return its output if it ends with one of the codes `passed`.
 
         Raises:
             BenchError: the command refuses, in its own words; too many run at a time; it does not end.
@@ -126,7 +126,7 @@ def faults_in(text: str) -> list[BenchError]:
 
 
 def fault_of(location: str, code: int, text: str) -> BenchError:
-    """Return the error that a command ended with: exit `code` and what it said, `text`."""
+    """Return the error that a command ended with, from its exit `code` and its output `text`."""
     faults = faults_in(text)
     if len(faults) == 1:
         return faults[0]
@@ -152,7 +152,7 @@ _TAIL = 20_000
 
 
 class BackgroundCommand:
-    """Starts commands of one kind, one at a time, and says how the newest one ended."""
+    """Starts commands of one kind, one at a time, and publishes how the newest one ended."""
 
     def __init__(
         self,
@@ -164,10 +164,10 @@ class BackgroundCommand:
         expected: Collection[int] = (0,),
         outcome: Callable[[dict[str, Any]], str] | None = None,
     ) -> None:
-        """`log` is the file for what a command says, its errors too; `publish` gets `topic` and content.
+        """`log` is the file for a command's messages and errors; `publish` gets `topic` and content.
 
-        An end with one of the `expected` exit codes is said in words only if an error was printed. Another
-        end without one is said by `outcome` of the JSON that the command prints, which goes beside the log.
+        An end with one of the `expected` exit codes gets a text only if an error was printed. For another
+        end without one, `outcome` returns the text from the command's JSON, which is stored next to the log.
         """
         self._golfbench, self._log, self._publish = golfbench, log, publish
         self._topic, self._expected, self._outcome = topic, frozenset(expected), outcome
@@ -248,8 +248,8 @@ _URL = re.compile(r"http://127\.0\.0\.1:[0-9]{1,5}/\?url=[A-Za-z0-9%._~+-]+")
 class ViewerProcess:
     """Rerun's viewer of the running bench, `golfbench view --web`, while there is one.
 
-    It is started when it is first opened and ends with the page. It subscribes to what the bench publishes,
-    as any viewer does: the loop does not notice.
+    It starts when it is first opened and ends with the page. It subscribes to the bench's publications, as
+    any viewer does: the loop is not affected.
     """
 
     def __init__(self, golfbench: CommandLine, publish: Callable[[str, Any], None]) -> None:

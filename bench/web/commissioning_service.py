@@ -1,9 +1,8 @@
-"""Requests of the page about commissionings: `golfbench commission --sim`, beside the page.
+"""Requests of the page about commissionings: `golfbench commission --sim`, run by the page.
 
-It measures a simulated robot in a process of its own. The running bench is not touched, and needs no lease.
-Each commissioning has a folder in `commissioning` beside the bench's records; robots other than the
-configured one are configurations in the folder `robots` there. A request names what is listed and nothing
-else.
+It measures a simulated robot in a separate process. The running bench is not affected, and needs no lease.
+Each commissioning has a folder in `commissioning` next to the bench's records; robots other than the
+configured one are configurations in the folder `robots` there. A request names only listed entries.
 """
 
 from __future__ import annotations
@@ -188,7 +187,7 @@ class CommissioningService:
         return Download.named(found, "application/toml", f"{name}.toml")
 
     def _arguments(self, robot: str, resumed: str) -> tuple[str, list[str]]:
-        """Return name and arguments of a commissioning of `robot`; `resumed`: go on with that one."""
+        """Return name and arguments of a commissioning of `robot`; `resumed`: continue that one."""
         folder = self._shelf.folder(resumed) if resumed else self._shelf.new(datetime.now(UTC))
         given = ["commission", "--sim", f"--output={folder}"]
         if robot:
@@ -210,7 +209,7 @@ _log = logging.getLogger("golfbench")
 
 
 class CommissioningWatch:
-    """Publishes the commissionings of a shelf whenever one has changed, in a thread of its own."""
+    """Publishes the commissionings of a store whenever one has changed, in a separate thread."""
 
     def __init__(self, shelf: CommissioningStore, publish: Callable[[str, Any], None]) -> None:
         """`publish` gets topic and content."""

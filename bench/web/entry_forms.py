@@ -1,4 +1,4 @@
-"""Forms of the page for what a person measures: the air, and the calibrations of the bench.
+"""Forms of the page for measured values: the air, and the calibrations of the bench.
 
 Each is a command of `golfbench` with its options; ranges and plausibility are checked there, and its words
 are shown. Nothing is overwritten: a newer entry supersedes, and a running bench takes calibrations up when
@@ -58,7 +58,7 @@ FORMS: Mapping[str, EntryForm] = {
         "Air at the bench",
         ("campaign", "air"),
         (
-            "Read temperature, humidity and station pressure (not reduced to sea level) beside the bench.",
+            "Read temperature, humidity and station pressure (not reduced to sea level) at the bench.",
             "Shots on hardware use the reading from now on, for as long as their plan allows.",
         ),
         (

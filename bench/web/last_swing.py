@@ -183,7 +183,7 @@ class Offer(NamedTuple):
 
 
 class SwingReader:
-    """Reads the newest record or ring that was offered, in a thread of its own."""
+    """Reads the newest record or ring that was offered, in a separate thread."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Commands of the page, each a method of `BenchClient`: sent once, from what was on the screen.
+"""Commands of the page, each a method of `BenchClient`: sent once, from the state on the screen.
 
 A lease belongs to the browser tab that took it, by a secret ticket. The tab renews it while it is open and
 connected. A tablet that is switched off or out of reach lets it expire, and an armed bench disarms.
@@ -18,7 +18,7 @@ from bench.network.client import BenchClient
 from bench.network.command import CommandAnswer
 
 TIMEOUT = 2.0
-"""s for which a command is asked again while the bench refuses for a reason that passes by itself.
+"""Time for which a command is retried while the bench refuses it for a passing reason, s.
 
 Shorter than at the command line, which waits in front of the operator: nothing may move long after a click.
 """
@@ -46,7 +46,7 @@ COMMANDS: Mapping[str, PageCommand] = {
     "access": PageCommand(lambda bench: bench.access(), True),
     "secure": PageCommand(lambda bench: bench.secure(), True),
 }
-"""Commands by name; the stops have ways of their own."""
+"""Commands by name, without the stops."""
 
 STOPS: Mapping[str, Callable[[BenchClient], CommandAnswer]] = {
     "stop": lambda bench: bench.stop(),

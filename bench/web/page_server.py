@@ -55,7 +55,7 @@ def serve_page(
 ) -> None:
     """Serve the page until asked to stop by signal.
 
-    `golfbench` is the program with its global options, for commands beside the page.
+    `golfbench` is the program with its global options, for commands that the page runs.
     `ready` gets the URL and a function that ends the server, once it listens; both from the server's thread.
 
     Raises:
@@ -151,7 +151,7 @@ def _listening(address: PageAddress) -> Iterator[socket.socket]:
     listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        # Connections inherit it: a peer that takes nothing is cut off by the kernel, too.
+        # Connections inherit it: the kernel also cuts off a peer that takes nothing.
         listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_PEER)
         try:
             listener.bind((address.host, address.port))
@@ -221,7 +221,7 @@ async def _serve(
 
 
 async def _beat(link: BenchLink, broadcaster: PageBroadcaster) -> None:
-    """Publish how long the bench has been silent: a page notices the loss of bench or server by itself."""
+    """Publish how long the bench has been silent, so that a page notices the loss of bench or server."""
     while True:
         silence = link.silence()
         broadcaster.publish("link", {"silent_s": None if silence == float("inf") else round(silence, 2)})

@@ -1,4 +1,4 @@
-"""Requests of the page: what is looked up, and the commands, each with the role that it needs."""
+"""Requests of the page: lookups and commands, each with the role that it needs."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ class Pool(Enum):
     COMMANDS = "command", 8
     LOOKUPS = "lookup", 2
     PROGRAMS = "program", 4
-    """Wait for programs that run beside the page."""
+    """Threads that wait for the page's programs."""
     STOPS = "stop", 4
-    """Of their own: a stop waits behind nothing."""
+    """Threads for stops only: a stop waits behind nothing."""
 
 
 class Call(NamedTuple):
@@ -196,7 +196,7 @@ class PageService:
             self._open -= 1
 
     async def _looked_up(self, work: Callable[[], T]) -> T:
-        """Return the outcome of `work`, done beside the commands."""
+        """Return the outcome of `work`, done in the threads for lookups."""
         return await asyncio.get_running_loop().run_in_executor(self._pools[Pool.LOOKUPS], work)
 
     async def answered(self, pool: Pool, work: Callable[[], Any]) -> Response:

@@ -1,6 +1,6 @@
 """Requests of the page that run a command of `golfbench`: plans, forms, and the viewer.
 
-A campaign starts from a shipped plan, or from one of the bench: a file in the folder `plans` beside its
+A campaign starts from a shipped plan, or from one of the bench: a file in the folder `plans` next to its
 records. A request names one of the listed ones and nothing else.
 """
 
@@ -49,7 +49,7 @@ class PlanCatalogue:
         self.folder, self.known = data_dir / "plans", known
 
     def listed(self) -> list[dict[str, Any]]:
-        """Return name, title and leading comment of each plan, whether it is shipped, and what it lacks.
+        """Return each plan's name, title, leading comment and missing names, and whether it is shipped.
 
         Plans that need a club or a ball of another configuration come last: they would be refused.
         """
@@ -205,7 +205,7 @@ class StartService:
         return self._values()
 
     def enter(self, asked: Asked) -> dict[str, Any]:
-        """Store what a person measured."""
+        """Store the values of a form."""
         if (form := FORMS.get(asked.path["form"])) is None:
             raise UnknownName("form")
         arguments = form_arguments(form, asked.body, asked.text("by"))

@@ -1,4 +1,4 @@
-"""`golfbench check`: what was looked at, and every mistake at once."""
+"""`golfbench check`: summary of the checks, with all mistakes at once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def check_all(session: Session, name: str | None, console: Console) -> None:
 
     Raises:
         BenchError: configuration or profile cannot be read.
-        ExceptionGroup: of BenchErrors, one for each reason that blocks arming.
+        ExceptionGroup: BenchErrors, one for each reason that blocks arming.
     """
     configuration, now = session.configuration(), datetime.now(UTC)
     console.print(_summary(configuration), highlight=False)

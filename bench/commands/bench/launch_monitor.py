@@ -154,7 +154,8 @@ def play(
                     came = contact.delivery(plant.robot, place)
                     carry = _carry(launch, folder, plant, around)
                     monitor.see(launch, now, ClubMotion(came.speed, came.attack_angle), carry)
-                    say(f"ball {balls}: {launch.speed:.2f} m/s, {'told' if monitor.waiting else 'not told'}")
+                    outcome = "reported" if monitor.waiting else "not reported"
+                    say(f"ball {balls}: {launch.speed:.2f} m/s, {outcome}")
                 monitor.step(now)
                 if (standing := (watch.attached, monitor.connected)) != told:
                     told = standing

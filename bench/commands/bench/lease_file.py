@@ -17,7 +17,7 @@ from bench.network.client import HeldLease
 
 
 def lease_folder(environment: Mapping[str, str], home: Path) -> Path:
-    """Return the folder of stored leases: of the login session if there is one, else of the user's state."""
+    """Return the folder of stored leases: in the login session's folder, or else the user's state folder."""
     if runtime := environment.get("XDG_RUNTIME_DIR"):
         return Path(runtime) / "golfbench"
     state = environment.get("XDG_STATE_HOME")

@@ -32,12 +32,12 @@ class NoBus(BenchError):
 
 
 def nodes_plan(configuration: Configuration, folder: Path, encoder: str = "", io: str = "") -> NodesPlan:
-    """Return what the simulated nodes of `configuration` are started with; their files go to `folder`.
+    """Return the start parameters of the simulated nodes of `configuration`; their files go to `folder`.
 
     `encoder` and `io` name the device families that they play; empty for the plain devices.
 
     Raises:
-        ExceptionGroup: of BenchErrors, one for each fault that would never begin.
+        ExceptionGroup: BenchErrors, one for each fault that could never start.
         BenchError: no such device family.
     """
     from bench.config import unheard_phases
@@ -148,10 +148,10 @@ def turn_regulator(folder: Path | None, bar: str) -> None:
 
 
 def act_at(folder: Path | None, key: str) -> None:
-    """Do at the inputs of the simulated nodes with their files in `folder` what a person does.
+    """Act on an input of the simulated nodes as a person does; their files are in `folder`.
 
     Raises:
-        Refused: no nodes are there, or nothing is called `key`.
+        Refused: no nodes run there, or no act is called `key`.
     """
     from bench.commissioning.machine.inputs import ACTS, act_in_simulation
 

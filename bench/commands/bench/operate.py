@@ -34,7 +34,7 @@ Wait = Annotated[bool, flag("--wait", "Wait until it is done; the lease is renew
 Timeout = Annotated[float, option("Longest time to wait with --wait.", "S", low=1.0, high=600.0)]
 
 SETTLING_TIMEOUT = 10.0
-"""s for which a command without --wait asks again while the robot sways or chambers vent."""
+"""Time for which a command without --wait is retried while the robot sways or chambers vent, s."""
 
 _MIN_MARGIN = 1000
 """Sequence numbers reserved for one command, so that the next one does not reuse those of a killed one."""
@@ -145,7 +145,7 @@ def reset(context: typer.Context) -> None:
 def swing(
     context: typer.Context,
     no_wait: Annotated[
-        bool, flag("--no-wait", "Return once the swing has begun, without its delivery.")
+        bool, flag("--no-wait", "Return once the swing has started, without its delivery.")
     ] = False,
     timeout: Annotated[
         float, option("Longest time to wait for its record.", "S", low=1.0, high=600.0)
@@ -181,7 +181,7 @@ def swing(
 # The lease -------------------------------------------------------------------------------------------
 
 Seconds = Annotated[
-    float | None, option("Duration of the lease, s.", "N", low=5.0, high=600.0, shown="30, or as before")
+    float | None, option("Duration of the lease, s.", "N", low=5.0, high=600.0, shown="30, or unchanged")
 ]
 
 
@@ -290,9 +290,9 @@ def _ask_as_holder(context: typer.Context, ask: Callable[[BenchClient], CommandA
 
 @contextmanager
 def _waiting(bench: BenchClient) -> Iterator[Callable[[BenchStatus], None]]:
-    """Yield what shows a state while a command waits, and renews the lease on the way.
+    """Yield a function that shows a state while a command waits, and renews the lease.
 
-    Ctrl-C ends the waiting, not the robot: the operator reads so.
+    Ctrl-C ends only the waiting; a message states that the robot continues.
     """
     from bench.network.client import CommandRefused
 
@@ -324,7 +324,7 @@ def _waiting(bench: BenchClient) -> Iterator[Callable[[BenchStatus], None]]:
 
 @contextmanager
 def _status_line() -> Iterator[Callable[[str], object]]:
-    """Yield what shows a text in a line of its own, on a terminal."""
+    """Yield a function that shows a text in a status line, on a terminal only."""
     if not sys.stderr.isatty():
         yield lambda text: None
         return
@@ -367,7 +367,7 @@ _MPH, _YARD = 0.44704, 0.9144
 
 
 def shot_lines(message: ShotPublication) -> list[str]:
-    """Return the figures of the shot in `message`, a line each for club, ball and what was wrong."""
+    """Return the results of the shot in `message`: a line each for club, ball and reason of a failure."""
     shot, number = message["shot"] or {}, message["number"]
     head = "swing" if number is None else f"swing {number}"
     club = _joined(

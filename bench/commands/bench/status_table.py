@@ -59,7 +59,7 @@ _STYLES = {
 
 
 def status_table(status: BenchStatus, age: float) -> Table:
-    """Return `status`, heard `age` s ago, as a table."""
+    """Return `status`, received `age` s ago, as a table."""
     silent = age > SILENT
     table = Table(
         title=_title(status, age, silent), title_justify="left", title_style="", show_header=False, width=80
@@ -97,7 +97,9 @@ def watch_status(bench: BenchClient, console: Console) -> NoReturn:
 def _title(status: BenchStatus, age: float, silent: bool) -> Text:
     bench, state = (f"bench {status['bench']}  ", "bold"), status["state"]
     if silent:
-        return Text.assemble(bench, (f"SILENT: last heard {age:.1f} s ago", "bold red"), f", in {state} then")
+        return Text.assemble(
+            bench, (f"SILENT: last status {age:.1f} s ago", "bold red"), f", in state {state}"
+        )
     return Text.assemble(bench, (f" {state} ", _STYLES.get(state, "bold")))
 
 
@@ -196,7 +198,7 @@ def _device(device: DeviceStatus) -> Text:
 
 
 def _launch_monitor(link: LaunchMonitorStatus | None) -> Text:
-    """Return the connected monitors and their counts; in yellow, what is missing."""
+    """Return the connected monitors and their counts; a missing monitor and remarks are yellow."""
     if link is None:
         return Text("none configured")
     where = f"listening at {link['listening']}" if link["listening"] else "not listening"

@@ -149,7 +149,7 @@ def _view_bench(stack: ExitStack, options: Session, where: _Where) -> None:
     from bench.viewer.viewer import FILE_PERIOD, PERIOD, LiveView, warm_up
 
     c = options.configuration()
-    session = open_client(c.network, c.bench.id)  # first: nobody waits half a minute for "no answer"
+    session = open_client(c.network, c.bench.id)  # first: without a bench it fails at once
     stack.callback(close_session, session)
     around = FlightConditions(c.air, c.wind, c.turf)
     warm_up(c.plant, around)

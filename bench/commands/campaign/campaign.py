@@ -75,7 +75,7 @@ Units = Annotated[
 
 
 class Outputs(NamedTuple):
-    """Output files of a run beside its records."""
+    """Output files of a run in addition to its records."""
 
     json: bool
     junit: Path | None
@@ -373,7 +373,7 @@ def _take(
 
 
 def _marker(store: CampaignStore, campaign: str) -> Callable[[ShotNote], None]:
-    """Return what stores a mark, with a store of its own: the runner's may give up waiting."""
+    """Return a function that stores a mark in a separate store: the runner's may stop waiting for a lock."""
     from bench.store.campaigns import CampaignStore
 
     own = CampaignStore(store.database)
@@ -381,7 +381,7 @@ def _marker(store: CampaignStore, campaign: str) -> Callable[[ShotNote], None]:
 
 
 def _tell(outcome: RunOutcome, found: Findings, checks: Sequence[Checked], units: UnitSystem) -> None:
-    """Print how a run ended and what it found."""
+    """Print the end of a run and its findings."""
     reason = f": {outcome.reason}" if outcome.reason else ""
     typer.echo(f"{outcome.state}{reason}; {outcome.shots} shots, {outcome.valid} valid")
     for verdicts in found.verdicts:
@@ -398,7 +398,7 @@ def report(
     context: typer.Context,
     campaign: Id,
     output: Annotated[
-        Path | None, option("File to write.", "FILE", shown="report.html beside the campaign's records")
+        Path | None, option("File to write.", "FILE", shown="report.html next to the campaign's records")
     ] = None,
     units: Units = "si",
     issue: Annotated[bool, flag("--issue", "Issue the report: number, date and name are stored.")] = False,
@@ -410,8 +410,8 @@ def report(
 ) -> None:
     """Write the report of a campaign: one HTML file, verdict first.
 
-    With --issue the report of a finished campaign gets a number, also each amendment; it is kept beside the
-    report as report-R1.html.
+    With --issue the report of a finished campaign gets a number, also each amendment; it is stored next to
+    the report as report-R1.html.
     """
     from bench.campaign.report.campaign_record import load_record, note_look
     from bench.campaign.report.campaign_report import write_campaign_report
@@ -450,7 +450,7 @@ def verify(
     campaign: Id,
     page: Annotated[
         Path | None,
-        option("Page to verify.", "FILE", shown="report.html beside the records", names="--report"),
+        option("Page to verify.", "FILE", shown="report.html next to the records", names="--report"),
     ] = None,
 ) -> None:
     """Verify a report: compute its digest and every figure again from the records.
@@ -570,11 +570,11 @@ def _local_store(stack: ExitStack, settings: BenchSettings, campaign: str) -> Ca
 def mark(
     context: typer.Context,
     campaign: Id,
-    comment: Annotated[str, argument("COMMENT", "What was seen.")] = "",
+    comment: Annotated[str, argument("COMMENT", "Observation.")] = "",
     shot: Annotated[int | None, option("Shot number.", "NUMBER", shown="the last one")] = None,
-    by: Annotated[str, option("Who saw it.", "NAME", shown="user@host")] = "",
+    by: Annotated[str, option("Person who saw it.", "NAME", shown="user@host")] = "",
 ) -> None:
-    """Mark a shot, with a comment; it counts as before. The report shows marks and comments."""
+    """Mark a shot, with a comment; it still counts. The report shows marks and comments."""
     from bench.store.records import ShotNote
 
     with _found(context, campaign) as (store, entry):
@@ -623,7 +623,7 @@ def answer(
     data_dir, now = context.ensure_object(Session).address().bench.data_dir, datetime.now(UTC)
     with _found(context, campaign) as (store, entry):
         text, goes_on = answer(store, data_dir, entry.id, by or user_name(), now, balls)
-    after = "goes on" if goes_on else f"has no runner: golfbench campaign resume {entry.id}"
+    after = "continues" if goes_on else f"has no runner: golfbench campaign resume {entry.id}"
     typer.echo(f"done: {text}\n{entry.id} {after}")
 
 

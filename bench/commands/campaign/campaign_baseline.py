@@ -1,8 +1,8 @@
 """A baseline: figures of a campaign that must lie within stated bands, as a gate in CI.
 
 A TOML file with one `[[figure]]` a band: `path`, dotted, into the campaign's JSON, and `low` and `high`.
-Numbers are places in lists; names pick a list's entry of that `name`, `column` or `club`. What is not there
-or not known lies outside every band. As JUnit XML it is a test case for each band, and for each planned shot.
+Numbers are places in lists; names pick a list's entry of that `name`, `column` or `club`. A missing
+or unknown figure lies outside every band. JUnit XML has a test case for each band and for each planned shot.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def read_baseline(path: Path) -> list[Band]:
 
     Raises:
         BenchError: the file is missing or no TOML.
-        ExceptionGroup: of BenchErrors, one for each mistake in it.
+        ExceptionGroup: BenchErrors, one for each mistake in it.
     """
     raw = read_toml(path, "a baseline", "Correct the path.")
     entries = raw.get("figure")

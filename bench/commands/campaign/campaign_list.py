@@ -22,7 +22,7 @@ def listing(found: Listed, console: Console) -> Table:
     longest = max((len(entry.id) for entry, _, _ in found), default=0)
     bench = max((len(entry.bench) for entry, _, _ in found), default=0)
     identity = Column("campaign", width=longest, no_wrap=True), Column("bench", min_width=bench, no_wrap=True)
-    others = (Column("begun, UTC", min_width=10), Column("state", min_width=9), "shots", "valid", "excluded")
+    others = (Column("start, UTC", min_width=10), Column("state", min_width=9), "shots", "valid", "excluded")
     table = Table(*identity, *others, box=SIMPLE_HEAD)
     for entry, standing, counts in found:
         reason = [Text(standing.reason, style="dim", no_wrap=False)] if standing.reason else []

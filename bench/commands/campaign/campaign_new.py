@@ -30,7 +30,7 @@ _MANY = 1e6
 def new(
     context: typer.Context,
     file: Annotated[Path, argument("FILE", "Plan to write, NAME.toml; NAME becomes the campaign's name.")],
-    compare: Annotated[Compared | None, option("What is compared.", shown="asked")] = None,
+    compare: Annotated[Compared | None, option("Factor to compare.", shown="asked")] = None,
     ball: Annotated[
         list[str] | None, option("Ball; several with one option each.", "NAME", shown="asked")
     ] = None,
@@ -169,7 +169,7 @@ def _write(
     A club that the swing was not designed for gets its own from golfbench's profiles, where there is one.
 
     Raises:
-        ExceptionGroup: of BenchErrors, one for each mistake in it.
+        ExceptionGroup: BenchErrors, one for each mistake in it.
     """
     from bench.campaign.plan.plan_file import load_plan
     from bench.campaign.run.plan_requirements import swings_of_other_clubs

@@ -46,7 +46,7 @@ class CampaignBar(Progress):
         self.stop()
 
     def show(self) -> None:
-        """Go on below the prompt."""
+        """Resume the bar below the prompt."""
         self._hidden = False
         self.start()
 

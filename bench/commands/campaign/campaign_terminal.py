@@ -39,7 +39,7 @@ HINT = "m: mark the last shot"
 _LOOK = 0.1
 """Max time until a key is seen, s."""
 _SEQUENCE = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|O.)")
-"""What a terminal sends for arrows and function keys."""
+"""Sequences that a terminal sends for arrows and function keys."""
 _DELETE, _CLEAR, _CANCEL, _DONE = "\x7f\b", "\x15", "\x1b", "\r\n"
 
 
@@ -140,7 +140,7 @@ class MarkKeys:
         self._thread.start()
 
     def close(self) -> None:
-        """End; store what was typed, and name a mark that cannot be stored."""
+        """End; store the typed text, and report a mark that cannot be stored."""
         self._closing.set()
         self._thread.join()
         self.pause()
@@ -230,7 +230,7 @@ _BENCH = "Answer when it runs again"
 _AFTER = {
     PromptKind.CLUB: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
     PromptKind.BALLS: f"{_GUARD}, then answer: the bench locks it, warns and arms.",
-    PromptKind.BENCH: f"{_BENCH}: the campaign takes the bench and goes on.",
+    PromptKind.BENCH: f"{_BENCH}: the campaign takes the bench and continues.",
 }
 _YES = frozenset({"", "y", "yes", "ok", "done"})
 """Lines that confirm."""
@@ -260,7 +260,7 @@ class TerminalOperator:
         enter = "Enter, or the number of balls that you loaded and Enter" if balls else "Enter"
         how = f"{enter} (or {command})" if self._listening else command
         if self._listening and in_foreground(sys.stdin.fileno()):
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before is no answer to this
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # earlier input does not answer this prompt
         if self._listening and self._keys:
             how += "; to mark the last shot: m COMMENT"
         text = f"{_AFTER[PromptKind(prompt.kind)]}\nTo answer: {how}"

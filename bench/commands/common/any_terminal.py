@@ -17,7 +17,7 @@ _HANDLER = "golfbench.plain"
 
 
 def _plain(error: UnicodeError) -> tuple[str, int]:
-    """Return plain characters for those that cannot be encoded, and where to go on."""
+    """Return plain characters for those that cannot be encoded, and the position after them."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     lacking = error.object[error.start : error.end]

@@ -33,7 +33,7 @@ def at_terminal() -> bool:
 
 
 def exit_unless(holds: object) -> None:
-    """End the command with REFUSED unless what was asked `holds`; its output has said why."""
+    """End the command with REFUSED unless its result `holds`; the output already states the reason."""
     if not holds:
         raise typer.Exit(ExitCode.REFUSED)
 
@@ -48,7 +48,7 @@ class Session:
     """`typer.Context.obj` in every command."""
 
     config: Path | None = None
-    """Configuration asked for, a path or a variant's name; None means the default one."""
+    """Requested configuration, a path or a variant's name; None means the default one."""
     debug: bool = False
     kept: Callable[[bool], BenchClient] | None = None
     """In the console: returns a client on its connection, for a stop (True) also of a silent bench."""
@@ -58,7 +58,7 @@ class Session:
 
         Raises:
             BenchError: its file is missing, cannot be read, or is no TOML.
-            ExceptionGroup: of BenchErrors, one for each mistake in it.
+            ExceptionGroup: BenchErrors, one for each mistake in it.
         """
         from bench.config import load_configuration
 

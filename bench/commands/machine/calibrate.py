@@ -308,7 +308,7 @@ def _require_counts(counts: tuple[int, int, int], counts_per_revolution: int) ->
     for i, count in enumerate(counts):
         if not 0 <= count < counts_per_revolution:
             location, expected = f"calibrate encoders: --counts[{i}]", f"0 to {counts_per_revolution - 1}"
-            raise BenchError(location, str(count), expected, "Give what the encoder shows.")
+            raise BenchError(location, str(count), expected, "Give the count that the encoder shows.")
 
 
 def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
@@ -323,12 +323,12 @@ def _live_counts(configuration: Configuration) -> tuple[int, int, int]:
     except NoRing as error:
         location = "calibrate encoders --from-pose"
         found = f"no bench {configuration.bench.id} running on this machine ({error.found})"
-        action = "Start `golfbench run --read-only`, or give what the encoders show with --counts."
+        action = "Start `golfbench run --read-only`, or give the counts with --counts."
         raise Refused(location, found, "one that reads the encoders, or --counts", action) from error
 
 
 def _zero_shifts(configuration: Configuration) -> tuple[str, str, str]:
-    """Return what the devices of the running bench say of their zeros; warn if nothing is known of them."""
+    """Return preset and offset of the encoders of the running bench; warn if they are unknown."""
     from bench.records.telemetry.encoder_preset import read_shifts
     from bench.supervisor.ownership import bench_folder
 
@@ -391,7 +391,7 @@ def listing(entries: Sequence[Entry], in_force: Calibration, now: datetime) -> T
 
 
 def overview(in_force: Calibration, now: datetime) -> Table:
-    """Return a table of what is in force, kind by kind."""
+    """Return a table of the calibrations in force, by kind."""
     from bench.calibration.calibration import CalibrationKind, in_words
 
     table = plain_table("kind", "version", "date (UTC)", "expires", "values", "")

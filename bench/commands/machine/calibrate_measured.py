@@ -40,7 +40,7 @@ FlightTable = Annotated[
     argument(
         "FLIGHTS",
         "CSV, one row per flight, or an export of TrackMan or Foresight: ball_speed_mps (_mph, _kmh), "
-        "launch_angle_deg, spin_rpm, and of carry_m (_yd, _ft), apex_m (_yd, _ft), time_s what was measured; "
+        "launch_angle_deg, spin_rpm, and the measured ones of carry_m (_yd, _ft), apex_m (_yd, _ft), time_s; "
         "optional direction_deg, spin_axis_deg, air_temperature_k (_c, _f), air_pressure_pa (_hpa), "
         "relative_humidity, wind_mps, cross_wind_mps.",
     ),
@@ -49,7 +49,8 @@ Source = Annotated[str, option("Device and place: full-flight monitor, indoor ra
 PointTable = Annotated[
     Path | None,
     option(
-        "CSV of trajectories: flight, time_s, distance_m, height_m; FLIGHTS has a column flight, too.", "FILE"
+        "CSV of trajectories: flight, time_s, distance_m, height_m; FLIGHTS then needs a column flight.",
+        "FILE",
     ),
 ]
 Mass = Annotated[float, option("Mass of the ball.", "G")]
@@ -216,7 +217,7 @@ def inputs(
     sim: Annotated[bool, flag("--sim", "Simulate robot and hands in lock-step; nothing is stored.")] = False,
     by: Annotated[str | None, option("Who checks.", "NAME", shown="the user's name")] = None,
 ) -> None:
-    """Check each interlock, button and switch, and the supply's sensor beside its gauge.
+    """Check each interlock, button and switch, and compare the supply's sensor with its gauge.
 
     Takes the place of golfbench run for about five minutes, and says what to do by hand. On a machine it is
     due each day: ARM is refused without it, and after one that found something wrong.
@@ -232,7 +233,7 @@ def inputs(
         typer.echo(f"{entry.name} of bench {entry.bench}; expires {entry.expires:%Y-%m-%d %H:%M} UTC")
     raise_findings(findings)
     typer.echo(f"{len(seen.seen)} inputs seen to change: {', '.join(seen.seen)}.")
-    typer.echo(f"Supply sensor {1e-5 * seen.gauge:+z.2f} bar beside the gauge.")
+    typer.echo(f"Supply sensor {1e-5 * seen.gauge:+z.2f} bar compared with the gauge.")
 
 
 def inputs_in_force(configuration: Configuration, now: datetime) -> str | None:
@@ -274,7 +275,7 @@ def simulated_hands(machine: SimulatedMachine) -> OperatorIO:
 
 
 def gauge_from_person() -> float:
-    """Ask what the gauge behind the regulator shows; Pa over the atmosphere."""
+    """Prompt for the reading of the gauge behind the regulator; Pa above the atmosphere."""
     while True:
         text = typer.prompt("bar on the gauge behind the regulator", err=True)
         try:
@@ -308,7 +309,7 @@ def _live(configuration: Configuration) -> Iterator[tuple[WatchedMachine, Operat
     from bench.supervisor.ownership import take_bench
 
     if not at_terminal():
-        action = "Run it in a terminal beside the machine."
+        action = "Run it in a terminal next to the machine."
         raise BenchError("calibrate inputs", "no terminal", "a person who acts and reads", action)
 
     def say(text: str) -> None:

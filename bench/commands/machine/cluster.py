@@ -28,8 +28,8 @@ _CONFIGURATION = {
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.worker.memory.monitor-interval": "1s",
-    # With dask's own malloc gives memory back all the time: 40 times the page faults, 5 % of the time. Malloc
-    # arrives at these thresholds by itself.
+    # With dask's thresholds malloc returns memory all the time: 40 times the page faults, 5 % of the time.
+    # Malloc's own adaptation ends at the thresholds below.
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 2**27,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 2**25,
 }

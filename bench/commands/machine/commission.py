@@ -96,10 +96,10 @@ def commission(
 def _require_possible(
     configuration: Configuration, *, sim: bool, robot: Path | None, regulator: str | None
 ) -> None:
-    """Refuse options that do not go together, and a simulated plant on its own clock.
+    """Refuse --robot without a simulated robot and --regulator with one.
 
     Raises:
-        BenchError: the text says which.
+        BenchError: the refused option.
     """
     driver = configuration.driver
     simulated = sim or driver.name == "sim"
@@ -358,7 +358,7 @@ def _loads(machine: SimulatedMachine) -> str:
 
 
 def _write_report(state: Commissioning, nominal: PlantParameters, made: datetime) -> None:
-    """Write the report of what was done so far."""
+    """Write the report of the steps done so far."""
     from bench.commissioning.robot_file import commissioning_report
     from bench.records.telemetry.atomic_file import atomic_file
 
@@ -367,7 +367,7 @@ def _write_report(state: Commissioning, nominal: PlantParameters, made: datetime
 
 
 def _show(state: Commissioning) -> None:
-    """Print what was found."""
+    """Print the commissioned values, the notes of the steps and the files."""
     figures = ("found", "standard error")
     table = plain_table("step", "value", *figures, "unit", right=figures, title="Commissioned robot")
     for value in {value.key: value for value in state.values}.values():

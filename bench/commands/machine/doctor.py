@@ -1,7 +1,8 @@
 """Checks of this machine: status, finding and advice for each item.
 
-Nothing here raises or changes the machine. What may end or change a process (imports of binary
-packages, real-time scheduling, memory locks) is tried in a child process, see `bench.commands.machine.probe`.
+Nothing here raises or changes the machine. Checks that may end or change a process
+(imports of binary packages, real-time scheduling, memory locks) run in a child process, see
+`bench.commands.machine.probe`.
 """
 
 from __future__ import annotations
@@ -196,7 +197,7 @@ def processors() -> ItemResult:
 def virtual_machine() -> ItemResult:
     """Look whether a hypervisor may take the processor away."""
     if "hypervisor" in small_text("/proc/cpuinfo").split():
-        return limited("yes", "the host adds stalls: run hardware and timing proofs on a machine of its own")
+        return limited("yes", "the host adds stalls: run hardware and timing proofs on a dedicated machine")
     return ok("no")
 
 
@@ -275,7 +276,7 @@ def compiled_code() -> ItemResult:
 
 
 def realtime_probes() -> Iterator[Probe]:
-    """Return what the loop asks of the kernel; one child process tries it all at the first look."""
+    """Yield the checks of real time; the first one tries all settings of the loop in a child process."""
 
     @functools.cache
     def granted() -> dict[str, Any]:
@@ -389,7 +390,7 @@ def socketcan() -> ItemResult:
 
 
 def can_channels() -> ItemResult:
-    """Look for adapters with drivers of their own, through python-can."""
+    """Look for adapters with separate drivers, through python-can."""
     channels = json.loads(_child("can"))
     if channels:
         return ok(", ".join(channels))

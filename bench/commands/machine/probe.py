@@ -1,6 +1,6 @@
-"""Checks made in a process of their own, because they change the process or may end it.
+"""Checks that run in a separate process, because they change the process or may end it.
 
-`python -m bench.commands.machine.probe realtime` asks the kernel for what the loop needs and prints JSON.
+`python -m bench.commands.machine.probe realtime` tries the loop's settings at the kernel and prints JSON.
 `python -m bench.commands.machine.probe can` asks python-can's backends for attached channels and prints JSON.
 `python -m bench.commands.machine.probe daq` asks NI's driver for its version and its cards and prints JSON.
 `python -m bench.commands.machine.probe cache` prints the folder of compiled code as JSON.

@@ -112,7 +112,7 @@ def _search(
     numbers: tuple[list[float] | None, ...],
     depth: tuple[int, int, int],
 ) -> SizingSearch:
-    """Return the search within what the options give; the grid's own values for what they leave out.
+    """Return the search over the options' values; the grid's defaults replace omitted options.
 
     Raises:
         BenchError: a part is not in the catalogue, or absorbers are no pair.

@@ -161,12 +161,12 @@ def _by_pose(machine: MachineGains) -> list[str]:
         for joint, band, delay in zip(JOINTS, machine.bandwidths, machine.delay, strict=True)
     )
     pose = ", ".join(f"{degrees(angle):.0f}°" for angle in worst.angle)
-    loop = f"of the {JOINTS[worst.joint]}'s loop" if worst.joint >= 0 else "of all loops"
+    loop = f"the {JOINTS[worst.joint]}'s loop" if worst.joint >= 0 else "all loops"
     lines = [
         f"Gains by pose. Bandwidths: {rates}.",
-        f"Asked for at every pose: gain {required.gain:.1f} times, phase {degrees(required.phase):.0f}°, "
+        f"Required at every pose: gain {required.gain:.1f} times, phase {degrees(required.phase):.0f}°, "
         f"delay {1e3 * required.delay:.1f} ms, damping ratio {required.damping_ratio:.2f}.",
-        f"Worst: {worst.name} {loop}, {100 * worst.share:.0f} % of the margin asked for, at {pose}.",
+        f"Worst: {worst.name} of {loop}, {100 * worst.share:.0f} % of the required margin, at {pose}.",
     ]
     if worst.share < 1.0:
         lines.append(

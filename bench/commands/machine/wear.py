@@ -33,7 +33,7 @@ _PARTS = {
 _MOST_FITTED = 40
 """Swings whose parts are fitted, evenly over all of them: 1 s each."""
 _CLEAR = 0.5
-"""Share of the worn change from which a part of the joint is named for its residual."""
+"""Share of the worn change from which a part is reported as the source of its joint's residual."""
 _SHOWN = 0.25
 """Share of the worn change from which a part has its line."""
 

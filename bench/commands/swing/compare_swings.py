@@ -47,7 +47,9 @@ def compare(
     for location, found, other in zip(places, settings, reversed(places), strict=True):
         if found is not None:
             action = "Compare two configurations, or two records or profiles."
-            raise BenchError(location, f"a configuration beside {other}", "a record or a profile", action)
+            raise BenchError(
+                location, f"a configuration, compared with {other}", "a record or a profile", action
+            )
     from bench.records.shot.overlay import clocks, differences
 
     configuration = context.ensure_object(Session).configuration()

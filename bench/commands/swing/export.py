@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Format(StrEnum):
-    """What is written."""
+    """Output format."""
 
     CSV = "csv"
     RRD = "rrd"
@@ -32,14 +32,14 @@ def export(
     records: Annotated[list[Path], argument("RECORD...", "Records of swings, .parquet, or folders of them.")],
     format_: Annotated[Format, option("Output format.", names="--format")],
     output: Annotated[
-        Path | None, option("File for one record, folder for several.", "PATH", shown="beside each")
+        Path | None, option("File for one record, folder for several.", "PATH", shown="next to each")
     ] = None,
     force: Annotated[bool, flag("--force", "Replace files that exist.")] = False,
 ) -> None:
     """Write records of swings for other programs, with the unit of every column.
 
-    csv has its units beside it, NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (its layout is
-    written beside it), mat for MATLAB, mf4 (MDF 4) for CANape and NI.
+    csv stores its units in NAME.csv-metadata.json; rrd is for Rerun, mcap for Foxglove (with a layout file),
+    mat for MATLAB, mf4 (MDF 4) for CANape and NI.
     """
     from bench.viewer.export.record_files import read_record
     from bench.viewer.recorded_series import record_files

@@ -60,7 +60,7 @@ def import_(
     plot: Plot = None,
     json_: Json = False,
 ) -> None:
-    """Import a recorded swing: events, swing plane, joint angles, speeds, and what a robot cannot repeat.
+    """Import a recorded swing: events, swing plane, joint angles, speeds, excess beyond the robot's ranges.
 
     Writes NAME.golfer.toml and its table. A recording without a club gives shoulders and arm only. Files of
     GEARS itself are not read: export C3D from GEARS. C3D needs `pip install 'golfbench[mocap]'`.

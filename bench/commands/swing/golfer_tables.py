@@ -70,7 +70,7 @@ def beyond_text(excess: Sequence[float]) -> str:
 
 
 def comparison_table(rows: Sequence[MotionDeviation]) -> Table:
-    """Return a row per deviation: per cent with degrees and mm beside it, speeds and downswings."""
+    """Return a table with a row per deviation: per cent with degrees or mm, speeds and downswings."""
     caption = (
         f"{DEFINITION}; angles in °, head in mm. Hunt and Wiens report {100 * HUNT_WIENS:.1f} % undefined."
     )

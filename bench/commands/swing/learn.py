@@ -1,4 +1,4 @@
-"""`golfbench learn`: repeat a swing, correct it by what it delivered, and keep the correction."""
+"""`golfbench learn`: repeat a swing, correct it by its delivery, and store the correction."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ Draw = Annotated[
 ]
 IdentifiedRobot = Annotated[
     Path | None,
-    option("Output of golfbench identify: start from what was learned on that robot in simulation.", "FILE"),
+    option(
+        "Output of golfbench identify: start from a correction learned on that robot in simulation.", "FILE"
+    ),
 ]
 Records = Annotated[
     list[Path] | None,
@@ -54,7 +56,7 @@ DeliverySource = Annotated[
 ]
 Swings = Annotated[int, option("Max number of swings.", low=1, high=100)]
 Output = Annotated[
-    Path | None, option("Also write the corrected profile, .toml, with its table beside it.", "FILE")
+    Path | None, option("Also write the corrected profile, .toml, with its table next to it.", "FILE")
 ]
 
 

@@ -197,14 +197,14 @@ def check(
 
 Output = Annotated[
     Path | None,
-    argument("FILE", "Profile to write, .toml, with its table beside it.", shown="CLUB-SPEEDmps.toml"),
+    argument("FILE", "Profile to write, .toml, with its table next to it.", shown="CLUB-SPEEDmps.toml"),
 ]
 GolferName = Annotated[
     str | None, option("Golfer to imitate: a built-in one or a measured NAME.golfer.toml.", "NAME")
 ]
 Follow = Annotated[
     Literal["body", "club"],
-    option("Of a measured golfer: angles of shoulders, arm and club, or the club alone, ball on ball."),
+    option("Motion taken from a measured golfer: shoulders, arm and club, or the club alone, ball on ball."),
 ]
 HeadSpeed = Annotated[
     float | None,
@@ -339,7 +339,7 @@ def _golfer_followed(plant: PlantParameters, name: str | None, follow: str) -> G
         return golfer
     if not isinstance(golfer, GolferSwing):
         action = "Name a file of golfbench golfer import, or leave --follow out."
-        raise BenchError("--follow", "club", "--golfer NAME.golfer.toml beside it", action)
+        raise BenchError("--follow", "club", "also --golfer NAME.golfer.toml", action)
     return with_club_held(plant, golfer)
 
 
@@ -477,7 +477,7 @@ def limits(
         option(
             "File to write.",
             "FILE",
-            shown="beside the profile; of one that comes with golfbench DATA_DIR/limits",
+            shown="next to the profile; DATA_DIR/limits for a built-in one",
         ),
     ] = None,
     club: ClubName = None,
@@ -514,7 +514,7 @@ def limits(
 def address(
     context: typer.Context,
     profile: Name,
-    output: Annotated[Path, option("Profile to write; its table goes beside it.", "FILE")],
+    output: Annotated[Path, option("Profile to write; its table is written next to it.", "FILE")],
     club: ClubName = None,
 ) -> None:
     """Plan the chamber pressures at the address of a profile, for the configured plant.

@@ -34,7 +34,7 @@ def listing(profiles: list[tuple[str, Profile]]) -> Table:
     table.add_column("club", no_wrap=True)
     table.add_column("m/s", no_wrap=True, justify="right")
     table.add_column("attack °", no_wrap=True, justify="right")
-    table.add_column("what it is", no_wrap=True, overflow="ellipsis", ratio=1)  # it alone gives way
+    table.add_column("description", no_wrap=True, overflow="ellipsis", ratio=1)  # the only flexible column
     for name, profile in profiles:
         speed = _figure(profile, "head_speed_mps", ".1f")
         attack = _figure(profile, "attack_angle_deg", "+.1f")

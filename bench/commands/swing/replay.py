@@ -22,7 +22,7 @@ from bench.simulation.replay import INPUTS, MEASURED, TOLERANCE, Difference, Rep
 
 
 def replay_command(path: Path, tolerance: float, json_: bool) -> bool:
-    """Replay the record at `path`, print what came of it, and return whether it is equal.
+    """Replay the record at `path`, print the result, and return whether it is equal.
 
     Raises:
         BenchError, ExceptionGroup: as `bench.simulation.replay.replay_cycles`.
@@ -70,7 +70,7 @@ def replay_table(differences: Sequence[Difference]) -> Table:
 
 
 def replay_summary(replay: Replay, metadata: Mapping[str, Any], tolerance: float) -> str:
-    """Return what was replayed, and what must be known to judge differences."""
+    """Return the extent of the replay, and the settings and versions that may explain differences."""
     ticks = replay.recorded["tick"]
     lines = [
         f"{len(ticks)} ticks, {ticks[0]} to {ticks[-1]}, through today's cycle; "

@@ -1,4 +1,4 @@
-"""What came out of the thesis' experiment: one picture, one table beside the thesis' own statements, JSON."""
+"""Results of the thesis' experiment: a picture, a table with the thesis' own statements, and JSON."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _REFERENCE, _ACTUAL, _SATURATED, _BALL = "#7f7f7f", "#1f5fa8", "#d1495b", "#2a9d
 
 
 class Statement(NamedTuple):
-    """A statement of the thesis beside what the experiment found."""
+    """A statement of the thesis and the experiment's finding."""
 
     what: str
     thesis: str
@@ -44,11 +44,11 @@ class Statement(NamedTuple):
 
 
 class Others(NamedTuple):
-    """The outcome without what the thesis says of it."""
+    """Outcomes of the experiment without friction and without actuator limits."""
 
     frictionless: ExperimentSummary
     unlimited: ExperimentSummary
-    """Of actuators without limits."""
+    """Outcome with unlimited actuators."""
 
 
 def simulate_thesis(output_folder: Path | str, as_json: bool = False) -> None:
@@ -84,7 +84,7 @@ def simulate_thesis(output_folder: Path | str, as_json: bool = False) -> None:
 
 
 def statements(experiment: ThesisExperiment, others: Others) -> list[Statement]:
-    """Return the thesis' statements on its experiment beside our figures, differences as found."""
+    """Return the thesis' statements on its experiment, compared with our figures."""
     s, free = experiment.summary, others.frictionless
     back_end = float(thesis_swing().shoulder.time[68])
     downswing = whole = height = speed = "never reaches the ball"
@@ -158,7 +158,7 @@ def as_record(experiment: ThesisExperiment, others: Others) -> dict[str, Any]:
 
 
 def draw(experiment: ThesisExperiment, path: Path | str) -> None:
-    """Draw what the thesis' figures 17 to 20 show, as one picture; the suffix of `path` is its format."""
+    """Draw the thesis' figures 17 to 20 as one picture; the suffix of `path` is its format."""
     figure = Figure(figsize=(20, 10), layout="constrained")
     signals, paths = figure.subfigures(1, 2, squeeze=False, width_ratios=(2.2, 1), wspace=0.02)[0]
     grid, e, s = signals.subplots(3, 3, sharex=True), experiment, experiment.summary

@@ -15,7 +15,7 @@ const PAUSE = 250; // ms after the last key of a search
 let content = null;
 let opened = null;
 let chosen = [];
-let laid = null; // what was made of the chosen records
+let laid = null; // comparison or wear of the chosen records
 
 const look = (path) => fetch(path, { cache: "no-store" }).catch(() => null);
 
@@ -41,7 +41,7 @@ function redraw() {
 
 function campaigns() {
   if (!content.campaigns.length) return make("p", { class: "muted" }, "No campaigns yet.");
-  const head = ["Campaign", "begun", "state", "shots", "valid"].map((text) => make("th", { scope: "col" }, text));
+  const head = ["Campaign", "started", "state", "shots", "valid"].map((text) => make("th", { scope: "col" }, text));
   const body = content.campaigns.map((one) => make("tr", {},
     make("td", {}, one.title, make("br"), make("span", { class: "muted" }, one.id)),
     make("td", {}, new Date(one.date).toLocaleString()), make("td", {}, one.state), make("td", {}, one.shots), make("td", {}, one.valid),
@@ -55,7 +55,7 @@ function campaigns() {
 const action = (label, id, act) => make("button", { type: "button", "aria-label": `${label} of ${id}`, on: { click: (event) => act(id, event.target) } }, label);
 
 async function resume(id) {
-  const text = "A runner takes the lease (one of this page is released, which disarms), locks the guard, warns, arms and swings by itself; a simulated bench it also resets and homes. Is everybody outside the guard, and the range clear?";
+  const text = "A runner takes the lease (one of this page is released, which disarms), locks the guard, warns, arms and swings automatically; it also resets and homes a simulated bench. Is everybody outside the guard, and the range clear?";
   if (!(await ask(`Resume ${id}?`, text, "Resume", mayOperate))) return;
   if (!(await releaseLease())) return;
   if (await request(id, "resume", { ask: by("plan-ask").checked })) loadArchive();

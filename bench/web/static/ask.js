@@ -1,4 +1,4 @@
-// A question before the robot moves; it closes by itself when its reason is gone.
+// A question before the robot moves; it closes automatically when its reason is gone.
 // It is not modal: a modal one would make the stop behind it unreachable.
 
 import { by, set } from "./dom.js";

@@ -12,7 +12,7 @@ import { degrees, number, onUnits, quantity, scale } from "./units.js";
 export const KINDS = { carry_m: "distance", total_m: "distance", apex_m: "distance", ball_speed_mps: "speed", club_speed_mps: "speed" };
 const REQUESTS = [
   ["pause", "Pause", "Pause after the current shot?"],
-  ["resume", "Go on", "Go on? The bench locks the guard, warns, and arms."],
+  ["resume", "Continue", "Continue? The bench locks the guard, warns, and arms."],
   ["stop", "Stop after this shot", "Stop the campaign after the current shot? It can be resumed."],
   ["abort", "Abort", "Abort the campaign at once? It cannot be resumed."],
 ];
@@ -61,11 +61,11 @@ function one({ progress: p, detail }) {
 
 const scaleOf = (column) => (KINDS[column] ? scale(KINDS[column]) : [1, column.split("_").pop(), 2]);
 
-// As the plan's stopping rule saw it: no look is spent.
+// State at the plan's last interim analysis: showing it costs no error rate.
 function interim({ block, blocks, column, pairs }) {
   const [factor, unit, digits] = scaleOf(column);
   const words = (value) => number(factor * value, digits);
-  return make("div", { class: "interim" }, make("p", {}, `After ${block} of ${blocks} blocks, at the look of the plan's rule:`),
+  return make("div", { class: "interim" }, make("p", {}, `After ${block} of ${blocks} blocks, at the plan's interim analysis:`),
     make("ul", { class: "words" }, ...pairs.map((one) => make("li", {}, `${one.first} − ${one.second}: ${words(one.difference)} ${unit} (${words(one.low)} to ${words(one.high)}), ${one.verdict}`))));
 }
 
@@ -94,7 +94,7 @@ function balls(p) {
 }
 
 function lastShot(campaign, shot) {
-  const comment = make("input", { id: "campaign-comment", maxlength: 200, placeholder: "what was seen" });
+  const comment = make("input", { id: "campaign-comment", maxlength: 200, placeholder: "observation" });
   const other = make("input", { id: "campaign-shot", inputmode: "numeric", maxlength: 6, size: 4, class: "short", placeholder: String(shot.shot) });
   const text = [`Shot ${shot.shot}`, shot.ball, shot.status, shot.reason, quantity("speed", shot.club_speed_mps), quantity("speed", shot.ball_speed_mps),
     degrees(shot.launch_angle_deg), `${number(shot.spin_rpm, 0)} rpm`, quantity("distance", shot.carry_m)].filter(Boolean).join(", ");

@@ -26,7 +26,7 @@ export function showAccess(view) {
 
 const LABELS = { disarm: "Disarm", access: "Open access", secure: "End access" };
 
-// What a person measures.
+// Forms for measured values.
 
 export async function loadValues() {
   const response = await fetch("/api/values", { cache: "no-store" }).catch(() => null);

@@ -1,4 +1,4 @@
-// What a browser keeps for itself: units, theme, the operator's name.
+// Values that the browser stores: units, theme, the operator's name.
 
 export const keep = {
   get(name, otherwise) {

@@ -1,4 +1,4 @@
-// Campaigns from a plan: check it, look at its preview, start it. The runner is a process of its own.
+// Campaigns from a plan: check it, look at its preview, start it. The runner is a separate process.
 
 import { ask } from "./ask.js";
 import { by, make, pair, set } from "./dom.js";
@@ -66,7 +66,7 @@ function refresh() {
   by("plan-start").disabled = !(may && preview !== null && !runner?.running);
   by("runner").classList.toggle("bad", Boolean(runner?.text));
   set("runner", runner === null ? "" : runner.running
-    ? `Runner of ${runner.what}: running. It goes on without this page.`
+    ? `Runner of ${runner.what}: running. It continues without this page.`
     : runner.text ? `Runner of ${runner.what} has ended. ${runner.text}` : `Runner of ${runner.what} has ended: done. Figures and report: Campaigns and records, below.`);
 }
 
@@ -120,7 +120,7 @@ function parts(found) {
   ];
 }
 
-// What differs within the plan (swing, club, ball) names a shot; what is the same in a block stands before it.
+// Swing, club and ball that differ in the block name its shots; those that differ only between blocks come first.
 function order(block, blocks) {
   const differs = (shots, at) => new Set(shots.map((shot) => shot[at])).size > 1;
   const parts = [1, 2, 3].filter((at) => differs(blocks.flatMap((one) => one.shots), at));
@@ -134,13 +134,13 @@ function order(block, blocks) {
 async function start() {
   if (!operator()) { by("holder").focus(); outcome("Write your name first.", true); return; }
   const { plan, digest, title, shots } = preview;
-  const text = `${title || plan}: ${shots} shots. The runner takes the lease (one of this page is released, which disarms), locks the guard, warns, arms and swings by itself; a simulated bench it also resets and homes. Is everybody outside the guard, and the range clear?`;
+  const text = `${title || plan}: ${shots} shots. The runner takes the lease (one of this page is released, which disarms), locks the guard, warns, arms and swings automatically; it also resets and homes a simulated bench. Is everybody outside the guard, and the range clear?`;
   const possible = () => mayOperate() && preview?.digest === digest;
   if (!(await ask("Start the campaign?", text, "Start", possible))) return;
   if (!possible()) return;
   if (!(await releaseLease())) return;
   const body = { number: randomNumber(), seen: bench.seen, by: operator(), digest, units: unitSystem(), ask: by("plan-ask").checked };
   const answer = await send(`/api/plan/${encodeURIComponent(plan)}/start`, body);
-  outcome(answer.ok ? "" : say(answer, ""), !answer.ok); // its runner is said in the plan's card, its campaign in a card of its own
+  outcome(answer.ok ? "" : say(answer, ""), !answer.ok); // the plan's card shows its runner, another card its campaign
   if (answer.ok) show(null);
 }

@@ -4,7 +4,7 @@ const TIME = 8000; // ms
 export const COMMAND_TIME = 200000; // ms, of a command that the server runs
 const UNKNOWN = {
   what: "No answer: it is unknown whether the command arrived.",
-  action: "Look at the robot. Nothing is sent again by itself.",
+  action: "Look at the robot. No command is repeated automatically.",
 };
 
 export async function send(path, body = {}, ticket = "", time = TIME) {

@@ -1,4 +1,4 @@
-// Messages of the bench, and whether they are of now: a page that has lost its bench says so within 2 s.
+// Messages of the bench, and whether they are current: a page shows the loss of its bench within 2 s.
 
 import { set } from "./dom.js";
 
@@ -18,7 +18,7 @@ export function startStream(topics) {
     source = new EventSource("/api/stream");
     for (const topic of topics) source.addEventListener(topic, (event) => receive(topic, event.data));
     source.addEventListener("error", () => {
-      // The server refused (not signed in, too many pages): ask again later. Else the browser reconnects itself.
+      // The server refused (not signed in or too many pages): retry later. Else the browser reconnects itself.
       if (source !== null && source.readyState === EventSource.CLOSED) {
         close();
         refused = true;
@@ -64,6 +64,6 @@ function look() {
   set("lost", link.at === -Infinity
     ? "No figures yet: this page connects, or needs a sign-in, or too many pages are open."
     : link.before
-      ? `${place} since ${when}. Grey figures are of then. Stop may not arrive: use the emergency stop.`
+      ? `${place} since ${when}. Grey figures are from that time. Stop may not arrive: use the emergency stop.`
       : `No bench has answered since ${when}. Start it: golfbench run.`);
 }

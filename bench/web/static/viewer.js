@@ -8,7 +8,7 @@ const HERE = ["127.0.0.1", "localhost", "[::1]"];
 
 export function startViewer() {
   by("viewer").hidden = !HERE.includes(location.hostname);
-  by("viewer").querySelector("a").addEventListener("click", () => outcome("The 3D view opens in a tab of its own; at first that takes up to a minute.", false));
+  by("viewer").querySelector("a").addEventListener("click", () => outcome("The 3D view opens in a new tab; the first start takes up to a minute.", false));
   by("viewer-close").addEventListener("click", async () => {
     const answer = await send("/api/viewer/close");
     outcome(say(answer, "The 3D view is closed."), !answer.ok);

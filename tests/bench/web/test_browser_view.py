@@ -30,7 +30,7 @@ def test_the_viewer_opens_in_a_tab_of_its_own_and_ends(browser: Any, tmp_path: P
             tab.context.on("requestfinished", lambda asked: answered.append(asked.url))
             with tab.context.expect_page(timeout=OPENS) as opened:
                 tab.page.click("#viewer a")
-            tab.text("#outcome").to_contain_text("opens in a tab of its own")
+            tab.text("#outcome").to_contain_text("opens in a new tab")
             view = opened.value
             view.wait_for_url("**/?url=rerun*", timeout=OPENS)
             while not any(".wasm" in url for url in answered):  # the whole viewer, of this machine

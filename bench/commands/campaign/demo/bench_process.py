@@ -1,9 +1,9 @@
-"""A whole bench as a child of a command that needs one for its own time.
+"""A complete bench as a child process, for the duration of a command.
 
 `python -m bench.commands.campaign.demo.bench_process`.
 
-Plan: a pickled BenchPlan on stdin. Told on stdout: `ready`, commands are answered; `failed` as other children
-do. It ends, the robot at rest, by SIGTERM or when its parent is gone; Ctrl-C at the terminal is the parent's.
+Plan: a pickled BenchPlan on stdin. Events on stdout: `ready`, commands are answered; `failed`, as from other
+children. It ends with the robot at rest, by SIGTERM or after its parent; the parent handles Ctrl-C.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ def demo_plan(configuration: Configuration, swings: int, seed: int) -> CampaignP
     """Return the shipped test of two balls, with the configured swing, club and ball and the next ball.
 
     Raises:
-        ExceptionGroup: of BenchErrors; it cannot be swung here.
+        ExceptionGroup: BenchErrors, the reasons why it cannot be swung here.
     """
     c, plan = configuration, load_plan(Path("two-balls"), configuration)
     first = c.plant.ball.name
@@ -72,7 +72,7 @@ def demo_plan(configuration: Configuration, swings: int, seed: int) -> CampaignP
         balls={name: c.balls[name] for name in balls},
         clubs={club: c.clubs[club]},
     )
-    # A bench of its own, which has no calibrations.
+    # A separate bench, without calibrations.
     require_swings(plan, replace(c, bench=replace(c.bench, id="demo")))
     return plan
 
@@ -170,17 +170,19 @@ _COLUMNS = (
 
 
 def print_result(title: str, planned: int, shots: Sequence[Shot], ending: str, scatter: str) -> None:
-    """Print the table of `shots` below `title`, how the demo ended, and what was varied.
+    """Print the table of `shots` below `title`, the end of the demo, and the random variations.
 
-    `ending`: why fewer than the `planned` shots were made, else empty; `scatter`: what differs by itself.
+    `ending`: why fewer than the `planned` shots were made, else empty; `scatter`: the random variations.
     """
     console = Console(highlight=False)
     console.print(_table(title, shots))
     left = planned - len(shots)
     if ending:
-        console.print(f"{ending}, {left} swings not begun.", style="bold red")
+        console.print(f"{ending}, {left} swings not started.", style="bold red")
     elif left > 0:
-        console.print(f"{left} swings not begun: after a stop nothing arms by itself.", style="bold red")
+        console.print(
+            f"{left} swings not started: after a stop nothing arms automatically.", style="bold red"
+        )
     console.print(f"Everything is simulated. From shot to shot differ, {scatter}.\n")
 
 
@@ -237,7 +239,7 @@ _END = 40.0
 def demo_configuration(configuration: Configuration, data_dir: Path, *, live: bool) -> Configuration:
     """Return `configuration` with files below `data_dir`.
 
-    `live`: of a simulated bench of its own, which stays armed from swing to swing.
+    `live`: for a separate simulated bench, which stays armed from swing to swing.
     """
     c = replace(configuration, bench=replace(configuration.bench, data_dir=data_dir, database=""))
     if not live:
@@ -279,7 +281,7 @@ def run_demo(
 
     Raises:
         BenchError: the profile is invalid, `output` cannot be used, or the bench does not start.
-        ExceptionGroup: of BenchErrors, the reasons why the profile cannot be swung here.
+        ExceptionGroup: BenchErrors, the reasons why the profile cannot be swung here.
         KeyboardInterrupt: Ctrl-C, after the robot was brought to rest and the files were written.
     """
     begin = datetime.now(UTC)

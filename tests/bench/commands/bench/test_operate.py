@@ -424,7 +424,7 @@ def test_the_table_shows_everything_within_80_columns() -> None:
 
 
 def test_a_silent_bench_is_shown_as_one() -> None:
-    assert "SILENT: last heard 3.2 s ago" in shown(3.2)
+    assert "SILENT: last status 3.2 s ago" in shown(3.2)
 
 
 @pytest.mark.live

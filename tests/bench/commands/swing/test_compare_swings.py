@@ -50,7 +50,7 @@ def test_configurations_are_compared_by_their_keys(
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["shipped", "default"], "a configuration beside default"),
+        (["shipped", "default"], "a configuration, compared with default"),
         (["shipped", "golfers", "--plot", "a.png"], "it draws two swings"),
         (["defualt", "default"], "Did you mean default"),
         (["absent.parquet", "default"], "absent.parquet"),
