@@ -1,6 +1,6 @@
 """Fit of a ball's drag and lift to measured flights: carry, apex and time, or points of the trajectory.
 
-Weighted least squares for two factors on a published coefficient model. The launch is measured, too: its
+Weighted least squares for two factors on a published coefficient model. The launch is also measured: its
 scatter moves carry, apex and time of a flight together, so each flight's residuals are whitened by the
 covariance of launch and observation (errors in the variables, linearised). The covariance of the factors
 follows from the whitened Jacobian, times chi square per degree of freedom where that exceeds 1 (Birge ratio);
@@ -64,7 +64,7 @@ class MeasuredFlight:
 
 @dataclass(frozen=True)
 class FlightUncertainty:
-    """Standard uncertainties of a device: of one flight (scatter), or common to all (calibration)."""
+    """Standard uncertainties of a device: one flight's (scatter), or common to all (calibration)."""
 
     speed: float
     """Ball speed, m/s."""

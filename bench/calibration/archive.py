@@ -110,7 +110,7 @@ def list_calibrations(database: Engine, bench: str, kind: CalibrationKind | None
     """Return all calibrations of `bench`, of one kind or of every one, oldest first.
 
     Raises:
-        ExceptionGroup: of BenchErrors: what is stored was not written by golfbench.
+        ExceptionGroup: one BenchError per mistake in a row that golfbench did not write.
     """
     wanted = select(CalibrationRow).where(CalibrationRow.bench == bench)
     if kind is not None:
@@ -218,7 +218,7 @@ def list_aerodynamics(database: Engine, bench: str) -> list[AerodynamicsEntry]:
     """Return all measurements of `bench`, by ball, oldest first.
 
     Raises:
-        ExceptionGroup: of BenchErrors: a stored row was not written by golfbench.
+        ExceptionGroup: one BenchError per mistake in a row that golfbench did not write.
     """
     c = _TABLE.c
     query = select(c.version, c.date, c.source, c.by, c.content, c.ball).where(c.bench == bench)

@@ -146,7 +146,7 @@ def aerodynamics_values(content: Mapping[str, Any], location: str) -> BallAerody
     """Return the checked values of `content`, whose keys are the fields of `BallAerodynamics`.
 
     Raises:
-        ExceptionGroup: of BenchErrors at `location`: a value is missing, unknown or outside its range.
+        ExceptionGroup: one BenchError at `location` per value that is missing, unknown or out of range.
     """
     faults: list[BenchError] = []
     file = Path(location)

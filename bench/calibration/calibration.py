@@ -58,7 +58,7 @@ class EncoderZeros:
     """Counts per revolution of the calibrated encoders."""
     uncertainty: Annotated[float, Range(0.0, radians(5.0), "rad")]
     zero_shift: tuple[str, str, str] = field(default=("", "", ""), metadata={"optional": True})
-    """Preset and offset in each device at the calibration, as its driver tells them; empty if unknown."""
+    """Preset and offset in each device at the calibration, as its driver reports; empty if unknown."""
 
     def __post_init__(self) -> None:
         """Raise ValueError unless signs are ±1."""
@@ -71,7 +71,7 @@ def zero_counts(
 ) -> Triple:
     """Return the counts at angle zero of encoders that show `count` with the joints at `angle` (rad)."""
     per_radian = counts_per_revolution / (2 * pi)
-    # Half a count: a reading is the floor of what the shaft shows.
+    # Half a count: a reading is the floor of the shaft's position.
     a, b, c = (
         (n + 0.5 - s * q * per_radian) % counts_per_revolution
         for n, q, s in zip(count, angle, sign, strict=True)
@@ -120,7 +120,7 @@ class SeenInputs:
     wiring: str
     """Digest of the driver's settings at the check."""
     findings: tuple[str, ...] = field(default=(), metadata={"optional": True})
-    """What was found wrong; arming is refused until a check finds nothing."""
+    """Faults found; arming is refused until a check finds none."""
     gauge: Annotated[float, Range(-2e6, 2e6, "Pa")] = field(default=0.0, metadata={"optional": True})
     """Largest deviation of the supply's sensor from the gauge."""
 
@@ -140,8 +140,8 @@ def values_of(kind: CalibrationKind, content: Mapping[str, Any], location: str) 
     """Return the checked values of `content`, whose keys are the fields of the kind's class.
 
     Raises:
-        ExceptionGroup: of BenchErrors at `location`, one for each key that is missing, unknown, of the wrong
-            type or outside its range.
+        ExceptionGroup: one BenchError at `location` per key that is missing, unknown, of the wrong type or
+            out of range.
     """
     faults: list[BenchError] = []
     file = Path(location)
@@ -189,7 +189,7 @@ def in_words(values: Values) -> str:
         case ValveCentres(centre, band, uncertainty):
             return f"centre {_three(centre, 'z.4f')}, dead band {_three(band, 'z.4f')} ± {uncertainty:.2g}"
         case SeenInputs(seen, _, findings, gauge):
-            words = f"{len(seen)} seen to change, supply {1e-5 * gauge:+z.2f} bar beside the gauge"
+            words = f"{len(seen)} seen to change, supply {1e-5 * gauge:+z.2f} bar off the gauge"
             return f"wrong: {'; '.join(findings)}" if findings else words
 
 
@@ -296,7 +296,7 @@ class Calibration:
 
     @property
     def shifts(self) -> CalibratedShifts | None:
-        """What the encoders said of their zeros when they were calibrated; None if they never were."""
+        """Zero shifts in the encoders at their calibration; None if they were never calibrated."""
         entry = self.of(CalibrationKind.ENCODERS)
         if entry is None or not isinstance(entry.values, EncoderZeros):
             return None
@@ -463,7 +463,7 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
 
     Raises:
         BenchError: they belong to another part, or are too far from the configured values.
-        ExceptionGroup: of BenchErrors: with them the configuration would be inconsistent.
+        ExceptionGroup: BenchErrors of the configuration, which they would make inconsistent.
     """
     if isinstance(values, ClubInMount) and values.club not in configuration.clubs:
         location, expected = "calibrate club", f"one of {', '.join(configuration.clubs)}"

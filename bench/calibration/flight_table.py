@@ -1,6 +1,6 @@
 """Measured flights in CSV: one row per flight, and the points of trajectories in a second file.
 
-Columns are named as in the shot table, or as TrackMan and Foresight export them, with the unit in the name or
+Columns have the names of the shot table or of exports by TrackMan and Foresight, with the unit in the name or
 in a row below. `flight` numbers the flights where points are given. An empty cell is a figure that was not
 measured; direction and spin axis default to 0, the air to that of `sim.air.Air`.
 

@@ -1,4 +1,4 @@
-"""Interruptions in a campaign's history: how the run before ended, and what has changed since."""
+"""Interruptions in a campaign's history: the end of the previous run, and the changes since then."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _TOP = Path(__file__).parents[2]
 
 
 _MOST = 5
-"""Max number of changed values that are named."""
+"""Max number of changed values in a line."""
 
 
 class RunStart(NamedTuple):
-    """A run's beginning: by whom, with which software and on what."""
+    """Start of a run: its operator, software and bench."""
 
     by: str = ""
     versions: Mapping[str, Any] = {}
@@ -60,9 +60,9 @@ def found_at_begin(
     start: RunStart,
     now: datetime,
 ) -> Iterator[tuple[str, str]]:
-    """Yield (kind, text) of the events at the beginning of a run that follows `runs` and `shots` shots.
+    """Yield (kind, text) of the events at the start of a run that follows `runs` and `shots` shots.
 
-    `seen` is the last sign of life of the run before, None if unknown.
+    `seen` is the last sign of life of the previous run, None if unknown.
     """
     if not runs and not shots:
         return

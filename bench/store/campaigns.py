@@ -1,7 +1,7 @@
-"""Campaigns in the database: begun once, shots added in batches, each batch whole or not at all.
+"""Campaigns in the database: started once; batches of shots are added atomically.
 
-A shot's file is whole on disk before its row is written; rows, events and hit counts of a batch are one
-transaction. What a crash leaves is therefore at worst a file that no row knows, which the same shot replaces.
+A shot's file is complete on disk before its row is written; rows, events and hit counts of a batch are one
+transaction. At worst, a crash leaves a file without a row, which the same shot replaces.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class CampaignStore:
 
     @_again_if_lost
     def entries(self) -> list[tuple[CampaignEntry, Standing, Counter[str]]]:
-        """Return all campaigns with their states and shots by status, the one begun last first.
+        """Return all campaigns with their states and shots by status, the last started first.
 
         A shot that is excluded by hand counts as excluded.
         """
@@ -293,8 +293,8 @@ class CampaignStore:
     def last_answered(self, entry: CampaignEntry, kind: str) -> tuple[str, Prompt] | None:
         """Return the bench's prompt of `kind` that was answered last, with its campaign; None if none was.
 
-        The last answer is the newest whatever the clock said, which may have jumped back. A simulated
-        campaign has a bench of its own, a real bench has one for all its campaigns.
+        The order of answers counts, not the clock, which may have jumped back. Each simulated campaign
+        has a separate bench; all campaigns of a real bench share it.
         """
         c, of = PROMPTS.c, CAMPAIGNS.c
         scope = c.campaign == entry.id if entry.simulated else (of.bench == entry.bench) & ~of.simulated
@@ -325,7 +325,7 @@ class CampaignStore:
         hits: Mapping[Hit, int] | None = None,
         prompts: Iterable[Prompt] = (),
     ) -> None:
-        """Add a batch in one transaction; the shots' files are whole and the prompts answered already.
+        """Add a batch in one transaction; the shots' files are complete and the prompts answered.
 
         Raises:
             Refused: one of these shots is there already: another runner has this campaign.
@@ -352,7 +352,7 @@ class CampaignStore:
         try:
             self._write(work)
         except IntegrityError:
-            there = f"shot {shots[0].shot.shot}" if shots else "what was to be added"
+            there = f"shot {shots[0].shot.shot}" if shots else "a row"
             location, expected = f"campaign {entry.id}", "one runner a campaign"
             raise Refused(location, f"{there} there already", expected, "Stop the other runner.") from None
 

@@ -58,7 +58,7 @@ from bench.store.records import (
 
 
 class UtcTime(TypeDecorator[datetime]):
-    """An instant: UTC in the database, aware in Python. SQLite keeps no zone of its own."""
+    """An instant: UTC in the database, aware in Python. SQLite stores no zone."""
 
     impl = DateTime(timezone=True)
     cache_ok = True
@@ -125,7 +125,7 @@ _only_add(Row.metadata.tables[CalibrationRow.__tablename__], "calibrations")
 
 
 _TYPES = {int: Integer, float: Double, bool: Boolean, datetime: UtcTime, Mapping[str, Any]: JSON}
-"""Type of a column by that of its field; of others, texts and codes, String."""
+"""Type of a column by that of its field; others, texts and codes, are String."""
 
 
 def _columns(record: type, *key: str) -> Iterator[Column[Any]]:
@@ -152,7 +152,7 @@ CAMPAIGNS = Table(
     *_columns(Standing),
     Column("number", Integer, nullable=False),
 )
-"""The number rises by one per campaign: the order in which they were begun, whatever the clock said."""
+"""The number rises by one per campaign: the order of their starts, regardless of the clock."""
 
 SHOTS = _of_campaign(
     "shots",
@@ -190,8 +190,7 @@ HITS = Table(
 WRITERS = Table(
     "writers", Row.metadata, Column("id", String, primary_key=True), Column("writes", Integer, nullable=False)
 )
-"""Number of the last write, from 1, that is in the database, of each program that repeats what it cannot know
-to be stored."""
+"""Number of the last stored write, from 1, of each program that repeats writes of unknown success."""
 
 
 class LearnedSwingRow(Row):
@@ -302,7 +301,7 @@ class DatabaseAway(DatabaseLocked):
 
     state = "out of reach"
     expected_state = "a server that is up and answers"
-    action = "Start the server or mend the way to it, then try again."
+    action = "Start the server or restore the connection to it, then retry."
 
 
 def is_busy(error: DatabaseError) -> bool:
@@ -444,9 +443,9 @@ def is_read_only(file: Path) -> bool:
 
 
 def _read_only_url(file: Path) -> URL:
-    """Return the URL that opens `file` without writing beside it.
+    """Return the URL that opens `file` without writing to its folder.
 
-    Without a log nothing is to be added to the file: SQLite needs no memory shared with writers then.
+    Without a log, no data remain to be added to the file: SQLite needs no memory shared with writers.
     """
     log = _log_of(file)
     alone = not log.exists() or not log.stat().st_size

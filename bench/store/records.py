@@ -1,4 +1,4 @@
-"""What the campaigns' tables hold, row by row; each class names the columns of its table."""
+"""Rows of the campaigns' tables; each class names the columns of its table."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Event(NamedTuple):
 
 
 class CampaignRun(NamedTuple):
-    """One run of a campaign: from its begin or resumption until the runner ends."""
+    """One run of a campaign: from its start or resumption until the runner ends."""
 
     number: int
     """From 1, within its campaign."""

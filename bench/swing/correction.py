@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Correction:
-    """What is added to a profile's tables, each (n, 3), joints in order."""
+    """Additions to a profile's tables, each (n, 3), joints in order."""
 
     angle: Array
     """rad"""
@@ -82,7 +82,7 @@ class Basis:
         return 3 * (len(self.valve) + len(self.angle))
 
     def correction(self, point: Array) -> Correction:
-        """Return what the weights `point` (m,) stand for."""
+        """Return the correction for the weights `point` (m,)."""
         split = 3 * len(self.valve)
         valve = self.opening * point[:split].reshape(3, -1)
         shift = self.shift * point[split:].reshape(3, -1)
@@ -96,8 +96,8 @@ class Basis:
 def basis_of(profile: Profile, valve_spacing: float = 0.025, angle_spacing: float = 0.060) -> Basis:
     """Return the functions for `profile`, their centres so many s apart.
 
-    The feed-forward is corrected in the downswing, the reference from shortly before the top on: what is
-    wrong at the top is carried into the downswing.
+    The feed-forward is corrected in the downswing, the reference from shortly before the top on: an error
+    at the top is carried into the downswing.
     """
     tick, top, down, impact = profile.period, profile.begins[2], profile.begins[3], profile.begins[5]
     valve, _ = _splines(profile, down, impact, round(valve_spacing / tick))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 GREATEST_WEIGHT = 1.5
-"""Of any function of a correction, in units of its opening or shift."""
+"""Max weight of a function of a correction, in units of its opening or shift."""
 MOST_WEIGHTS = 128
-"""Of a correction: a downswing of half a second."""
+"""Max number of weights of a correction: a downswing of half a second."""
 
 
 Source = Literal["encoders+model", "launch-monitor", "impact-marks"]

@@ -9,7 +9,7 @@ alike. Head speed and backswing have the sources in `text`.
 
 The two-handicap golfer is the thesis': Hunt's functions (`bench.swing.hunt`) as given for shoulder and right
 arm. The wrist is free, so that its angle is the torque-free response of the club, within the human wrist's
-range. Past its end each motion goes on, at its last speed, until the head passes the ball.
+range. Past its end each motion continues at its last speed until the head passes the ball.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 _MPH = 0.44704
 _STEP = 2.5e-4
 _LONGEST = 1.6
-"""How far past their end the motions go on, in downswings."""
+"""Length of a motion with its continuation past the end, in downswings."""
 _STEPS = 1000
 """Rows of a measured downswing."""
 _ADDRESS = 0.45, 0.2125

@@ -57,7 +57,7 @@ def head_speed(robot: RobotParameters, angle: Array, velocity: Array) -> Array:
 
 
 def phase_times(profile: Profile) -> list[tuple[Phase, float, float]]:
-    """Return each phase of `profile` with its begin and end (s)."""
+    """Return each phase of `profile` with its start and end (s)."""
     ends = [*profile.begins[1:], len(profile.angle)]
     return [
         (phase, begin * profile.period, end * profile.period)

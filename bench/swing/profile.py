@@ -1,10 +1,10 @@
 """A swing profile: the motion of the robot tick by tick, and blind stops from each instant.
 
-A profile is a short TOML file (who and what it is for, times, planned delivery, limits it was designed for)
-and its table beside it, a Parquet file (`bench.swing.profile_table`) whose digest the TOML file holds. The
-table has angles, velocities and valve openings at a fixed period, and blind-brake patterns. A TOML file that
-holds its tables itself is a profile, too. The swing runs from address to standstill after the follow-through;
-the return is the controller's.
+A profile is a short TOML file (golfer, club, times, planned delivery, design limits) and a table in the same
+folder, a Parquet file (`bench.swing.profile_table`) whose digest the TOML file holds. The table has angles,
+velocities and valve openings at a fixed period, and blind-brake patterns. A TOML file that holds its tables
+itself is also a profile. The swing runs from address to standstill after the follow-through; the return is
+the controller's.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from drivers.base.ranges import Count
 Array = NDArray[np.float64]
 
 SCHEMA = "golfbench-profile/2"
-"""Schema of a file whose table stands beside it."""
+"""Schema of a file whose table is a separate file."""
 SCHEMA_WITH_TABLES = "golfbench-profile/1"
 """Schema of a file that holds its tables itself."""
 PHASES = (
@@ -71,7 +71,7 @@ class Profile:
 
     `angle` (n, 3) rad, `velocity` (n, 3) rad/s, `valve` (n, 3) feed-forward openings, `begins` (7,) the
     sample at which each of PHASES begins, `blind_brake` (m, 6): valve openings and their durations (s) for
-    a blind stop begun at sample k * `blind_spacing`.
+    a blind stop that starts at sample k * `blind_spacing`.
     """
 
     name: str
@@ -169,7 +169,7 @@ def load_profile(path: Path) -> Profile:
     """Read and check the profile at `path`.
 
     Raises:
-        BenchError: a file is missing, unreadable or not what it should be, the table does not match its
+        BenchError: a file is missing, unreadable or no profile, the table does not match its
             digest, a key is unknown, missing or of the wrong type, a number is not finite or outside its
             physical range, or the tables do not fit together.
     """
@@ -259,7 +259,7 @@ def _address_air(path: Path, table: Any) -> tuple[tuple[float, ...], float]:
     supply = float(table["supply_pressure_pa"])
     air = tuple(map(float, table["chamber_pressures_pa"]))
     if max(air) >= supply:
-        expected = f"less than the supply's {supply:g} Pa: no swung spool leads to more"
+        expected = f"less than the supply's {supply:g} Pa: the limit of a dithered spool"
         raise BenchError(f"{path}: address.chamber_pressures_pa", f"{max(air):g}", expected, _ACTION_ADDRESS)
     return air, supply
 
@@ -354,7 +354,7 @@ def as_written(profile: Profile) -> Profile:
 
 
 def save_profile(path: Path, profile: Profile) -> Path:
-    """Write `profile` as TOML to `path` and its table beside it, and return the table's path.
+    """Write `profile` as TOML to `path` and its table to the same folder; return the table's path.
 
     Raises:
         OSError: a file cannot be written.

@@ -93,7 +93,7 @@ def decode_table(content: bytes, blind_spacing: int) -> dict[str, Array]:
 
 
 def _decimals(values: Array, digits: int, rows: int, at: slice) -> pa.Array:
-    """Return a column of `rows` decimals, null but for `values` in the rows `at`; -0.0 is null, too."""
+    """Return a column of `rows` decimals, null but for `values` in the rows `at`; -0.0 is also null."""
     import pyarrow as pa
 
     rounded = np.round(values, digits)

@@ -12,8 +12,8 @@ Left open there, and chosen here:
 - Friction: one coefficient for the three joints, as it uses one PID for the three, see `FRICTION`.
 - Where the tables count from, see `ADDRESS_ROD`. After the last sample they are held.
 
-Its reference swing are the tables of Appendix B, sample by sample. Each axis has a time vector and a value
-vector of its own; the values are tanh curves over an abscissa that is not time. Between samples the thesis'
+Its reference swing are the tables of Appendix B, sample by sample. Each axis has separate time and value
+vectors; the values are tanh curves over an abscissa that is not time. Between samples the thesis'
 simulation interpolates linearly. Three seams of the original are kept: the backswing ends at 0.68 s and the
 downswing starts at 0.686 s, the wrist has two samples at 0.4 s, and each curve jumps a little where two
 pieces meet.
@@ -165,7 +165,7 @@ class ExperimentSummary:
 
 @dataclass(frozen=True)
 class ThesisExperiment:
-    """What a run recorded. N = duration / time step + 1; joint and actuator order as everywhere."""
+    """Recording of a run. N = duration / time step + 1; joint and actuator order as everywhere."""
 
     robot: RobotParameters
     friction: float

@@ -2,7 +2,7 @@
 
 A feeder with a magazine is loaded at once with the balls of the coming shots: the load list.
 
-Pure: what is in place follows from the answered prompts and the shots since, so that a restart knows it too.
+Pure: the fitting follows from the answered prompts and the shots since. A restart therefore restores it.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Reference: flown from the launch with the reference ball's aerodynamics, all balls alike. Monitor: as the
 launch monitor reported it. Measured: flown with the coefficients that were measured on this ball. A simulated
-ball also has the flight of its own model, "simulated"; a report of hardware never shows that.
+ball also has the flight of its model, "simulated"; a report of hardware never shows it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Measured = Mapping[str, AerodynamicsEntry]
 
 
 def measured_of(calibrations: Mapping[str, Any], location: str) -> dict[str, AerodynamicsEntry]:
-    """Return the measured aerodynamics that a campaign was begun with, from its `calibrations`."""
+    """Return the measured aerodynamics at the start of a campaign, from its `calibrations`."""
     stored = calibrations.get("aerodynamics", {})
     return {
         ball: aerodynamics_from_record(entry, f"{location}: aerodynamics") for ball, entry in stored.items()

@@ -61,7 +61,7 @@ def planned_delivery(profile: Profile, lie: float) -> Centre:
 
 
 OUTSIDE = {figure: f"{words[0]} outside" for figure, words in zip(Centre._fields, _WORDS, strict=True)}
-"""What is counted together in reports, by `Shot.gate_figure`."""
+"""Reason under which reports count a shot, by `Shot.gate_figure`."""
 
 
 def outside(shot: Shot, club: Club, centre: Centre, gate: Gate) -> tuple[str, str]:

@@ -1,7 +1,7 @@
-"""The plan of a campaign as values: what is swung at what, in which order, and what it is to answer.
+"""The plan of a campaign as values: swings, clubs and balls, their order, and the question.
 
-Its file, TOML, is read and checked by `bench.campaign.plan.plan_file`; every key, its unit and its meaning
-stand in `defaults.toml` beside it.
+`bench.campaign.plan.plan_file` reads and checks its TOML file. `defaults.toml` lists every key with its unit
+and meaning.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class BallHandling:
     identify: bool
     """The feeder's reading of a ball's number must be the expected one."""
     magazine: Annotated[int, Range(0, 1000, "")]
-    """Balls that a person fills into the feeder at a time, in the order asked for; 0: it finds each."""
+    """Balls per filling of the feeder by a person, in the listed order; 0: the feeder finds each."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class Gate:
     club_speed: Annotated[float, Range(0.0, 50.0, "m/s")]
     attack_angle: Annotated[float, Range(0.0, pi / 4, "rad")]
     shaft_lean: Annotated[float, Range(0.0, pi / 4, "rad")]
-    """Of the dynamic loft, which follows it."""
+    """Tolerance of the dynamic loft, which follows the shaft lean."""
     strike_x: Annotated[float, Range(0.0, 0.05, "m")]
     strike_y: Annotated[float, Range(0.0, 0.05, "m")]
     sources: tuple[str, ...]
@@ -204,7 +204,7 @@ class Analysis:
     confidence: Annotated[float, Range(0.5, 0.9999, "")]
     power: Annotated[float, Range(0.5, 0.9999, "")]
     drift: Literal["linear", "none"]
-    """Whether drift within blocks is removed by the control ball; the other analysis is reported, too."""
+    """Whether the control ball removes drift within blocks; the report also has the other analysis."""
     reference: str = field(default="", metadata={"optional": True})
     """Level that the report compares the others with; empty: the first one."""
 
@@ -217,9 +217,10 @@ class SetUp:
     """0: not checked."""
     tolerance: Annotated[float, Range(0.0, 20.0, "m/s")]
     control_restitution: Annotated[float, Range(0.0, 1.0, "")]
-    """Of the control ball at 143.8 ft/s: with its contact time it sets a rule's ball speed; 0: unknown."""
+    """Restitution of the control ball at 143.8 ft/s; 0: unknown. With the contact time it sets a rule's ball
+    speed."""
     control_contact_time: Annotated[float, Range(0.0, 0.002, "s")]
-    """Its contact time there."""
+    """Contact time of the control ball at 143.8 ft/s."""
 
 
 @dataclass(frozen=True)
@@ -234,7 +235,7 @@ class Rules:
 
 @dataclass(frozen=True)
 class ReportParticulars:
-    """What a report states of laboratory, customer and method (ISO/IEC 17025:2017, 7.8); may be empty."""
+    """Statements on laboratory, customer and method (ISO/IEC 17025:2017, 7.8); may be empty."""
 
     laboratory: str
     address: str
@@ -301,7 +302,7 @@ class Simulation:
     direction: Annotated[float, Range(0.0, 0.2, "rad")]
     spin_rpm: Annotated[float, Range(0.0, 5000.0, "1/min")]
     carry: Annotated[float, Range(0.0, 50.0, "m")]
-    """Of the launch monitor's carry, about the flight of the true launch."""
+    """Scatter of the launch monitor's carry about the flight of the true launch."""
     drift: Annotated[float, Range(-0.1, 0.1, "")]
     wear: Annotated[float, Range(0.0, 10.0, "")]
     launch_missing: Annotated[float, Range(0.0, 1.0, "")]

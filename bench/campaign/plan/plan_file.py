@@ -1,8 +1,7 @@
 """The plan of a campaign in a TOML file, checked before anything moves.
 
-A file gives only what differs from `defaults.toml` beside this module, where every key, its unit and its
-meaning stand. `[balls.x]` and `[clubs.x]` add to those of the configuration; `like` names the one they
-resemble.
+A file gives only the differences from `defaults.toml`, which lists every key with its unit and meaning.
+`[balls.x]` and `[clubs.x]` add to those of the configuration; `like` names the one they resemble.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ def load_plan(path: Path, configuration: Configuration) -> CampaignPlan:
 
     Raises:
         BenchError: the file is missing, cannot be read, or is no TOML.
-        ExceptionGroup: of BenchErrors, one for each mistake in it.
+        ExceptionGroup: one BenchError per mistake in it.
     """
     file = find_plan(path)
     faults: list[BenchError] = []
@@ -96,7 +95,7 @@ def plan_from_record(record: Mapping[str, Any], location: str) -> CampaignPlan:
     """Return the plan that `CampaignPlan.record` gave.
 
     Raises:
-        ExceptionGroup: of BenchErrors; it is one of another version of golfbench, or damaged.
+        ExceptionGroup: BenchErrors of a record that is damaged or of another version of golfbench.
     """
     faults: list[BenchError] = []
     tables = json.loads(json.dumps(record))
@@ -223,7 +222,7 @@ def _mistakes(plan: CampaignPlan, balls: Mapping[str, Ball], clubs: Mapping[str,
 
 
 def _stop(plan: CampaignPlan) -> Iterator[Mistake]:
-    """Yield an error if the stopping rule lacks what it needs."""
+    """Yield the mistakes of the stopping rule."""
     stop, d = plan.stop, plan.design
     if stop.rule != "fixed" and stop.min_blocks > d.blocks:
         wanted = f"up to design.blocks, {d.blocks}"

@@ -15,7 +15,7 @@ class PromptKind(StrEnum):
     CLUB = "club"
     BALLS = "balls"
     BENCH = "bench"
-    """Restart the bench: no simulation does that by itself."""
+    """Restart of the bench, never automatic in simulation."""
 
 
 Numbered = tuple[str, int]

@@ -1,8 +1,8 @@
 """Order of shots, and the next shot of a campaign, given those before it.
 
-`course` is a generator: it yields the next step and is sent the shot that came of it. It reads no clock and
-draws nothing by itself, so that sending it the stored shots of an interrupted campaign leads to the very step
-that would have come next.
+`course` is a generator: it yields the next step and receives the resulting shot. It reads no clock and draws
+no numbers but those of the plan's seed. The stored shots of an interrupted campaign therefore lead to the
+same next step.
 """
 
 from __future__ import annotations

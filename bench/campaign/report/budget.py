@@ -1,7 +1,7 @@
 """Uncertainty budgets of club speed, ball speed, launch angle and carry (JCGM 100:2008, GUM).
 
 Type A is the standard uncertainty of the mean from the series, its balls being random. Type B comes from the
-calibrations in force: of the bench (encoder zeros, club length) and of the instruments that the plan names.
+calibrations in force: bench (encoder zeros, club length) and the instruments that the plan names.
 Carry that is flown here inherits from launch and air by the flight model's derivatives. The expanded
 uncertainty holds 95.45 % with Student's factor at the effective degrees of freedom (Welch and Satterthwaite).
 """
@@ -173,7 +173,7 @@ def _type_b(
 
 
 def _stated(plan: CampaignPlan, quantity: str) -> list[_Stated]:
-    """Return what the plan states of a quantity: as a whole ([rules.uncertainty]), else by calibrations."""
+    """Return the plan's uncertainties of a quantity: from [rules.uncertainty], else from calibrations."""
     if quantity in plan.rules.uncertainty:
         return [_Stated(plan.rules.uncertainty[quantity], inf, "the plan's [rules.uncertainty]")]
     return [
@@ -216,7 +216,7 @@ def _by_encoders(shots: Sequence[Shot], calibrations: Mapping[str, Any]) -> Iter
 
 
 def _flown(plan: CampaignPlan, shots: Sequence[Shot]) -> Iterator[BudgetLine | str]:
-    """Yield what a carry that is flown from the launch owes launch and air."""
+    """Yield the contributions of launch and air to a carry flown from the launch, or the missing input."""
     slopes = flight_slopes(shots)
     if not slopes:
         yield "launch not measured"

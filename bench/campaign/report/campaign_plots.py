@@ -154,7 +154,7 @@ def _landing_points(plan: CampaignPlan, shots: Sequence[Shot]) -> list[tuple[str
 def _dispersion(
     plan: CampaignPlan, landings: Sequence[Landing], shots: Sequence[Shot], units: UnitSystem, name: str
 ) -> Picture:
-    """Landing points of each section from above; of a single one also two pairs of figures."""
+    """Landing points of each section from above; a single section also has two pairs of figures."""
     alone, many = len(landings) == 1, len(shots) > _MANY
     width = 1 + len(_PAIRED) if alone else min(len(landings), _COLUMNS)
     rows = -(-len(landings) // width)
@@ -225,7 +225,7 @@ def _draw_landing(axes: Axes, landing: Landing, distance: DisplayUnit, many: boo
 
 
 class MeanFlight(NamedTuple):
-    """Means of the valid shots of a level, with what a flight is drawn from; m and rad."""
+    """Mean values of a level's valid shots, from which a flight is drawn (m, rad)."""
 
     launch_angle: float
     direction: float
@@ -569,7 +569,7 @@ def _mark_signals(axes: Axes, chart: ControlChart, values: Mapping[int, float]) 
 
 
 _NAMED = 40
-"""Max number of signals in a chart with the numbers of their rules; the list beside it has all."""
+"""Max number of signals that a chart labels with their rules; the table counts all."""
 
 
 def _draw_ellipse(axes: Axes, ellipse: DispersionEllipse, colour: str, size: float) -> Array:

@@ -1,7 +1,7 @@
 """A campaign with all its data in the database: digests, exclusions, issues of its report.
 
-Shots that a person excludes, with name and reason: never deleted, each exclusion kept and reported. The
-shot's record stays as it was taken, so that a campaign that goes on goes on as planned: the shot is not
+A person can exclude shots, with name and reason. They are never deleted; each exclusion is kept and reported.
+The shot's record stays as taken, so that an unfinished campaign continues as planned: the shot is not
 repeated. Reports, figures and tables see it as excluded.
 """
 
@@ -35,7 +35,7 @@ from bench.store.records import (
 SHOT_DIGITS = 8
 """Hex digits of a shot's digest on a page."""
 NO_DATA = frozenset({"look", "issue"})
-"""Kinds of events that say what was made of the data, not what they are."""
+"""Kinds of events that record a use of the data, not the data."""
 
 
 def shot_digests(shots: Iterable[Shot]) -> list[str]:
@@ -152,7 +152,7 @@ class CampaignRecord:
     standing: Standing
     plan: CampaignPlan
     shots: Sequence[Shot]
-    """As they count: what a person excluded is excluded."""
+    """Shots as they count: those that a person excluded are excluded."""
     events: Sequence[Event]
     hits: Counter[Hit]
     prompts: Sequence[Prompt] = ()
@@ -168,7 +168,7 @@ class CampaignRecord:
 
     @property
     def shots_as_taken(self) -> list[Shot]:
-        """Its shots without what a person excluded later."""
+        """Its shots without the later exclusions by a person."""
         by_hand = reasons_by_hand(self.exclusions)
         return [
             replace(shot, status=ShotStatus.VALID, reason="") if shot.shot in by_hand else shot

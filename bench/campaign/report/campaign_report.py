@@ -73,7 +73,7 @@ from bench.records.telemetry.atomic_file import atomic_file
 from bench.store.records import CampaignEntry, CampaignState, Hit, Prompt, ShotExclusion, ShotNote, Standing
 
 _ALL_ROWS = 1000
-"""Max number of shots with a row each; of more, only those not valid or flagged."""
+"""Max number of shots with a row each; above it only those not valid or flagged have one."""
 _MAX_ROWS = 1000
 """Max number of shots in the table."""
 _MAX_LINES = 200
@@ -95,9 +95,9 @@ LIMITS = (
 def write_campaign_report(
     path: Path, record: CampaignRecord, found: Findings, units: UnitSystem = UnitSystem.SI
 ) -> None:
-    """Write the report to `path`, whole or not at all; the same record gives the same bytes.
+    """Write the report to `path` atomically; the same record gives the same bytes.
 
-    `units` are those of the sentences of `found`, too.
+    `units` are also those of the sentences of `found`.
 
     Raises:
         BenchError: it cannot be stored.
@@ -243,7 +243,7 @@ def record_parts(record: CampaignRecord, shots: Sequence[str]) -> dict[str, str]
 def _page_data(
     record: CampaignRecord, found: Findings, units: UnitSystem, parts: dict[str, str], shots: Sequence[str]
 ) -> str:
-    """Return what a page carries to be verified, as JSON that is safe within it."""
+    """Return the data that verify a page, as JSON that is safe within it."""
     data = {
         "schema": 1,
         "campaign": record.entry.id,
@@ -273,7 +273,7 @@ def _contributions(budgets: Sequence[UncertaintyBudget]) -> list[tuple[Uncertain
 
 
 def _listed(record: CampaignRecord, found: Findings) -> list[Shot]:
-    """Return all shots of a short campaign; of a long one those that are invalid, outliers or noted."""
+    """Return all shots of a short campaign, or the invalid, outlying and noted ones of a long one."""
     if len(record.shots) <= _ALL_ROWS:
         return list(record.shots)
     flagged = {shot for section in found.sections for shot, _ in section.outliers}
@@ -290,7 +290,7 @@ def _notes(notes: Sequence[ShotNote]) -> dict[int, str]:
 
 
 def _exclusions(record: CampaignRecord) -> list[tuple[ShotExclusion, str, bool]]:
-    """Return the exclusions by hand with the shot's ball, and whether results had been looked at before."""
+    """Return the exclusions by hand with the shot's ball, and whether results were evaluated earlier."""
     balls = {shot.shot: f"{shot.ball} #{shot.sample}" if shot.sample else shot.ball for shot in record.shots}
     looks = [event.date for event in record.events if event.kind in NO_DATA]
     end = len(record.shots) if record.standing.state is CampaignState.FINISHED else None  # a run ends with it
@@ -301,7 +301,7 @@ def _exclusions(record: CampaignRecord) -> list[tuple[ShotExclusion, str, bool]]
 
 
 def _counted(record: CampaignRecord, found: Findings, units: UnitSystem) -> list[str]:
-    """Return the headlines that differ if what was excluded by hand counts, with those headlines."""
+    """Return the headlines that change if shots excluded by hand count, as they would then read."""
     if not reasons_by_hand(record.exclusions):
         return []
     taken = findings(record.plan, record.shots_as_taken, found.looks, units)
@@ -415,7 +415,7 @@ def _standing_words(standing: Standing) -> str:
     if standing.state is CampaignState.FINISHED:
         return f"Ended early by its own rule: {standing.reason}." if standing.reason else ""
     reason = f" ({standing.reason})" if standing.reason else ""
-    return f"This campaign is not finished: {standing.state}{reason}. What follows is what was found so far."
+    return f"This campaign is not finished: {standing.state}{reason}. These are the results so far."
 
 
 def _reasons(found: Findings) -> list[tuple[str, int]]:
@@ -440,16 +440,16 @@ def _limits(record: CampaignRecord, units: UnitSystem) -> list[str]:
     if record.entry.simulated and record.entry.real_time:
         limits[:0] = [
             "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
-            "what the models do, not what balls do.",
-            "The robot swung in real time and its scatter is its own. What the ball does was computed from "
-            "the delivery measured by the encoders; on the robot acted its own configuration's ball. From "
+            "the behaviour of models, not of balls.",
+            "The robot swung in real time, with its actual scatter. The ball's result was computed from the "
+            "delivery measured by the encoders; the robot hit its configuration's ball. From "
             f"shot to shot differ (standard deviations, assumptions): restitution {100 * s.restitution:g} % "
             f"from hit to hit and {100 * s.sample:g} % from ball to ball, {monitor}.",
         ]
     elif record.entry.simulated:
         limits[:0] = [
             "Every figure is simulated: robot, air, impact, flight and launch monitor are models. They show "
-            "what the models do, not what balls do.",
+            "the behaviour of models, not of balls.",
             f"From shot to shot differ (standard deviations, assumptions): supply pressure "
             f"{100 * s.supply:g} %, restitution {100 * s.restitution:g} % from hit to hit and "
             f"{100 * s.sample:g} % from ball to ball, {monitor}. Each swing begins from the same "

@@ -73,7 +73,7 @@ class RuleFinding:
         return self.words_in(None)
 
     def words_in(self, units: UnitSystem | None) -> str:
-        """Return the finding as one sentence; `units` of the reader stand beside the rule's own unit."""
+        """Return the finding as one sentence, in the rule's unit and, if given, the reader's `units`."""
         where = f"section {self.section} ({self.section_name}), " if self.section_name else ""
         head = f"{self.text} ({self.rule}): {where}{self.level}"
         if self.decision is Decision.NOT_JUDGED or self.value is None or self.uncertainty is None:
@@ -118,7 +118,7 @@ class _Unjudged(Exception):
 def judge_rules(
     plan: CampaignPlan, shots: Sequence[Shot], units: UnitSystem = UnitSystem.SI
 ) -> list[RuleFinding]:
-    """Return what the plan's rules say of each level in each section; reasons have figures in `units`."""
+    """Return the findings of the plan's rules for each level and section; reasons have values in `units`."""
     found: list[RuleFinding] = []
     for section in sections(plan):
         mine = [s for s in shots if s.section == section.number and s.role != Role.WARM_UP]

@@ -1,7 +1,7 @@
 """Balls, clubs and the statements of ISO/IEC 17025 as tables of a report.
 
-On hardware a ball is what was measured of it: the plan's factors of restitution, drag and lift say what a
-simulated ball is and do not appear.
+On hardware a ball's measurements describe it. The plan's factors of restitution, drag and lift describe a
+simulated ball and do not appear.
 
 What plan and records leave out of ISO/IEC 17025:2017, 7.8, is printed as "not stated": a person who signs
 sees the gap.
@@ -162,7 +162,7 @@ STATEMENT = (
 
 
 def particulars(record: CampaignRecord, digest: str) -> list[tuple[str, str]]:
-    """Return (name, text) of what a report states of itself, laboratory, customer, method and people."""
+    """Return (name, text) of a report's statements on itself, laboratory, customer, method and people."""
     report, entry, plan = record.plan.report, record.entry, record.plan
     times = [shot.time_utc for shot in record.shots]
     people = dict.fromkeys(run.by for run in record.runs if run.by)
@@ -231,7 +231,7 @@ def item_table(record: CampaignRecord) -> EquipmentTable:
 
 
 def calibration_table(record: CampaignRecord) -> EquipmentTable:
-    """Return the calibrations in force during the tests, and what has none."""
+    """Return the calibrations in force during the tests, and the items without one."""
     rows = tuple(_calibrations(record))
     last = max(shot.time_utc for shot in record.shots).date()
     caption = "Calibrations in force when the campaign began."
@@ -245,7 +245,7 @@ def calibration_table(record: CampaignRecord) -> EquipmentTable:
 
 
 def _calibrations(record: CampaignRecord) -> Iterator[tuple[str, str, str, str, date | str]]:
-    """Yield the cells of each row; in place of the last the date due, or the state of what has none."""
+    """Yield the cells of each row, and last the date due, or the state of an item without one."""
     entry = record.entry
     bench = entry.calibrations.get("bench", {})
     for one in bench.get("in_force", ()):

@@ -36,7 +36,7 @@ _CARRIES = {
 
 
 def quantity_name(plan: CampaignPlan) -> str:
-    """Return the name of the compared quantity in sentences; of a flight with whose it is."""
+    """Return the name of the compared quantity in sentences; that of a flight has the source of its carry."""
     a = plan.analysis
     return NAMES[a.quantity] + (_CARRIES.get(a.carry, "") if a.quantity in FLOWN else "")
 
@@ -209,7 +209,7 @@ def _size(plan: CampaignPlan, pairs: Sequence[Pair]) -> str:
 
 
 def _validity(plan: CampaignPlan, pairs: Sequence[Pair]) -> str:
-    """Return for what a verdict holds, if not for the models."""
+    """Return a sentence that limits a verdict to specimens; empty without such a limit."""
     if plan.design.compare == "club":
         return "It holds for these clubs, one of each: others of their models were not hit. "
     if plan.design.compare == "ball" and not all(pair.models for pair in pairs):
@@ -264,7 +264,7 @@ def _pair(
                 f"{100 * pair.power:.0f} %"
             )
         case _:
-            headline = f"Not enough shots to tell whether {pair.first} and {pair.second} differ in {name}."
+            headline = f"Not enough shots to decide whether {pair.first} and {pair.second} differ in {name}."
             different, same = needed
             outlook = []
             if different:

@@ -1,8 +1,8 @@
-"""Is a report still what the records say? Digest and every figure are computed again.
+"""Verification of a report against the records: digests and figures are recomputed.
 
-A page carries, as data, the digests of what it was made from and its figures with all digits. Verifying
-computes both from the records. A page of this version of golfbench must also be, letter by letter, the one
-that the records give.
+A page carries, as data, the digests of its records and its figures with all digits. Verification recomputes
+both. A page of this version of golfbench must also match, letter by letter, the page generated from the
+records.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from bench.campaign.report.report_format import UnitSystem
 from bench.store.campaigns import StoredShot
 
 _MOST = 20
-"""Max number of differences of one kind that are named."""
+"""Max number of reported differences of one kind."""
 _TOLERANCE = 1e-9
 """Share by which a figure may differ: libraries of another machine round differently."""
 _DATA = re.compile(r'<script type="application/json" id="record">(.*?)</script>', re.DOTALL)
@@ -37,9 +37,9 @@ class Verification:
     """Result of comparing a page with the records."""
 
     digest: str
-    """Of the records."""
+    """Digest of the records."""
     figures: int
-    """Number of figures that were computed again."""
+    """Number of recomputed figures."""
     page: bool
     """Whether the page itself was compared; False if it is of another version of golfbench."""
     differences: tuple[str, ...]

@@ -21,12 +21,12 @@ SHORTEST_PREFIX = 4
 def answer(
     store: CampaignStore, data_dir: Path, campaign: str, by: str, now: datetime, balls: int | None = None
 ) -> tuple[str, bool]:
-    """Say that what campaign asks for is done; return what it was, and whether a runner waits for it.
+    """Confirm the work that `campaign` requests; return its prompt, and whether a runner waits for it.
 
     `balls` is the number of loaded balls, to be checked; None: as listed.
 
     Raises:
-        Refused: it asks for nothing, or for another number of balls.
+        Refused: no prompt is open, or it requires another number of balls.
     """
     prompts = store.prompts(store.entry(campaign).id)
     if balls is not None and prompts and prompts[-1].answered is None:
@@ -38,9 +38,9 @@ def answer(
 
 
 def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: str = "") -> str:
-    """Ask a campaign's runner for "pause", "stop", "abort" or to go on (""); return what will happen.
+    """Request "pause", "stop", "abort" or "" (continue) of a campaign's runner; return the effect.
 
-    `by` is who asks.
+    `by` is the person who requests it.
 
     Raises:
         Refused: it is over, or has no runner.
@@ -63,7 +63,7 @@ def ask(store: CampaignStore, data_dir: Path, campaign: str, request: str, by: s
         "pause": "pauses after the current shot",
         "stop": "stops after the current shot",
         "abort": "is aborted",
-        "": "goes on",
+        "": "continues",
     }[request]
 
 
@@ -112,7 +112,7 @@ def require_free(data_dir: Path, bench: str) -> None:
     """Refuse if another campaign uses `bench`.
 
     Raises:
-        Refused: it is named.
+        Refused: it is in use; the error names the other campaign.
     """
     path = _bench_file(data_dir, bench)
     if path.exists():

@@ -1,8 +1,8 @@
 """The learned corrections of a campaign's swings, and their relearning during the campaign.
 
 A swing is relearned between blocks when its delivery has drifted. A block's deliveries of one swing and club
-are compared with those of the first block after it was learned last, small blocks taken together, by the same
-measuring chain: what the chain sees wrongly it sees wrongly in both. The ball's results are never looked at.
+are compared with those of the first block after the last learning; small blocks are combined. The same
+measuring chain measures both, so its errors affect both alike. The ball's results are never used.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class DriftDetector:
         errors = (now - middle) / scale
         within = np.concatenate([now - now.mean(axis=0), before - middle]) / scale
         scatter = np.sqrt(np.sum(within**2, axis=0) / (len(within) - 2))
-        # The baseline is a mean of some shots, too.
+        # The baseline is also a mean of some shots.
         if not drifted(scatter * np.sqrt(1 + len(now) / len(before)), errors):
             return None
         del self._baseline[arm]
@@ -133,7 +133,7 @@ class CorrectedProfiles(Protocol):
         ...
 
     def profile(self, arm: Arm) -> Profile:
-        """Return the profile of `arm` as it is swung."""
+        """Return the profile of `arm` with its correction, if any."""
         ...
 
     def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
@@ -186,7 +186,7 @@ class CampaignCorrections:
         return () if learned is None else learned.weights
 
     def profile(self, arm: Arm) -> Profile:
-        """Return the profile of `arm` as it is swung."""
+        """Return the profile of `arm` with its correction, if any."""
         learned, profile = self._learned[arm], self._profiles[arm]
         if learned is None:
             return profile
@@ -225,7 +225,7 @@ class CampaignCorrections:
             found = replace(found, version=keep(self._database, found))
         swings = f"{len(found.content['swings']) - 1} learning swings"
         if not found.within:
-            return f"{profile.name}: {drift.text}; not relearned in {swings}, it goes on as before"
+            return f"{profile.name}: {drift.text}; not relearned in {swings}, continues unchanged"
         self._learned[arm] = found
         return f"{profile.name}: {drift.text}; relearned in {swings}, version {found.version}"
 

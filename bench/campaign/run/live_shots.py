@@ -123,7 +123,7 @@ def require_live(
             f"{location}: ball_handling",
             f"identify {format_value(plan.ball_handling.identify)}, magazine {plan.ball_handling.magazine}",
             "identify false and a magazine of at least 1",
-            "A real feeder reads no numbers: a person fills it in the order asked for, and answers for it.",
+            "A real feeder reads no numbers: a person fills it in the listed order and confirms it.",
         )
 
 
@@ -241,7 +241,7 @@ class LiveShots:
     # A person at the robot -------------------------------------------------------------------------
 
     def required_restart(self, step: Step) -> Preparation | None:
-        """Return what the bench must be restarted with before `step`."""
+        """Return the restart of the bench that `step` requires; None if none."""
         with _suspending():
             status = self._client.status()
         arm = step.trial.arm
@@ -266,7 +266,7 @@ class LiveShots:
             self._until(lambda status: status["state"] == "ACCESS", self._client.access)
 
     def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
-        """Lock the guard once it is closed and the button beside the robot, if there is one, was pressed."""
+        """Lock the guard once it is closed and the local reset button, if there is one, was pressed."""
         if kind is PromptKind.BENCH:
             return
         with _suspending():
@@ -367,7 +367,7 @@ class LiveShots:
             return False
         return True
 
-    # What came of it -------------------------------------------------------------------------------
+    # Results ---------------------------------------------------------------------------------------
 
     def _untaken(self, step: Step, number: int, sample: int, none: NoShot) -> Taken:
         """Return a failed shot: no swing, or no record of it."""

@@ -38,7 +38,7 @@ def require_swings(
 
     Raises:
         BenchError: a profile or a calibration is missing or cannot be read.
-        ExceptionGroup: of BenchErrors, if one does not fit a club or cannot be swung here.
+        ExceptionGroup: one BenchError per profile that does not fit a club or cannot be swung here.
     """
     found, faults = dict[tuple[str, str], Profile](), list[Exception]()
     when = when or datetime.now(UTC)
@@ -212,7 +212,7 @@ _SCATTER_VENTED = 1.8
 
 
 class Needs(NamedTuple):
-    """Needs of a plan, without repeats; of the warm-ups the shortest count for the feeder only."""
+    """Needs of a plan without repeats; only the feeder's include warm-ups, the shortest."""
 
     swings: int
     bytes: int

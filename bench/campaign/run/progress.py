@@ -1,11 +1,10 @@
 """Progress of a campaign as messages to programs, and as notifications to persons.
 
 A message has the work done, the time left and the next work by hand. It is published as
-`golfbench/<bench>/campaign/<id>`, JSON, at each shot and each change of state, and answered to who asks in
-between.
+`golfbench/<bench>/campaign/<id>`, JSON, at each shot, at each change of state and on request.
 
 Notifications go out by mail, webhook or chat when a campaign waits, is suspended or finishes. `apprise` sends
-them from a thread of its own, with retries: no shot waits for it. URLs of services hold passwords and tokens.
+them from a separate thread, with retries: no shot waits for it. URLs of services hold passwords and tokens.
 They are in a file that only its owner may read, and in no message, log or record.
 """
 
@@ -107,7 +106,7 @@ class CampaignProgress(Watcher):
             "time_utc": shot.time_utc.isoformat()
         }
         self._last = shot
-        if not self._replaying:  # the wall's clock may be set; in lock-step the shots have one of their own
+        if not self._replaying:  # the wall clock may be set; in lock-step shots have a virtual clock
             self._times.append(time.monotonic())
         elif self._entry.real_time:
             self._times.append(shot.time_utc.timestamp())
@@ -340,11 +339,11 @@ class Notifier(Watcher):
                 self._queue.put_nowait((title, f"{reason or self._entry.title}\ncampaign {self._entry.id}"))
 
     def close(self, timeout: float = LAST_TIMEOUT) -> None:
-        """Wait up to `timeout` (s) for what is on its way, then give it up."""
+        """Wait up to `timeout` (s) for unsent notifications, then discard them."""
         self._closing.set()
         self._thread.join(timeout)
         if self._thread.is_alive():
-            self._say("Notifications were still on their way at the end; they are given up.")
+            self._say("Some notifications were not sent by the end; they are discarded.")
 
     def _work(self) -> None:
         while True:
@@ -360,7 +359,7 @@ class Notifier(Watcher):
     def _deliver(self, service: Service, title: str, text: str) -> None:
         for wait in self._waits:
             time.sleep(wait)
-            with suppress(Exception):  # whatever a service does, the campaign goes on
+            with suppress(Exception):  # whatever a service does, the campaign continues
                 if service.send(title, text):
                     return
         self._say(f"A notification was not sent ({service.location}): {title}")

@@ -39,11 +39,11 @@ BATCH = 50
 _LOOK = 0.2
 """Polling interval of the database while paused, s."""
 _SETTLED = 3.0
-"""Time without hindrance before a suspended campaign continues by itself, s."""
+"""Time without hindrance before a suspended campaign continues automatically (s)."""
 _DATABASE_TIMEOUT = 120.0
 """Max time to wait for a database that another process holds, s."""
 _MAX_RESTARTS = 2
-"""Max number of restarts of one block: one whose work by hand always takes long must end, too."""
+"""Max number of restarts of one block: a block with long work by hand must also end."""
 
 
 class Suspended(Exception):
@@ -51,7 +51,7 @@ class Suspended(Exception):
 
 
 class BlockingCondition(NamedTuple):
-    """A hindrance to a shot that passes by itself."""
+    """A temporary hindrance to a shot."""
 
     text: str
     armed: bool = False
@@ -100,15 +100,15 @@ class ShotSource(Protocol):
         ...
 
     def required_restart(self, step: Step) -> Preparation | None:
-        """Return what the bench must be restarted with before `step`; None if no restart is needed."""
+        """Return the restart of the bench that `step` requires; None if none."""
         ...
 
     def grant_access(self, kind: PromptKind) -> None:
-        """Let a person at the robot, or at the whole bench. Raises Suspended as `take`."""
+        """Grant a person access to the robot, or to the whole bench. Raises Suspended as `take`."""
         ...
 
     def resume_after_access(self, kind: PromptKind, ask: Callable[[str], None]) -> None:
-        """Go on after the person has said that it is done; also when nothing was handed over. Raises so.
+        """Continue after the person has confirmed the work, even if no access was granted. Raises Suspended.
 
         `ask` shows what else the person has to do, such as to press a button.
         """
@@ -227,7 +227,7 @@ class Runner:
         """Continue the campaign; earlier shots go to the watcher first.
 
         Raises:
-            BenchError: something cannot be stored; what is in the database is whole, and `resume` goes on.
+            BenchError: data cannot be stored; the database is consistent, and `resume` continues.
         """
         self._folder.mkdir(parents=True, exist_ok=True)
         for left in self._folder.glob(".*.partial"):
@@ -287,11 +287,11 @@ class Runner:
             self._watcher.say(f"The database is {locked.state}: waiting for it.")
         self._locked_for, self._locked_as = locked.waited, locked.state
         if locked.waited > _DATABASE_TIMEOUT or self._interrupted():
-            self._store.waiting = None  # what follows tries once
+            self._store.waiting = None  # later accesses try once
             raise locked
 
     def _replay(self, course: Course) -> Step | Ending:
-        """Send the stored shots to the course and return what comes next."""
+        """Send the stored shots to the course; return the next step or the ending."""
         self._hits = self._store.hits(self._entry.hit_scope)
         shots = self._store.shots(self._entry.id)
         restarts = {e.before_shot for e in self._store.events(self._entry.id) if e.kind == "restart"}
@@ -387,7 +387,7 @@ class Runner:
                 for kind, text in postponed.args:
                     self._say(kind, text)
                 continue
-            if taken.stopped:  # as if it had not been begun
+            if taken.stopped:  # as if it was never started
                 return CampaignState.STOPPED, f"interrupted by {self._cause()}; the swing is taken again"
             shot = self._gated(step, taken)
             for kind, text in taken.events:
@@ -447,7 +447,7 @@ class Runner:
                 self.valid -= sum(shot.status is ShotStatus.VALID for shot in tried)
                 self._watcher.say(text)
                 return True
-            words += f"; {location} was restarted {_MAX_RESTARTS} times already and goes on"
+            words += f"; {location} was restarted {_MAX_RESTARTS} times already and continues"
         self._note_event("gap", words)
         self._watcher.say(words)
         return False
@@ -486,7 +486,7 @@ class Runner:
                 self._source.grant_access(wish.kind)
                 self._source.resume_after_access(wish.kind, self._ask_also)
                 self._done_by_itself.append(prompt)
-                self._watcher.say(f"{wish.text} The simulation has done it by itself.")
+                self._watcher.say(f"{wish.text} Done automatically by the simulation.")
             else:
                 self._commit()
                 prompt = self._opened(wish, number)
@@ -505,7 +505,7 @@ class Runner:
         if before and (before.kind, before.content) == (wish.kind, wish.content):
             return before
         if before:
-            self._store.answer(self._entry.id, before.number, "nobody: no longer needed", datetime.now(UTC))
+            self._store.answer(self._entry.id, before.number, "no one: no longer needed", datetime.now(UTC))
         prompt = self._prompt(wish, number, datetime.now(UTC))
         self._store.ask(self._entry.id, prompt)
         return prompt
@@ -538,7 +538,7 @@ class Runner:
         return None
 
     def _ask_also(self, text: str) -> None:
-        """Show what the person has to do after the answer."""
+        """Show the work that remains after the answer."""
         self._stand(CampaignState.WAITING, text)
 
     def _stand(self, state: CampaignState, reason: str) -> None:
@@ -546,7 +546,7 @@ class Runner:
         self._watcher.standing(state, reason)
 
     def _hindered(self, step: Step, interrupted: Callable[[], bool]) -> Iterator[tuple[CampaignState, str]]:
-        """Suspend during a hindrance that passes by itself; yield as `_asked`."""
+        """Suspend during a temporary hindrance; yield as `_asked`."""
         if (first := self._source.hindrance(step)) is None:
             return
         self._commit()
@@ -569,7 +569,7 @@ class Runner:
                     self._stand(CampaignState.SUSPENDED, found.text)  # it was paused meanwhile
             time.sleep(_LOOK)
         self._stand(CampaignState.RUNNING, "")
-        text = f"{first.text}; it went on by itself after {now - began:.0f} s"
+        text = f"{first.text}; continued automatically after {now - began:.0f} s"
         self._say("suspended", text)
 
     def _say(self, kind: str, text: str) -> None:
@@ -613,7 +613,7 @@ class Runner:
                     time.sleep(_LOOK)
                 case _:
                     if paused is not None:
-                        text = f"went on after a pause of {duration_text(time.monotonic() - paused)}"
+                        text = f"continued after a pause of {duration_text(time.monotonic() - paused)}"
                         self._note_event("resumed", text)
                         self._stand(CampaignState.RUNNING, "")
                         self._watcher.say(text)

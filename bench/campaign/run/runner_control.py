@@ -46,7 +46,7 @@ from bench.store.records import ENDED, CampaignEntry, CampaignState
 from sim.air import Air
 
 _LASTING = ("driver", "profile", "club", "series", "launch_monitor", "calibrations")
-"""Facts of the running bench that do not differ by themselves from start to start."""
+"""Facts of the running bench that a mere restart does not change."""
 CANNOT_CHANGE_A_SHOT = (
     *("files", "bench.data_dir", "bench.database", "loop.priority", "loop.cpu", "network", "notifications"),
     *("launch_monitor.address", "launch_monitor.port", "launch_monitor.clients", "launch_monitor.simulator"),
@@ -133,7 +133,7 @@ def run_campaign(
         Refused: another runner has the campaign or the bench.
         NoAnswer: no bench is running. One that goes away later suspends the campaign.
         BenchError: a shot cannot be stored; stored shots are complete.
-        ExceptionGroup: of BenchErrors, where its swings do not fit this bench.
+        ExceptionGroup: one BenchError per swing that does not fit this bench.
     """
     plan, live = plan_from_record(entry.plan, f"campaign {entry.id}"), bool(entry.real_time)
     profiles = require_swings(plan, configuration, None if live else entry.date)
@@ -244,14 +244,14 @@ def require_resumable(
     if state in ENDED:
         raise Refused(location, str(state), "an unfinished campaign", "Begin a new one.")
     if plan is not None and plan != plan_from_record(entry.plan, location):
-        found = "another plan than it was begun with"
-        action = "Leave the file out to go on as planned, or begin a new campaign."
+        found = "a different plan"
+        action = "Omit the file to continue as planned, or start a new campaign."
         raise Refused(location, found, f"the plan {entry.digest}, which is stored with it", action)
     changed = [key for key, _, _ in differences(entry.configuration, configuration.effective())]
     if changed := [key for key in changed if _can_change_a_shot(key)]:
         found = f"a configuration that differs in {', '.join(changed[:5])}"
-        action = "Go on with --config and that configuration, or begin a new campaign."
-        raise Refused(location, found, "the one it was begun with", action)
+        action = "Continue with --config and that configuration, or start a new campaign."
+        raise Refused(location, found, "the configuration stored with it", action)
 
 
 def _can_change_a_shot(key: str) -> bool:

@@ -58,9 +58,9 @@ def hear(
     window: MatchWindow,
     carry: float | None = None,
 ) -> MonitorResult:
-    """Return what a bench hears of ball `number` that left with `launch`; `club_speed` (m/s) is its own.
+    """Return the launch monitor's result for ball `number`, which left with `launch`.
 
-    `carry` (m) is the monitor's.
+    `club_speed` (m/s) replaces the monitor's; `carry` (m) is the monitor's.
     """
     talk, records = Conversation(0.0), list[LaunchRecord]()
     for delay, message in monitor_messages(launch, number, parameters, carry=carry):
@@ -238,7 +238,9 @@ class SimulatedShots:
         if number in s.low_supply:
             events.append(("supply", "supply pressure too low; waited until it was back"))
         if number in s.monitor_disconnected:
-            events.append(("suspended", "no launch monitor is connected; it went on by itself when one was"))
+            events.append(
+                ("suspended", "no launch monitor was connected; continued automatically once one was")
+            )
         if fault := self._feeder_fault(arm.ball, number, sample):
             shot = self._shot(step, number, sample, None, ShotStatus.FAILED, fault)
             return Taken(shot, None, {}, False, tuple(events))

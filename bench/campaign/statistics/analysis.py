@@ -56,7 +56,7 @@ from bench.campaign.statistics.unequal_variances import (
 from bench.records.shot.shot import Shot, ShotStatus
 
 COLUMN = {"launch_angle": "launch_angle_deg", "landing_angle": "landing_angle_deg"}
-"""Columns whose quantity is named without its unit."""
+"""Column of each quantity whose name lacks the unit."""
 
 OUTLIER = 3.5
 """Robust z (Iglewicz and Hoaglin 1993) from which a shot is flagged; it stays in the analysis."""
@@ -68,7 +68,7 @@ class Spread(NamedTuple):
     n: int
     """Number of shots."""
     balls: int
-    """Number of balls; with one only, the figures are those of this ball. In a split-plot: of mountings."""
+    """Number of balls, in a split-plot of mountings; with only one, the values are those of this ball."""
     mean: float
     low: float
     high: float
@@ -108,7 +108,7 @@ class Pair:
     """Interval that holds together with all pairs'; without 0 exactly if they are called different."""
     p: float
     p_adjusted: float
-    """Of all pairs together."""
+    """p value adjusted for all pairs."""
     p_same: float | None
     """TOST, Holm-adjusted; None without a margin."""
     shots: int
@@ -137,7 +137,7 @@ class Pair:
 
 
 class Covariates(NamedTuple):
-    """What the plan's covariates, the delivery of the club, explain."""
+    """Effect of the plan's covariates, the delivery of the club."""
 
     names: tuple[str, ...]
     slopes: tuple[float, ...]
@@ -161,7 +161,7 @@ class Comparison:
     """Between balls of one model, the levels' mean; None if no ball was hit twice. In a split-plot: between
     mountings of one club."""
     dof: float
-    """Of the residuals; each pair has its own."""
+    """Degrees of freedom of the residuals; each pair has its own."""
     single: float
     """Error level of one pair."""
     pairs: tuple[Pair, ...]
@@ -189,7 +189,7 @@ class SectionAnalysis:
     outliers: tuple[tuple[int, float], ...]
     """(shot, robust z) of outliers among valid shots; never removed."""
     within: tuple[SectionAnalysis, ...] = ()
-    """Of a split-plot: balls compared within each club, named after the club."""
+    """Comparisons of balls within each club of a split-plot, by the club's name."""
 
 
 def analyse(
@@ -274,7 +274,7 @@ class _Data(NamedTuple):
 
 
 def _data(plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot]) -> _Data:
-    """Return the shots of a model; `controls` are a level of their own, after the others."""
+    """Return the shots of a model; `controls` are a separate last level."""
     names, wanted = levels(plan), plan.analysis.covariates
     every, values = values_of(plan, [*tests, *controls])
     delivered = [[getattr(s, name) for name in wanted] for s in every]
@@ -315,7 +315,7 @@ def _described(
 def _compared(
     plan: CampaignPlan, tests: Sequence[Shot], controls: Sequence[Shot], method: str, alpha: float
 ) -> tuple[Comparison | None, _Fit | None]:
-    """Return all pairs by one model; with `controls` they are a level of their own, and time is in it."""
+    """Return all pairs by one model; any `controls` are a separate level, and time is in the model."""
     names, data = levels(plan), _data(plan, tests, controls)
     if len(data.shots) < 3:
         return None, None
@@ -375,7 +375,7 @@ def _sds(
 
 
 def _explained(plan: CampaignPlan, data: _Data, fit: BlockFit, count: int) -> Covariates | None:
-    """Return what the covariates explain; None without any."""
+    """Return the effect of the covariates; None without any."""
     if data.delivery is None:
         return None
     without = fit_blocks(data.y, data.level, data.block, count, data.time)

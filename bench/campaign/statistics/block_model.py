@@ -5,9 +5,9 @@ Block effects are fixed, a linear drift if there is one, intervals exact. Model 
 (Frisch, Waugh and Lovell), so that ten thousand shots are a small problem; the estimates are those of the
 full least-squares fit.
 
-Clubs stay mounted while balls take turns, so that each question has an error of its own. A *mounting* is one
-club in one block, with all its hits. What a mounting does to a club, its hits share: clubs are compared by
-their mountings (whole plots), not by their shots. Balls alternate while a club is mounted and share its
+Clubs stay mounted while balls take turns, so that each question has a separate error. A *mounting* is one
+club in one block, with all its hits. Its hits share the mounting's effect, so clubs are compared by their
+mountings (whole plots), not by their shots. Balls alternate while a club is mounted and share its
 mounting: within each club they are compared by shots and balls (sub-plots), each complete set of balls being
 a block.
 
@@ -17,11 +17,11 @@ laboratories. Where no block has two shots, repeatability is that of successive 
 squared successive difference), which a slow drift does not enter. Intervals: chi-square for the first,
 Satterthwaite's approximation for the second.
 
-Do two levels scatter alike? Ratios of their standard deviations, whatever the blocks have in common. Two
-levels hit in the same blocks share each block's condition. Of their shots u and v in a block, u - v and u + r
-v are uncorrelated exactly if var(u) = r var(v), the block's share falling out: inverted, the t test of that
-correlation gives the ratio an exact interval for normal scatter (Maloney and Rastogi 1970, after Grubbs).
-What other levels say of a block is taken off both first, which only makes it sharper.
+Comparison of scatter: the ratio of two levels' standard deviations. Levels hit in the same blocks share each
+block's condition. For their shots u and v in a block, u - v and u + r v are uncorrelated exactly if
+var(u) = r var(v): the block effect cancels. Inverting the t test of that correlation gives the ratio an exact
+interval for normal scatter (Maloney and Rastogi 1970, after Grubbs). The block effect estimated from other
+levels is subtracted from both first, which only makes the interval sharper.
 """
 
 from __future__ import annotations
@@ -86,13 +86,13 @@ class BlockFit(NamedTuple):
     inverse: Array
     """(X'X)^-1 of the same; level 0 is left out."""
     sd: float
-    """Of one shot."""
+    """Standard deviation of one shot."""
     dof: float
     residuals: Array
     estimable: Array
-    """Projection onto what can be estimated."""
+    """Projection onto the estimable effects."""
     design: Array
-    """(n, columns): levels but the first, then what else was fitted, less their blocks' means."""
+    """(n, columns): levels but the first, then the other fitted columns, less their blocks' means."""
     block: Codes
     """Block of each shot, from 0."""
 
@@ -192,7 +192,7 @@ def independent_codes(plan: CampaignPlan, shots: Sequence[Shot]) -> Codes:
 def ball_columns(plan: CampaignPlan, shots: Sequence[Shot]) -> Array | None:
     """Return columns (n, m) that take the balls out of a comparison of clubs; None if there is one ball.
 
-    A club's effect beside them is its mean over all balls, missing shots or not.
+    With them, a club's effect is its mean over all balls, even if shots are missing.
     """
     balls, clubs = plan.design.balls, plan.design.clubs
     if not plan.split or len(balls) < 2:
@@ -204,7 +204,7 @@ def ball_columns(plan: CampaignPlan, shots: Sequence[Shot]) -> Array | None:
 
 
 def enough_mountings(level: Codes, block: Codes, levels: int) -> bool:
-    """Return whether mountings leave degrees of freedom for their own scatter beside blocks and levels."""
+    """Return whether blocks and levels leave degrees of freedom for the scatter of mountings."""
     plots = np.unique(np.column_stack([level, block]), axis=0)
     return fit_blocks(np.zeros(len(plots)), plots[:, 0], plots[:, 1], levels).dof >= 1
 
@@ -367,7 +367,7 @@ def scatter_ratios(
     """Return the ratios of all pairs of the first `names` levels that share at least five blocks.
 
     `values` (n,) are the measured ones of `block` (from 0) with time and covariates taken off; where a ball
-    was hit more than once its mean is taken off, too: the scatter is that from hit to hit.
+    was hit more than once its mean is also taken off: the scatter is that from hit to hit.
     """
     count, blocks = int(level.max()) + 1, int(block.max()) + 1
     cells, lost = np.full((count, blocks), np.nan), np.zeros(count)
@@ -413,7 +413,7 @@ def _within_balls(values: Array, ball: Codes) -> tuple[Array, float]:
 
 
 def _common(u: Array, v: Array, others: Array) -> Array:
-    """Return what the `others` (levels, blocks) say of each block, shrunk so that it serves best."""
+    """Return the effect of each block estimated from the `others` (levels, blocks), optimally shrunk."""
     seen = np.isfinite(others)
     count = seen.sum(axis=0)
     if not len(others) or count.min(initial=0) == 0:

@@ -170,7 +170,7 @@ class ControlChart:
 
 
 def control_charts(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[ControlChart, ...]:
-    """Return a section's charts: of the compared quantity and of the ball speed, which sets the machine.
+    """Return a section's charts: the compared quantity, and the ball speed, to which the machine is set.
 
     Empty without a control ball, or with fewer than `LEAST_VALUES` of its values.
     """

@@ -83,7 +83,7 @@ def outlook(plan: CampaignPlan) -> Outlook:
     sd = a.expected_sd * sqrt(1 - (a.expected_r_squared if a.covariates else 0.0))
     between = a.mounting_sd if plan.split else a.ball_sd
     if plan.design.compare == "club" and not plan.split and sd:
-        sd = hypot(sd, a.mounting_sd)  # nearly each shot has a mounting of its own
+        sd = hypot(sd, a.mounting_sd)  # nearly each shot has a separate mounting
     known = predict_precision(plan, sd or 1.0, between)
     if known is None or not a.expected_sd:
         dof = known.dof if known else 0.0
@@ -237,7 +237,7 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
     if not found.pairs:
         return ["One level only: it is described, nothing is compared."]
     if not a.expected_sd:
-        return ["No standard deviation is stated (analysis.expected_sd): what can be resolved is not known."]
+        return ["No standard deviation is stated (analysis.expected_sd): the resolution is unknown."]
     together = f", {found.pairs} pairs together" if found.pairs > 1 else ""
     between = f" and {a.ball_sd:g} {unit} between balls" if a.ball_sd else ""
     if plan.design.compare == "club" and a.mounting_sd:
@@ -279,7 +279,7 @@ def outlook_words(plan: CampaignPlan) -> list[str]:
             f"with a chance of {100 * found.same:.0f} %."
         )
     if (found.power or 0) < a.power:
-        lines.append("Not enough shots for what is asked: take more blocks, or ask for less.")
+        lines.append("Not enough shots for this power: plan more blocks or a larger difference.")
     return lines
 
 

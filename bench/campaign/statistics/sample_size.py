@@ -1,12 +1,12 @@
 """Power, sample size and interim analyses of a comparison.
 
-The error level of a look at a campaign before its end, so that all looks together keep the confidence. Alpha
-spending (Lan and DeMets 1983) with a function like O'Brien and Fleming's: nearly nothing early, nearly all at
-the end. What a look may spend follows from the share of the plan's shots that are done and from the looks
-before it; neither their number nor their times need be planned.
+Each interim analysis has an error level with which all together keep the confidence. Alpha spending (Lan and
+DeMets 1983) uses a function like O'Brien and Fleming's: nearly nothing early, nearly all at the end. The
+level follows from the share of the plan's shots that are done and from the earlier analyses; neither their
+number nor their times need be planned.
 
-Power, resolution and size of a test series, foretold by the model that judges it. The plan's own order of
-shots and its turns of balls give each difference its error and degrees of freedom
+Power, resolution and size of a test series are predicted by the model that evaluates it. The plan's order
+of shots and its turns of balls give each difference its error and degrees of freedom
 (`bench.campaign.statistics.unequal_variances`); other sizes are scaled from there. A series is balls and
 shots: many hits of one ball do not replace balls of its model.
 """
@@ -180,7 +180,7 @@ class SeriesSize(NamedTuple):
 
 
 class PredictedPrecision(NamedTuple):
-    """What a plan's differences will be known by, if all its shots are valid."""
+    """Predicted precision of a plan's differences, if all its shots are valid."""
 
     error: float
     """Standard error of a difference, mean over the pairs."""
@@ -195,7 +195,7 @@ class PredictedPrecision(NamedTuple):
     units: int
     """Balls, mountings, or shots where they count for themselves, of each level."""
     shots: int
-    """Of each level."""
+    """Shots of each level."""
 
     def power(self, difference: float) -> float:
         """Return the chance to find a true `difference` of one pair."""
@@ -219,10 +219,10 @@ class PredictedPrecision(NamedTuple):
 def predict_precision(
     plan: CampaignPlan, sd: float, ball_sd: float, blocks: int = 0
 ) -> PredictedPrecision | None:
-    """Return what a section of `plan` will be known by with these true deviations; None with one level.
+    """Return the predicted precision of a section of `plan`; None with one level.
 
-    `sd` is that of one shot, after covariates; `ball_sd` is that between mountings in a
-    split-plot.
+    `sd` is the standard deviation of one shot, after covariates; `ball_sd` is that between balls, or between
+    mountings in a split-plot.
     """
     count, controls = len(levels(plan)), bool(controls_per_block(plan))
     if count < 2 or sd <= 0:
@@ -265,7 +265,7 @@ def predict_precision(
 
 
 def alpha_at_end(plan: CampaignPlan) -> float:
-    """Return the error level of the plan's last look, those of its own rule before it."""
+    """Return the error level of the last analysis, after the interim analyses of the plan's rule."""
     shares = sorted(round(number / plan.design.blocks, 9) for number in looks_after(plan))
     return look_level(1 - plan.analysis.confidence, (*(share for share in shares if share < 1), 1.0))
 
@@ -344,7 +344,7 @@ def _scaled(known: PredictedPrecision, shots: int, units: int) -> tuple[float, f
     def plain(n: int, balls: int) -> float:
         return 2 * (between / balls + known.sd**2 / n)
 
-    # What the reference has for so many units, nearly in proportion to the units less one.
+    # Scaled from the plan; degrees of freedom are nearly proportional to the units less one.
     reference = known.shots
     error = known.error * sqrt(plain(shots, units) / plain(reference, known.units))
     return error, max(known.dof / max(known.units - 1, 1) * (units - 1), 1e-3)

@@ -1,7 +1,7 @@
-"""Errors of differences when each level has a scatter of its own, and balls, not shots, were drawn at random.
+"""Errors of differences if each level has a separate scatter, and balls, not shots, are random samples.
 
 Estimates are least squares within blocks (`bench.campaign.statistics.block_model`). A *unit* is independent
-of all others: a ball of its model with all its hits, or one shot where a level has one ball only. Each
+from all others: a ball of its model with all its hits, or one shot where a level has one ball only. Each
 level's variance is estimated from the sums of its units' residuals, unbiased whatever the scatter of the
 other levels (quadratic unbiased estimation, MINQUE); the variance of a difference is a sum of them, with
 Satterthwaite's degrees of freedom. Complete designs give the classical nested analysis: two levels, the
@@ -31,7 +31,7 @@ from bench.records.shot.shot import Shot, ShotStatus
 Single = NDArray[np.float32]
 
 _MOST_UNITS = 480
-"""Max number of units that are kept apart; of more, some of one level are taken together."""
+"""Max number of separate units; above it, some of one level are combined."""
 
 _MOST_CELLS = 2_400_000
 """Max number of shots times units, so that ten thousand shots take some ten megabytes."""
@@ -40,7 +40,7 @@ _SINGULAR = 0.05
 """Share of the largest singular value below which variances of levels cannot be separated."""
 
 _LEAST = 0.1
-"""Least share of a difference's likely variance that is believed."""
+"""Lower bound of a difference's variance, as a share of the likely variance."""
 
 _FEW_UNITS = 64
 """Number of units up to which sums of squares are drawn as they come about, unit by unit."""
@@ -85,7 +85,7 @@ class UnitErrors(NamedTuple):
     spread: Array
     """Covariance of the sums of squares."""
     sums: Array
-    """(units, units): covariance of the sums of residuals of all units; of many units empty."""
+    """(units, units): covariance of the sums of residuals of all units; empty for many units."""
     level: Codes
     """Level of each unit."""
     pooled: bool
@@ -112,7 +112,7 @@ class UnitErrors(NamedTuple):
     def of_pair(self, first: int, second: int) -> tuple[float, float]:
         """Return standard error and degrees of freedom of a difference."""
         each = self.weights(first, second)
-        # The sum of two unbiased variances is hardly ever negative: never below a tenth of what is likely.
+        # The sum of two unbiased variances is rarely negative; it is bounded by a tenth of the likely sum.
         variance = max(float(each @ self.variances), _LEAST * float(each @ self.assumed))
         error, made = sqrt(max(variance, 0.0)), each @ self.inverse
         spread = float(made @ self.spread @ made)
@@ -203,7 +203,7 @@ class UnitLayout:
         equal = self._spread_of(self._sums(ratio, np.ones(len(positive))))
         chance = np.diag(inverse @ equal @ inverse.T)
         sure = 2 / np.maximum(chance, 1e-12)
-        # An error that is small by chance must not count for less, too: differences that chance makes in 1 of
+        # An error that is small by chance must not also count for less: differences that chance makes in 1 of
         # 200 campaigns do not enter the degrees of freedom.
         assumed = _shrunk(positive, sure, 0.995)
         # A geometric mean of few degrees of freedom each is too small: all sums together say how large.
@@ -327,7 +327,7 @@ class Draws(NamedTuple):
     """(draws, pairs)"""
     variances: Single
     dof: Array
-    """Of each pair."""
+    """Degrees of freedom of each pair."""
 
 
 def drawn_pairs(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: float) -> Draws:
@@ -346,7 +346,7 @@ def drawn_pairs(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: floa
         squares = _squares(errors, unit, drawn[:, width:])
     first, second = np.array(pairs).T
     weights = np.array([errors.weights(one, two) for one, two in pairs])
-    share = 0.0 if errors.pooled else _LEAST  # a pooled variance is what it assumes: it has no bound
+    share = 0.0 if errors.pooled else _LEAST  # a pooled variance is the assumed one: no bound
     least = (share / unit * (weights @ errors.assumed)).astype(np.float32)
     variances = np.maximum(squares @ (weights @ errors.inverse).T.astype(np.float32), least)
     dof = np.array([min(errors.of_pair(one, two)[1], most, 1e6) for one, two in pairs])

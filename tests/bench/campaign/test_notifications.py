@@ -122,7 +122,7 @@ def test_a_service_that_hangs_or_fails_is_in_nobodys_way(campaign: CampaignEntry
         notifier.standing(CampaignState.WAITING, "Fill the feeder.")
     assert time.monotonic() - began < 1.0
     notifier.close(timeout=0.2)
-    assert said == ["Notifications were still on their way at the end; they are given up."]
+    assert said == ["Some notifications were not sent by the end; they are discarded."]
     end.set()
 
 

@@ -367,7 +367,7 @@ def test_only_the_own_plan_and_configuration_go_on(make: Callable[..., Bench]) -
     state, configuration = CampaignState.STOPPED, bench.configuration
     require_resumable(bench.entry, state, configuration, bench.plan)
     other = replace(bench.plan, design=replace(bench.plan.design, blocks=4))
-    with pytest.raises(Refused, match="another plan"):
+    with pytest.raises(Refused, match="a different plan"):
         require_resumable(bench.entry, state, configuration, other)
     before = json.loads(json.dumps(bench.entry.configuration))
     del before["plant"]["robot"]["club"]["restitution_slope"]
@@ -532,7 +532,7 @@ def test_a_block_that_always_takes_long_ends_nevertheless(make: Callable[..., Be
     assert outcome.state is CampaignState.FINISHED
     kinds = Counter(kind for _, kind, _ in _events(bench))
     assert kinds["restart"] == 6
-    assert "was restarted 2 times already and goes on" in _events(bench)[-1][2]
+    assert "was restarted 2 times already and continues" in _events(bench)[-1][2]
 
 
 def test_a_clock_that_goes_back_is_an_unknown_gap(make: Callable[..., Bench]) -> None:
@@ -603,7 +603,7 @@ def test_who_paused_and_stopped_is_stored(make: Callable[..., Bench]) -> None:
     assert outcome.reason == "stopped by request of bob@office"
     words = [text for _, _, text in _events(bench)]
     assert words[0] == "paused by request of ann@lab"
-    assert words[1].startswith("went on after a pause of ")
+    assert words[1].startswith("continued after a pause of ")
     assert words[2] == "stopped by request of bob@office"
 
 
@@ -743,7 +743,7 @@ def test_what_passes_by_itself_suspends_and_the_campaign_goes_on_by_itself(
     assert source.rests == 1
     (event,) = bench.store.events(bench.entry.id)
     assert (event.kind, event.before_shot) == ("suspended", 3)
-    assert "no launch monitor is connected; it went on by itself after" in event.text
+    assert "no launch monitor is connected; continued automatically after" in event.text
 
 
 @pytest.mark.parametrize(("request_", "state"), [("stop", "STOPPED"), ("abort", "ABORTED")])
