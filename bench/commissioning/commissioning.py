@@ -93,7 +93,7 @@ class Commissioning:
 
     folder: Path
     digest: str
-    """Of the configured plant."""
+    """Digest of the configured plant."""
     configuration: str
     """File of the configuration, the last of its files."""
     simulated: bool
@@ -134,19 +134,19 @@ class Commissioning:
 
 
 def begin(folder: Path, configuration: Configuration, *, simulated: bool, resume: bool) -> Commissioning:
-    """Return the commissioning in `folder`: a new one, or with `resume` the one that was begun there.
+    """Return the commissioning in `folder`: a new one, or with `resume` the existing one.
 
     Nothing is written before its `save`.
 
     Raises:
-        BenchError: there is one already, or none to resume, or it is of another configuration.
+        BenchError: one exists already, none exists to resume, or it has another configuration.
     """
     digest = plant_digest(configuration.plant)
     path = folder / STATE_FILE
     if not resume:
         if path.exists():
             action = "Continue it with --resume, or name another folder."
-            raise BenchError(str(path), "a commissioning that was begun", "an empty folder", action)
+            raise BenchError(str(path), "an existing commissioning", "an empty folder", action)
         file = str(configuration.files[-1].resolve())
         return Commissioning(folder, digest, file, simulated)
     state = read_state(folder)
@@ -185,7 +185,7 @@ def read_state(folder: Path) -> Commissioning:
         return Commissioning(folder, digest, configuration, simulated, robot, done, wrong)
     except FileNotFoundError:
         action = "Begin without --resume."
-        raise BenchError(str(path), "no such file", "a commissioning that was begun", action) from None
+        raise BenchError(str(path), "no such file", "an existing commissioning", action) from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         action = "Begin again in another folder."
         raise BenchError(str(path), str(error), "the state of a commissioning", action) from None
@@ -235,10 +235,10 @@ def see_inputs(
     on_step: Callable[[NamedStep], None] = lambda step: None,
     progress: Callable[[str], None] = lambda what: None,
 ) -> None:
-    """Do the step before all others, again if it is due: nothing moves before the inputs are believed.
+    """Check the inputs if their check is due: nothing moves before it has passed.
 
-    `in_force` names a check that is still in force, empty if none is; None: the robot is simulated, and once
-    is enough. `keep` stores a check.
+    `in_force` names a check that is still in force, empty without one; None: a simulated robot, which is
+    checked once. `keep` stores a check.
 
     Raises:
         MachineFault: an input is wrong; the state says so.
@@ -253,7 +253,7 @@ def see_inputs(
             seen, findings = check_inputs(machine, hands, configuration, progress)
             keep(seen)
             raise_findings(findings)
-        beside = f"supply sensor {1e-5 * seen.gauge:+z.2f} bar beside the gauge"
+        beside = f"supply sensor {1e-5 * seen.gauge:+z.2f} bar off the gauge"
         notes = [f"seen to change: {', '.join(seen.seen)}", beside]
     done = _done(INPUTS_STEP, "", StepResult((), tuple(notes)), now(), (now() - begun).total_seconds())
     state.done = [done, *(step for step in state.done if step.name != INPUTS_STEP.name)]
@@ -350,7 +350,7 @@ def _noting_what_is_wrong(
 
 @contextmanager
 def _explained_by(diagnosed: DiagnosedRobot) -> Iterator[None]:
-    """Add to an error what the last swing says."""
+    """Add the diagnosis of the last swing to an error."""
     try:
         yield
     except Refused as error:

@@ -1,4 +1,4 @@
-"""Deviation of a swing from another: of a robot's or a golfer's from a golfer's.
+"""Deviation of a robot's or golfer's swing from a golfer's swing.
 
 Defined as the root mean square of the difference over the reference's downswing, as far as both have a
 motion, clocks aligned at the ball; in per cent of the reference's range of each angle in its whole downswing,
@@ -27,7 +27,7 @@ from sim.plant import PlantParameters
 
 DEFINITION = (
     "Root mean square over the reference's downswing as far as both have a motion, clocks aligned at the "
-    "ball, in per cent of the reference's range (head: of the longest distance across its path, measured "
+    "ball, in per cent of the reference's range (for the head: longest distance across its path, measured "
     "from the ball)"
 )
 HUNT_WIENS = 0.096

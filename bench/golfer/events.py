@@ -40,7 +40,7 @@ def filled(path: Array, rate: float) -> Array:
 
 
 def second_differences(path: Array) -> Array:
-    """Return the length of the second difference at each frame (m), 0 at ends and beside gaps."""
+    """Return the length of the second difference at each frame (m), 0 at ends and next to gaps."""
     found = np.zeros(len(path))
     found[1:-1] = np.nan_to_num(np.linalg.norm(np.diff(path, 2, axis=0), axis=1))
     return found
@@ -95,7 +95,7 @@ GIVEN = "--events"
 _MIN_LOSS = 0.06
 """Min loss of speed at a ball, as a fraction."""
 _BEGUN = 0.15
-"""Fraction of the loss at which it has begun."""
+"""Fraction of the loss that marks its start."""
 _STILL = 0.35
 """Max speed of a club that stands at the ball (m/s)."""
 _STILL_TIME = 0.050
@@ -142,7 +142,7 @@ def _passing(path: Array, fastest: int, rows: range, rate: float) -> float | Non
     still = np.flatnonzero(moved[: max(fastest - over, 0)] < _STILL * _STILL_TIME)
     if not len(rows) or not len(still):
         return None
-    # The top is a pause, too, but the way to the ball does not come near it.
+    # The top is also a pause, but the path to the ball does not come near it.
     apart = np.linalg.norm(path[still, None] - path[None, rows.start : rows.stop], axis=2).min(axis=1)
     if not (apart < _NEAR_BALL).any():
         return None

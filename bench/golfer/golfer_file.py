@@ -30,7 +30,7 @@ HANDS_CUTOFF = 5 / 3
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What the user states instead of having it found."""
+    """Values that the user states instead of automatic detection."""
 
     lead: str = ""
     """Lead side, left or right."""

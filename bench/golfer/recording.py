@@ -109,7 +109,7 @@ def _on_grid(
     if off.max() > _JITTER:
         where = f"line {lines[int(off.argmax())]}"
         raise damaged(
-            path, f"time {time[off.argmax()]:g} s beside the frames", where, f"frames every {step:.5f} s"
+            path, f"time {time[off.argmax()]:g} s off the frames", where, f"frames every {step:.5f} s"
         )
     points = np.full((places[-1] + 1, len(names), 3), np.nan)
     points[places] = table[:, 1:].reshape(len(table), -1, 3)

@@ -84,7 +84,7 @@ _LEFT: Mapping[str, Sequence[tuple[str, ...]]] = {
 """Names of the left side: joint centres, plug-in gait, GEARS, BVH; those of the right side follow."""
 _CLUB: Mapping[str, Sequence[tuple[str, ...]]] = {
     "grip": [("GRIP",), ("LWristTop", "RWristTop")],
-    # The hands: GEARS' cluster on the shaft stands beside it.
+    # The hands: GEARS' cluster on the shaft is off its axis.
     "head": [("HEAD",), ("Marker_2:2:1", "Marker_2:2:2", "Marker_2:2:3")],
 }
 

@@ -1,8 +1,8 @@
-"""The loop, linearised at instants of a simulated swing: its margins, and how it is damped.
+"""Margins and damping of the loop, linearised at instants of a simulated swing.
 
-Up to the top this tells how the loop behaves. At the top dry friction holds the joints, and the downswing
-ends before most of the growing modes of a frozen instant matter: reported, but not judged. Gains are
-proved on whole simulated swings.
+They describe the loop up to the top only. At the top dry friction holds the joints, and the downswing ends
+before most of the growing modes of a frozen instant matter: both are reported, but not judged. Complete
+simulated swings validate the gains.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class LoopMargins(NamedTuple):
 
 
 def operating_points(bench: Bench) -> list[OperatingPoint]:
-    """Return instants of the bench's swing on its own model.
+    """Return instants of the bench's swing, simulated with its model.
 
     Raises:
         BenchError: the swing is stopped.

@@ -2,8 +2,8 @@
 
 All start alike: armed, held and brought back by the bench's own controller, so that the robot, its air and
 its random numbers are the same; only the swing itself is the compared controller's. Following errors do not
-stop it, or most rows would be empty; the row says where the envelope would have stopped it. All other checks
-of the envelope still stop.
+stop it, or most rows would be empty; the row states where the envelope would have stopped it. All other
+limits still apply.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Controller(NamedTuple):
     sensors: bool = False
     """Whether the chambers have pressure sensors."""
     velocity_weight: float = 1.0
-    """Of the reference's velocity in the derivative; 0: the derivative of the measurement alone."""
+    """Weight of the reference's velocity in the derivative; 0: the derivative of the measurement alone."""
 
 
 class Compared(NamedTuple):

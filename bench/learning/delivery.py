@@ -100,15 +100,15 @@ Cycles = np.ndarray[Any, Any]
 _BEFORE = 0.015
 """Distance (m) of face and ball at which the last reading before the contact is looked for. The contact may
 come so far before the model's: off the face's centre, with lengths known to 2 mm, with a ball teed up by
-hand. A reading after it would take the ball's blow for the club's speed."""
+hand. A reading after it would take the impact for the club's speed."""
 _LOW = 0.1
 """Height above the ball below which the head is at the bottom of the swing (m)."""
 _READINGS, _READINGS_BESIDE_PLAN = 5, 16
-"""Number of readings before the contact that a polynomial is fitted to: of the angles, or of their difference
-to the modelled swing, which changes more slowly."""
+"""Number of readings before the contact for a polynomial through the angles, and for one through their
+difference to the modelled swing, which changes more slowly."""
 _ORDER, _ORDER_BESIDE_PLAN = 2, 3
-"""Of the polynomial. The difference bends where friction lets the right arm go, some 10 ms before the ball:
-a parabola was wrong by 0.2 to 0.3 % of the speed with the driver, a cubic is by 0.1 %."""
+"""Order of the polynomial. The difference bends where the right arm breaks away, some 10 ms before the ball:
+a parabola had an error of 0.2 to 0.3 % of the speed with the driver, a cubic has 0.1 %."""
 _LATE = 60
 """Ticks by which a robot may come later or earlier than the modelled one."""
 _SEARCHED = (-0.0015, 0.0035)

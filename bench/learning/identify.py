@@ -141,7 +141,7 @@ def identify(
     def values(factors: Array) -> Array:
         every = np.ones(len(NAMES))
         every[free] = factors
-        # The added latency has no scale of its own.
+        # The added latency has no nominal value to scale.
         every[-1] = max(_LATENCY * (every[-1] - 1.0), -1e3 * bench.model.encoders.latency)
         return every
 

@@ -106,8 +106,8 @@ class LearningProblem(NamedTuple):
 def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None) -> LearningProblem:
     """Return the response of `bench`'s model; delivery and path that the profile plans are the target.
 
-    Those of the model's swing are not: a series begins with other air than the rehearsal of a profile without
-    planned air, and delivers up to ten tolerances beside the plan.
+    Those of the model's swing are not. Without planned chamber pressures a series begins with other pressures
+    than the simulated iterations, and delivers up to ten tolerances off the plan.
 
     Raises:
         BenchError: the profile lacks its planned delivery; the modelled swing is stopped or misses the ball.
@@ -198,7 +198,7 @@ class Recorded(NamedTuple):
     """A swing that the robot made, not its first after arming."""
 
     profile: Profile
-    """As it was swung, a correction included."""
+    """Profile of the swing, a correction included."""
     cycles: Cycles
     """CYCLE records from its first tick."""
     encoders: Encoders
@@ -255,9 +255,9 @@ def require_alike(one: Profile, other: Profile, location: str) -> None:
 
 OFFSET, PATH_OFFSET, DOUBT, RADIUS = (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1
 """Difference of the first delivery from the expected one, tolerances and rad, share by which the response
-differed from the identified one, and radius: of drawn robots and a worn one (benchmark `identified`)."""
+differed from the identified one, and radius, found with random and worn robots (benchmark `identified`)."""
 _MOST_LEFT_OVER = 10.0
-"""Max error after identification, tolerances: at most one where the robot had been found."""
+"""Max error after identification, tolerances; it was at most one where identification found the robot."""
 _ANYTHING = (1e4,) * 4
 """Replaces the first of them without recorded swings."""
 _SWINGS = 3
@@ -304,7 +304,7 @@ def require_identified(beyond: Array) -> None:
     if np.abs(beyond).max() > _MOST_LEFT_OVER:
         raise BenchError(
             "--identified",
-            f"a robot that delivers {np.abs(beyond).max():.0f} tolerances beside the records",
+            f"a robot that delivers {np.abs(beyond).max():.0f} tolerances off the records",
             f"at most {_MOST_LEFT_OVER:g}",
             "Identify it again, from swings of this robot.",
         )

@@ -3,8 +3,8 @@
 Python needs several microseconds to hand a dozen records to a compiled function, and more after a sleep. So
 one block of memory holds the records' addresses, and a call takes this block only. Where driver and publisher
 have native functions (`drivers.base.native`), the call is the whole tick; where one of them has none, or
-declines, the call returns at that stage, and goes on after it when it is called again. The numerics are those
-of `bench.control.step`, which lock-step simulation, sweeps and replay call: the same bits.
+declines, the call returns at that stage, and the next call continues after it. The numerics are those of
+`bench.control.step`, which lock-step simulation, sweeps and replay call: results are bit-identical.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Array = np.ndarray[Any, Any]
 
 
 AT_READ, AT_DECIDE, AT_WRITE, AT_NOTE_TRUTH, AT_PUBLISH, OVER = range(6)
-"""Stages at which a tick begins or goes on; the second is to estimate, decide and limit."""
+"""Stages at which a tick starts or continues; the second is to estimate, decide and limit."""
 
 _NUMBER = np.dtype(np.float64)
 _TYPES: tuple[np.dtype[Any], ...] = (
@@ -85,7 +85,7 @@ def _take_truth(truth: Any, cycle: Any) -> None:
 
 @compiled
 def _note_applied(command: Any, applied: Any, cycle: Any) -> None:
-    """Write into the record what the driver made of the command, if it made something else of it."""
+    """Write the command that the driver applied into the record, if it differs from the one given."""
     wanted, done, out = command[0], applied[0], cycle[0]
     same = (
         wanted.supply_enable == done.supply_enable

@@ -209,13 +209,13 @@ class Cycle:
             self._publish()
 
     def _note_applied(self, applied: Command) -> None:
-        """Write into the record what the driver made of the command."""
+        """Write the command that the driver applied into the record."""
         self.record["applied_valve"] = applied.valve
         for name in ("supply_enable", "exhaust_closed", "guard_lock", "beacon", "tee"):
             self.record[name] = getattr(applied, name)
 
     def _publish(self) -> None:
-        """Hand the record on; a publisher that fails lets the swing complete and is not asked again."""
+        """Hand the record on; a publisher that fails lets the swing complete and is not called again."""
         if self.publish_error is None:
             try:
                 self._publisher(self.record)

@@ -1,7 +1,7 @@
 """Memory of the controller at one tick, from which a replay starts.
 
 The loop puts a snapshot into shared memory in each tick that accepts a request to move (home, arm, swing),
-after the step; a replay of the record sets it and goes on with the tick after it. In a record's metadata it
+after the step; a replay of the record sets it and continues with the next tick. In a record's metadata it
 is stored as text, see `bench.records.telemetry.swing_metadata.snapshot_entry`.
 """
 
@@ -49,7 +49,7 @@ def pack_snapshot(state: ControlState, snapshot: np.ndarray[Any, Any]) -> None:
 
 
 def unpack_snapshot(snapshot: np.ndarray[Any, Any]) -> ControlState:
-    """Return a ControlState of its own with the values of `snapshot`."""
+    """Return a new ControlState with the values of `snapshot`."""
     state = new_control_state()
     for name in _KEPT:
         getattr(state, name)[:] = snapshot[name]

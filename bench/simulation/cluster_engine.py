@@ -2,8 +2,8 @@
 
 The study goes to the scheduler once and to each worker once; batches carry nothing but their cases. A
 worker refuses a study of other code before it reads it. Batches of a worker that dies are run again, by dask
-or, when dask gives up on them, from here. When the scheduler is lost, the sweep ends; with a store it goes on
-next time.
+or, when dask gives up on them, from here. When the scheduler is lost, the sweep ends; with a store the next
+run continues it.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ CONNECT_TIMEOUT = 10.0
 _LOOK = 1.0
 """s between two looks at how many workers there are."""
 _TRIES = 4
-"""Times that a batch is handed out before the sweep gives it up: each time dask tries again by itself."""
+"""Max number of times that a batch is handed out; each time dask also retries it automatically."""
 _ONE_AT_A_TIME = Lock()
 """Prepared studies are not made for two threads of a worker."""
 
 
 class SharedStudy:
-    """A study on its way to the workers, kept there with what it prepared."""
+    """A study that is sent to the workers, which keep it with the function it prepared."""
 
     def __init__(self, module: str, digest: str, payload: bytes) -> None:
         self._module, self._digest, self._payload = module, digest, payload
@@ -58,7 +58,7 @@ class SharedStudy:
         return prepare(study)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Leave out what was prepared."""
+        """Leave out the prepared function."""
         return SharedStudy, (self._module, self._digest, self._payload)
 
 

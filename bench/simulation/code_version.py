@@ -16,7 +16,7 @@ _PACKAGES = ("numba", "numpy", "scipy")
 def code_digest(*modules: str) -> str:
     """Return the digest (16 hex digits) of `modules` of this installation and all they import.
 
-    It covers the packages that compute, too: another NumPy may round otherwise.
+    It also covers the packages that compute: another NumPy may round otherwise.
     """
     packages = " ".join(f"{name} {version(name)}" for name in _PACKAGES)
     digest = sha256(f"python {sys.version_info[:2]} {packages}".encode())

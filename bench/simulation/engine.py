@@ -46,7 +46,7 @@ class LockstepEngine(SwingOperator[Lockstep]):
         self.control["tee"] = ball
 
     def copy(self) -> LockstepEngine:
-        """Return a bench that goes on from here by itself, without faults and records."""
+        """Return an independent bench that continues from here, without faults and records."""
         return LockstepEngine(self.stepper.copy(), look=self._look, stop=self.stop, name=self.name)
 
     def mark(self) -> Mark:

@@ -89,7 +89,7 @@ def _results(
     batches: Iterator[CaseBatch],
     in_flight: int,
 ) -> Iterator[BatchDone]:
-    """Yield the results of `again` and `batches`; `waiting` holds what was handed out and is not yielded."""
+    """Yield the results of `again` and `batches`; `waiting` holds the batches handed out and not yielded."""
     while True:
         while len(waiting) < in_flight:
             batch = again.popleft() if again else next(batches, None)
@@ -120,7 +120,7 @@ def _begin(parent: int, study: Study[Any, Any]) -> None:
         os._exit(1)
     if not current_process().name.endswith("-1"):  # all workers compile the same: one reports it
         announce_compilation(str)
-    global _function  # noqa: PLW0603 - the only place where a pool's worker can keep what it prepared
+    global _function  # noqa: PLW0603 - the only place where a pool's worker can keep its prepared function
     _function = prepare(study)
 
 

@@ -58,7 +58,7 @@ def run(
 ) -> None:
     """Run len(requests) ticks; `requests` (n,) u1 go to the step, `cycles` (n,) CYCLE are written.
 
-    With `faults` (Faults) between plant and step `robot` and `plant` may break, too, and a tick without the
+    With `faults` (Faults) between plant and step `robot` and `plant` may also break, and a tick without the
     loop leaves a record of zeros except for the plant's truth. `largest` notes deviations wherever the
     model-based check compares them. `openings` (n, 3) are applied in place of the step's, and `acceleration`
     (n, 3) gets the estimated accelerations, rad/s2. Each may be None.

@@ -232,7 +232,7 @@ class HealthyRun(NamedTuple):
     stops: int
     """Number of stops."""
     escalated: tuple[str, ...]
-    """Stops that became more severe than asked for, by phase and kind, or after which arming was stopped."""
+    """Stops that became more severe than requested, by phase and kind, or after which arming was stopped."""
 
 
 def healthy_run(

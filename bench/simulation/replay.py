@@ -3,8 +3,8 @@
 A replay begins with the controller's memory stored in the record (`bench.loop.snapshot`) and continues
 with the tick after it. Every field of the cycle is one of three: an input, taken from the record (`INPUTS`);
 decided by the controller, recomputed and compared (`DECIDED`); or measured around it, neither (`MEASURED`).
-The command is compared with the one truly applied; while the device was passive by itself the applied command
-is the device's own, and is not compared. A tick that failed in the driver's write cannot be repeated: from
+The command is compared with the one truly applied. While the device had itself become passive, it applied its
+own command, which is not compared. A tick that failed in the driver's write cannot be repeated: from
 there on the record may differ.
 
 For wear, how near a swing came to the limits of the model-based check, the record is replayed with the
@@ -124,7 +124,7 @@ MEASURED = frozenset(
 """The machine's timing and the plant's truth, which the controller does not use."""
 
 APPLIED = frozenset({"applied_valve", "supply_enable", "exhaust_closed", "guard_lock", "beacon", "tee"})
-"""Fields of DECIDED that a passive device decides by itself."""
+"""Fields of DECIDED that a passive device sets, not the controller."""
 
 
 class Difference(NamedTuple):
@@ -146,7 +146,7 @@ class Difference(NamedTuple):
 
 @dataclass(frozen=True)
 class Replay:
-    """A record beside its replay, tick by tick."""
+    """A record and its replay, tick by tick."""
 
     recorded: Cycles
     replayed: Cycles
@@ -198,7 +198,7 @@ def replay_start(cycles: Cycles, metadata: Mapping[str, Any], location: str) -> 
 
     Raises:
         BenchError: the record has no snapshot, one of another controller, or lost cycles.
-        ExceptionGroup: of BenchErrors, the values of its configuration that today's program rejects.
+        ExceptionGroup: a BenchError for each value of its configuration that today's program rejects.
     """
     snapshot = read_snapshot(metadata, location)
     if not metadata.get("replayable", False):
@@ -238,7 +238,7 @@ def controller_of(metadata: Mapping[str, Any], location: str) -> tuple[ControlPa
 
     Raises:
         BenchError: configuration or profile is missing or damaged.
-        ExceptionGroup: of BenchErrors, one for each value that today's program rejects.
+        ExceptionGroup: a BenchError for each value that today's program rejects.
     """
     profile = read_profile(metadata, location)
     built, defaults = settings_of(metadata, location)
@@ -258,7 +258,7 @@ def settings_of(metadata: Mapping[str, Any], location: str) -> tuple[dict[str, A
 
     Raises:
         BenchError: the configuration is missing.
-        ExceptionGroup: of BenchErrors, one for each value that today's program rejects.
+        ExceptionGroup: a BenchError for each value that today's program rejects.
     """
     configuration = metadata.get("configuration")
     if not isinstance(configuration, Mapping):

@@ -1,6 +1,6 @@
 """The one judge of simulated runs: which ends are unsafe, by which limits.
 
-Everything is judged by the plant's truth, not by what the bench believes.
+All limits apply to the plant's true state, not to the bench's estimates.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ def return_failed(refused: Refused, swing: SeriesSwing) -> ReturnFailed:
 
 
 class Bench(NamedTuple):
-    """Model, profile and settings of a series, without the plant that is swung."""
+    """Model, profile and settings of a series, without its plant."""
 
     model: PlantParameters
     """The plant as the bench believes it to be: controller and envelope are built from it."""
@@ -118,7 +118,7 @@ class Series:
         self._engine.arm()
 
     def rest(self) -> None:
-        """Rest at the address for as long as before a swing."""
+        """Rest at the address for `HOLD`, the time before each swing."""
         self._engine.advance(round(HOLD / self.bench.profile.period))
 
     def loads(self) -> Loads:
@@ -127,7 +127,7 @@ class Series:
 
     @property
     def plant(self) -> Plant:
-        """Plant that is swung."""
+        """Plant that the series swings."""
         return self._engine.stepper.plant
 
     def settle(self, swings: int = 2) -> None:
@@ -195,7 +195,7 @@ class Series:
         engine, stepper, bench = self._engine, self._engine.stepper, self.bench
         stepper.parameters = with_tables_of(stepper.parameters, profile, bench.control, bench.model)
         engine.begin_record()
-        engine.await_air()  # a joint that friction lets go may take the club to the ball
+        engine.await_air()  # a joint that breaks away may take the club to the ball
         engine.tee_up(ball=ball)
         before = float(engine.plant_state["air_used"][0])
         if not engine.start_swing(_REQUESTS, _CHUNK):

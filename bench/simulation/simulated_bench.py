@@ -48,8 +48,8 @@ _POWER_UP = 10
 _LONGEST_SETTLING = 3.0
 """Time for which a refused swing is requested again, s."""
 _SETTLING = 1.0
-"""Time at the address before the instant at which all swings of an ArmedBench begin, s: until joints and
-chambers rest, as before a swing of a running bench."""
+"""Time at the address before the instant at which all swings of an ArmedBench begin, s: joints and
+chambers come to rest, as they do on a running bench."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def simulate_swings(
     """Arm a vented `bench`, swing once at each of `balls` (None: no ball on the tee), then disarm.
 
     Yields each result as soon as the robot is back at address. A swing that ends in a stop is the last:
-    nothing arms again by itself. When `stop` (see `bench.base.interrupt.deferred_interrupt`) becomes true,
+    nothing re-arms automatically. When `stop` (see `bench.base.interrupt.deferred_interrupt`) becomes true,
     the robot is brought to rest by the stopping table, the passive command is sent, and the result yielded
     last is `interrupted`, unless the robot was at address.
 
@@ -267,8 +267,8 @@ class PoweredBench:
 class ArmedBench(PoweredBench):
     """A simulated bench that is armed once; each swing begins at that same instant.
 
-    A swing then depends on its own `plant` and `ball` only, not on those before it: a series that was cut off
-    goes on as if it had not been.
+    A swing then depends on its `plant` and `ball` only, not on earlier swings: an interrupted series
+    continues with the same results.
     """
 
     def __init__(self, bench: SimulatedBench, stop: Callable[[], bool] = never) -> None:

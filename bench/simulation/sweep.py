@@ -21,7 +21,7 @@ Case_contra = TypeVar("Case_contra", contravariant=True)
 Result_co = TypeVar("Result_co", covariant=True)
 
 BATCH_TIME = 4.0
-"""s that a batch should take: long beside what it costs to hand one out, short beside a sweep."""
+"""Target duration of a batch, s: long compared with handing it out, short compared with a sweep."""
 IN_FLIGHT = 2
 """Batches handed out for each worker, so that none waits for its next one."""
 
@@ -90,7 +90,7 @@ def sweep(
     progress: Callable[[int], None] = lambda done: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> list[Result]:
-    """Return the results of `cases` in their order; those so far if `stop` asked for an end.
+    """Return the results of `cases` in their order; those so far if `stop` requested an end.
 
     Args:
         study: the work on a case.
@@ -165,7 +165,7 @@ class _Batches(Generic[Case]):
         return max(1, int(min(wanted, self._left / (IN_FLIGHT * max(self._slots(), 1)))))
 
     def took(self, done: BatchDone) -> list[int]:
-        """Note what the cases of `done` cost; return their places among the cases."""
+        """Add the cost of the cases of `done`; return their places among the cases."""
         self._known += len(done.results)
         self._duration += done.duration
         return self._out.pop(done.number)

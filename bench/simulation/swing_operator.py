@@ -30,7 +30,7 @@ LONGEST_STOP = 6.0
 
 
 class OperatedStepper(Protocol):
-    """Controller with what it moves, run tick by tick."""
+    """Controller with its plant, run tick by tick."""
 
     state: ControlState
     parameters: ControlParameters
@@ -50,7 +50,7 @@ AnyStepper = TypeVar("AnyStepper", bound=OperatedStepper)
 
 
 def never() -> bool:
-    """Return False: nobody asked to stop."""
+    """Return False: no stop is requested."""
     return False
 
 
@@ -128,7 +128,7 @@ class SwingOperator(Generic[AnyStepper]):
     # A swing -------------------------------------------------------------------------------------------
 
     def holding(self) -> bool:
-        """Return whether the robot holds its address: no swing and no reaction is going on."""
+        """Return whether the robot holds its address: no swing and no reaction is active."""
         control = self.control
         return self.phase is Phase.HOLD and not control["swinging"][0] and not control["reaction"][0]
 
@@ -183,7 +183,7 @@ class SwingOperator(Generic[AnyStepper]):
         raise self.refusal(f"{reason}; joints at {angle} rad")
 
     def refusal(self, found: str) -> Refused:
-        """Return the error of a robot that does not hold its address, with what was `found` instead."""
+        """Return the error of a robot that does not hold its address; `found` describes its state."""
         address = np.array2string(self.stepper.parameters.angle[0], precision=3)
         return Refused(
             f"arming with profile {self.name!r}",
@@ -195,7 +195,7 @@ class SwingOperator(Generic[AnyStepper]):
     def await_air(self) -> bool:
         """Hold the address until the chambers are as planned; return whether they are.
 
-        At once where no pressures are planned. A bench that cannot reach them stops by itself.
+        Returns at once if no pressures are planned. A bench that cannot reach them stops automatically.
         """
         parameters = self.stepper.parameters
         if not parameters.profile["air_planned"][0]:
@@ -206,8 +206,8 @@ class SwingOperator(Generic[AnyStepper]):
     def start_swing(self, attempts: int, wait: int) -> bool:
         """Request the swing up to `attempts` times, `wait` ticks apart; return whether it began.
 
-        A swing is refused until the robot is at rest. While it waits for its air no attempt counts: the bench
-        ends that by itself. False also if the robot leaves its hold, or on a stop.
+        A swing is refused until the robot is at rest. Attempts that wait for chamber pressure do not
+        count: the bench limits that wait. False also if the robot leaves its hold, or on a stop.
         """
         while attempts > 0:
             if self.stop() or not self.holding():

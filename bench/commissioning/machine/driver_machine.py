@@ -78,7 +78,7 @@ class _Fault(NamedTuple):
     text: str = ""
     action: str = ""
     lasting: bool = False
-    """Whether it cannot pass by itself."""
+    """Whether the machine stops at its first tick, not after `_LOST` ticks."""
     of_device: bool = False
     """Whether a stall of the machine may be its reason."""
 
@@ -319,7 +319,7 @@ class DriverMachine:
         self._refuse_to_go_on()
 
     def _next(self) -> None:
-        """Go on by one tick.
+        """Continue for one tick.
 
         Raises:
             Refused: the machine is passive, as an interlock is open, readings fail, or it was stopped.
@@ -395,7 +395,7 @@ class DriverMachine:
         return self._device_failure()
 
     def _device_failure(self) -> _Fault:
-        """Return what the device or its sensors fail to give."""
+        """Return the failure of the device or of its sensors."""
         r = self._readings[0]
         problem, action, lasting, of_device = "", "", False, False
         if not self._driver.operational:
@@ -516,9 +516,9 @@ class SimulatedMachine(DriverMachine):
         turn_regulator(self.driver.plant, self.driver.faults, pressure)
 
     def gauge(self) -> float:
-        """Return what a true gauge at the manifold shows, Pa over the atmosphere."""
+        """Return the reading of a true gauge at the manifold, Pa over the atmosphere."""
         return float(self.driver.plant_state["supply_pressure"][0]) - self._truth.supply.atmosphere
 
     def act(self, act: Act) -> None:
-        """Do what a person does."""
+        """Apply the `act` of a person to the simulated plant."""
         self.driver.plant_state[act.field] = act.value

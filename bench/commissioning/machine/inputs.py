@@ -1,10 +1,9 @@
-"""Inputs as they are proven, and who turns the pressure regulator meanwhile.
+"""Checks of the inputs, and the pressure regulator during them.
 
-Each input is seen to change alone, in an order in which none acts as another does. A person acts, the bench
-watches all inputs at once. The table of stages is the whole check: what the outputs do, what the person does,
-and which inputs then differ from the robot at rest. The column of an input over all stages is its own, so
-that two exchanged cables show each other's column. While the outputs are energised the regulator is turned
-down to nothing: the stop contacts are seen to open without air behind them.
+A person acts, and the bench monitors all inputs at once. The table of stages is the complete check: outputs,
+the person's act, and the inputs that then differ from the robot at rest. Over all stages each input has a
+unique column, so that two exchanged cables show each other's column. While the outputs are energised the
+regulator is turned down to zero: the stop contacts open without air behind them.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from sim.live.surroundings import SurroundingsWriter
 
 
 class Act(NamedTuple):
-    """What a person does."""
+    """Act of a person."""
 
     key: str
     """Name for programs."""
@@ -50,7 +49,7 @@ ACTS: Mapping[str, Act] = {
             True,
         ),
         Act("press-reset", "Press the local reset and keep it pressed", "local_reset", True),
-        Act("release-reset", "Let the local reset go", "local_reset", False),
+        Act("release-reset", "Release the local reset", "local_reset", False),
         Act("open-guard", "The guard is released: open it", "guard_closed", False),
         Act("place-ball", "Put a ball on the tee", "ball_present", True),
         Act("take-ball", "Take the ball off the tee", "ball_present", False),
@@ -96,7 +95,7 @@ def levels(readings: Readings) -> tuple[float, ...]:
 
 VENTS = ("vent 1", "vent 2")
 FEEDBACKS = (*VENTS, "shut-off")
-"""Inputs that show what the stop contacts do."""
+"""Inputs that show the effect of the stop contacts."""
 
 
 class Stage(NamedTuple):
@@ -105,7 +104,7 @@ class Stage(NamedTuple):
     name: str
     outputs: Command
     act: str
-    """Key of what the person does; empty: only the outputs change."""
+    """Key of the person's act; empty: only the outputs change."""
     changed: frozenset[str]
     """Inputs that then differ from the robot at rest."""
 
@@ -126,7 +125,7 @@ STAGES: tuple[Stage, ...] = (
     _stage(_AT_STOP, _ENERGISED, "press-stop", "emergency stop"),
     _stage("emergency stop released", PASSIVE, "release-stop"),
     _stage("local reset pressed", PASSIVE, "press-reset", "local reset"),
-    _stage("local reset let go", PASSIVE, "release-reset"),
+    _stage("local reset released", PASSIVE, "release-reset"),
     _stage("outputs energised again", _ENERGISED, "", *FEEDBACKS),
     _stage("guard lock released", _UNLOCKED, "", "guard locked", *VENTS),
     _stage(_AT_GUARD, _UNLOCKED, "open-guard", "guard locked", "guard closed"),
@@ -136,7 +135,7 @@ STAGES: tuple[Stage, ...] = (
     _stage("guard locked", PASSIVE, ""),
 )
 """The check, in its order."""
-_RESET_STAGES = ("local reset pressed", "local reset let go")
+_RESET_STAGES = ("local reset pressed", "local reset released")
 
 
 def stages(*, local_reset: bool) -> tuple[Stage, ...]:
@@ -183,7 +182,7 @@ def judged(done: Sequence[Stage], seen: Sequence[Readings], names: Sequence[str]
             findings.append(
                 InputFinding(
                     f"{a} and {b}",
-                    "each shows what the other should: they are exchanged",
+                    "each shows the levels of the other: they are exchanged",
                     "each shows its own",
                     f"Exchange the cables of {a} and {b}, or their numbers in the configuration.",
                 )
@@ -205,7 +204,7 @@ def _take_welded(
             findings.append(
                 InputFinding(
                     "stop contacts",
-                    f"{' and '.join(moved)} as before with {stage.name}: a contact is welded or bridged",
+                    f"{' and '.join(moved)} unchanged with {stage.name}: a contact is welded or bridged",
                     "outputs without energy, whatever the bench commands",
                     "Replace the safety relay, and look for a bridge over its contacts.",
                 )
@@ -279,7 +278,7 @@ def by_person(ask: Callable[[str], None], service: float, atmosphere: float) -> 
 def by_program(command: str) -> Regulator:
     """Return a regulator that `command` turns: called with the pressure in bar absolute, or `service`.
 
-    What it raises when called: RegulatorNotTurned, with what the program said.
+    When called it raises RegulatorNotTurned, with the program's error, if the program fails.
     """
     words = shlex.split(command)
 
@@ -328,7 +327,7 @@ def act_in_simulation(folder: Path) -> Callable[[Act], None]:
 
 
 class SimulatedHands(NamedTuple):
-    """Hands at a simulated plant in a process of its own."""
+    """Hands at a simulated plant in a separate process."""
 
     turn: Regulator
     act: Callable[[Act], None]
@@ -336,7 +335,7 @@ class SimulatedHands(NamedTuple):
 
 
 def in_simulation(folder: Path, service: float, atmosphere: float) -> SimulatedHands:
-    """Return the hands at the plant with its files in `folder`; its gauge shows what the regulator is set to.
+    """Return the hands at the plant with its files in `folder`; its gauge shows the regulator's setting.
 
     `service` and `atmosphere` are in Pa absolute.
     """

@@ -37,7 +37,7 @@ from drivers.base import Command, Readings
 _START, _END = 120.0, 20.0
 """s in which the process is ready, and in which it brings the robot to rest at its end."""
 _LOOK = 0.1
-"""s between two looks for what the process says."""
+"""Period of polling the process for events, s."""
 
 
 class MachineLost(BenchError):
@@ -59,7 +59,7 @@ class OperatorIO(NamedTuple):
     act: Callable[[Act], None] = lambda act: None
     """Does something at the inputs, or says to a person what to do."""
     gauge: Callable[[], float] | None = None
-    """Returns what the gauge behind the regulator shows, Pa over the atmosphere; None: no person."""
+    """Returns the reading of the gauge behind the regulator, Pa over the atmosphere; None: no person."""
     timeout: float = 60.0
     """Time for each act at the inputs, s."""
 
@@ -68,7 +68,7 @@ class LiveRobot:
     """A robot in real time: a CommissionedMachine and a SwungRobot."""
 
     def __init__(self, child: Child, connection: Connection, hands: OperatorIO) -> None:
-        """Give orders to `child` by `connection`, with the `hands` of who stands beside the robot."""
+        """Give orders to `child` by `connection`, with the `hands` of the person next to the robot."""
         self._child, self._connection = child, connection
         self._hands = hands
         self._number, self._time = 0, 0.0
@@ -139,7 +139,7 @@ class LiveRobot:
         return trace
 
     def _order(self, order: Order) -> object:
-        """Give `order` and return its answer, or raise what it raised.
+        """Give `order` and return its answer, or raise its error.
 
         Raises:
             MachineLost: the process ended.

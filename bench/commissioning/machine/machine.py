@@ -29,14 +29,14 @@ class Until(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A stretch of constant or evenly changing openings."""
+    """A time of constant or evenly changing valve commands."""
 
     duration: float
     """Max duration, s."""
     valve: Triple
-    """Openings at its begin."""
+    """Valve commands at its start."""
     end: Triple | None = None
-    """Openings at its end, reached evenly; None: as at its begin."""
+    """Valve commands at its end, reached evenly; None: as at its start."""
     vents_shut: bool = False
     until: Until | None = None
 

@@ -145,7 +145,7 @@ def with_quick_pressures(c: Configuration) -> Configuration:
 
 
 def _answer(server: MachineServer, order: Order) -> tuple[bool, Any]:
-    """Return whether `order` was done, and its answer or what it raised."""
+    """Return whether `order` was done, and its answer or error."""
     try:
         return True, server.obey(order)
     except BenchError as error:

@@ -1,8 +1,8 @@
-"""What the process that has the machine does: sequences, swings, and in between holding or being passive.
+"""Server in the machine's process: sequences and swings; between them the machine holds or is passive.
 
-Swings of the robot itself: armed, teed up and swung by the cycle of a running bench, its records kept. What a
-person does at a bench is done here by the program, under the lifecycle of a bench with people beside it:
-warning, proven venting, homing against the stops, a local reset where one is configured.
+The cycle of a running bench arms the robot, tees up and swings; the server keeps the records. The program
+makes the operator's requests, under the lifecycle of a bench with people next to it: warning, verified
+venting, homing against the stops, a local reset where one is configured.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ _PERSON = 600.0
 _AGAIN = 0.2
 """s between two requests."""
 _WARM_UP = 0.2
-"""s in which the estimators settle and the code is compiled, before anything is asked for."""
+"""Time for the estimators to settle and the code to compile, before the first request, s."""
 _HOMED = 90.0
-"""s in which homing ends by itself."""
+"""Max duration of homing, s."""
 _FEED = 3.0
 """s of a ball to the tee."""
 _REPEATED = 10
@@ -107,7 +107,7 @@ class LiveSeries:
         )
         control = cycle.state.control
         for permission in ("supervisor_alive", "lease_held", "support_ready"):
-            control[permission] = True  # who asks has this bench alone, and keeps what it returns
+            control[permission] = True  # the caller alone has this bench, and keeps its records
         self._operator = SwingOperator(Loop(cycle, clock), stop=stop, name=bench.profile.name)
         self._operator.shows_no_pressure()  # compiled, or read from the cache, before a tick waits for it
         near_address(cycle.parameters, cycle.state.estimator)
@@ -152,7 +152,7 @@ class LiveSeries:
                 self._arm()
             operator.advance(round(HOLD / operator.period))
             loop.parameters = with_tables_of(loop.parameters, profile, self.bench.control, self.bench.model)
-            operator.await_air()  # a joint that friction lets go may take the club to the ball
+            operator.await_air()  # a joint that breaks away may take the club to the ball
             try:
                 self._tee_up(ball=ball)
             except Refused:
@@ -230,7 +230,7 @@ class LiveSeries:
         self._operator.wait_for(lambda: self._state is not State.ACCESS, _TIMEOUT)
 
     def hold(self) -> None:
-        """Go on for one tick."""
+        """Continue for one tick."""
         self._operator.begin_record()
         self._operator.advance(1)
 
@@ -243,7 +243,7 @@ class LiveSeries:
         finally:
             self._driver.make_passive()
 
-    # What a person does --------------------------------------------------------------------------------
+    # Operator's requests -------------------------------------------------------------------------------
 
     def _arm(self) -> None:
         """Reset, home and arm, as far as it is needed; again after a stall of this machine."""
@@ -315,7 +315,7 @@ class LiveSeries:
         return bool(self._operator.stepper.cycle.record["ball_present"][0])
 
     def _revive(self) -> None:
-        """Set a device to work again that went passive by itself."""
+        """Open the device again if it has become passive."""
         if not self._driver.operational:
             self._driver.close()
             self._driver.open()
@@ -462,7 +462,7 @@ class MachineServer:
                 return None
 
     def hold(self) -> None:
-        """Go on for one tick as the last order left the machine."""
+        """Continue for one tick as the last order left the machine."""
         if self._series is None:
             self._machine.hold()
         else:

@@ -16,7 +16,7 @@ class ParameterEstimate(NamedTuple):
     """A value that a step found."""
 
     key: str
-    """Dotted key below [plant]; of a list with its index: encoders.sign.0."""
+    """Dotted key below [plant]; in a list with the index: encoders.sign.0."""
     value: float
     error: float
     """Standard error."""

@@ -312,11 +312,11 @@ SWING_FILE, LEARNED_FILE = "swing.toml", "learned.toml"
 """The profile of 100 %, and with its learned correction."""
 
 Traces = Mapping[str, MotionTrace]
-"""Traces of a step by the name of what was done."""
+"""Traces of a step by the name of the motion."""
 
 
 class StepResult(NamedTuple):
-    """What a step found."""
+    """Result of a step."""
 
     values: tuple[ParameterEstimate, ...]
     notes: tuple[str, ...] = ()
@@ -360,7 +360,7 @@ class CommissioningStep(NamedStep, Protocol):
         """Move the robot and return the traces; the robot is vented afterwards.
 
         Raises:
-            MachineFault: the machine does not do what a right one does.
+            MachineFault: the machine does not behave as a fault-free one.
             Refused: an interlock ended it.
         """
 

@@ -180,7 +180,7 @@ def _fill_and_decay(
 _BODIES = ("shoulder_link", "left_arm", "rod", "cylinder")
 _OPENINGS = (0.05, 0.08, 0.12)
 _LEVEL, _PAUSE, _BREAK = 8.0, 1.0, 3.0
-"""s: of a move at most, of a pause, of the ramp that breaks a joint loose."""
+"""Max duration of a move, of a pause, and of the ramp that breaks a joint loose, s."""
 _PAUSES = (0.3, 0.6)
 """Shares of the travel at which the joint pauses."""
 _SMOOTH, _SPAN = 11, 40
@@ -211,9 +211,9 @@ _ACCELERATION = 0.02
 _DELAY = 0.0015
 """Standard deviation of the time, s, by which encoders may lag behind pressures."""
 _LEAST_BREAKS = 3
-"""Min number of times that a joint broke loose for a static friction of its own."""
+"""Min number of break-aways of a joint for the static friction to be their median."""
 _GAUGE = 500.0
-"""Error of the supply's pressure, Pa: of the flow through leaking valves."""
+"""Min error of the supply pressure, Pa: the flow through leaking valves causes it."""
 
 
 class SlowFit(NamedTuple):
@@ -405,7 +405,7 @@ def _equations(
     if len(angle) < 4 * _SPAN:
         return np.zeros((0, 5 + len(MASSES))), np.zeros(0), np.zeros(0, np.int64)
     speed = savgol_filter(angle, _SMOOTH, 2, deriv=1, delta=tick, axis=0)
-    # The mean of an acceleration over a span is a difference of speeds; all else is averaged over it, too.
+    # The mean of an acceleration over a span is a difference of speeds; all else is also averaged over it.
     acceleration = np.zeros_like(speed)
     half = _SPAN // 2
     acceleration[half:-half] = (speed[2 * half :] - speed[: -2 * half]) / (2 * half * tick)

@@ -1,8 +1,8 @@
-"""Step 0 of commissioning, and the check of each day: inputs are believed after they were seen to change.
+"""Step 0 of commissioning, and the daily check: an input is valid only after it has changed as expected.
 
-Spools are centred, and the switches are tried with the regulator turned down to nothing. Only then air comes
-into the manifold, behind a closed guard with open vents, for the supply's sensor to be compared with a gauge
-at two pressures. A measured robot rests meanwhile; of another one a spool may be off its centre.
+The switches are checked with centred spools and the regulator turned down to zero. Only then air enters the
+manifold, behind a closed guard with open vents, to compare the supply sensor with a gauge at two pressures. A
+measured robot rests meanwhile; an unmeasured one may drift, as a spool may be off its centre.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class InputHands(Protocol):
 
     @property
     def gauge(self) -> Callable[[], float] | None:
-        """Returns what the gauge at the regulator shows, Pa over the atmosphere; None: no person."""
+        """Returns the reading of the gauge at the regulator, Pa over the atmosphere; None: no person."""
 
     @property
     def timeout(self) -> float:
@@ -87,7 +87,7 @@ class InputsStep:
     """Step 0."""
 
     name = "inputs"
-    title = "Interlocks, buttons and switches, one by one; pressure beside the gauge"
+    title = "Interlocks, buttons and switches, one by one; supply sensor against the gauge"
     bounds_text = (
         "no air for the switches, then "
         f"{' and '.join(f'{1e-5 * p:.1f}' for p in PRESSURES)} bar absolute in the manifold, vents open, "
@@ -123,7 +123,7 @@ def check_inputs(
         findings += _off_at_rest(seen[-1], atmosphere)
         deviation = 0.0
         if not findings and not isnan(seen[-1].supply_pressure):  # no air behind a guard that is not proven
-            progress("supply beside its gauge")
+            progress("supply sensor against its gauge")
             deviation, findings = _beside_the_gauge(machine, hands, hands.gauge, c)
     finally:
         machine.make_passive()

@@ -164,7 +164,7 @@ class AirTrace:
         jumps = np.abs(np.diff(self.command)) > 2e-3
         jumps |= np.diff(self.vent) != 0.0
         disturbed = np.zeros(len(self.command), bool)
-        disturbed[:settled] = True  # what was commanded before is unknown
+        disturbed[:settled] = True  # earlier commands are unknown
         for row in np.flatnonzero(jumps):
             disturbed[row : row + settled] = True
         starts = np.arange(0, len(self.command) - length, length)
@@ -172,7 +172,7 @@ class AirTrace:
         return np.stack([rows, rows + length], axis=1) if len(rows) else np.zeros((0, 2), np.int64)
 
     def content(self, values: Array, offset: float = 0.0) -> tuple[Array, Array]:
-        """Return p^(1/n) V of both chambers (n, 2), and what the flows add to it since the first row (n, 2).
+        """Return p^(1/n) V of both chambers (n, 2), and its increase by the flows since the first row (n, 2).
 
         `values` are in the order of NAMES; `offset` is added to the actuator's coordinate.
         """
@@ -221,7 +221,7 @@ def nominal_values(known: RobotEstimate, actuator: int) -> Array:
 def fit_air(
     traces: Iterable[MotionTrace], known: RobotEstimate, actuator: int, sure: Sequence[str] = ()
 ) -> AirFit:
-    """Return the air of `actuator` from `traces`; values in `sure` keep what was found, within its error."""
+    """Return the air of `actuator` from `traces`; values in `sure` keep their estimates, within errors."""
     plant = known.plant
     nominal = nominal_values(RobotEstimate(known.nominal), actuator)
     start = nominal_values(known, actuator)

@@ -45,11 +45,11 @@ from drivers.base import JOINTS, Triple
 from sim.driver import joint_travel
 
 _STEP, _PUSH = 0.15, 0.08
-"""Openings beyond the edge: of a spool's step, of the push before a joint coasts."""
+"""Valve commands beyond the dead band: step of a spool, push before a joint coasts."""
 _OPEN, _BETWEEN, _PULSES = 0.06, 0.4, 5
 """s for which a step lasts, s between two, and their number."""
 _COAST, _PUSHES = 0.3, (0.3, 0.2)
-"""s of coasting, and shares of the travel at which the joint is let go."""
+"""Duration of coasting, s, and shares of the travel at which it starts."""
 _SEEN = 0.08
 """s of a step's answer that count."""
 _SLOWEST = 2.0 * np.pi * 20.0

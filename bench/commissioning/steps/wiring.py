@@ -67,19 +67,19 @@ _SUPPLY_SHARE = 0.8
 MAX_CENTRE, MAX_BAND = 0.06, 0.10
 """Max offset and overlap of a valve that is right."""
 _SCALE_TOLERANCE = 0.03
-"""Max error of an encoder's travel, as a share, beside that of the geometry."""
+"""Max error of an encoder's travel, as a share, in addition to that of the geometry."""
 _LENGTH = 2e-3
 """Tolerance of the robot's lengths, m."""
 _UNIFORM = 3**-0.5
 
 
 class ValveFeet(NamedTuple):
-    """Openings at which the chambers of a valve begin to fill."""
+    """Valve commands at which the chambers of a valve begin to fill."""
 
     lower: float
-    """Of chamber B."""
+    """Command for chamber B."""
     upper: float
-    """Of chamber A."""
+    """Command for chamber A."""
 
 
 class Wiring:

@@ -1,7 +1,7 @@
 """Causes by which a robot may swing otherwise than the one that was measured: one parameter each.
 
-A cause changes the model, or the reading of the record: commands that a spool does not follow, readings
-of an encoder that slips or of a sensor that is off.
+A cause changes the model or the recorded values: valve commands that a spool does not follow, angles from an
+encoder that slips, pressures from a sensor with an offset.
 """
 
 from __future__ import annotations

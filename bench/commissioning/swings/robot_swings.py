@@ -1,12 +1,12 @@
 """Swings of the robot that was found, and the limits for them.
 
 A whole swing is designed at rising speeds until the design fails: collocation, refinement on the plant,
-closed loop, the cushions if the ball is missed or the bench falls silent. All are near the shipped swing's
-downswing, slower ones in as much more time; the backswing may be slower than the shipped one.
+closed loop, shock absorbers after a missed ball or a loss of communication. All are near the downswing of
+the default profile, slower ones in as much more time; the backswing may be slower.
 
-A slower swing along the path of a designed one: its reference stretched in time. A design at less than half
-the speed is not reliable: its plan spends most of its time near the top, where dry friction decides. Here the
-loop follows the same path more slowly; what it delivers need not be a good shot.
+A slower swing follows the path of a designed one, with its reference stretched in time. A design at less than
+half the speed is not reliable: its plan spends most of its time near the top, where dry friction decides. A
+stretched swing need not be a good shot.
 
 Limits of the following error come from how its model follows the swing. The configured ones are those of
 another robot: one with more friction or smaller valves lags further behind its reference in a healthy swing.
@@ -163,7 +163,7 @@ def _at_rows(table: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[n
 _ROOM = 1.5
 """Times the model's following error that are allowed at least."""
 _DIGITS = 3
-"""Of a limit, written and computed alike."""
+"""Decimals of a limit, as written and as computed."""
 
 
 def with_following_limits(known: Configuration, profile: Profile) -> Configuration:
@@ -192,7 +192,7 @@ def _limits(known: Configuration, cycles: np.ndarray[Any, Any]) -> dict[str, tup
 def make_healthy_limits(
     known: Configuration, profile: Profile, file: Path, progress: Callable[[str], None]
 ) -> Configuration:
-    """Return `known` with limits for `profile`, from robots around it; store them beside `file`.
+    """Return `known` with limits for `profile`, from robots around it; store them next to `file`.
 
     Raises:
         Refused: robots without a fault are stopped by the envelope.
@@ -215,7 +215,7 @@ class HealthyLimits:
     def swing(
         self, robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
     ) -> StepResult:
-        """Make the limits of the learned profile in `folder`, and store them beside it.
+        """Make the limits of the learned profile in `folder`, and store them next to it.
 
         Raises:
             Refused: robots without a fault are stopped by the envelope.

@@ -1,7 +1,7 @@
-"""A recorded swing predicted over short windows, each from what was measured at its begin.
+"""Predictions of a recorded swing over short windows, each from the measured state at its start.
 
-Over a whole swing what differs adds up, feedback hides it, and dry friction may turn it into something else.
-Over a window the difference stays where it arises: a leak in the pressures of its chambers, friction in the
+Over a whole swing errors add up, feedback hides them, and dry friction may turn one into another.
+Over a window an error stays where it arises: a leak in the pressures of its chambers, friction in the
 speed of its joint. Commands are those recorded; the model is the compiled plant.
 """
 
@@ -41,7 +41,7 @@ _ROUNDS = 4
 
 
 class RecordedSwing:
-    """What a swing's records say, in the units of the plant."""
+    """Records of a swing, in the units of the plant."""
 
     def __init__(self, cycles: Cycles, known: PlantParameters) -> None:
         """Take `cycles`, CYCLE records of a swing, one a tick, by the encoders of `known`."""
@@ -103,9 +103,9 @@ class RecordedSwing:
     def errors(
         self, plant: PlantParameters, raw_angle: Array | None = None, valve: Array | None = None
     ) -> Array:
-        """Return what was measured less what `plant` predicts, at the ends of the windows (k, QUANTITIES).
+        """Return the measured less the predicted values of `plant`, at the ends of windows (k, QUANTITIES).
 
-        `raw_angle` (n, 3) rad and `valve` (n, 3) replace what was recorded.
+        `raw_angle` (n, 3) rad and `valve` (n, 3) replace the recorded ones.
         """
         read = self.raw_angle if raw_angle is None else raw_angle
         angle, speed = self.motion(read + self._moved_zeros(plant), plant.encoders.latency)
@@ -137,7 +137,7 @@ def _predict(
     begins: Any,
     predicted: Any,
 ) -> None:
-    """Write what the plant does (n, QUANTITIES) from `state`; it begins again with `measured` at `begins`."""
+    """Write the plant's response (n, QUANTITIES) from `state`; it restarts from `measured` at `begins`."""
     s, c = state[0], command[0]
     for k in range(len(measured)):
         for i in range(3):

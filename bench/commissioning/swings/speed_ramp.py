@@ -1,13 +1,13 @@
 """Steps 6 and 7: first swings at rising speed, each compared with its prediction; the swing is learned.
 
 First swings are of 40, 60, 80 and 100 % of the speed. The prediction is the same swing of the robot as it was
-measured. What differs by more than the measured values explain is a machine that is not as assumed; the next
-swing would only be faster.
+measured. If a swing differs by more than the measured values explain, the machine is not as assumed, and no
+faster swing follows.
 
 The swing is learned with the response of the robot as it was measured. Encoders show the strike on the face
-as far as lengths are known, which no step measures. Where the ball's mark is read, the strike is the
-encoders' plus what the marks so far lay beside it; a mark is asked for after the first swing, and after each
-that would do.
+as far as lengths are known, which no step measures. Where the ball's mark is read, the mean offset of the
+marks so far is added to the encoders' strike. A mark is requested until one is accepted, then after each
+swing within tolerance.
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ from drivers.base import JOINTS
 from sim.kinematics import head_motion
 
 SLOW_SHARES, DESIGNED_SHARES = (0.4, 0.6), (0.8, 1.0)
-"""Shares of the swing's speed: of swings along its path without a ball, and of designed ones."""
+"""Shares of the swing's speed: swings along its path without a ball, and designed ones."""
 _FASTER = 0.1
 """Share of the full speed by which a slow swing along the stretched path may be faster."""
 _MORE = (0.0, 0.1, 0.2)
 """Shares of the full speed that are added where a slow swing of the share itself is not found."""
 RESERVE = 0.95
-"""Share of the fastest designed swing's speed that is swung: a robot is not quite as it was measured."""
+"""Share of the fastest designed swing's speed used for 100 %: a robot is not quite as it was measured."""
 _MOST_SPEED, _MOST_PATH = 0.08, (0.15, 0.12, 0.25)
-"""Max deviation from the prediction: of the head's highest speed, a share of the full swing's, which counts
-at the cushions; of a joint up to the ball, rad."""
+"""Max error of the prediction: highest head speed, as a share of the full swing's, which loads the shock
+absorbers; joint angles up to the ball, rad."""
 _MOST_BRAKE = 0.15, 1.5
 """Max excess of a joint's speed while it brakes, as a share of the predicted one and rad/s."""
 _PREDICTIONS = 4
@@ -73,7 +73,7 @@ _STOPPED = "stopped: "
 _BRAKED = 0.1
 """s after the ball, when speeds are compared."""
 _FEED_FORWARD: FeedForward = "kane+pneumatic"
-"""Of slow swings: their openings are not planned."""
+"""Feed-forward of slow swings, whose valve commands are not planned."""
 _ROOM = 3.0
 """Times the following errors that are allowed a planned swing: a slow one has little energy."""
 
@@ -81,7 +81,7 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
 class SwingDeviation(NamedTuple):
-    """A swing beside its prediction."""
+    """Difference of a swing from its prediction."""
 
     predicted: float
     """Highest speed of the head up to the ball, m/s."""
@@ -97,9 +97,9 @@ class RisingSwings:
 
     name, title = "swings", "Swings of 40, 60, 80 and 100 % of the speed"
     bounds_text = (
-        "each designed for the robot as measured, within its cushions if the ball is missed or the bench "
-        f"falls silent; the next one only if the speed came within {100 * _MOST_SPEED:g} % of the full one "
-        "beside its prediction"
+        "each designed for the robot as measured, within its shock absorbers if the ball is missed or "
+        "communication is lost; the next one only if the speed differed from its prediction by at most "
+        f"{100 * _MOST_SPEED:g} % of the full one"
     )
 
     def swing(
@@ -143,7 +143,7 @@ class RisingSwings:
 def swung_slowly(
     robot: SwungRobot, known: Configuration, full: Profile, share: float, speed: float, folder: Path
 ) -> list[str]:
-    """Swing at `share` of the `speed` (m/s) of `full`, and return what came of it.
+    """Swing at `share` of the `speed` (m/s) of `full`, and return the notes for the report.
 
     A swing along the stretched path that the robot stops is made once more, designed: near the top friction
     may let a slow robot slip in one swing and not in its predictions.
@@ -185,7 +185,7 @@ class SlowSwing(NamedTuple):
     """A slow swing on its bench."""
 
     share: float
-    """Of the full speed."""
+    """Share of the full speed."""
     bench: Bench
     designed: bool = False
     """Not along the stretched path."""
@@ -236,7 +236,7 @@ def _prediction_fails(bench: Bench, fastest: float) -> str:
 
 
 def _swung(robot: SwungRobot, bench: Bench, share: float, folder: Path) -> str:
-    """Swing `bench` once, and return what came of it; raises MachineFault if it is not as predicted."""
+    """Swing `bench` once, and return the note on it; raises MachineFault if it is not as predicted."""
     ball, location = share >= DESIGNED_SHARES[0], f"swing of {100 * share:.0f} %"
     model = Series(bench, bench.model)
     predicted = [model.swing(bench.profile, ball=ball) for _ in range(_PREDICTIONS)]
@@ -273,7 +273,7 @@ def exceeded(loads: Loads | None) -> list[str]:
 
 
 def require_safe(loads: Loads | None, location: str, error: type[MachineFault] = MachineFault) -> None:
-    """Refuse to go on after `loads` beyond a rating; None: nothing measures them.
+    """Refuse to continue after `loads` beyond a rating; None: nothing measures them.
 
     Raises:
         MachineFault: a rating was exceeded.
@@ -317,9 +317,9 @@ class PredictionSpread(NamedTuple):
     """Largest differences between predictions of one swing: so far friction alone takes them apart."""
 
     speed: float = 0.0
-    """Of the head's highest speed, a share."""
+    """Highest head speed, as a share."""
     path: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of each joint up to the ball, rad."""
+    """Joint angles up to the ball, rad."""
 
 
 def widest(found: Sequence[SwingDeviation]) -> PredictionSpread:
@@ -337,7 +337,7 @@ def require_as_predicted(
     share: float = 1.0,
     spread: PredictionSpread | None = None,
 ) -> None:
-    """Refuse to go on after a swing at a `share` of the speed that is not as predicted.
+    """Refuse to continue after a swing at a `share` of the speed that is not as predicted.
 
     It may be as far off as the bounds and the `spread` of its predictions together.
 
@@ -353,11 +353,11 @@ def require_as_predicted(
     spread = spread or PredictionSpread()
     most = _MOST_SPEED / share + spread.speed
     if not abs(off) <= most:
-        said = f"head speed {100 * off:+.0f} % beside its prediction"
+        said = f"head speed {100 * off:+.0f} % off its prediction"
         raise MachineFault(location, said, f"within {100 * most:.0f} %", action)
     for i, joint in enumerate(JOINTS):
         if not found.path[i] <= (bound := _MOST_PATH[i] + spread.path[i]):
-            away = f"the {joint} {found.path[i]:.2f} rad beside its prediction"
+            away = f"the {joint} {found.path[i]:.2f} rad off its prediction"
             raise MachineFault(location, away, f"at most {bound:.2f} rad", action)
         measured, predicted = found.braking[:, i].tolist()
         if measured > (1.0 + _MOST_BRAKE[0]) * predicted + _MOST_BRAKE[1]:
@@ -428,7 +428,7 @@ class _Learned(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The kept swing by its source, beside the target."""
+        """The kept swing by its source, and the target."""
         kept, target = self.result.attempts[self.result.chosen].figures, self.result.target
         return f"{_words(kept)}; target {_words(target)}"
 
@@ -472,16 +472,16 @@ class _Marks:
 
     @property
     def text(self) -> str:
-        """What the marks showed."""
+        """Finding of the marks, for the report."""
         strange = ", ".join(f"{1e3 * beside:+.1f}" for beside in self._strange)
-        told = f"; not believed, {strange} mm beside it" if strange else ""
+        told = f"; rejected marks, {strange} mm off it" if strange else ""
         if not self._beside:
             return (
                 "no mark on the face was read: the strike is the encoders', as true as the lengths are" + told
             )
         off = 1e3 * float(np.mean(self._beside))
         return (
-            f"{len(self._beside)} marks on the face lay {off:+.1f} mm beside the encoders' strike: lengths"
+            f"{len(self._beside)} marks on the face, {off:+.1f} mm off the encoders' strike: error of lengths"
             + told
         )
 

@@ -1,7 +1,7 @@
 """Which cause explains that a robot swung otherwise than the one that was measured?
 
 Every cause is fitted to the recorded swing, with all measured values free within their standard errors. The
-one that leaves least is named if it leaves much less than any other and than none.
+diagnosis names a cause if its misfit is much smaller than with any other cause and without one.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from sim.plant import PlantParameters
 _NEAR = 2.0
 """Standard errors by which values may move for their effects to be taken there."""
 _MIN_IMPROVEMENT = 0.5
-"""Share of the misfit that has to be left for their effects to be taken there."""
+"""Max share of the misfit that is left, for their effects to be taken there."""
 _STEP = 0.3
 """Step of a derivative, in standard errors."""
 _GUESSES = {
@@ -83,7 +83,8 @@ def swing_misfit(
 ) -> SwingMisfit:
     """Return the misfit of `recorded` around `plant`, or around likelier values where these explain it.
 
-    Effects are not linear: once more there, but not where values only bend towards what a cause does.
+    Effects are not linear: the likelier values count if the misfit around them is clearly smaller. Otherwise
+    they may only imitate a cause.
     """
     measured = SwingMisfit(recorded, plant, uncertain, np.zeros(len(uncertain)))
     moved = np.clip(measured.none.shift, -_NEAR, _NEAR)
@@ -113,7 +114,7 @@ class SwingMisfit:
         Before it the errors are those without a cause: windows do not depend on each other.
         """
         effect = np.einsum("kqi,i->kq", self.effects, self.none.shift)
-        # What the values explain without a cause may be what the cause does.
+        # The values may explain, without a cause, the effect of the cause.
         firsts = {0, _better_from(self.base, errors), _better_from(self.base - effect, errors - effect)}
         found = [(first, self.of(np.concatenate([self.base[:first], errors[first:]]))) for first in firsts]
         return min(found, key=lambda one: one[1].cost)
@@ -132,7 +133,7 @@ def _better_from(without: Array, within: Array) -> int:
 
 
 def effect(recorded: RecordedSwing, plant: PlantParameters, base: Array, one: UncertainValue) -> Array:
-    """Return what a standard error of `one` adds to the model's predictions (k, QUANTITIES)."""
+    """Return the effect of a standard error of `one` on the model's predictions (k, QUANTITIES)."""
     step = _STEP * one.error
     moved = recorded.errors(with_values(plant, {one.key: float(value_at(plant, one.key)) + step}))
     return np.asarray((base - moved) / _STEP)
@@ -159,7 +160,7 @@ class FittedCause(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """What a recorded swing says of the robot."""
+    """Diagnosis of the robot from a recorded swing."""
 
     named: FittedCause | None
     """The cause that explains it clearly; None if none does."""
@@ -168,22 +169,22 @@ class Diagnosis(NamedTuple):
     misfit: float
     """Without a cause, measured values free within their errors."""
     speed: Array
-    """(3,) scatter of the joints' speeds beside predictions over a window, rad/s."""
+    """RMS error of the joints' speeds (3,) predicted over a window, rad/s."""
     pressure: Array
-    """(3,) scatter of their chambers' pressures, Pa."""
+    """RMS error of their chambers' pressures (3,), Pa."""
     ratio: float
     """Misfit of the next best over that of the best."""
 
     @property
     def text(self) -> str:
-        """What it says, for a person."""
+        """Diagnosis as text, for the report."""
         joints = ", ".join(
             f"{joint} {speed:.2f} rad/s and {1e-2 * pressure:.0f} mbar"
             for joint, speed, pressure in zip(
                 JOINTS, self.speed.tolist(), self.pressure.tolist(), strict=True
             )
         )
-        scatter = f"scatter beside short predictions: {joints}"
+        scatter = f"RMS error of short predictions: {joints}"
         if not self.fitted:
             return f"over short times the robot moves as measured (misfit {self.misfit:.2g}; {scatter})"
         best, second = self.fitted[:2]
@@ -264,7 +265,7 @@ class DiagnosedRobot:
         """Look at the swings of `robot`, of which values were `found`; wrong ones are stored in `records`."""
         self._robot, self._found, self._records = robot, found, records
         self.last: Diagnosis | None = None
-        """What the last swing says; None before the first."""
+        """Diagnosis of the last swing; None before the first."""
 
     def series(self, bench: Bench) -> DiagnosedSeries:
         """Arm `bench`, whose model is the robot as measured: the model-based check is on."""
@@ -286,7 +287,7 @@ class DiagnosedRobot:
         raise MachineFault(name, said, "the robot that was measured", self.last.named.cause.action)
 
     def explained(self, error: Refused) -> Refused:
-        """Return `error` of a step with what the last swing says, where that says no cause."""
+        """Return `error` of a step with the diagnosis of the last swing, if that names no cause."""
         if self.last is None or self.last.named is not None or isinstance(error, PredictionFails):
             return error
         return type(error)(error.location, f"{error.found}; {self.last.text}", error.expected, error.action)

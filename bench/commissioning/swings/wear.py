@@ -1,9 +1,9 @@
-"""What wears, part by part, from recorded swings.
+"""Wear of each part, from recorded swings.
 
 Each value that wear changes is fitted to short predictions of a swing (`short_predictions`), all at once, so
-that a moved centre is not taken for a leak, nor dry friction for a slow spool. It is what the recorded
-configuration has plus a change with a prior as wide as wear goes. Which change is too much is half to two
-thirds of the one at which the model-based check stops healthy swings of that part.
+that a moved centre is not taken for a leak, nor dry friction for a slow spool. It is the recorded
+configuration's value plus a change, whose prior is as wide as wear goes. The limit of a change is half to
+two thirds of the one at which the model-based check stops fault-free swings.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class SwingWear(NamedTuple):
     """Changes of one swing."""
 
     values: tuple[WearingValue, ...]
-    """(p,) what may change."""
+    """Values that may change (p,)."""
     change: Array
     """(p,)"""
     error: Array
@@ -139,11 +139,11 @@ class SwingWear(NamedTuple):
 
 
 def swing_wear(cycles: Cycles, metadata: Mapping[str, Any], location: str) -> SwingWear:
-    """Return what changed against the configuration of a record, from its `cycles` and `metadata`.
+    """Return the changes against the configuration of a record, from its `cycles` and `metadata`.
 
     Raises:
         BenchError: the record has no configuration, or a chamber shows no pressure.
-        ExceptionGroup: of BenchErrors, the values of its configuration that today's program rejects.
+        ExceptionGroup: a BenchError for each value of its configuration that today's program rejects.
     """
     plant = settings_of(metadata, location)[0]["plant"]
     if not np.isfinite(cycles["chamber_pressure"]).any(axis=0).all():
@@ -199,7 +199,7 @@ class PartWear(NamedTuple):
 
 
 def worn_parts(swings: Sequence[SwingWear]) -> list[PartWear]:
-    """Return what may change over `swings` of one robot, the most worn first."""
+    """Return the wear of each value over `swings` of one robot, the most worn first."""
     found = []
     changes, errors = np.array([one.change for one in swings]), np.array([one.error for one in swings])
     for k, value in enumerate(swings[0].values):

@@ -72,8 +72,8 @@ def test_marks_find_what_unmeasured_lengths_do_to_the_strike(
         assert delivery is not None
         strikes.append(delivery.in_plane_error)
         said = next(note for note in result.notes if "mark" in note)
-        assert ("beside the encoders" in said) is (kind is not Unread)
-        assert ("not believed" in said) is (kind is TouchedBall)
+        assert ("off the encoders" in said) is (kind is not Unread)
+        assert ("rejected marks" in said) is (kind is TouchedBall)
         assert ("no mark" in said) is (kind is Unread)
     assert abs(strikes[0]) < 0.001
     assert abs(strikes[2]) < 0.002  # the promise; how near depends on the processor's last bits

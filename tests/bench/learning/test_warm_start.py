@@ -74,5 +74,5 @@ def test_another_robot_than_the_recorded_one_is_refused(
     problem: LearningProblem, recorded: list[Recorded]
 ) -> None:
     other = Variation(head_mass=0.1).applied_to(PLANT)
-    with pytest.raises(BenchError, match="beside the records"):
+    with pytest.raises(BenchError, match="off the records"):
         begun_on(problem, other, recorded)
