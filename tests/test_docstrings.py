@@ -71,7 +71,7 @@ def _exists(name: str) -> bool:
     return False
 
 
-def test_every_name_in_a_docstring_exists() -> None:
+def test_docstring_names_exist() -> None:
     lost = [
         f"{path.relative_to(TOP)}:{line}: `{name}`"
         for path, tree in _trees().items()

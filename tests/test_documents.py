@@ -100,12 +100,12 @@ def _floors(text: str) -> dict[str, list[set[str]]]:
     return floors
 
 
-def test_the_readme_is_one_page() -> None:
+def test_readme_is_at_most_100_lines() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= 100
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
-def test_links_and_paths_exist(path: Path) -> None:
+def test_document_links_and_paths_exist(path: Path) -> None:
     text = path.read_text()
     missing = [target for target in LINK.findall(text) if not (path.parent / target).exists()]
     missing += [named for named in _paths(text) if not (ROOT / named).exists()]
@@ -119,7 +119,7 @@ def golfbench() -> Any:
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=_name)
-def test_commands_parse(path: Path, golfbench: Any) -> None:
+def test_document_commands_parse(path: Path, golfbench: Any) -> None:
     wrong = []
     for line in _commands(path.read_text()):
         try:
@@ -133,20 +133,20 @@ def test_commands_parse(path: Path, golfbench: Any) -> None:
     "line",
     ["profile nowhere", "swing list", "run --porfile default", "run --driver", "status more", "demo --seed"],
 )
-def test_a_wrong_command_is_found(line: str, golfbench: Any) -> None:
+def test_check_parses_wrong_command_fails(line: str, golfbench: Any) -> None:
     assert _commands(f"```\n$ golfbench {line}   # comment\n```") == [line]
     with pytest.raises(AssertionError):
         _check_parses(golfbench, line)
 
 
-def test_each_exit_code_is_documented_and_used() -> None:
+def test_exit_codes_are_documented_and_used() -> None:
     assert set(EXIT_CODES) == set(ExitCode)
     code = "".join(path.read_text() for path in (ROOT / "bench").rglob("*.py") if path.name != "cli.py")
     code += (ROOT / "bench/commands/cli.py").read_text().partition("_EPILOG")[2]
     assert [member.name for member in ExitCode if f"ExitCode.{member.name}" not in code] == []
 
 
-def test_the_drawing_of_floors_is_the_contracts() -> None:
+def test_floors_drawing_matches_import_contracts() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     contracts = {
         contract["containers"][0]: [set(floor.split(" | ")) for floor in contract["layers"]]
@@ -156,14 +156,14 @@ def test_the_drawing_of_floors_is_the_contracts() -> None:
     assert _floors((ROOT / "bench/README.md").read_text()) == contracts
 
 
-def test_at_least_twenty_changes_name_their_files() -> None:
+def test_change_table_rows_name_files() -> None:
     table = _section("bench/README.md", "Where do I change")
     rows = [row for row in table.splitlines() if row.startswith("| ")][1:]
     assert len(rows) >= 20
     assert [row for row in rows if not PATH_IN_TEXT.search(row)] == []
 
 
-def test_the_figures_of_the_fault_matrix_are_those_of_the_hazard_table() -> None:
+def test_fault_matrix_figures_match_documents() -> None:
     found = re.search(
         r", (\d+) cases(?:, a sample of one in \d+,)? from (\d+) instants, .*: (\d+) [^,]*, (\d+) [^,]*, "
         r"(\d+) [^,]*, (\d+) unsafe; (\d+)",
@@ -179,7 +179,7 @@ def test_the_figures_of_the_fault_matrix_are_those_of_the_hazard_table() -> None
     assert f"{unsafe} unsafe; {excluded} pairs" in text
 
 
-def test_the_changelog_begins_with_this_version() -> None:
+def test_changelog_starts_with_project_version() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     first = re.search(r"^## (\S+)", (ROOT / ".github/CHANGELOG.md").read_text(), re.MULTILINE)
     assert first is not None

@@ -26,7 +26,7 @@ def project(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> pytes
     return pytester
 
 
-def test_leaks_fail_and_clean_tests_pass(project: pytest.Pytester) -> None:
+def test_leak_check_fails_leaking_tests_only(project: pytest.Pytester) -> None:
     project.makepyfile(
         """
         import os, subprocess, sys, threading, time
@@ -66,7 +66,7 @@ def test_leaks_fail_and_clean_tests_pass(project: pytest.Pytester) -> None:
     )
 
 
-def test_workers_of_a_parallel_run_see_their_own_leaks(project: pytest.Pytester) -> None:
+def test_leak_check_parallel_workers_report_separate_leaks(project: pytest.Pytester) -> None:
     """Two workers leak and clean up at the same time; a file without a process id shows at the end."""
     name = f"golfbench-unowned-{os.getpid()}x"
     project.makepyfile(
@@ -105,7 +105,7 @@ def test_workers_of_a_parallel_run_see_their_own_leaks(project: pytest.Pytester)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
 
 
-def test_a_test_that_asks_for_a_tool_is_live(project: pytest.Pytester) -> None:
+def test_tool_requirement_marks_test_live(project: pytest.Pytester) -> None:
     project.makepyfile(TOOL_TESTS)
     result = project.runpytest_subprocess("-m", "live", "--collect-only", "-q")
     result.stdout.fnmatch_lines(["*test_marked", "*test_fixture", "*2/3 tests collected*"])
@@ -113,7 +113,7 @@ def test_a_test_that_asks_for_a_tool_is_live(project: pytest.Pytester) -> None:
 
 @pytest.mark.parametrize(("marker", "rerun"), [("live", 1), ("slow", 0)])
 @pytest.mark.parametrize("said", ["a stall of this machine: run golfbench doctor", "cut the cable"])
-def test_live_test_is_repeated_after_a_stall_that_its_bench_names(
+def test_live_test_after_reported_stall_is_repeated(
     project: pytest.Pytester, marker: str, rerun: int, said: str
 ) -> None:
     project.makepyfile(
@@ -131,7 +131,7 @@ def test_live_test_is_repeated_after_a_stall_that_its_bench_names(
     project.runpytest_subprocess().assert_outcomes(passed=rerun, failed=1 - rerun)
 
 
-def test_what_a_wider_fixture_holds_is_no_leak(project: pytest.Pytester) -> None:
+def test_leak_check_ignores_process_of_wider_fixture(project: pytest.Pytester) -> None:
     project.makepyfile(
         """
         import subprocess, pytest
@@ -161,7 +161,7 @@ TOOL_TESTS = """
 """
 
 
-def test_absent_tools_are_skipped_and_named(
+def test_absent_tool_skips_tests_and_lists_skips(
     project: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", "")
@@ -178,7 +178,7 @@ def test_absent_tools_are_skipped_and_named(
     )
 
 
-def test_a_demanded_tool_fails(project: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_demanded_tool_absent_fails_run(project: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     monkeypatch.setenv("GOLFBENCH_REQUIRE", "chromium,qemu")
     project.makepyfile(TOOL_TESTS)
@@ -188,7 +188,7 @@ def test_a_demanded_tool_fails(project: pytest.Pytester, monkeypatch: pytest.Mon
     assert "RuntimeError" not in result.stdout.str()
 
 
-def test_a_misspelt_demand_stops_the_run(project: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_demanded_tool_misspelt_stops_run(project: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GOLFBENCH_REQUIRE", "chromiun")
     result = project.runpytest_subprocess()
     assert result.ret == pytest.ExitCode.USAGE_ERROR

@@ -116,17 +116,17 @@ def literal(node: ast.expr) -> str | None:
 
 
 @pytest.mark.parametrize(("pattern", "ceilings"), CONSTRUCTIONS.items())
-def test_forbidden_constructions_become_fewer(pattern: str, ceilings: tuple[int, int]) -> None:
+def test_forbidden_constructions_stay_within_ceilings(pattern: str, ceilings: tuple[int, int]) -> None:
     compiled = re.compile(pattern, re.IGNORECASE | re.MULTILINE)
     found = [sum(len(compiled.findall(text)) for text in group) for group in (documents(), texts())]
     assert [count for count, most in zip(found, ceilings, strict=True) if count > most] == []
 
 
-def test_hand_written_documents_stay_short() -> None:
+def test_documents_stay_within_word_limit() -> None:
     assert sum(bool(re.search(r"\w", word)) for text in documents() for word in text.split()) <= MAX_WORDS
 
 
-def test_errors_have_noun_phrases_and_an_action_that_says_how() -> None:
+def test_bench_errors_have_noun_phrases_and_actions() -> None:
     parts = list(errors())
     assert len(parts) > 300
     short = [action for *_, action in parts if action and len(action.split()) <= 3 and "{}" not in action]
@@ -139,13 +139,20 @@ def test_errors_have_noun_phrases_and_an_action_that_says_how() -> None:
     assert len(nothings) <= MAX_NOTHINGS
 
 
+def test_test_names_have_no_articles_or_pronouns() -> None:
+    words = {"a", "an", "the", "it", "its", "nobody", "somebody", "whoever", "told", "said", "beside", "too"}
+    trees = (ast.parse(path.read_bytes()) for path in (PROJECT / "tests").rglob("*.py"))
+    names = (node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
+    assert [name for name in names if name.startswith("test_") and words & set(name.split("_"))] == []
+
+
 @pytest.mark.parametrize(("words", "ceiling"), CEILINGS.items())
-def test_words_that_hide_the_meaning_become_fewer(words: str, ceiling: int) -> None:
+def test_vague_words_stay_within_ceilings(words: str, ceiling: int) -> None:
     pattern = re.compile(rf"\b({words})\b", re.IGNORECASE)
     assert sum(len(pattern.findall(text)) for text in texts()) <= ceiling
 
 
-def test_each_public_class_is_defined_once() -> None:
+def test_public_classes_are_defined_once() -> None:
     names = Counter(
         node.name
         for tree in parsed().values()
@@ -155,7 +162,7 @@ def test_each_public_class_is_defined_once() -> None:
     assert [name for name, count in names.items() if count > 1] == []
 
 
-def test_functions_are_short_unless_they_read_better_whole() -> None:
+def test_functions_stay_within_line_limit() -> None:
     long = {
         f"{path}:{node.name}"
         for path, tree in parsed().items()
@@ -166,7 +173,7 @@ def test_functions_are_short_unless_they_read_better_whole() -> None:
     assert long == WHOLE
 
 
-def test_the_formatter_is_seldom_kept_away() -> None:
+def test_formatter_skips_stay_within_limit() -> None:
     mark = "# fmt: " + "skip"
     files = [path for folder in (*PACKAGES, "tests") for path in (PROJECT / folder).rglob("*.py")]
     assert sum(path.read_text().count(mark) for path in files) <= MAX_SKIPS

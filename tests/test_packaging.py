@@ -56,7 +56,7 @@ def _contracts(folder: Path, extra: dict[str, str]) -> subprocess.CompletedProce
     return subprocess.run([linter, "--no-cache"], cwd=folder, capture_output=True, text=True, check=False)
 
 
-def test_the_allowed_imports_keep_the_contracts(tmp_path: Path) -> None:
+def test_import_contracts_allowed_imports_pass(tmp_path: Path) -> None:
     answer = _contracts(tmp_path, {})
     assert answer.returncode == 0, answer.stdout
 
@@ -77,13 +77,13 @@ def test_the_allowed_imports_keep_the_contracts(tmp_path: Path) -> None:
         ("bench/unlisted", ""),
     ],
 )
-def test_a_forbidden_import_breaks_the_contracts(module: str, line: str, tmp_path: Path) -> None:
+def test_import_contracts_forbidden_import_fails(module: str, line: str, tmp_path: Path) -> None:
     answer = _contracts(tmp_path, {module: line})
     assert answer.returncode == 1
     assert "BROKEN" in answer.stdout or "unlisted" in answer.stdout
 
 
-def test_every_python_of_the_classifiers_is_checked_on_both_processors() -> None:
+def test_workflow_checks_every_python_on_both_processors() -> None:
     classifiers = PROJECT["project"]["classifiers"]
     named = [line.rpartition(" :: ")[2] for line in classifiers if "Python :: 3." in line]
     workflow = (TOP / ".github/workflows/check.yml").read_text()
@@ -106,7 +106,7 @@ def _imports(nodes: Iterable[ast.AST]) -> set[str]:
     return found - set(sys.stdlib_module_names) - set(PACKAGES)
 
 
-def test_every_imported_package_is_a_declared_dependency_and_extras_are_not_imported_at_once() -> None:
+def test_dependencies_declare_every_import() -> None:
     trees = [ast.parse(path.read_text()) for path in _sources()]
     extras = PROJECT["project"]["optional-dependencies"]
     needed = PROJECT["project"]["dependencies"]
@@ -136,7 +136,7 @@ def _needed(line: str, seen: set[str]) -> None:
             _needed(further, seen)
 
 
-def test_constraints_pin_everything_that_is_installed() -> None:
+def test_constraints_pin_every_installed_package() -> None:
     pins = [
         Requirement(line) for line in (TOP / "constraints.txt").read_text().splitlines() if line[0] != "#"
     ]
@@ -147,7 +147,7 @@ def test_constraints_pin_everything_that_is_installed() -> None:
     assert {name: pin for name, pin in pinned.items() if name in installed} == installed
 
 
-def test_pins_lie_within_the_declared_bounds() -> None:
+def test_constraints_lie_within_declared_bounds() -> None:
     pins = [
         Requirement(line) for line in (TOP / "constraints.txt").read_text().splitlines() if line[0] != "#"
     ]
@@ -163,7 +163,7 @@ def test_pins_lie_within_the_declared_bounds() -> None:
 
 
 @pytest.mark.parametrize("name", ["canopen", "daq", "mock", "sim"])
-def test_drivers_are_found_by_entry_point(name: str) -> None:
+def test_driver_entry_point_loads_driver(name: str) -> None:
     (entry,) = entry_points(group="golfbench.drivers", name=name)
     contract = [name for name in dir(Driver) if not name.startswith("_")]
     assert [name for name in contract if not hasattr(entry.load(), name)] == []
@@ -173,7 +173,7 @@ MANUAL = TOP / "bench" / "manual"
 """Documents with an example; the wheel has none."""
 
 
-def test_the_wheel_holds_code_data_and_types(tmp_path: Path) -> None:
+def test_wheel_holds_code_data_and_types(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
     subprocess.run(command, cwd=TOP, check=True, capture_output=True)
     (wheel,) = tmp_path.glob("golfbench-*.whl")
@@ -201,7 +201,7 @@ def _make(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_make_refuses_an_old_python(tmp_path: Path) -> None:
+def test_make_old_python_fails(tmp_path: Path) -> None:
     old = tmp_path / "python3.9"
     old.write_text('#!/bin/sh\nif [ "$1" = --version ]; then echo Python 3.9.2; else exit 1; fi\n')
     old.chmod(0o755)
@@ -212,7 +212,7 @@ def test_make_refuses_an_old_python(tmp_path: Path) -> None:
     assert not (tmp_path / ".venv").exists()
 
 
-def test_make_alone_shows_its_targets(tmp_path: Path) -> None:
+def test_make_without_target_lists_targets(tmp_path: Path) -> None:
     answer = _make(tmp_path)
     assert answer.returncode == 0
     for target in ("demo", "test", "benchmark", "lint", "coverage", "clean"):

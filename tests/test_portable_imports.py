@@ -141,7 +141,7 @@ def _posix_only(path: Path) -> list[str]:
 
 
 @pytest.mark.slow
-def test_what_needs_no_bench_imports_without_posix() -> None:
+def test_portable_modules_import_without_posix() -> None:
     arguments = [json.dumps(ABSENT), json.dumps(ROOMS)]
     done = subprocess.run(
         [sys.executable, "-c", IMPORTER, *arguments],
@@ -157,7 +157,7 @@ def test_what_needs_no_bench_imports_without_posix() -> None:
     assert [found for file in sorted(files) for found in _posix_only(Path(file))] == []
 
 
-def test_a_line_that_needs_posix_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_posix_only_reports_line_using_posix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "module.py"
     path.write_text("import os\nFLAGS = os.O_CLOEXEC\ndef later(): return os.getuid()\n")
     monkeypatch.setitem(globals(), "TOP", tmp_path)

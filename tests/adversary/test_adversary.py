@@ -33,19 +33,19 @@ DAY = (
 )
 
 
-def test_a_day_without_trouble_breaks_nothing() -> None:
+def test_play_fault_free_day_breaks_no_property() -> None:
     player = play(Story(Setup(), (("wait", 300, None), *DAY)))
     assert player.broken == []
     assert player.accepted >= 5
 
 
 @pytest.mark.parametrize("signal", ["guard locked", "local reset"])
-def test_a_fault_alone_breaks_nothing(signal: str) -> None:
+def test_play_single_fault_breaks_no_property(signal: str) -> None:
     fault = ("break", {"signal": signal, "kind": "off"}, None)
     assert play(Story(Setup(), (("wait", 300, None), *DAY[:-2], fault, *DAY[-2:]))).broken == []
 
 
-def test_the_judge_sees_what_it_is_there_for() -> None:
+def test_judge_reports_swing_without_request() -> None:
     player = play(Story(Setup(), (("wait", 300, None), *DAY)), recover=False)
     player.control["state"] = State.SWINGING  # from READY or ARMED, without a request
     player.do(("wait", 10, None))
@@ -69,7 +69,7 @@ ENTERED = (
 """Somebody goes in, and the emergency stop is pressed."""
 
 
-def test_who_went_in_during_access_can_leave_and_the_bench_goes_on() -> None:
+def test_recover_emergency_stop_during_access_reaches_ready() -> None:
     player = play(Story(Setup(), ENTERED), recover=False)
     assert player.state is State.ESTOP
     assert not player.bench.plant_state["guard_locked"][0]
@@ -77,14 +77,14 @@ def test_who_went_in_during_access_can_leave_and_the_bench_goes_on() -> None:
     assert player.broken == []  # it is READY
 
 
-def test_the_judge_sees_who_is_locked_in() -> None:
+def test_judge_reports_person_locked_in() -> None:
     player = play(Story(Setup(), ENTERED), recover=False)
     player.control["guard_was_opened"] = False
     player.do(("wait", 10, None))
     assert any("locked in" in text for text in player.broken)
 
 
-def test_the_judge_lets_a_press_count_once() -> None:
+def test_judge_second_reset_without_press_is_reported() -> None:
     press = (("press", None, None), ("ask", "secure", None), ("wait", 100, None), ("ask", "reset", None))
     player = play(Story(Setup(), (*ENTERED, *press)), recover=False)
     assert player.state is State.ESTOP
@@ -98,7 +98,7 @@ def test_the_judge_lets_a_press_count_once() -> None:
     assert any("reset without a press" in text for text in player.broken)
 
 
-def test_a_story_is_read_as_it_was_written(tmp_path: Path) -> None:
+def test_read_story_restores_written_story(tmp_path: Path) -> None:
     story, player = improvise(3, steps=12)
     path = tmp_path / "story.json"
     path.write_text(story.to_text())
@@ -106,7 +106,7 @@ def test_a_story_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert play(story, recover=False).bench.tick <= player.bench.tick
 
 
-def test_every_kind_of_fault_can_be_drawn() -> None:
+def test_drawn_fault_covers_every_kind() -> None:
     random = np.random.default_rng(1)
     drawn = {(sort_of(fault.signal), fault.kind) for fault in (drawn_fault(random) for _ in range(5_000))}
     sorts = {sort_of(signal) for signal in SIGNALS if signal != "launch monitor"}
@@ -116,6 +116,6 @@ def test_every_kind_of_fault_can_be_drawn() -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("seed", release_except(range(1000, 1004), range(1000, 1030)))
-def test_random_requests_and_faults_break_nothing(seed: int) -> None:
+def test_improvise_random_story_breaks_no_property(seed: int) -> None:
     story, _ = improvise(seed)
     assert not story.found, story.to_text()

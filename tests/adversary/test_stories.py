@@ -18,5 +18,5 @@ pytestmark = pytest.mark.skipif(
 
 
 @pytest.mark.parametrize("path", STORIES, ids=lambda path: path.stem)
-def test_the_story_breaks_nothing_any_more(path: Path) -> None:
+def test_play_stored_story_breaks_no_property(path: Path) -> None:
     assert play(read_story(path)).broken == []

@@ -66,7 +66,7 @@ def patient_configuration(folder: Path, name: str, text: str = "") -> Path:
     )
 
 
-def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_path: Path) -> None:
+def test_canopen_bench_lost_bus_latches_fault_until_reset(tmp_path: Path) -> None:
     channel = tmp_path / "bus"
     file = patient_configuration(tmp_path, "bus", SLOW_MOVES)
     with (
@@ -106,7 +106,7 @@ def test_a_bus_that_goes_and_comes_back_ends_latched_until_a_person_resets(tmp_p
 
 
 @pytest.mark.release
-def test_a_replaced_node_that_stores_for_seconds_is_taken_by_a_reset(tmp_path: Path) -> None:
+def test_canopen_bench_replaced_node_recovers_by_reset(tmp_path: Path) -> None:
     file = patient_configuration(tmp_path, "store", SLOW_MOVES)
     with ExitStack() as first:
         first.enter_context(played_nodes(file, "--io", "wago-750"))
@@ -130,7 +130,7 @@ def said(file: Path, *arguments: str) -> tuple[int, str]:
 
 @pytest.mark.release
 @pytest.mark.timeout(600)
-def test_a_preset_set_after_the_calibration_is_refused_before_anything_moves(tmp_path: Path) -> None:
+def test_canopen_bench_changed_encoder_preset_is_refused_until_calibrated(tmp_path: Path) -> None:
     file = patient_configuration(tmp_path, "preset", SLOW_MOVES)
     calibrate = ("calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "0", "0", "0")
     with ExitStack() as first:
@@ -209,7 +209,7 @@ def swing_undisturbed(bench: BenchProcess) -> tuple[np.ndarray[Any, Any], dict[s
 
 @pytest.mark.release
 @pytest.mark.timeout(600)
-def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) -> None:
+def test_canopen_bench_preconfigured_devices_home_and_swing(tmp_path: Path) -> None:
     """Encoders reversed and scaled, inputs and outputs inverted; a scan beside the running bench."""
     file = patient_configuration(tmp_path, "sold")
     with (
@@ -227,7 +227,7 @@ def test_devices_that_a_predecessor_has_set_up_home_and_swing(tmp_path: Path) ->
 
 @pytest.mark.release
 @pytest.mark.timeout(600)
-def test_the_robot_behind_the_bus_is_commissioned(tmp_path: Path) -> None:
+def test_live_robot_over_canopen_moves_and_swings(tmp_path: Path) -> None:
     """It is measured at the pressure to which its regulator is turned, homed, armed and swung."""
     file = patient_configuration(tmp_path, "day", SLOW_MOVES)
     configuration = load_configuration(file)

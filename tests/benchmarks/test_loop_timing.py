@@ -40,24 +40,24 @@ OUTPUT = """# /dev/cpu_dma_latency set to 0us
 """
 
 
-def test_a_histogram_of_cyclictest_is_read_with_its_overflows() -> None:
+def test_read_histogram_counts_overflows() -> None:
     found = read_histogram(OUTPUT)
     assert found == Latencies(1000, p50=8.0, p99=1000.0, p999=1001.0, longest=25001.0, late=10)
 
 
-def test_a_latency_off_the_histogram_is_no_shorter_than_its_end() -> None:
+def test_read_histogram_overflow_counts_above_last_bin() -> None:
     found = read_histogram("# Max Latencies: 30000\n# Histogram Overflows: 3\n000005 000001\n")
     assert found.p50 == HISTOGRAM_US + 1
     assert found.late == 3
 
 
-def test_no_histogram_is_an_error() -> None:
+def test_read_histogram_empty_output_raises() -> None:
     with pytest.raises(RuntimeError, match="counted nothing"):
         read_histogram("# Total: 0\n")
 
 
 @pytest.mark.requires("cyclictest")
-def test_cyclictest_runs_and_is_understood() -> None:
+def test_run_cyclictest_returns_ordered_latencies() -> None:
     ask = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))"
     if subprocess.run([sys.executable, "-c", ask], check=False, stderr=subprocess.DEVNULL).returncode:
         pytest.skip("no real-time scheduling for this user")
@@ -66,7 +66,7 @@ def test_cyclictest_runs_and_is_understood() -> None:
     assert 0.0 < found.p50 <= found.p99 <= found.p999 <= found.longest
 
 
-def test_steal_is_that_of_the_core() -> None:
+def test_steal_ticks_reads_selected_core() -> None:
     stat = "cpu  1 2 3 4 5 6 7 99 9 10\ncpu0 1 2 3 4 5 6 7 8 9 10\ncpu1 1 2 3 4 5 6 7 18 9 10\n"
     assert (steal_ticks(0, stat), steal_ticks(1, stat)) == (8, 18)
 
@@ -91,11 +91,11 @@ def verdicts(pairs: list[Pair], tick: int = 60_000, rate: float = 1000.0) -> dic
     return {row.name: row.holds for row in rows(pairs, counters(tick), rate)}
 
 
-def test_figures_within_their_limits_hold() -> None:
+def test_timing_rows_within_limits_hold() -> None:
     assert all(verdicts([pair(1.4), pair(1.5), pair(9.0, steal=3)]).values())
 
 
-def test_each_limit_can_be_missed() -> None:
+def test_timing_rows_above_limits_fail() -> None:
     missed = {name for name, holds in verdicts([pair(2.1, late=5)] * 3, tick=300_000).items() if not holds}
     assert missed == {
         "all pairs, p99 over cyclictest's",
@@ -106,18 +106,18 @@ def test_each_limit_can_be_missed() -> None:
     assert verdicts([pair(1.0)], tick=300_000, rate=4000.0)["tick, p99"]
 
 
-def test_pairs_with_steal_do_not_count_where_they_are_not_to() -> None:
+def test_timing_rows_pairs_with_steal_excluded_from_p999() -> None:
     name = "pairs without steal, p99.9 over cyclictest's"
     assert not verdicts([pair(3.0), pair(3.0), pair(1.0, steal=1)])[name]
     assert verdicts([pair(1.0), pair(3.0, steal=1), pair(3.0, steal=2)])[name]
 
 
-def test_the_bootstrap_interval_holds_the_median() -> None:
+def test_median_interval_contains_median() -> None:
     median, low, high = median_interval(list(np.random.default_rng(1).lognormal(0.0, 0.5, 20)))
     assert low < median < high
     assert median_interval([1.25] * 20) == (1.25, 1.25, 1.25)
     assert np.isnan(median_interval([])).all()
 
 
-def test_the_table_shows_all_pairs() -> None:
+def test_timing_table_shows_all_pairs() -> None:
     assert table([pair(1.0), pair(1.1)], 1000.0).row_count == 2

@@ -8,7 +8,7 @@ from tests.benchmarks.results import keep, provenance
 from tests.benchmarks.row import Row
 
 
-def test_a_command_replaces_its_own_section_and_no_other(tmp_path: Path) -> None:
+def test_keep_same_command_replaces_only_own_section(tmp_path: Path) -> None:
     rows = [Row("speed", "swings", 1234.5, "1/s", "a|b", at_least=1000.0)]
     made = provenance()
     keep("speed", ["--cores", "2"], rows, made, tmp_path)

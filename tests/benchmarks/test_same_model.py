@@ -22,17 +22,17 @@ ROBOT = thesis_robot()
 pytestmark = pytest.mark.release
 
 
-def test_pinocchio_has_the_same_accelerations() -> None:
+def test_pinocchio_robot_accelerations_agree() -> None:
     assert disagreement(PinocchioRobot(ROBOT, "Euler")) < 1e-10
 
 
 @pytest.mark.parametrize("settings", SETTINGS)
-def test_mujoco_has_the_same_accelerations_within_its_softness(settings: str) -> None:
+def test_mujoco_robot_accelerations_agree_within_softness(settings: str) -> None:
     assert disagreement(MujocoRobot(ROBOT, "Euler", settings)) < 5e-4
 
 
 @pytest.mark.parametrize("rule", ["Euler", "RK4"])
-def test_all_integrate_the_same_motion(rule: str) -> None:
+def test_simulators_integrate_same_motion(rule: str) -> None:
     start, effort = np.array([-2.0, 3.6, 5.1]), np.array([35.0, 160.0, 15.0])
 
     def rate(_: float, y: Array) -> Array:

@@ -18,7 +18,7 @@ TIMES = np.arange(0.0, 4 * 3600.0, 60.0)
 DRAWN = np.random.default_rng(7)
 
 
-def test_growth_is_that_of_the_second_half_by_the_hour() -> None:
+def test_growth_estimates_hourly_slope_of_second_half() -> None:
     settling = np.where(TIMES < 3600.0, 40.0 * TIMES / 3600.0, 40.0)
     leaking = settling + 3.0 * TIMES / 3600.0 + DRAWN.normal(0.0, 0.5, len(TIMES))
     found = growth(TIMES, leaking)
@@ -28,11 +28,11 @@ def test_growth_is_that_of_the_second_half_by_the_hour() -> None:
     assert still.low < 0.0 < still.high
 
 
-def test_too_few_looks_give_no_growth() -> None:
+def test_growth_few_samples_is_nan() -> None:
     assert np.isnan(growth([0.0, 60.0, 120.0], [1.0, 2.0, 3.0]).slope)
 
 
-def test_a_process_that_takes_more_is_named_and_one_that_rests_is_not() -> None:
+def test_leaks_names_only_growing_process() -> None:
     samples = [
         Sample(
             at,
@@ -51,7 +51,7 @@ def test_a_process_that_takes_more_is_named_and_one_that_rests_is_not() -> None:
     assert growths(TIMES.tolist(), [one.processes for one in samples], "unique")["loop"].slope == 0.0
 
 
-def test_this_process_is_seen() -> None:
+def test_figures_of_own_process_are_plausible() -> None:
     found = figures_of(os.getpid())
     assert found is not None
     assert found.resident >= found.unique > 1.0
@@ -69,7 +69,7 @@ for line in sys.stdin:
 
 
 @pytest.mark.requires("cc")
-def test_a_clock_is_set_while_a_process_runs_and_its_monotonic_one_is_not(tmp_path: Path) -> None:
+def test_wall_clock_set_leaves_monotonic_clock(tmp_path: Path) -> None:
     clock = WallClock(tmp_path)
     with subprocess.Popen(
         [sys.executable, "-c", _ASK],

@@ -50,7 +50,7 @@ def heard(bus: can.BusABC) -> list[can.Message]:
     return list(iter(lambda: bus.recv(0.05), None))
 
 
-def test_python_can_finds_it_by_its_entry_point() -> None:
+def test_local_socket_is_registered_with_python_can() -> None:
     assert "local_socket" in VALID_INTERFACES
 
 
@@ -65,7 +65,7 @@ def test_python_can_finds_it_by_its_entry_point() -> None:
     ],
     ids=["data", "empty", "extended", "remote", "error"],
 )
-def test_all_others_get_a_frame_as_it_was_sent(sent: can.Message, join: Join) -> None:
+def test_local_bus_delivers_frame_to_all_others(sent: can.Message, join: Join) -> None:
     first, second, third = join(), join(), join()
     first.send(sent)
     for bus in (second, third):
@@ -74,14 +74,14 @@ def test_all_others_get_a_frame_as_it_was_sent(sent: can.Message, join: Join) ->
     assert heard(first) == []
 
 
-def test_frames_of_one_sender_keep_their_order(join: Join) -> None:
+def test_local_bus_single_sender_keeps_order(join: Join) -> None:
     first, second = join(), join()
     for n in range(200):
         first.send(message(n))
     assert [got.arbitration_id for got in heard(second)] == list(range(200))
 
 
-def test_frames_of_several_senders_come_in_the_order_of_sending(join: Join) -> None:
+def test_local_bus_several_senders_keep_order(join: Join) -> None:
     reader, senders = join(), [join() for _ in range(3)]
     for n in range(150):
         senders[n * n % 3].send(message(n))
@@ -89,7 +89,7 @@ def test_frames_of_several_senders_come_in_the_order_of_sending(join: Join) -> N
     assert [got.arbitration_id for got in heard(reader)] == list(range(150))
 
 
-def test_a_message_bears_the_time_of_its_sending(join: Join) -> None:
+def test_local_bus_timestamp_is_send_time(join: Join) -> None:
     first, second = join(), join()
     before = time.time()
     first.send(message())
@@ -99,13 +99,13 @@ def test_a_message_bears_the_time_of_its_sending(join: Join) -> None:
     assert before - 0.01 < got.timestamp < after + 0.01
 
 
-def test_own_frames_come_back_when_asked_for(join: Join) -> None:
+def test_local_bus_receive_own_messages_returns_own_frame(join: Join) -> None:
     bus = join(receive_own_messages=True)
     bus.send(message())
     assert [got.arbitration_id for got in heard(bus)] == [0x123]
 
 
-def test_filters_let_through_what_matches_and_every_error_frame(join: Join) -> None:
+def test_local_bus_filters_pass_matches_and_error_frames(join: Join) -> None:
     chosen = join(can_filters=[{"can_id": 0x120, "can_mask": 0x7F0, "extended": False}])
     other = join()
     for sent in (
@@ -121,7 +121,7 @@ def test_filters_let_through_what_matches_and_every_error_frame(join: Join) -> N
     ]
 
 
-def test_waiting_ends_in_time_also_when_only_other_frames_come(join: Join) -> None:
+def test_receive_frame_only_filtered_frames_times_out(join: Join) -> None:
     chosen, other = join(can_filters=[{"can_id": 1, "can_mask": 0x7FF}]), join()
     for _ in range(20):
         other.send(message(2))
@@ -130,7 +130,7 @@ def test_waiting_ends_in_time_also_when_only_other_frames_come(join: Join) -> No
     assert 0.04 < time.monotonic() - begin < 5.0
 
 
-def test_one_who_does_not_read_delays_nobody(join: Join) -> None:
+def test_local_bus_slow_reader_loses_frames_without_delay(join: Join) -> None:
     sender, lazy, busy = join(), join(), join()
     for n in range(3000):
         sender.send(message(n % 0x800))
@@ -140,7 +140,7 @@ def test_one_who_does_not_read_delays_nobody(join: Join) -> None:
     assert sender.overruns == 3000 - kept
 
 
-def test_one_who_was_killed_is_forgotten(folder: Path, join: Join) -> None:
+def test_local_bus_killed_participant_is_removed(folder: Path, join: Join) -> None:
     code = (
         "import can, os, sys; bus = can.Bus(interface='local_socket', channel=sys.argv[1]);"
         "print('here', flush=True); sys.stdin.read(); os._exit(0)"
@@ -162,7 +162,7 @@ def test_one_who_was_killed_is_forgotten(folder: Path, join: Join) -> None:
     assert len(list(folder.glob("*.sock"))) == 2
 
 
-def test_switched_off_nothing_can_be_sent_until_it_is_on_again(folder: Path, join: Join) -> None:
+def test_switch_off_blocks_sending_until_on(folder: Path, join: Join) -> None:
     first, second = join(), join()
     first.send(message())
     switch(folder, on=False)
@@ -175,7 +175,7 @@ def test_switched_off_nothing_can_be_sent_until_it_is_on_again(folder: Path, joi
     assert [got.arbitration_id for got in heard(second)] == [0x123, 2]
 
 
-def test_frames_are_those_of_linux(join: Join) -> None:
+def test_send_frame_uses_socketcan_layout(join: Join) -> None:
     first, second = join(), join()
     first.send_frame(FRAME.pack(0x40 | ERROR, 8, bytes(8)))
     (got,) = heard(second)
@@ -183,36 +183,36 @@ def test_frames_are_those_of_linux(join: Join) -> None:
     assert FRAME.size == 16
 
 
-def test_long_frames_are_refused(join: Join) -> None:
+def test_local_bus_fd_frame_is_refused(join: Join) -> None:
     with pytest.raises(can.CanOperationError, match="classic"):
         join().send(message(data=bytes(12), is_fd=True))
 
 
-def test_leaving_takes_the_socket_away(folder: Path, join: Join) -> None:
+def test_shutdown_removes_socket(folder: Path, join: Join) -> None:
     bus = join()
     bus.shutdown()
     assert list(folder.iterdir()) == []
 
 
-def test_a_folder_that_others_may_write_to_is_refused(folder: Path, join: Join) -> None:
+def test_local_bus_world_writable_folder_is_refused(folder: Path, join: Join) -> None:
     folder.mkdir()
     folder.chmod(0o777)
     with pytest.raises(can.CanInitializationError, match="this user alone"):
         join()
 
 
-def test_a_path_too_long_for_a_socket_is_refused(tmp_path: Path) -> None:
+def test_local_bus_overlong_path_is_refused(tmp_path: Path) -> None:
     with pytest.raises(can.CanInitializationError, match="shorter"):
         can.Bus(interface="local_socket", channel=str(tmp_path / ("x" * 100)))
 
 
-def test_a_name_is_a_folder_of_this_user(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_folder_of_name_is_user_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     assert folder_of("bench1") == tmp_path / f"golfbench-can-{os.getuid()}-bench1"
     assert folder_of(tmp_path / "x") == tmp_path / "x"
 
 
-def test_a_clock_that_was_set_back_makes_no_look_at_each_frame(
+def test_local_bus_clock_set_back_looks_once(
     folder: Path, join: Join, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one, other = join(), join()

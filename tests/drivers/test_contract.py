@@ -199,11 +199,11 @@ def ticks(driver: Driver, count: int) -> list[Readings]:
     return taken
 
 
-def test_it_is_a_driver(driver: Driver) -> None:
+def test_driver_implements_protocol(driver: Driver) -> None:
     assert isinstance(driver, Driver)
 
 
-def test_reading_and_writing_need_an_open_device(case: Case) -> None:
+def test_read_and_write_while_closed_raise(case: Case) -> None:
     driver = case.make()
     for state in ("new", "closed"):
         with pytest.raises(DriverError, match=r"open"):
@@ -215,14 +215,14 @@ def test_reading_and_writing_need_an_open_device(case: Case) -> None:
             driver.close()
 
 
-def test_opening_twice_is_refused_and_changes_nothing(opened: Driver, case: Case) -> None:
+def test_open_twice_is_refused_and_keeps_command(opened: Driver, case: Case) -> None:
     ticks(opened, 2)
     with pytest.raises(DriverError, match=r"open"):
         opened.open()
     assert case.in_force(opened) == MOVING
 
 
-def test_it_can_be_opened_again_after_closing(driver: Driver, case: Case) -> None:
+def test_open_after_close_works_and_is_passive(driver: Driver, case: Case) -> None:
     for _ in range(2):
         driver.open()
         assert case.in_force(driver) == PASSIVE
@@ -231,7 +231,7 @@ def test_it_can_be_opened_again_after_closing(driver: Driver, case: Case) -> Non
         driver.close()
 
 
-def test_passive_and_close_are_allowed_in_any_state(driver: Driver, case: Case) -> None:
+def test_make_passive_and_close_work_in_any_state(driver: Driver, case: Case) -> None:
     driver.make_passive()
     driver.close()
     driver.make_passive()
@@ -250,13 +250,13 @@ any_calls = st.lists(st.sampled_from(["open", "read", "write", "make_passive", "
 @pytest.mark.live
 @settings(max_examples=30, deadline=None)
 @given(calls=any_calls)
-def test_any_order_of_calls_ends_in_a_driver_error_or_works(calls: list[str]) -> None:
+def test_call_order_live_works_or_raises_driver_error(calls: list[str]) -> None:
     call_in_order(calls, DRIVERS.values())
 
 
 @settings(max_examples=30, deadline=None)
 @given(calls=any_calls)
-def test_any_order_of_calls_in_lock_step_ends_in_a_driver_error_or_works(calls: list[str]) -> None:
+def test_call_order_lock_step_works_or_raises_driver_error(calls: list[str]) -> None:
     call_in_order(calls, (case for case in DRIVERS.values() if not case.on_wall))
 
 
@@ -286,7 +286,7 @@ def call_in_order(calls: list[str], cases: Iterable[Case]) -> None:
         driver.close()
 
 
-def test_passive_is_applied_and_a_new_command_works_after_it(opened: Driver, case: Case) -> None:
+def test_make_passive_applies_until_next_command(opened: Driver, case: Case) -> None:
     last = ticks(opened, 5)[-1].time
     assert case.in_force(opened) == MOVING
     opened.make_passive()
@@ -296,7 +296,7 @@ def test_passive_is_applied_and_a_new_command_works_after_it(opened: Driver, cas
     assert opened.write(MOVING) == MOVING
 
 
-def test_closing_leaves_it_passive(opened: Driver, case: Case) -> None:
+def test_close_leaves_passive_command(opened: Driver, case: Case) -> None:
     ticks(opened, 5)
     opened.close()
     assert case.in_force(opened) == PASSIVE
@@ -310,7 +310,7 @@ def test_closing_leaves_it_passive(opened: Driver, case: Case) -> None:
         ((1.5, -7.0, 1e300), (1.0, -1.0, 1.0)),
     ],
 )
-def test_the_command_applied_is_returned(
+def test_write_returns_applied_command(
     opened: Driver, case: Case, asked: tuple[float, float, float], applied: tuple[float, float, float]
 ) -> None:
     opened.read(0.0)
@@ -321,9 +321,7 @@ def test_the_command_applied_is_returned(
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("valve", range(3))
-def test_an_opening_that_is_not_finite_makes_it_passive(
-    opened: Driver, case: Case, bad: float, valve: int
-) -> None:
+def test_write_non_finite_valve_applies_passive(opened: Driver, case: Case, bad: float, valve: int) -> None:
     ticks(opened, 2)
     openings = [0.2, 0.2, 0.2]
     openings[valve] = bad
@@ -331,7 +329,7 @@ def test_an_opening_that_is_not_finite_makes_it_passive(
     assert case.in_force(opened) == PASSIVE
 
 
-def test_readings_have_their_types_and_fit_the_record(opened: Driver) -> None:
+def test_readings_have_types_and_pack_into_record(opened: Driver) -> None:
     for reading in ticks(opened, 20):
         assert isinstance(reading, Readings)
         assert isinstance(reading.time, float)
@@ -351,7 +349,7 @@ def test_readings_have_their_types_and_fit_the_record(opened: Driver) -> None:
         pack_readings(reading, new_record(READINGS))
 
 
-def test_times_run_forward_and_ages_belong_to_them(opened: Driver, case: Case) -> None:
+def test_encoder_times_never_decrease_and_ages_match(opened: Driver, case: Case) -> None:
     readings = ticks(opened, 50)
     stamps = np.array([r.encoder_time for r in readings])
     assert not np.any(np.diff(stamps, axis=0) < 0)  # the first ones may be missing: not a number
@@ -365,14 +363,14 @@ def test_times_run_forward_and_ages_belong_to_them(opened: Driver, case: Case) -
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 0.0])
-def test_a_time_that_does_not_run_forward_is_refused(opened: Driver, bad: float) -> None:
+def test_read_time_not_increasing_is_refused(opened: Driver, bad: float) -> None:
     opened.read(1.0)
     with pytest.raises(DriverError, match=r"time"):
         opened.read(bad)
 
 
 @pytest.mark.parametrize("name", [name for name, case in DRIVERS.items() if not case.on_wall])
-def test_the_same_calls_give_the_same_readings(name: str) -> None:
+def test_same_calls_give_identical_readings(name: str) -> None:
     case, runs = DRIVERS[name], []
     for _ in range(2):
         driver = case.make()

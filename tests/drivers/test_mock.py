@@ -40,7 +40,7 @@ def angles(driver: MockDriver, time: float) -> Any:
     return state["angle"][0]
 
 
-def test_an_opening_is_a_speed(driver: MockDriver) -> None:
+def test_mock_valve_command_is_joint_speed(driver: MockDriver) -> None:
     before = angles(driver, 0.0)
     assert before == pytest.approx([0.0, 4.0, 6.0], abs=1e-4)
     driver.write(ON._replace(valve=(0.5, -0.1, -1.0)))
@@ -49,19 +49,19 @@ def test_an_opening_is_a_speed(driver: MockDriver) -> None:
 
 
 @pytest.mark.parametrize("off", ["supply_enable", "exhaust_closed"])
-def test_without_air_nothing_moves(driver: MockDriver, off: str) -> None:
+def test_mock_without_air_does_not_move(driver: MockDriver, off: str) -> None:
     before = angles(driver, 0.0)
     driver.write(ON._replace(valve=(1.0, 1.0, -1.0), **{off: False}))
     np.testing.assert_array_equal(angles(driver, 1.0), before)
 
 
-def test_the_joints_stop_at_the_ends_of_their_travel(driver: MockDriver) -> None:
+def test_mock_joints_stop_at_end_stops(driver: MockDriver) -> None:
     driver.read(0.0)
     driver.write(ON._replace(valve=(1.0, -1.0, -1.0)))
     assert angles(driver, 10.0) == pytest.approx([2.5, math.pi, 4.8], abs=1e-4)
 
 
-def test_the_surroundings_are_what_the_test_sets(driver: MockDriver) -> None:
+def test_mock_readings_follow_attributes_and_command(driver: MockDriver) -> None:
     first = driver.read(0.0)
     assert (first.emergency_stop_clear, first.guard_closed, first.guard_locked) == (True, True, True)
     assert (first.local_reset, first.ball_present) == (False, False)
@@ -79,7 +79,7 @@ def test_the_surroundings_are_what_the_test_sets(driver: MockDriver) -> None:
     assert (third.guard_closed, third.guard_locked) == (False, False)
 
 
-def test_a_rising_tee_gives_one_ball(driver: MockDriver) -> None:
+def test_mock_rising_tee_places_single_ball(driver: MockDriver) -> None:
     driver.write(ON._replace(tee=True))
     assert driver.read(0.0).ball_present
     driver.ball_present = False
@@ -90,7 +90,7 @@ def test_a_rising_tee_gives_one_ball(driver: MockDriver) -> None:
     assert driver.read(2 * PERIOD).ball_present
 
 
-def test_a_lost_encoder_keeps_its_last_sample_and_ages(driver: MockDriver) -> None:
+def test_mock_lost_encoder_keeps_last_count_and_ages(driver: MockDriver) -> None:
     first = driver.read(0.0)
     driver.write(ON._replace(valve=(0.0, 0.0, -1.0)))
     driver.encoder_valid = (True, True, False)
@@ -104,7 +104,7 @@ def test_a_lost_encoder_keeps_its_last_sample_and_ages(driver: MockDriver) -> No
     assert back.encoder_count[2] != first.encoder_count[2]
 
 
-def test_an_encoder_that_never_gave_a_sample_has_no_time() -> None:
+def test_mock_encoder_never_valid_has_nan_time() -> None:
     driver = MockDriver()
     driver.encoder_valid = (False, True, True)
     driver.open()

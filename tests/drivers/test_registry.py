@@ -26,7 +26,7 @@ def plug_in(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return module
 
 
-def test_the_installed_drivers_are_found() -> None:
+def test_find_drivers_lists_installed_drivers() -> None:
     drivers = find_drivers()
     assert drivers["mock"] is MockDriver
     assert list(drivers) == sorted(drivers)
@@ -42,7 +42,7 @@ def test_the_installed_drivers_are_found() -> None:
         ("not an entry point", ""),
     ],
 )
-def test_a_broken_plug_in_is_named_and_takes_no_other_with_it(value: str, reason: str) -> None:
+def test_find_drivers_broken_plug_in_keeps_others(value: str, reason: str) -> None:
     drivers = find_drivers([entry("broken", value), MOCK])
     assert drivers["mock"] is MockDriver
     broken = drivers["broken"]
@@ -54,9 +54,7 @@ def test_a_broken_plug_in_is_named_and_takes_no_other_with_it(value: str, reason
         choose_driver("broken", drivers)
 
 
-def test_a_plug_in_that_fails_while_it_is_imported_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_find_drivers_import_error_reports_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "failing_plug_in.py").write_text("raise RuntimeError('no device library')\n")
     broken = find_drivers([entry("failing", "failing_plug_in:Driver"), MOCK])["failing"]
@@ -64,13 +62,13 @@ def test_a_plug_in_that_fails_while_it_is_imported_is_named(
     assert broken.reason == "RuntimeError: no device library"
 
 
-def test_a_function_may_make_the_driver(plug_in: ModuleType) -> None:
+def test_choose_driver_accepts_factory_function(plug_in: ModuleType) -> None:
     plug_in.make = lambda: MockDriver(start=(0.1, 4.0, 6.0))  # type: ignore[attr-defined]
     factory = choose_driver("made", find_drivers([entry("made", "some_plug_in:make")]))
     assert isinstance(factory(), MockDriver)
 
 
-def test_two_plug_ins_of_one_name_are_both_refused(plug_in: ModuleType) -> None:
+def test_find_drivers_duplicate_name_is_broken(plug_in: ModuleType) -> None:
     plug_in.Other = type("Other", (MockDriver,), {})  # type: ignore[attr-defined]
     drivers = find_drivers([MOCK, entry("mock", "some_plug_in:Other")])
     broken = drivers["mock"]
@@ -80,11 +78,11 @@ def test_two_plug_ins_of_one_name_are_both_refused(plug_in: ModuleType) -> None:
     assert "some_plug_in:Other" in broken.reason
 
 
-def test_the_same_entry_seen_twice_is_one_driver() -> None:
+def test_find_drivers_same_entry_twice_gives_single_driver() -> None:
     assert find_drivers([MOCK, MOCK]) == {"mock": MockDriver}
 
 
-def test_an_unknown_driver_is_answered_with_those_that_work() -> None:
+def test_choose_driver_unknown_name_lists_working_drivers() -> None:
     drivers = find_drivers([MOCK, entry("broken", "no_such_module:Driver")])
     with pytest.raises(DriverError, match=r"'can' is not installed; working drivers: mock$"):
         choose_driver("can", drivers)

@@ -54,14 +54,14 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_the_readme_shows_what_the_campaign_prints(campaign: tuple[Path, str]) -> None:
+def test_readme_matches_campaign_run_output(campaign: tuple[Path, str]) -> None:
     shown = README.read_text().partition("two-balls --sim\n")[2].partition("```")[0]
     assert " ".join(shown.split()) in " ".join(campaign[1].split())
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_the_analysis_of_a_campaign(campaign: tuple[Path, str]) -> None:
+def test_campaign_tracking_prints_row_per_record(campaign: tuple[Path, str]) -> None:
     rows = _python(str(EXAMPLES / "campaign_tracking.py"), str(campaign[0])).splitlines()
     assert rows[1].split() == ["record", "shoulder", "arm", "wrist"]
     assert len(rows) == 2 + len(list(campaign[0].glob("swings/*.parquet"))) + 2
@@ -70,7 +70,7 @@ def test_the_analysis_of_a_campaign(campaign: tuple[Path, str]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_swing_in_lock_step_is_plotted(tmp_path: Path) -> None:
+def test_lock_step_swing_writes_plot(tmp_path: Path) -> None:
     _python(str(EXAMPLES / "lock_step_swing.py"), str(tmp_path / "swing.png"))
     assert (tmp_path / "swing.png").stat().st_size > 10_000
 
@@ -78,7 +78,7 @@ def test_swing_in_lock_step_is_plotted(tmp_path: Path) -> None:
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(600)
-def test_the_client_of_a_running_bench(tmp_path: Path) -> None:
+def test_one_swing_client_runs_and_messages_follow_contract(tmp_path: Path) -> None:
     """And of a program that does not import the bench; what the bench said is as its contract says."""
     file = write_configuration(tmp_path, "example")
     output = tmp_path / "subscriber.txt"
@@ -104,7 +104,7 @@ def test_the_client_of_a_running_bench(tmp_path: Path) -> None:
 @pytest.mark.paced
 @pytest.mark.timeout(600)
 @pytest.mark.requires("zenoh-pico")
-def test_a_subscriber_in_c_gets_the_contract_and_messages_that_follow_it(tmp_path: Path) -> None:
+def test_c_subscriber_receives_contract_and_valid_messages(tmp_path: Path) -> None:
     flags = subprocess.check_output(["pkg-config", "--cflags", "--libs", "zenohpico"], text=True).split()
     program = str(tmp_path / "subscriber")
     compiler = ["cc", "-Wall", "-Wextra", "-Werror", str(EXAMPLES / "subscriber.c"), "-o", program]
@@ -155,7 +155,7 @@ def _check_contract(bench: str, samples: list[zenoh.Sample]) -> None:
     assert seen == {"state", "event", "shot", "loop"}
 
 
-def test_the_driver_plug_in(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_half_stroke_driver_plug_in_limits_valves(monkeypatch: pytest.MonkeyPatch) -> None:
     folder = EXAMPLES / "driver_plugin"
     monkeypatch.syspath_prepend(folder)
     project = (folder / "pyproject.toml").read_text()

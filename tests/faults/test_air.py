@@ -23,7 +23,7 @@ SENSORS = {"supply sensor": Cause.SUPPLY_SENSOR} | {
 
 
 @pytest.mark.parametrize("signal", SENSORS)
-def test_a_sensor_that_dies_at_the_address_is_named(workbench: Workbench, signal: str) -> None:
+def test_pressure_sensor_off_at_address_reports_cause(workbench: Workbench, signal: str) -> None:
     case = workbench.run(Breakage(Fault(f"{signal} off", signal, "off")), HOLD)
     assert case.verdict == "safe", case.reasons
     assert case.detected_by == SENSORS[signal].name
@@ -31,14 +31,14 @@ def test_a_sensor_that_dies_at_the_address_is_named(workbench: Workbench, signal
 
 
 @pytest.mark.parametrize("signal", ["vent 1", "vent 2", "vent 1 feedback", "vent 2 feedback"])
-def test_a_vent_that_stays_shut_is_named_and_the_other_one_vents(workbench: Workbench, signal: str) -> None:
+def test_vent_stuck_shut_reports_cause_and_is_safe(workbench: Workbench, signal: str) -> None:
     value = 1.0 if signal in ("vent 1", "vent 2") else float("nan")
     case = workbench.run(Breakage(Fault(f"{signal} stuck", signal, "stuck", value), event="stop"), HOLD)
     assert (case.verdict, case.detected_by) == ("safe", "VENT_1" if "1" in signal else "VENT_2"), case.reasons
 
 
 @pytest.mark.parametrize("signal", ["vent 1", "vent 2", "vent 1 feedback", "vent 2 feedback"])
-def test_a_vent_that_stays_open_lets_nothing_arm(workbench: Workbench, signal: str) -> None:
+def test_vent_stuck_open_blocks_arming(workbench: Workbench, signal: str) -> None:
     value = 0.0 if signal in ("vent 1", "vent 2") else 1.0  # of the vent its command, of its switch "open"
     fault = Fault(f"{signal} stuck open", signal, "stuck", value)
     case = workbench.run(Breakage(fault), Instant("standing", 0))
@@ -46,7 +46,7 @@ def test_a_vent_that_stays_open_lets_nothing_arm(workbench: Workbench, signal: s
     assert case.head_share < 0.1
 
 
-def test_a_robot_on_trapped_air_is_watched_until_it_rests_and_nobody_is_let_in(workbench: Workbench) -> None:
+def test_vents_stuck_shut_record_not_vented_until_rest(workbench: Workbench) -> None:
     """Both vents are held shut: the arm creeps as the air leaks, long after the chambers seem empty."""
     fault = Fault("vents stuck shut", "vents", "stuck", 1.0)
     case = workbench.run(Breakage(fault, "stop"), Instant("backswing 50 %", 425))

@@ -56,7 +56,7 @@ class Follower:
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_faults_are_the_same_behind_the_driver_and_in_lock_step(name: str) -> None:
+def test_sim_driver_faults_match_lock_step(name: str) -> None:
     profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
     parameters = PlantParameters()
     start = hanging_pose(parameters)
@@ -87,7 +87,7 @@ def test_faults_are_the_same_behind_the_driver_and_in_lock_step(name: str) -> No
     assert (cause is Cause.NONE) is (name != "a valve that sticks")
 
 
-def test_a_bench_with_a_fault_that_has_not_come_is_bit_equal_to_a_healthy_one() -> None:
+def test_lock_step_pending_fault_is_bit_equal_to_fault_free() -> None:
     profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
     parameters = PlantParameters()
     healthy = Lockstep(build_plant(parameters), build_controller(parameters, profile), profile.angle[0])

@@ -23,7 +23,7 @@ from tests.compiled_only import needs_speed
 from tests.faults.test_matrix import BREAKAGE, instant
 
 
-def test_each_family_has_rows_and_each_row_its_instants(profile: Profile) -> None:
+def test_catalogue_families_have_rows_and_instants(profile: Profile) -> None:
     assert {breakage.family for breakage in CATALOGUE} == set(FAMILIES)
     assert len({breakage.name for breakage in CATALOGUE}) == len(CATALOGUE)
     during = instants_for(BREAKAGE["arm encoder stuck, during an emergency stop"], profile)
@@ -34,7 +34,7 @@ def test_each_family_has_rows_and_each_row_its_instants(profile: Profile) -> Non
     assert instants_for(BREAKAGE["supply lost, around access"], profile) == ACCESS
 
 
-def test_where_stops_are_hit_the_instants_are_dense(profile: Profile) -> None:
+def test_instants_for_valve_stuck_open_are_dense(profile: Profile) -> None:
     instants = instants_for(BREAKAGE["wrist valve stuck open"], profile)
     assert set(dense_instants(profile)) < set(instants)
     ticks = [instant.tick for instant in dense_instants(profile)]
@@ -46,7 +46,7 @@ def test_where_stops_are_hit_the_instants_are_dense(profile: Profile) -> None:
     assert instants_for(BREAKAGE["wrist valve garbage"], profile) == instants_of(profile)
 
 
-def test_a_sample_is_the_same_in_every_run_and_fair(profile: Profile) -> None:
+def test_plan_matrix_sample_is_proportional_subset(profile: Profile) -> None:
     all_, some = (plan_matrix(profile, model_check=True, every=every).cases for every in (1, 20))
     assert set(some) < set(all_)
     assert {breakage.name for breakage, _ in some} == {breakage.name for breakage, _ in all_}
@@ -60,7 +60,7 @@ def test_a_sample_is_the_same_in_every_run_and_fair(profile: Profile) -> None:
 
 @needs_speed
 @pytest.mark.parametrize("stop", ["an operator's stop", "an emergency stop", "a stop by the guard"])
-def test_a_fault_during_a_stop_is_noticed_beside_the_stops_own_cause(
+def test_fault_during_stop_is_reported_after_stop_cause(
     workbench: Workbench, profile: Profile, stop: str
 ) -> None:
     at = Instant("downswing", instant(profile, "downswing 80 %").tick, "80 %", 0.03)
@@ -73,7 +73,7 @@ def test_a_fault_during_a_stop_is_noticed_beside_the_stops_own_cause(
 
 
 @needs_speed
-def test_the_stop_that_a_case_asks_for_is_no_detection(workbench: Workbench, profile: Profile) -> None:
+def test_workbench_requested_stop_is_no_detection(workbench: Workbench, profile: Profile) -> None:
     at = instant(profile, "backswing 50 %")
     harmless = Breakage(Fault("nothing", "ball sensor", "delayed", 0.0), "stop")
     outcome = workbench.run(harmless, at)
@@ -93,23 +93,21 @@ def test_the_stop_that_a_case_asks_for_is_no_detection(workbench: Workbench, pro
         ("link cut, around access", ACCESS[1]),
     ],
 )
-def test_a_machine_that_is_wrong_is_noticed_before_it_endangers(
-    workbench: Workbench, name: str, at: Instant
-) -> None:
+def test_fault_from_start_or_around_access_is_safe(workbench: Workbench, name: str, at: Instant) -> None:
     outcome = workbench.run(BREAKAGE[name], at)
     assert (outcome.verdict, outcome.reasons) == ("safe", ())
 
 
 @needs_speed
 @pytest.mark.parametrize("at", [*START, *ACCESS], ids=lambda at: at.name)
-def test_without_a_fault_the_way_on_is_gone_to_its_end(workbench: Workbench, at: Instant) -> None:
+def test_workbench_without_fault_completes_swing(workbench: Workbench, at: Instant) -> None:
     nothing = Breakage(Fault("nothing", "ball sensor", "delayed", 0.0), family="access")
     outcome = workbench.run(nothing, at)
     assert (outcome.verdict, outcome.change) == ("harmless", "")
     assert outcome.head_share == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_matrix_says_what_it_was_made_from(tmp_path: Path, profile: Profile) -> None:
+def test_origin_of_records_time_and_digests(tmp_path: Path, profile: Profile) -> None:
     configuration = load_configuration(shipped_configuration())
     origin = origin_of(configuration, profile, datetime(2026, 1, 2, tzinfo=UTC))
     assert origin["time_utc"].startswith("2026-01-02")

@@ -45,7 +45,7 @@ VALVES = (
 @pytest.mark.parametrize(
     ("at", "stop", "fault"), VALVES, ids=[f"{at}-{stop}-{fault.value:+.0f}" for at, stop, fault in VALVES]
 )
-def test_a_valve_that_sticks_open_during_a_stop_loses_its_air(
+def test_valve_stuck_open_during_stop_reacts_passive(
     workbench: Workbench, profile: Profile, at: str, stop: str, fault: Fault
 ) -> None:
     bench = stopped(workbench, instant_of(profile, at), stop, fault)
@@ -59,7 +59,7 @@ def test_a_valve_that_sticks_open_during_a_stop_loses_its_air(
 @pytest.mark.parametrize("joint", ["shoulder", "arm", "wrist"])
 @pytest.mark.parametrize("after", [0.02, 0.055, 0.09, 0.15])
 @pytest.mark.parametrize("ahead", [5, 35, 60])
-def test_an_encoder_lost_while_braking_leaves_the_others_their_brake(
+def test_encoder_lost_during_brake_keeps_brake_of_other_joints(
     workbench: Workbench, profile: Profile, joint: str, after: float, ahead: int
 ) -> None:
     instant = Instant("committed", round(profile.impact_time / profile.period) - ahead, f"-{ahead} ms")
@@ -80,7 +80,7 @@ def test_an_encoder_lost_while_braking_leaves_the_others_their_brake(
 
 
 @pytest.mark.parametrize("ahead", [12, 16, 20, 24])
-def test_a_ball_struck_while_braking_is_no_fault(workbench: Workbench, profile: Profile, ahead: int) -> None:
+def test_ball_struck_during_brake_is_no_fault(workbench: Workbench, profile: Profile, ahead: int) -> None:
     instant = Instant("committed", round(profile.impact_time / profile.period) - ahead, f"-{ahead} ms")
     bench = stopped(workbench, instant, "emergency stop", None)
     assert bench.plant_state["struck"][0]
@@ -89,7 +89,7 @@ def test_a_ball_struck_while_braking_is_no_fault(workbench: Workbench, profile: 
 
 
 @pytest.mark.parametrize("joint", ["shoulder", "arm", "wrist"])
-def test_an_encoder_lost_while_braking_does_not_restart_the_blind_pattern(
+def test_encoder_lost_during_brake_keeps_stop_share_low(
     workbench: Workbench, profile: Profile, joint: str
 ) -> None:
     fault = Fault("encoder", f"{joint} encoder", "off", time=0.2)
@@ -99,7 +99,7 @@ def test_an_encoder_lost_while_braking_does_not_restart_the_blind_pattern(
 
 
 @pytest.mark.parametrize("stop", release_except({"guard opened"}, STOPS))
-def test_a_healthy_stop_is_not_escalated(workbench: Workbench, profile: Profile, stop: str) -> None:
+def test_fault_free_stop_is_not_escalated(workbench: Workbench, profile: Profile, stop: str) -> None:
     for instant in instants_of(profile):
         if instant.phase not in ("standing", "homing", "return"):
             bench = stopped(workbench, instant, stop, None)

@@ -34,7 +34,7 @@ def at(workbench: Workbench, name: str) -> Instant:
 
 @pytest.mark.parametrize("name", INSTANTS)
 @pytest.mark.parametrize("share", release_except({0.1}, [0.2, 0.1, 0.03]))
-def test_behind_throttled_exhausts_the_guard_opens_once_no_arm_can_sink(
+def test_throttled_exhausts_guard_unlocks_below_holding_pressure(
     workbench: Workbench, name: str, share: float
 ) -> None:
     """The person presses the button again and again, and reads no gauge."""
@@ -58,9 +58,7 @@ def test_behind_throttled_exhausts_the_guard_opens_once_no_arm_can_sink(
 @pytest.mark.parametrize(
     "fault", release_except(SAMPLE, THROTTLED, lambda fault: fault.name), ids=lambda fault: fault.name
 )
-def test_an_exhaust_that_fails_in_the_swing_ends_safe_and_is_named(
-    workbench: Workbench, fault: Fault
-) -> None:
+def test_exhaust_fault_in_swing_is_safe_and_reports_cause(workbench: Workbench, fault: Fault) -> None:
     """A verdict counts pressure and motion behind a released guard; trapped air may leave arms elsewhere."""
     case = workbench.run(Breakage(fault, "stop"), at(workbench, "follow-through 40 %"))
     assert case.verdict == "safe" or case.reasons == (case.change,)
@@ -69,9 +67,7 @@ def test_an_exhaust_that_fails_in_the_swing_ends_safe_and_is_named(
 
 
 @pytest.mark.parametrize("instant", ["backswing 50 %", "backswing 90 %", "top 50 %"])
-def test_a_cylinder_that_its_own_motion_empties_names_its_exhaust_too(
-    workbench: Workbench, instant: str
-) -> None:
+def test_wrist_chamber_exhaust_clogged_reports_exhaust_cause(workbench: Workbench, instant: str) -> None:
     """The wrist falls while it vents: its small chamber is above the bound for a quarter of a second."""
     fault = Fault("clogged", "wrist cylinder A exhaust", "scale", 0.1)
     case = workbench.run(Breakage(fault, "stop"), at(workbench, instant))

@@ -23,12 +23,12 @@ def judged(text: str) -> str:
     return before + FIGURES.sub("|", after.partition("\n\n")[2])
 
 
-def test_the_hazard_file_is_that_of_todays_judgement() -> None:
+def test_committed_hazard_file_matches_judgement() -> None:
     made = hazard_file(whole_matrix(), load_judgement())
     assert judged((ROOT / "sim" / "HAZARDS.md").read_text()) == judged(made), "run make faults"
 
 
-def test_no_case_of_the_matrix_is_lost_or_counted_twice() -> None:
+def test_hazard_file_counts_every_case_once() -> None:
     summary = whole_matrix()
     text = hazard_file(summary, load_judgement())
     rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| F")]
@@ -38,7 +38,7 @@ def test_no_case_of_the_matrix_is_lost_or_counted_twice() -> None:
     assert sum(int(cell[2]) for cell in cases) == summary["verdicts"]["undetected"]
 
 
-def test_a_fault_that_the_judgement_does_not_know_is_refused() -> None:
+def test_hazard_file_unknown_fault_is_refused() -> None:
     summary = whole_matrix()
     summary["rows"].append(summary["rows"][0] | {"signal": "brake", "breakage": "brake stuck"})
     with pytest.raises(ExceptionGroup) as caught:
@@ -46,7 +46,7 @@ def test_a_fault_that_the_judgement_does_not_know_is_refused() -> None:
     assert [str(fault).split(":")[1] for fault in caught.value.exceptions] == [" brake stuck"]
 
 
-def test_more_risk_never_needs_a_lower_level() -> None:
+def test_risk_graph_level_never_decreases_with_risk() -> None:
     assert set(RISK_GRAPH) == set(product(("S1", "S2"), ("F1", "F2"), ("P1", "P2")))
     for risk, level in RISK_GRAPH.items():
         for i in range(3):
@@ -65,9 +65,7 @@ def test_more_risk_never_needs_a_lower_level() -> None:
         ('f = "F1"', 'f = "F3"', "F1 or F2"),
     ],
 )
-def test_a_mistake_in_the_judgement_is_refused_with_its_place(
-    tmp_path: Path, old: str, new: str, words: str
-) -> None:
+def test_load_judgement_mistake_refusal_names_file(tmp_path: Path, old: str, new: str, words: str) -> None:
     text = FILE.read_text()
     assert old in text
     file = tmp_path / "judgement.toml"
@@ -79,7 +77,7 @@ def test_a_mistake_in_the_judgement_is_refused_with_its_place(
     assert "judgement.toml" in message
 
 
-def test_a_judgement_without_a_list_is_refused(tmp_path: Path) -> None:
+def test_load_judgement_missing_list_or_file_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "judgement.toml"
     file.write_text('scope = "all"\n')
     with pytest.raises(ExceptionGroup):

@@ -11,12 +11,12 @@ from tests.benchmarks.healthy_swings import run
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
-def test_no_alarm_without_a_fault() -> None:
+def test_fault_free_swings_raise_no_alarm() -> None:
     (row,) = run(["--swings", "12"])
     assert (row.value, row.holds) == (0, True), row.note
 
 
-def test_the_healthy_plants_differ_and_repeat() -> None:
+def test_healthy_plant_seeds_differ_and_repeat() -> None:
     plant = PlantParameters()
     assert healthy_plant(plant, 3) == healthy_plant(plant, 3) != healthy_plant(plant, 4)
     nominal = healthy_plant(plant, 0)

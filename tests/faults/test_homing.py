@@ -14,7 +14,7 @@ from sim.faults import Fault
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="minutes without compilation")
 @pytest.mark.parametrize("value", [1.0, -1.0], ids=["open", "open in reverse"])
 @pytest.mark.parametrize(("joint", "tick"), [("shoulder", 500), ("shoulder", 2500), ("arm", 500)])
-def test_a_valve_stuck_open_in_the_search_loses_its_air(
+def test_homing_valve_stuck_open_reacts_passive(
     workbench: Workbench, joint: str, tick: int, value: float
 ) -> None:
     fault = Fault(f"{joint} valve stuck", f"{joint} valve", "stuck", value)

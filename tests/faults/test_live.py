@@ -53,7 +53,7 @@ def stopped(bench: BenchProcess) -> tuple[Cause, Reaction]:
     return cause, Reaction(int(record["reaction"]))
 
 
-def test_a_bench_in_step_breaks_by_phase_and_swings_again_when_it_is_mended(tmp_path: Path) -> None:
+def test_phase_faults_stop_live_bench_and_allow_recovery(tmp_path: Path) -> None:
     file = write_configuration(
         tmp_path,
         "phase",
@@ -71,7 +71,7 @@ def test_a_bench_in_step_breaks_by_phase_and_swings_again_when_it_is_mended(tmp_
         assert Cause.SHOULDER_AIR in cycles["cause"]
 
 
-def test_fault_at_an_angle_begins_there(tmp_path: Path) -> None:
+def test_fault_at_joint_angle_stops_bench(tmp_path: Path) -> None:
     door = '[faults.door]\nsignal = "guard closed"\nkind = "off"\njoint = "shoulder"\nangle = -0.15\n'
     file = write_configuration(tmp_path, "angle", PATIENT.format(driver="sim") + door + "duration = 0.5\n")
     with running_bench(file) as bench:
@@ -80,7 +80,7 @@ def test_fault_at_an_angle_begins_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.release
-def test_nodes_that_break_are_noticed_over_the_bus(tmp_path: Path) -> None:
+def test_canopen_node_fault_reports_shoulder_following(tmp_path: Path) -> None:
     file = write_configuration(
         tmp_path,
         "nodes",
@@ -91,7 +91,7 @@ def test_nodes_that_break_are_noticed_over_the_bus(tmp_path: Path) -> None:
         assert stopped(bench) == (Cause.SHOULDER_FOLLOWING, Reaction.PASSIVE)
 
 
-def test_a_node_without_readings_lets_nobody_reset(tmp_path: Path) -> None:
+def test_reset_without_valid_encoder_is_refused(tmp_path: Path) -> None:
     file = write_configuration(
         tmp_path,
         "cable",

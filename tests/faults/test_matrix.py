@@ -43,20 +43,20 @@ def instant(profile: Profile, name: str) -> Instant:
     return next(instant for instant in instants_of(profile) if instant.name == name)
 
 
-def test_every_signal_and_every_kind_is_broken_somewhere() -> None:
+def test_catalogue_covers_every_signal_and_kind() -> None:
     assert {breakage.fault.signal for breakage in CATALOGUE} == set(SIGNALS)
     assert {breakage.fault.kind for breakage in CATALOGUE} == set(KINDS)
     assert len(BREAKAGE) == len(CATALOGUE)
 
 
-def test_there_is_an_instant_in_every_phase(profile: Profile) -> None:
+def test_instants_cover_every_phase(profile: Profile) -> None:
     instants = instants_of(profile)
     phases = dict.fromkeys(instant.phase for instant in (*START, *ACCESS, *instants))
     assert list(phases) == list(PHASES)
     assert len({instant.name for instant in instants}) == len(instants)
 
 
-def test_a_pair_is_left_out_by_a_rule_only(profile: Profile) -> None:
+def test_plan_matrix_skips_only_by_rule(profile: Profile) -> None:
     plan = plan_matrix(profile, model_check=True)
     assert len(plan.cases) + len(plan.skipped) == sum(len(instants_for(b, profile)) for b in CATALOGUE)
     assert {s.family for s in plan.skipped} == {"one fault"}
@@ -83,7 +83,7 @@ def test_a_pair_is_left_out_by_a_rule_only(profile: Profile) -> None:
         ("shoulder encoder +0.1 rad", "hold", "SHOULDER_SPEED", 2),
     ],
 )
-def test_what_breaks_is_noticed_in_time_and_ends_safe(
+def test_matrix_fault_is_detected_in_time_and_safe(
     workbench: Workbench, profile: Profile, name: str, at: str, detected_by: str, most_ticks: int
 ) -> None:
     outcome = workbench.run(BREAKAGE[name], instant(profile, at))
@@ -96,7 +96,7 @@ def test_what_breaks_is_noticed_in_time_and_ends_safe(
 
 
 @needs_speed
-def test_a_dead_loop_is_let_go_of_by_the_valve_node(workbench: Workbench, profile: Profile) -> None:
+def test_dead_loop_valve_node_watchdog_reacts_passive(workbench: Workbench, profile: Profile) -> None:
     outcome = workbench.run(BREAKAGE["loop dead"], instant(profile, "top 50 %"))
     assert outcome.detected_by == "watchdog of the valve node"
     assert outcome.reaction == "PASSIVE (valve node)"
@@ -104,7 +104,7 @@ def test_a_dead_loop_is_let_go_of_by_the_valve_node(workbench: Workbench, profil
 
 
 @needs_speed
-def test_without_the_model_check_the_same_valve_is_noticed_too_late(profile: Profile) -> None:
+def test_valve_stuck_open_without_model_check_is_unsafe(profile: Profile) -> None:
     configuration = load_configuration(shipped_configuration())
     bench_without = Workbench(configuration, profile, model_check=False)
     outcome = bench_without.run(
@@ -116,20 +116,20 @@ def test_without_the_model_check_the_same_valve_is_noticed_too_late(profile: Pro
 
 
 @needs_speed
-def test_the_missing_ball_is_harmless(workbench: Workbench, profile: Profile) -> None:
+def test_missing_ball_is_harmless_or_safe(workbench: Workbench, profile: Profile) -> None:
     outcome = workbench.run(BREAKAGE["no ball on the tee, then no ball"], instant(profile, "hold"))
     assert outcome.verdict in ("harmless", "safe")
 
 
 @needs_speed
-def test_a_lost_lease_lets_the_swing_complete_and_disarms(workbench: Workbench, profile: Profile) -> None:
+def test_lost_lease_swing_completes_and_disarms(workbench: Workbench, profile: Profile) -> None:
     outcome = workbench.run(BREAKAGE["lease lost"], instant(profile, "downswing 80 %"))
     assert (outcome.verdict, outcome.detected_by) == ("safe", "disarmed: no lease")
     assert outcome.record.startswith("READY")
 
 
 @needs_speed
-def test_the_same_case_ends_the_same(workbench: Workbench, profile: Profile) -> None:
+def test_workbench_same_case_gives_equal_outcome(workbench: Workbench, profile: Profile) -> None:
     case = BREAKAGE["arm encoder garbage"], instant(profile, "downswing 20 %")
     assert workbench.run(*case) == workbench.run(*case)
 
@@ -141,7 +141,9 @@ def few(profile: Profile) -> tuple[MatrixPlan, list[CaseOutcome]]:
     return plan, outcomes
 
 
-def test_the_summary_counts_and_the_page_is_one_file(few: tuple[MatrixPlan, list[CaseOutcome]]) -> None:
+def test_summarise_counts_verdicts_and_page_is_self_contained(
+    few: tuple[MatrixPlan, list[CaseOutcome]],
+) -> None:
     plan, outcomes = few
     summary = summarise(
         outcomes, plan.skipped, model_check=True, profile="default", seconds=1.0, origin=ORIGIN
@@ -161,7 +163,7 @@ def test_the_summary_counts_and_the_page_is_one_file(few: tuple[MatrixPlan, list
     assert "2 unsafe" in table
 
 
-def test_what_stands_in_the_store_is_not_run_again(
+def test_run_matrix_skips_stored_cases(
     few: tuple[MatrixPlan, list[CaseOutcome]],
     tmp_path: Path,
     profile: Profile,
@@ -196,7 +198,7 @@ def test_what_stands_in_the_store_is_not_run_again(
     assert not matrix_store(path, replace(study, model_check=False)).results
 
 
-def test_the_command_ends_with_1_when_a_case_ends_unsafe(
+def test_faults_run_unsafe_case_exits_with_1(
     few: tuple[MatrixPlan, list[CaseOutcome]],
     tmp_path: Path,
     profile: Profile,
@@ -218,7 +220,9 @@ def test_the_command_ends_with_1_when_a_case_ends_unsafe(
 @pytest.mark.parametrize(
     ("number", "at_work"), [(signal.SIGKILL, False), pytest.param(signal.SIGTERM, True, marks=needs_speed)]
 )
-def test_a_run_that_is_ended_leaves_no_worker(tmp_path: Path, number: signal.Signals, at_work: bool) -> None:
+def test_faults_run_ended_by_signal_leaves_no_worker(
+    tmp_path: Path, number: signal.Signals, at_work: bool
+) -> None:
     command = [sys.executable, "-m", "bench", "faults", "run", "--output", str(tmp_path), "--processes", "2"]
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     workers: list[psutil.Process] = []
@@ -239,13 +243,13 @@ def _is_worker(process: psutil.Process) -> bool:
     return False
 
 
-def test_rules_say_why() -> None:
+def test_irrelevant_returns_rule_or_empty_text() -> None:
     launch = BREAKAGE["launch monitor off"]
     assert "launch monitor" in irrelevant(launch, "impact", model_check=True)
     assert irrelevant(BREAKAGE["guard closed off"], "impact", model_check=True) == ""
 
 
-def test_one_other_outcome_changes_the_digest_and_another_day_does_not() -> None:
+def test_matrix_digest_depends_on_outcomes_not_date() -> None:
     summary = whole_matrix()
     digest = matrix_digest(summary)
     later = summary | {"seconds": 9.0, "origin": ORIGIN | {"commit": "f", "time_utc": "2027"}}
@@ -253,7 +257,7 @@ def test_one_other_outcome_changes_the_digest_and_another_day_does_not() -> None
     assert matrix_digest(summary | {"rows": [summary["rows"][0] | {"detection_ticks": [2]}]}) != digest
 
 
-def test_the_brief_table_counts_every_case_once() -> None:
+def test_hazard_table_brief_counts_every_case_once() -> None:
     summary = whole_matrix()
     rows = hazard_table(summary, brief=True).split("| part |")[1].split("\n\n")[0].splitlines()[2:]
     counts = [tuple(map(int, row.split(" | ")[1:5])) for row in rows]
@@ -262,7 +266,7 @@ def test_the_brief_table_counts_every_case_once() -> None:
     assert tuple(map(sum, zip(*counts, strict=True)))[1:] == expected
 
 
-def test_the_committed_tables_are_of_one_matrix_of_todays_faults() -> None:
+def test_committed_fault_tables_share_digest_and_fault_count() -> None:
     brief, hazards = ((ROOT / "sim" / name).read_text() for name in ("FAULTS.md", "HAZARDS.md"))
     digest = re.search(r"Digest of all outcomes: (\w{16})", brief)
     assert digest is not None

@@ -38,7 +38,7 @@ def run(workbench: Workbench) -> Callable[[str, str], CaseOutcome]:
         ("wrist encoder stuck, during an emergency stop", "backswing 10 % +60 ms", "WRIST_EFFORT"),
     ],
 )
-def test_a_fault_that_a_stop_hides_is_named_before_the_next_ball(
+def test_next_swing_reports_undetected_fault(
     run: Callable[[str, str], CaseOutcome], name: str, at: str, cause: str
 ) -> None:
     outcome = run(name, at)
@@ -46,20 +46,20 @@ def test_a_fault_that_a_stop_hides_is_named_before_the_next_ball(
 
 
 @needs_speed
-def test_a_noticed_fault_needs_no_further_swing(run: Callable[[str, str], CaseOutcome]) -> None:
+def test_next_swing_detected_fault_is_skipped(run: Callable[[str, str], CaseOutcome]) -> None:
     outcome = run("arm encoder off", "downswing 20 %")
     assert (outcome.verdict, outcome.next_swing) == ("safe", "")
 
 
 @needs_speed
-def test_a_healthy_robot_strikes_the_next_ball(workbench: Workbench) -> None:
+def test_next_swing_fault_free_robot_strikes_ball(workbench: Workbench) -> None:
     bench = workbench.base(HOLD)
     assert next_swing(bench) == ""
     assert bench.plant_state["struck"][0]
 
 
 @needs_speed
-def test_an_emergency_stop_is_released_and_reset_first(workbench: Workbench) -> None:
+def test_next_swing_after_emergency_stop_strikes_ball(workbench: Workbench) -> None:
     bench = workbench.base(HOLD)
     bench.plant_state["emergency_stop_clear"] = False
     bench.advance(20_000)
@@ -68,14 +68,14 @@ def test_an_emergency_stop_is_released_and_reset_first(workbench: Workbench) -> 
 
 
 @needs_speed
-def test_a_refusal_for_good_is_what_the_next_swing_finds(workbench: Workbench) -> None:
+def test_next_swing_permanent_fault_reports_cause_or_refusal(workbench: Workbench) -> None:
     bench = workbench.base(HOLD)
     bench.stepper.break_with((Fault("guard", "guard closed", "stuck", 0.0),), watchdog=0.1)
     assert next_swing(bench) == "GUARD"
     assert next_swing(bench).startswith("reset refused: ")
 
 
-def test_the_table_counts_what_is_named() -> None:
+def test_next_swing_text_counts_reported_faults() -> None:
     assert next_swing_text({"next_swing": {}}) == ""
     text = next_swing_text({"next_swing": {"SHOULDER_FLOW": 3, "": 1, "ARM_FLOW": 2}})
     assert text == "Of 6 undetected 5 are named before another ball is struck."

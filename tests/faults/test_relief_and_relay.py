@@ -54,14 +54,16 @@ def highest_supply(workbench: Workbench) -> float:
 
 @pytest.mark.release
 @pytest.mark.parametrize("name", ["workbench", "high_speed"])
-def test_no_healthy_swing_comes_near_the_manifolds_relief(name: str, request: pytest.FixtureRequest) -> None:
+def test_manifold_pressure_fault_free_swing_stays_below_relief(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     """Limits that were made without that valve hold with it."""
     workbench: Workbench = request.getfixturevalue(name)
     supply = workbench.plant.parameters.supply
     assert supply.pressure < highest_supply(workbench) + 1e3 < 0.95 * supply.manifold_relief_pressure
 
 
-def test_a_regulator_that_surges_at_the_no_return_instant_stays_within_the_swings_speed(
+def test_supply_surge_when_committed_limits_head_speed(
     high_speed: Workbench,
 ) -> None:
     """The manifold's relief valve bounds it: without one the head reached 106 %."""
@@ -71,26 +73,26 @@ def test_a_regulator_that_surges_at_the_no_return_instant_stays_within_the_swing
 
 
 @pytest.mark.parametrize("instant", ["committed 10 %", "impact -10 ms"])
-def test_a_chamber_that_leaks_while_it_brakes_keeps_its_brake(workbench: Workbench, instant: str) -> None:
+def test_chamber_relief_stuck_open_during_brake_keeps_brake(workbench: Workbench, instant: str) -> None:
     """The other chamber fits by its own limit: no stuck spool, and no cut of the air that still brakes."""
     case = case_of(workbench, "shoulder vane A relief stuck open", instant)
     assert (case.verdict, case.detected_by, case.reaction) == ("safe", "SHOULDER_SENSOR", "BRAKE")
     assert case.stop_share < 0.9
 
 
-def test_an_arm_that_creeps_is_not_reported_empty_before_it_fell(workbench: Workbench) -> None:
+def test_arm_valve_stuck_open_in_emergency_stop_is_safe(workbench: Workbench) -> None:
     case = case_of(workbench, "arm valve stuck open, during an emergency stop", "backswing 90 % +60 ms")
     assert case.verdict == "safe", case.reasons
 
 
 @pytest.mark.parametrize("event", ["emergency stop", "guard opened"])
-def test_a_relay_that_welds_leaves_the_stop_to_the_bench(workbench: Workbench, event: str) -> None:
+def test_safety_relay_welded_shut_stop_is_safe(workbench: Workbench, event: str) -> None:
     for instant in ("hold", "downswing 80 %", "follow-through 10 %"):
         case = case_of(workbench, f"safety relay welded shut, then {event}", instant)
         assert case.verdict in ("safe", "harmless"), (instant, case.reasons)
 
 
-def test_vents_whose_output_sticks_open_by_the_emergency_stop(workbench: Workbench) -> None:
+def test_vents_stuck_shut_emergency_stop_opens_vents(workbench: Workbench) -> None:
     rows = [row for row in CATALOGUE if row.name == "vents stuck shut, during an emergency stop"]
     (instant,) = (i for i in stopped_instants(workbench.profile) if i.name == "top 50 % +100 ms")
     bench = workbench.base(instant)
@@ -102,9 +104,7 @@ def test_vents_whose_output_sticks_open_by_the_emergency_stop(workbench: Workben
 
 
 @pytest.mark.parametrize("seed", [90000, 90001, 90002, 90003])
-def test_no_healthy_emergency_stop_goes_on_braking_into_an_empty_manifold(
-    configuration: Configuration, seed: int
-) -> None:
+def test_fault_free_emergency_stop_is_not_escalated(configuration: Configuration, seed: int) -> None:
     """Spools that braked on behind the relay let the arm fall, and its blow was taken for a wrong encoder."""
     c, profile = configuration, load_profile(find_profile("default"))
     parameters = build_controller(c.plant, profile, c.control, c.envelope, c.estimator)

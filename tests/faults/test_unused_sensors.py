@@ -30,19 +30,17 @@ def run(
 
 
 @pytest.mark.parametrize("instant", [BEFORE, INSIDE], ids=lambda instant: instant.label)
-def test_a_lock_that_reads_locked_while_the_guard_is_released_is_named(
-    workbench: Workbench, instant: Instant
-) -> None:
+def test_guard_locked_stuck_in_access_reports_guard_lock(workbench: Workbench, instant: Instant) -> None:
     verdict, found, _ = run(workbench, "guard locked", "stuck", 1.0, instant)
     assert (verdict, found) == ("safe", "GUARD_LOCK")
 
 
-def test_a_supply_valve_that_stays_open_is_named_within_a_second_of_the_venting(workbench: Workbench) -> None:
+def test_supply_stuck_open_before_access_reports_supply_valve(workbench: Workbench) -> None:
     verdict, found, _ = run(workbench, "supply", "stuck", 1.0, BEFORE)
     assert (verdict, found) == ("safe", "SUPPLY_VALVE")
 
 
-def test_the_shut_off_valve_keeps_the_manifold_empty_whatever_the_supply_valve_does(
+def test_supply_stuck_open_in_access_reports_manifold(
     workbench: Workbench,
 ) -> None:
     verdict, found, _ = run(workbench, "supply", "stuck", 1.0, INSIDE)
@@ -51,7 +49,7 @@ def test_the_shut_off_valve_keeps_the_manifold_empty_whatever_the_supply_valve_d
 
 @pytest.mark.parametrize("signal", ["shut-off", "shut-off feedback"])
 @pytest.mark.parametrize("instant", [BEFORE, INSIDE], ids=lambda instant: instant.label)
-def test_a_shut_off_valve_that_is_not_seen_shut_is_named(
+def test_shut_off_valve_stuck_open_reports_shut_off(
     workbench: Workbench, signal: str, instant: Instant
 ) -> None:
     verdict, found, _ = run(workbench, signal, "stuck", 1.0, instant)
@@ -67,7 +65,7 @@ def test_a_shut_off_valve_that_is_not_seen_shut_is_named(
         ("scale", 0.7, {"SUPPLY_PRESSURE", "SUPPLY_SENSOR"}),
     ],
 )
-def test_a_sensor_of_the_manifold_that_lies_shows_at_the_venting(
+def test_supply_sensor_fault_before_access_reports_cause(
     workbench: Workbench, kind: Kind, value: float, named: set[str]
 ) -> None:
     verdict, found, _ = run(workbench, "supply sensor", kind, value, BEFORE)
@@ -76,7 +74,7 @@ def test_a_sensor_of_the_manifold_that_lies_shows_at_the_venting(
 
 
 @pytest.mark.parametrize("time", [0.0, 0.1, 0.2, 0.3, 3.0])
-def test_a_sensor_that_jumps_to_empty_hides_no_supply_valve(workbench: Workbench, time: float) -> None:
+def test_supply_sensor_jump_with_supply_stuck_open_is_safe(workbench: Workbench, time: float) -> None:
     first = Fault("supply sensor at 1 bar", "supply sensor", "stuck", 1.0e5, time=time)
     then = Fault("supply valve stuck open", "supply", "stuck", 1.0)
     case = workbench.run(Breakage(then, "stop", "latent pair", first), HOLD)

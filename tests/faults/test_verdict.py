@@ -12,7 +12,7 @@ from bench.faults.instants import Instant
 from sim.faults import Fault
 
 
-def test_the_oldest_goes_when_there_are_too_many() -> None:
+def test_keep_above_limit_drops_oldest() -> None:
     kept = dict[int, str]()
     for number in range(case._KEPT + 3):
         case._keep(kept, number, str(number))
@@ -24,7 +24,7 @@ HEAD_LOST = Breakage(Fault("club head lost", "club head", "off"))
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="minutes without compilation")
 @pytest.mark.parametrize(("before_ball", "share"), [(42, 0.72), (6, 0.99)], ids=["42 ms", "6 ms"])
-def test_a_lost_head_counts_with_the_speed_it_left_with(
+def test_lost_club_head_share_uses_release_speed(
     workbench: Workbench, before_ball: int, share: float
 ) -> None:
     at = Instant("downswing", workbench.profile.begins[6] - 2 - before_ball)

@@ -67,7 +67,7 @@ def finished(pair: Pair) -> np.ndarray:
 
 @compiled_only
 @pytest.mark.parametrize("encoders", [Encoders(), NOISY], ids=["exact", "noisy"])
-def test_arming_a_whole_swing_and_disarming(
+def test_lock_step_whole_swing_is_bit_equal(
     make_pair: MakePair, default_profile: Profile, encoders: Encoders
 ) -> None:
     pair = make_pair(PlantParameters(encoders=encoders, seed=7), default_profile)
@@ -85,7 +85,7 @@ def test_arming_a_whole_swing_and_disarming(
 
 @compiled_only
 @pytest.mark.parametrize("feed_forward", ["kane", "kane+pneumatic"])
-def test_feed_forward_by_the_model(
+def test_lock_step_model_feed_forward_is_bit_equal(
     make_pair: MakePair, default_profile: Profile, feed_forward: FeedForward
 ) -> None:
     plant = PlantParameters(encoders=NOISY, pressure_sensors=False)
@@ -97,7 +97,9 @@ def test_feed_forward_by_the_model(
 
 @compiled_only
 @pytest.mark.parametrize("sensors", [True, False], ids=["sensors", "observer"])
-def test_planned_air_at_the_address(make_pair: MakePair, default_profile: Profile, sensors: bool) -> None:
+def test_lock_step_planned_air_is_bit_equal(
+    make_pair: MakePair, default_profile: Profile, sensors: bool
+) -> None:
     plant = PlantParameters(encoders=NOISY, pressure_sensors=sensors)
     pair = make_pair(plant, with_planned_air(default_profile, plant))
     armed(pair)
@@ -117,7 +119,9 @@ def test_planned_air_at_the_address(make_pair: MakePair, default_profile: Profil
 
 
 @compiled_only
-def test_other_ticks_and_substeps(make_pair: MakePair, default_profile: Profile) -> None:
+def test_lock_step_other_tick_and_substeps_are_bit_equal(
+    make_pair: MakePair, default_profile: Profile
+) -> None:
     parameters = replace(PlantParameters(), tick=0.0005, substeps=3, encoders=NOISY)
     pair = make_pair(parameters, default_profile)
     pair.advance(10)
@@ -128,7 +132,7 @@ def test_other_ticks_and_substeps(make_pair: MakePair, default_profile: Profile)
 @compiled_only
 @pytest.mark.parametrize("before_impact", [0.9, 0.25, 0.10, 0.02, -0.05, -0.3])
 @pytest.mark.parametrize("fault", ["emergency stop", "guard", "lost encoders", "operator"])
-def test_stops_in_a_swing(
+def test_lock_step_stop_in_swing_is_bit_equal(
     make_pair: MakePair, default_profile: Profile, before_impact: float, fault: str
 ) -> None:
     pair = make_pair(PlantParameters(), default_profile)
@@ -158,9 +162,7 @@ def test_stops_in_a_swing(
 
 
 @compiled_only
-def test_a_short_loss_of_readings_changes_nothing_but_the_estimate(
-    make_pair: MakePair, default_profile: Profile
-) -> None:
+def test_lock_step_short_encoder_loss_completes_swing(make_pair: MakePair, default_profile: Profile) -> None:
     pair = make_pair(PlantParameters(), default_profile)
     armed(pair)
     swung(pair, 0.2)
@@ -196,7 +198,7 @@ FAULTS = st.tuples(
     faults=st.lists(FAULTS, min_size=1, max_size=4),
     requests=st.lists(st.tuples(st.integers(0, 1500), st.integers(0, 7))),
 )
-def test_any_faults_and_requests(
+def test_lock_step_any_faults_and_requests_are_bit_equal(
     make_pair: MakePair,
     default_profile: Profile,
     faults: list[tuple[int, tuple[str, object, object], int]],
@@ -220,7 +222,9 @@ def test_any_faults_and_requests(
             tick += 1
 
 
-def test_the_first_ticks_without_compilation_too(make_pair: MakePair, default_profile: Profile) -> None:
+def test_lock_step_first_ticks_uncompiled_are_bit_equal(
+    make_pair: MakePair, default_profile: Profile
+) -> None:
     pair = make_pair(PlantParameters(), default_profile)
     pair.advance(5)
     cycles = pair.advance(15, Request.ARM)

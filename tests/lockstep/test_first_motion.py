@@ -63,7 +63,7 @@ def _cause(bench: Lockstep) -> Cause:
 
 @pytest.mark.parametrize("request_", [Request.HOME, Request.ARM])
 @pytest.mark.parametrize("joint", JOINTS)
-def test_reversed_valve_is_stopped_while_its_joint_is_slow(
+def test_first_motion_reversed_valve_stops_slow_joint(
     configuration: Configuration, parameters: ControlParameters, joint: str, request_: Request
 ) -> None:
     fault = Fault("reversed", f"{joint} valve", "scale", -1.0)
@@ -76,7 +76,7 @@ def test_reversed_valve_is_stopped_while_its_joint_is_slow(
 
 
 @pytest.mark.parametrize("joint", ["shoulder", "wrist"])
-def test_reversed_encoder_is_stopped_while_its_joint_is_slow(
+def test_first_motion_reversed_encoder_stops_slow_joint(
     configuration: Configuration, parameters: ControlParameters, joint: str
 ) -> None:
     number, encoders = JOINTS.index(joint), configuration.plant.encoders
@@ -89,7 +89,7 @@ def test_reversed_encoder_is_stopped_while_its_joint_is_slow(
 
 
 @pytest.mark.parametrize("request_", [Request.HOME, Request.ARM])
-def test_sound_robot_answers_and_goes_on(
+def test_first_motion_fault_free_robot_continues(
     configuration: Configuration, parameters: ControlParameters, request_: Request
 ) -> None:
     bench, _ = _first_motion(configuration.plant, parameters, request_)

@@ -86,7 +86,7 @@ OFFSETS = [(0.0, 0.0, 0.0), (0.25, -0.05, -0.2), (-0.2, -0.05, -0.1), (0.4, -0.1
 
 
 @pytest.mark.parametrize("offset", OFFSETS)
-def test_the_index_is_found_from_several_poses(
+def test_index_homing_from_several_poses_reaches_ready(
     make_bench: MakeBench, offset: tuple[float, float, float]
 ) -> None:
     bench = make_bench(hanging_pose(PLANT) + offset)
@@ -102,7 +102,7 @@ def test_the_index_is_found_from_several_poses(
     assert LockstepEngine(bench).arm()
 
 
-def test_one_joint_after_the_other(make_bench: MakeBench) -> None:
+def test_index_homing_searches_joints_in_order(make_bench: MakeBench) -> None:
     records = home(make_bench())
     sought = records["reference_velocity"] != 0.0
     back = int(np.argmax(sought.sum(axis=1) > 1))  # then all go back together
@@ -117,7 +117,7 @@ def test_one_joint_after_the_other(make_bench: MakeBench) -> None:
     assert (np.abs(records["reference_velocity"]).max(axis=0) <= HOMING.stop_contact_speed).all()
 
 
-def test_until_it_is_homed_nothing_else_moves(make_bench: MakeBench) -> None:
+def test_lifecycle_before_homing_refuses_arm_swing_and_tee(make_bench: MakeBench) -> None:
     bench = make_bench()
     for request in (Request.ARM, Request.SWING, Request.TEE):
         assert bench.advance(1, request)["answer"][0] == 2
@@ -134,7 +134,7 @@ def failed(bench: Lockstep) -> None:
 
 
 @pytest.mark.parametrize("joint", range(3))
-def test_a_lost_index_ends_the_search(make_bench: MakeBench, joint: int) -> None:
+def test_index_homing_lost_index_ends_in_fault(make_bench: MakeBench, joint: int) -> None:
     bench = make_bench()
     bench.plant_state["index_fitted"][0, joint] = 0
     before = bench.plant_state["angle"][0, joint]
@@ -145,7 +145,7 @@ def test_a_lost_index_ends_the_search(make_bench: MakeBench, joint: int) -> None
 
 
 @pytest.mark.parametrize("joint", release_except({1}, range(3)))
-def test_a_stuck_joint_ends_the_search(make_bench: MakeBench, joint: int) -> None:
+def test_index_homing_stuck_joint_ends_in_fault(make_bench: MakeBench, joint: int) -> None:
     name = ("shoulder", "right_arm", "wrist")[joint]
     actuator = getattr(PLANT, name)
     rust = replace(actuator.friction, coulomb=2000.0, static=2000.0)
@@ -155,7 +155,7 @@ def test_a_stuck_joint_ends_the_search(make_bench: MakeBench, joint: int) -> Non
     failed(bench)
 
 
-def test_a_guard_opened_in_the_search_brakes_and_latches(make_bench: MakeBench) -> None:
+def test_index_homing_open_guard_brakes_and_latches_fault(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.advance(1, Request.HOME)
     bench.advance(5500)  # by then the arm is pressed against its stop
@@ -177,7 +177,7 @@ def test_a_guard_opened_in_the_search_brakes_and_latches(make_bench: MakeBench) 
     assert state(bench) is State.READY
 
 
-def test_disarming_ends_the_search_in_order(make_bench: MakeBench) -> None:
+def test_index_homing_disarm_ends_in_safe(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.advance(1, Request.HOME)
     bench.advance(2600)
@@ -187,9 +187,7 @@ def test_disarming_ends_the_search_in_order(make_bench: MakeBench) -> None:
 
 
 @pytest.mark.parametrize("part", [0.02, 0.5, 0.98])
-def test_absolute_encoders_prove_their_zeros_wherever_the_vented_robot_rests(
-    default_profile: Profile, part: float
-) -> None:
+def test_home_tolerance_covers_joint_travel_only(default_profile: Profile, part: float) -> None:
     plant = PlantParameters()
     lower, upper = joint_travel(plant)
     control = build_controller(plant, default_profile, homing=HomingSettings()).control
@@ -199,7 +197,7 @@ def test_absolute_encoders_prove_their_zeros_wherever_the_vented_robot_rests(
         assert np.all(np.abs(beyond - pose) > tolerance)
 
 
-def test_beside_the_pose_a_slipped_coupling_shows(default_profile: Profile) -> None:
+def test_homing_settings_pose_reference_takes_hanging_pose(default_profile: Profile) -> None:
     plant = PlantParameters()
     control = build_controller(plant, default_profile, homing=HomingSettings(reference="pose")).control
     assert control["home_pose"][0] == pytest.approx(hanging_pose(plant))
@@ -223,7 +221,7 @@ def begin(default_profile: Profile, offset: tuple[float, float, float], *, incre
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
 @pytest.mark.parametrize("offset", [0.0125, -0.0125, 0.05, 0.15, -0.3])
 @pytest.mark.parametrize("joint", range(3))
-def test_a_wrong_zero_is_found_at_the_end_stop(
+def test_homing_wrong_encoder_zero_ends_in_fault(
     default_profile: Profile, joint: int, offset: float, incremental: bool
 ) -> None:
     a, b, c = (offset * (i == joint) for i in range(3))
@@ -238,7 +236,7 @@ def test_a_wrong_zero_is_found_at_the_end_stop(
     assert bench.plant_state["stop_energy"].max() < 5.0
 
 
-def test_stop_tolerance_and_deepest_press_shift_the_head_by_its_tolerance(default_profile: Profile) -> None:
+def test_stop_tolerance_with_press_shifts_head_by_given_distance(default_profile: Profile) -> None:
     plant, directions = PlantParameters(), (-1, -1, -1)
     tolerance = stop_tolerance(plant, default_profile, directions, 0.010)
     lower, _ = joint_travel(plant)
@@ -256,7 +254,7 @@ def test_stop_tolerance_and_deepest_press_shift_the_head_by_its_tolerance(defaul
 
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
 @pytest.mark.parametrize("seed", [1, 4])
-def test_pressed_stops_of_unknown_robots_lie_well_within_the_tolerance(
+def test_pressed_stops_unknown_plant_lie_within_half_tolerance(
     default_profile: Profile, seed: int, incremental: bool
 ) -> None:
     """The bench believes in the nominal plant; false alarms must be far away."""
@@ -284,7 +282,7 @@ def test_pressed_stops_of_unknown_robots_lie_well_within_the_tolerance(
 
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
 @pytest.mark.parametrize("signs", [(1, 1, 1), (1, -1, -1), (-1, 1, -1)])
-def test_a_small_wrong_zero_leaves_the_club_clear_of_the_ground(
+def test_homing_small_wrong_zero_keeps_ground_clearance(
     default_profile: Profile, signs: tuple[int, int, int], incremental: bool
 ) -> None:
     a, b, c = (0.003 * sign for sign in signs)
@@ -301,7 +299,7 @@ def test_a_small_wrong_zero_leaves_the_club_clear_of_the_ground(
     assert engine.loads().lowest_clearance > 0.010
 
 
-def test_a_second_homing_searches_again(make_bench: MakeBench) -> None:
+def test_index_homing_repeated_searches_again(make_bench: MakeBench) -> None:
     bench = make_bench()
     first = home(bench)
     rest(bench)
@@ -314,7 +312,7 @@ def test_a_second_homing_searches_again(make_bench: MakeBench) -> None:
     assert not second["homed"][searching].any()
 
 
-def test_a_homing_after_a_stopped_one_searches_again(make_bench: MakeBench) -> None:
+def test_index_homing_after_stop_reaches_ready(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.advance(1, Request.HOME)
     while not bench.readings["encoder_indexed"].any():
@@ -327,7 +325,7 @@ def test_a_homing_after_a_stopped_one_searches_again(make_bench: MakeBench) -> N
 
 
 @pytest.mark.parametrize("shoulder", [-0.9, -1.2])
-def test_a_joint_beyond_its_index_turns_round(make_bench: MakeBench, shoulder: float) -> None:
+def test_index_homing_joint_beyond_index_reverses(make_bench: MakeBench, shoulder: float) -> None:
     bench = make_bench(np.array([shoulder, *hanging_pose(PLANT)[1:]]))
     records = home(bench)
     assert (state(bench), cause(bench)) == (State.READY, Cause.NONE)
@@ -341,7 +339,7 @@ RAISED = [LOWER, (-0.39, 3.75, 4.89), (-1.7, 3.98, 5.75), (-1.5, 3.83, 5.62)]
 
 @pytest.mark.parametrize("incremental", [False, True], ids=["absolute", "index"])
 @pytest.mark.parametrize("pose", RAISED, ids=["stops", "folded", "shoulder", "high"])
-def test_homing_begins_gently_wherever_the_vented_robot_rests(
+def test_homing_precharge_from_rest_pose_limits_motion(
     default_profile: Profile, pose: tuple[float, float, float], incremental: bool
 ) -> None:
     plant = PLANT if incremental else PlantParameters()
@@ -360,7 +358,7 @@ def test_homing_begins_gently_wherever_the_vented_robot_rests(
 
 
 @pytest.mark.parametrize("name", ["golfers", "high_speed"])
-def test_search_from_the_stops_of_a_variant_finds_every_index(name: str) -> None:
+def test_index_homing_variant_from_stops_reaches_ready(name: str) -> None:
     """Where an interrupted homing leaves the robot: as far from the index as can be, pressed by full air."""
     c = load_configuration(find_configuration(Path(name)))
     plant, profile = counting(c.plant), load_profile(find_profile(c.swing.profile))
@@ -372,7 +370,7 @@ def test_search_from_the_stops_of_a_variant_finds_every_index(name: str) -> None
     assert (state(bench), cause(bench)) == (State.READY, Cause.NONE)
 
 
-def test_a_device_that_keeps_its_index_ends_homing_without_motion(make_bench: MakeBench) -> None:
+def test_index_homing_device_keeping_index_fails_without_motion(make_bench: MakeBench) -> None:
     bench = make_bench()
     home(bench)
     rest(bench)

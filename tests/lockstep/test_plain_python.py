@@ -47,7 +47,7 @@ def records(environment: Mapping[str, str]) -> bytes:
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="there is nothing compiled to compare with")
-def test_compiled_and_plain_code_give_the_same_bits() -> None:
+def test_lockstep_compiled_and_plain_python_give_equal_records() -> None:
     compiled, plain = records({"NUMBA_DISABLE_JIT": "0"}), records({"NUMBA_DISABLE_JIT": "1"})
     assert compiled == plain
     angle = np.frombuffer(compiled, CYCLE)["plant_angle"]

@@ -39,7 +39,7 @@ def stopped(default_profile: Profile) -> StoppedAt:
     return lambda name: check.outcomes((TRIAL[name],), SPACING)
 
 
-def test_the_instants_lie_in_all_parts_of_the_swing(default_profile: Profile) -> None:
+def test_trial_instants_cover_swing_phases(default_profile: Profile) -> None:
     phases = {default_profile.phase_of(tick) for tick in range(0, len(default_profile.angle), SPACING)}
     assert phases >= {
         Phase.HOLD,
@@ -66,7 +66,7 @@ def test_the_instants_lie_in_all_parts_of_the_swing(default_profile: Profile) ->
         ],
     ),
 )
-def test_stops_end_at_rest_within_the_ratings(stopped: StoppedAt, name: str, cause: Cause) -> None:
+def test_swing_check_stop_ends_safe_with_expected_cause(stopped: StoppedAt, name: str, cause: Cause) -> None:
     outcomes = stopped(name)
     assert [outcome.unsafe for outcome in outcomes if outcome.unsafe] == []
     assert {outcome.cause for outcome in outcomes} == {cause}
@@ -79,7 +79,7 @@ def test_stops_end_at_rest_within_the_ratings(stopped: StoppedAt, name: str, cau
         ["shoulder valve stuck shut", "arm valve stuck shut", "wrist valve stuck shut"],
     ),
 )
-def test_a_valve_stuck_shut_overloads_nothing(stopped: StoppedAt, name: str) -> None:
+def test_swing_check_valve_stuck_shut_stays_within_ratings(stopped: StoppedAt, name: str) -> None:
     outcomes = stopped(name)
     assert max(outcome.stop_share for outcome in outcomes) <= 1.0
     assert max(outcome.pressure_share for outcome in outcomes) <= 1.0
@@ -88,14 +88,14 @@ def test_a_valve_stuck_shut_overloads_nothing(stopped: StoppedAt, name: str) -> 
 
 
 @pytest.mark.parametrize("height", ["5 mm", "10 mm", "20 mm"])
-def test_ground_that_stands_too_high_overloads_nothing(stopped: StoppedAt, height: str) -> None:
+def test_swing_check_raised_ground_ends_safe(stopped: StoppedAt, height: str) -> None:
     (outcome,) = stopped(f"ground {height} higher")
     assert outcome.unsafe == ""
     assert outcome.time == 0.0
 
 
 @pytest.mark.parametrize("joint", release_except({"arm"}, ["shoulder", "arm", "wrist"]))
-def test_it_overloads_nothing_when_the_model_tells_it_sooner(default_profile: Profile, joint: str) -> None:
+def test_swing_check_model_based_detection_stays_within_ratings(default_profile: Profile, joint: str) -> None:
     watching = EnvelopeSettings(model=ModelSettings(check="always"))
     check = SwingCheck(PlantParameters(), default_profile, envelope=watching)
     outcomes = check.outcomes((TRIAL[f"{joint} valve stuck shut"],), SPACING)
@@ -129,7 +129,7 @@ def swinging(default_profile: Profile) -> Lockstep:
         (Phase.FOLLOW_THROUGH, Reaction.COMPLETE),
     ],
 )
-def test_the_record_tells_an_emergency_stop(
+def test_record_emergency_stop_shows_reaction_and_cause(
     swinging: Lockstep, default_profile: Profile, phase: Phase, reaction: Reaction
 ) -> None:
     bench = swinging

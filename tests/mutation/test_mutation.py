@@ -57,7 +57,7 @@ def tried(file: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_whoever_imported_the_original_has_the_mutant(tmp_path: Path) -> None:
+def test_trials_mutant_reaches_importers(tmp_path: Path) -> None:
     file = tmp_path / "test_watching.py"
     file.write_text(textwrap.dedent(WATCHING))
     run = tried(file)
@@ -73,7 +73,7 @@ def test_whoever_imported_the_original_has_the_mutant(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_test_that_fails_without_a_mutant_is_told(tmp_path: Path) -> None:
+def test_trials_test_failing_without_mutant_raises_no_verdict(tmp_path: Path) -> None:
     file = tmp_path / "test_failing.py"
     file.write_text("import bench.base.lifecycle\n\ndef test_it():\n    assert False\n")
     run = tried(file)
@@ -109,7 +109,7 @@ def test_a_test_that_fails_without_a_mutant_is_told(tmp_path: Path) -> None:
         ("x = Colour.RED\ny = Colour.BLUE", ["Colour.RED -> Colour.BLUE", "Colour.BLUE -> Colour.RED"]),
     ],
 )
-def test_what_becomes_of_a_source(source: str, changes: list[str]) -> None:
+def test_mutants_source_gives_expected_changes(source: str, changes: list[str]) -> None:
     found = list(mutants(source, {"Colour": ("RED", "BLUE")}))
     assert [mutant.change for mutant in found] == changes
     assert len({mutant.source for mutant in found}) == len(found)
@@ -117,7 +117,7 @@ def test_what_becomes_of_a_source(source: str, changes: list[str]) -> None:
         ast.parse(mutant.source)
 
 
-def test_mutants_of_one_line_have_names_of_their_own() -> None:
+def test_mutants_same_line_have_unique_names() -> None:
     first, *others = [mutant.name for mutant in mutants("x = a[0] + b[0]")]
     assert first == "x = a[0] + b[0]: a[0] + b[0] -> a[0] - b[0]"
     assert others == ["x = a[0] + b[0]: 0 -> 1", "x = a[0] + b[0]: 0 -> 1 (2)"]

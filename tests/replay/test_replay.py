@@ -54,20 +54,20 @@ def stop() -> Record:
     return read_swing(STOP)
 
 
-def test_every_field_is_input_decided_or_measured() -> None:
+def test_record_fields_are_input_decided_or_measured() -> None:
     names = [field.name for field in FIELDS]
     assert sorted([*INPUTS, *DECIDED, *MEASURED]) == sorted(names)
 
 
 @pytest.mark.parametrize("path", [SWING, STOP])
-def test_todays_controller_does_what_the_reference_did(path: Path) -> None:
+def test_replay_reference_record_shows_no_difference(path: Path) -> None:
     replay = replay_cycles(*read_swing(path), path.name)
     assert len(replay.recorded) > 700
     assert wrong(replay) == {}
     assert not replay.defaults, "the record is older than these settings: make reference"
 
 
-def test_the_references_are_small_and_hold_what_they_are_for(swing: Record, stop: Record) -> None:
+def test_reference_records_are_small_and_cover_phases(swing: Record, stop: Record) -> None:
     assert max(SWING.stat().st_size, STOP.stat().st_size) < 1e6
     assert set(swing[0]["phase"]) == {p for p in Phase if p not in {Phase.STANDING, Phase.HOMING}}
     assert {Reaction.NONE, Reaction.BRAKE} == set(stop[0]["reaction"])
@@ -129,7 +129,7 @@ CHANGES: dict[str, tuple[Path, Change, str]] = {
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_changed_controller_shows(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replay_changed_controller_shows_difference(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     path, change, field = CHANGES[name]
 
     def changed(*arguments: Any, **settings: Any) -> ControlParameters:
@@ -221,7 +221,7 @@ def record_of(
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_records_of_faults_replay_to_the_last_bit(name: str) -> None:
+def test_replay_fault_record_is_bit_exact(name: str) -> None:
     cycles, metadata = record_of(**FAULTS[name])
     assert Phase.HOLD in cycles["phase"][:100], "the robot is to be at its address"
     replay = replay_cycles(cycles, metadata, name)
@@ -231,7 +231,7 @@ def test_records_of_faults_replay_to_the_last_bit(name: str) -> None:
     assert bool(replay.recorded["cause"].any()) is tripped
 
 
-def test_a_replay_leaves_the_record_alone(swing: Record) -> None:
+def test_replay_leaves_record_unchanged(swing: Record) -> None:
     before = swing[0].tobytes()
     replay = replay_cycles(*swing, "swing")
     assert swing[0].tobytes() == before
@@ -239,7 +239,7 @@ def test_a_replay_leaves_the_record_alone(swing: Record) -> None:
         assert np.array_equal(replay.recorded[name], replay.replayed[name], equal_nan=True)
 
 
-def test_every_swing_of_a_series_replays_from_lock_step_and_from_the_cycle(
+def test_replay_swing_series_of_each_stepper_shows_no_difference(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     bench = reference_bench()
@@ -273,7 +273,9 @@ def tampered(replay: Replay, field: str, value: float, tick: int = 100) -> Repla
         ("plant_angle", 9.0, False),
     ],
 )
-def test_a_single_value_shows_where_it_stands(swing: Record, field: str, value: float, differs: bool) -> None:
+def test_replay_differences_changed_value_gives_field_and_tick(
+    swing: Record, field: str, value: float, differs: bool
+) -> None:
     replay = tampered(replay_cycles(*swing, "swing"), field, value)
     found = [d for d in replay.differences() if d.ticks]
     assert [d.field for d in found] == [field] * differs
@@ -282,7 +284,7 @@ def test_a_single_value_shows_where_it_stands(swing: Record, field: str, value: 
         assert (d.ticks, d.tick, d.time) == (1, at["tick"], at["time"])
 
 
-def test_the_tolerance_is_absolute_plus_relative(swing: Record) -> None:
+def test_replay_tolerance_is_absolute_plus_relative(swing: Record) -> None:
     replay = replay_cycles(*swing, "swing")
     angle = float(replay.replayed["angle"][100, 2])
     assert angle > 4.0
@@ -306,7 +308,7 @@ def without(metadata: dict[str, Any], *keys: str) -> dict[str, Any]:
     return copy  # type: ignore[no-any-return]
 
 
-def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> None:
+def test_replay_missing_setting_takes_default(swing: Record) -> None:
     metadata = without(
         without(swing[1], "configuration", "control", "impact_speed_drop"), "configuration", "homing"
     )
@@ -330,7 +332,7 @@ def test_a_record_older_than_a_setting_takes_todays_default(swing: Record) -> No
         (("configuration",), None, "swing: configuration"),
     ],
 )
-def test_what_is_missing_or_damaged_is_told(
+def test_replay_invalid_metadata_reports_location(
     swing: Record, keys: tuple[str, ...], value: Any, location: str
 ) -> None:
     metadata = json.loads(json.dumps(swing[1]))
@@ -343,7 +345,7 @@ def test_what_is_missing_or_damaged_is_told(
     assert refusal.value.location == location
 
 
-def test_settings_that_this_program_does_not_take_are_all_named(swing: Record) -> None:
+def test_replay_invalid_settings_reports_all(swing: Record) -> None:
     metadata = json.loads(json.dumps(swing[1]))
     metadata["configuration"]["control"]["rest_time"] = -1.0
     metadata["configuration"]["envelope"]["glue"] = 3
@@ -358,7 +360,7 @@ def test_settings_that_this_program_does_not_take_are_all_named(swing: Record) -
     ]
 
 
-def test_a_snapshot_of_another_time_is_told(swing: Record) -> None:
+def test_replay_snapshot_of_other_tick_raises(swing: Record) -> None:
     with pytest.raises(BenchError, match="tick"):
         replay_cycles(swing[0][5:], swing[1], "swing")
     with pytest.raises(BenchError, match="tick"):
@@ -374,12 +376,12 @@ def command(*arguments: str) -> int:
     return int(end.value.code or 0)
 
 
-def test_the_command_says_yes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_command_equal_record_reports_equal(capsys: pytest.CaptureFixture[str]) -> None:
     assert command(str(SWING)) == 0
     assert "Equal: today's controller does what was recorded." in capsys.readouterr().out
 
 
-def test_the_command_says_no_with_the_first_tick(
+def test_replay_command_different_record_reports_first_tick(
     tmp_path: Path, swing: Record, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cycles = since(swing[0], 0.0)
@@ -410,7 +412,7 @@ def test_the_command_says_no_with_the_first_tick(
         ([], 2, "RECORD"),
     ],
 )
-def test_wrong_usage_is_told(
+def test_replay_command_invalid_usage_exits_with_error(
     arguments: list[str], code: int, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command(*arguments) == code

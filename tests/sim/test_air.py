@@ -7,23 +7,23 @@ import pytest
 from sim.air import Air
 
 
-def test_density_against_published_values() -> None:
+def test_air_density_matches_published_values() -> None:
     # Standard references: dry air at 0 degrees C and 1 atm, and CIPM's 20 degrees C at 50 % humidity.
     assert Air(273.15, 101325.0, 0.0).density == pytest.approx(1.2930, abs=3e-4)
     assert Air(293.15, 101325.0, 0.5).density == pytest.approx(1.1993, abs=3e-4)
     assert Air(293.15, 101325.0, 0.0).density == pytest.approx(1.2045, abs=3e-4)
 
 
-def test_default_is_the_condition_launch_monitors_normalise_to() -> None:
+def test_air_default_matches_launch_monitor_normalisation() -> None:
     assert Air().density == pytest.approx(1.1773, abs=1e-4)
     assert Air().viscosity / Air().density == pytest.approx(1.56e-5, abs=1e-8)
 
 
-def test_viscosity_against_published_values() -> None:
+def test_air_viscosity_matches_published_value() -> None:
     assert Air(293.15).viscosity == pytest.approx(1.813e-5, abs=1e-8)
 
 
-def test_humid_and_warm_air_is_lighter() -> None:
+def test_air_density_falls_with_humidity_and_temperature() -> None:
     assert Air(relative_humidity=1.0).density < Air(relative_humidity=0.0).density
     assert Air(temperature=308.15).density < Air().density
 
@@ -37,6 +37,6 @@ def test_humid_and_warm_air_is_lighter() -> None:
         ({"temperature": float("nan")}, r"Air\.temperature: found nan"),
     ],
 )
-def test_unphysical_air_is_named(values: dict[str, float], text: str) -> None:
+def test_air_unphysical_value_raises(values: dict[str, float], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         Air(**values)

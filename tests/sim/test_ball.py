@@ -9,7 +9,7 @@ import pytest
 from sim.ball import Ball
 
 
-def test_standard_ball_obeys_the_rules() -> None:
+def test_ball_default_conforms_to_rules() -> None:
     ball = Ball()
     assert ball.mass <= 0.04593
     assert 2 * ball.radius >= 0.04267
@@ -26,6 +26,6 @@ def test_standard_ball_obeys_the_rules() -> None:
         ({"drag_factor": -1.0}, r"Ball\.drag_factor: found -1\.0, expected 0 to 3$"),
     ],
 )
-def test_unphysical_ball_is_named(values: dict[str, Any], text: str) -> None:
+def test_ball_unphysical_value_raises(values: dict[str, Any], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         Ball(**values)

@@ -54,7 +54,7 @@ def _planar(
 
 
 @pytest.mark.parametrize("stiffness", [0.3, 2 / 3, 1.0, 1.5])
-def test_a_contact_that_sticks_is_two_oscillators(stiffness: float) -> None:
+def test_contact_impulse_sticking_equals_two_oscillators(stiffness: float) -> None:
     # Half a period of the normal spring: the slip has become its cosine. Friction far above any force.
     normal, share = _planar(0.1, stiffness=stiffness)
     assert normal == pytest.approx(2.0, rel=1e-4)
@@ -62,16 +62,16 @@ def test_a_contact_that_sticks_is_two_oscillators(stiffness: float) -> None:
 
 
 @pytest.mark.parametrize("e", [0.3, 0.786, 0.882, 1.0])
-def test_normal_restitution_is_the_stated_one(e: float) -> None:
+def test_contact_impulse_normal_part_follows_restitution(e: float) -> None:
     assert _planar(0.2, e, 0.4)[0] == pytest.approx(1 + e, rel=2e-4)
 
 
-def test_steep_contact_slides_throughout() -> None:
+def test_contact_impulse_steep_approach_slides_throughout() -> None:
     normal, share = _planar(5.0, 0.8, 0.1)
     assert share * 5.0 / 3.5 == pytest.approx(0.1 * normal, rel=1e-9)
 
 
-def test_a_loss_takes_from_the_return() -> None:
+def test_contact_impulse_tangential_loss_reduces_shear() -> None:
     assert _planar(0.1, stiffness=0.35, loss=0.4)[1] < _planar(0.1, stiffness=0.35)[1] - 0.1
 
 
@@ -103,13 +103,15 @@ def _finer(slope: float, e: float, friction: float, stiffness: float, loss: floa
     ("loft", "e", "stiffness", "loss"),
     [(13, 0.88, 1.147, 0.34), (30, 0.786, 0.667, 0.34), (45, 0.786, 0.667, 0.0), (55, 0.786, 0.667, 0.34)],
 )
-def test_two_hundred_steps_are_enough(loft: float, e: float, stiffness: float, loss: float) -> None:
+def test_contact_impulse_matches_fine_step_reference(
+    loft: float, e: float, stiffness: float, loss: float
+) -> None:
     slope = tan(radians(loft))
     share = _planar(slope, e, 0.4, stiffness, loss)[1]
     assert share == pytest.approx(_finer(slope, e, 0.4, stiffness, loss), rel=2e-3)
 
 
-def test_momentum_and_energy_in_ten_thousand_drawn_impacts() -> None:
+def test_collide_random_impacts_conserve_momentum_and_gain_no_energy() -> None:
     random = np.random.default_rng(20)
     worst_momentum = worst_turning = most_energy = 0.0
     for number in range(DRAWN):
@@ -160,7 +162,7 @@ def test_momentum_and_energy_in_ten_thousand_drawn_impacts() -> None:
     assert most_energy < 1e-12
 
 
-def test_smash_stays_below_the_limit_of_momentum_and_energy() -> None:
+def test_strike_smash_factor_stays_below_physical_limit() -> None:
     random = np.random.default_rng(21)
     for _ in range(DRAWN // 10):
         club = DRIVER if random.random() < 0.5 else IRON
@@ -171,7 +173,7 @@ def test_smash_stays_below_the_limit_of_momentum_and_energy() -> None:
         assert launch.speed / speed <= (1 + e) / (1 + BALL.mass / club.head_mass) + 1e-9
 
 
-def test_gear_effect_both_ways() -> None:
+def test_strike_gear_effect_stays_near_ideal_gear() -> None:
     # Tutelman's ideal gear: 58,830 V C x / I rpm (mph, in, in, g cm2); 25 V y up the face (rule of thumb).
     flat = replace(DRIVER, bulge_radius=1e6, roll_radius=1e6)
     for x in (-0.02, -0.01, 0.01, 0.02):
@@ -188,7 +190,7 @@ def test_gear_effect_both_ways() -> None:
     assert 0.7 < (back(-0.01) - back(0.01)) / ideal < 0.95
 
 
-def test_half_an_inch_off_centre_costs_what_club_makers_say() -> None:
+def test_strike_half_inch_off_centre_loses_published_ball_speed() -> None:
     # Maltby: 5 % of the distance with irons, 7 % with (older) woods; here of the ball's speed.
     for club, loft, low, high in ((DRIVER, 12, 0.01, 0.07), (IRON, 23, 0.02, 0.09)):
         speeds = [
@@ -198,7 +200,7 @@ def test_half_an_inch_off_centre_costs_what_club_makers_say() -> None:
         assert low < 1 - speeds[1] / speeds[0] < high
 
 
-def test_spin_has_its_maximum_near_fifty_degrees_and_a_wet_face_takes_of_it() -> None:
+def test_strike_spin_peaks_near_50_degrees_and_falls_on_wet_face() -> None:
     def spin(loft: float, club: Club) -> float:
         return strike(delivery_from_angles(35, 0, 0, 0, radians(loft)), club).spin
 
@@ -214,7 +216,7 @@ def test_spin_has_its_maximum_near_fifty_degrees_and_a_wet_face_takes_of_it() ->
     assert high[1] > high[0] + 3
 
 
-def test_restitution_changes_with_the_approach() -> None:
+def test_strike_restitution_follows_approach_speed() -> None:
     smooth = replace(DRIVER, head_depth=0.0, friction_factor=0.0, restitution_slope=-0.003)
     for speed in (20.0, 40.0, 60.0):
         smash = strike(delivery_from_angles(speed, 0, 0, 0, 0), smooth).speed / speed

@@ -91,7 +91,7 @@ def errors(substeps: int, fine: int) -> tuple[float, float, float]:
     return distance, abs(coarse.speed / exact.speed - 1.0), abs(coarse.attack - exact.attack)
 
 
-def test_delivery_is_that_of_a_tenfold_finer_step() -> None:
+def test_delivery_default_substep_matches_tenfold_finer_step() -> None:
     default = PlantParameters().substeps
     assert downswing(default).speed > 40.0
     position, speed, attack = errors(default, 10 * default)
@@ -100,13 +100,13 @@ def test_delivery_is_that_of_a_tenfold_finer_step() -> None:
     assert attack < RELATIVE
 
 
-def test_errors_fall_at_second_order_in_spite_of_stiction_and_stops() -> None:
+def test_delivery_errors_fall_at_second_order() -> None:
     worst = [max(errors(substeps, 160)) for substeps in (1, 4, 16)]  # one alone may pass through zero
     assert worst[1] < worst[0] / 8
     assert worst[2] < worst[1] / 4
 
 
-def test_the_downswing_reverses_joints_under_friction_and_meets_stops() -> None:
+def test_downswing_reverses_joints_and_meets_stops() -> None:
     """Otherwise it would prove little."""
     plant = build_plant(PlantParameters())
     state, command = start(plant)
@@ -121,7 +121,7 @@ def test_the_downswing_reverses_joints_under_friction_and_meets_stops() -> None:
     assert np.count_nonzero(state["stop_energy"]) >= 1
 
 
-def test_with_a_flexible_shaft_the_head_comes_to_the_same_place() -> None:
+def test_flexible_shaft_finer_substep_keeps_head_position() -> None:
     heads = []
     for substeps in (4, 40):
         shaft = Shaft(flexible=True, frequency=12.0)

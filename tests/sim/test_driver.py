@@ -29,7 +29,7 @@ def opened(parameters: PlantParameters | None = None) -> SimDriver:
     return driver
 
 
-def test_it_moves_the_plant_as_the_plant_moves_itself() -> None:
+def test_sim_driver_moves_plant_like_direct_advance() -> None:
     driver, plant = opened(), build_plant(PlantParameters())
     state, command = initial_state(plant, np.array(START)), new_record(COMMAND)
     pack_command(POWERED, command)
@@ -47,7 +47,7 @@ def test_it_moves_the_plant_as_the_plant_moves_itself() -> None:
 @given(
     times=st.lists(st.floats(0.0, 0.05), min_size=1, max_size=12), start=st.sampled_from([0.0, 17.25, 1e6])
 )
-def test_it_stands_at_the_last_whole_tick(times: list[float], start: float) -> None:
+def test_sim_driver_plant_time_is_last_whole_tick(times: list[float], start: float) -> None:
     driver = opened()
     driver.read(start)
     for time in sorted(times):
@@ -57,7 +57,7 @@ def test_it_stands_at_the_last_whole_tick(times: list[float], start: float) -> N
         assert time < (ticks + 1) * PERIOD + 1e-9
 
 
-def test_times_are_the_loops_even_when_it_is_opened_again() -> None:
+def test_sim_driver_reopened_reports_loop_times() -> None:
     driver = opened()
     for begin in (100.0, 7000.0):
         for k in range(4):
@@ -70,7 +70,7 @@ def test_times_are_the_loops_even_when_it_is_opened_again() -> None:
     assert float(driver.plant_state["time"][0]) == pytest.approx(6 * PERIOD)
 
 
-def test_a_plant_left_alone_is_passive() -> None:
+def test_sim_driver_make_passive_vents_supply() -> None:
     driver = opened()
     driver.read(0.0)
     driver.write(POWERED)
@@ -82,13 +82,13 @@ def test_a_plant_left_alone_is_passive() -> None:
     assert driver.plant_state["supply_pressure"][0] < charged
 
 
-def test_lost_channels_are_invalid_not_an_exception() -> None:
+def test_sim_driver_lost_encoder_reads_invalid() -> None:
     driver = opened()
     driver.plant_state["encoder_valid"] = (1, 0, 1)
     assert driver.read(0.0).encoder_valid == (True, False, True)
 
 
-def test_equal_seeds_give_equal_noise() -> None:
+def test_sim_driver_equal_seeds_give_equal_noise() -> None:
     runs = []
     for seed in (1, 1, 2):
         driver = opened(PlantParameters(encoders=Encoders(jitter=1e-4, noise=1e-3), seed=seed))
@@ -96,7 +96,7 @@ def test_equal_seeds_give_equal_noise() -> None:
     assert runs[0] == runs[1] != runs[2]
 
 
-def test_what_the_plant_knows_is_noted_in_the_record() -> None:
+def test_sim_driver_note_truth_fills_record() -> None:
     driver = opened()
     driver.read(0.005)
     record = new_record(CYCLE)
@@ -106,7 +106,7 @@ def test_what_the_plant_knows_is_noted_in_the_record() -> None:
     assert record["plant_head_speed"][0] >= 0.0
 
 
-def test_a_struck_ball_is_told_with_its_launch() -> None:
+def test_sim_driver_contact_after_impact_gives_launch() -> None:
     driver = opened()
     driver.place_ball()
     assert contact_in(driver.plant_state) is None
@@ -124,7 +124,7 @@ def test_a_struck_ball_is_told_with_its_launch() -> None:
     assert driver.contact is None
 
 
-def test_the_hanging_robot_wants_to_go_nowhere() -> None:
+def test_hanging_pose_is_in_equilibrium() -> None:
     parameters = PlantParameters()
     pose = hanging_pose(parameters)
     shoulder, arm, wrist = bias_forces(parameters.robot, pose, np.zeros(3))
@@ -135,12 +135,12 @@ def test_the_hanging_robot_wants_to_go_nowhere() -> None:
 
 
 @pytest.mark.parametrize("angle", [(0.1, 4.0), (0.1, 4.0, math.nan), 3.0])
-def test_a_start_that_is_no_pose_is_refused(angle: object) -> None:
+def test_sim_driver_invalid_start_angles_raise(angle: object) -> None:
     with pytest.raises(ValueError, match=r"start angles"):
         SimDriver(angle=angle)  # type: ignore[arg-type]
 
 
-def test_a_refused_reading_says_what_time_it_wants() -> None:
+def test_sim_driver_read_of_past_time_names_earliest_time() -> None:
     driver = opened()
     driver.read(2.0)
     driver.read(2.005)
@@ -149,7 +149,7 @@ def test_a_refused_reading_says_what_time_it_wants() -> None:
 
 
 @pytest.mark.parametrize("start", [0.0, 12.5])
-def test_a_record_holds_the_same_readings(start: float) -> None:
+def test_sim_driver_read_record_equals_read(start: float) -> None:
     one, other = SimDriver(PlantParameters()), SimDriver(PlantParameters())
     one.open()
     other.open()

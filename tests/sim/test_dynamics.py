@@ -88,7 +88,7 @@ def plant_energy(plant: Plant, state: Any) -> float:
 # Robot -----------------------------------------------------------------------------------------------
 
 
-def test_energy_is_conserved_without_friction_and_air_to_the_integrators_order() -> None:
+def test_plant_without_friction_and_air_conserves_energy() -> None:
     drift = []
     for substeps in (1, 2, 4):
         plant = build_plant(unstopped(airless(PlantParameters(substeps=substeps))))
@@ -101,7 +101,7 @@ def test_energy_is_conserved_without_friction_and_air_to_the_integrators_order()
     assert drift[2] < 1e-7
 
 
-def test_friction_only_takes_energy() -> None:
+def test_plant_friction_never_adds_energy() -> None:
     friction = Friction(viscous=0.1, coulomb=5.0, static=7.0)
     plant = build_plant(unstopped(airless(PlantParameters(), friction=friction)))
     state = initial_state(plant, POSE)
@@ -134,7 +134,7 @@ def holding_friction(share: float, *, locked: bool = False) -> list[PlantParamet
     return [replace(parameters, **fields)]
 
 
-def test_joints_loaded_below_static_friction_do_not_move_at_all_in_ten_seconds() -> None:
+def test_joint_load_below_static_friction_stays_at_rest() -> None:
     plant = build_plant(holding_friction(1.001)[0])
     state = initial_state(plant, POSE)
     run(plant, state, 10_000 // SHORTER)
@@ -143,7 +143,7 @@ def test_joints_loaded_below_static_friction_do_not_move_at_all_in_ten_seconds()
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])
-def test_a_joint_loaded_above_static_friction_slides(joint: int) -> None:
+def test_joint_load_above_static_friction_slides(joint: int) -> None:
     plant = build_plant(holding_friction(0.999, locked=True)[joint])
     state = initial_state(plant, POSE)
     run(plant, state, 500 // SHORTER)
@@ -152,7 +152,7 @@ def test_a_joint_loaded_above_static_friction_slides(joint: int) -> None:
     assert np.count_nonzero(moved) == 1
 
 
-def test_a_joint_comes_to_rest_where_coulomb_friction_stops_it() -> None:
+def test_joint_under_coulomb_friction_stops_at_expected_angle() -> None:
     """The shoulder alone: u^2 = 2 (b / M) angle."""
     parameters = airless(PlantParameters(robot=RobotParameters(gravity=0.0)), friction=LOCKED)
     friction = Friction(viscous=0.0, coulomb=30.0, static=30.0)
@@ -169,7 +169,7 @@ def test_a_joint_comes_to_rest_where_coulomb_friction_stops_it() -> None:
     assert state["angle"][0, 1:].tolist() == POSE[1:].tolist()
 
 
-def test_a_reversal_under_friction_is_of_second_order() -> None:
+def test_joint_reversal_under_friction_matches_exact_speed() -> None:
     """Thrown against a constant force the shoulder turns round: exact by hand, sliding up and down."""
     area, coulomb, start = 4.0e-4, 20.0, -1.5
     errors = []
@@ -211,7 +211,7 @@ def stop_hit(kinetic: float, damping_speed: float) -> tuple[Plant, Any, float]:
     return plant, state, inertia * float(state["speed"][0, 0]) ** 2 / 2
 
 
-def test_a_stop_takes_the_kinetic_energy_and_gives_back_less() -> None:
+def test_end_stop_takes_kinetic_energy_and_returns_less() -> None:
     plant, state, after = stop_hit(30.0, 2.0)
     assert state["stop_energy"][0, 0].tolist() == pytest.approx([0.0, 30.0], rel=1e-3)
     assert state["speed"][0, 0] < 0.0
@@ -220,7 +220,7 @@ def test_a_stop_takes_the_kinetic_energy_and_gives_back_less() -> None:
     assert not state["stop_energy"][0, 1:].any()
 
 
-def test_an_undamped_stop_fills_its_travel_with_its_rated_energy_and_gives_it_back() -> None:
+def test_end_stop_undamped_returns_rated_energy_at_full_travel() -> None:
     stop = PlantParameters().shoulder.stop
     _, state, after = stop_hit(stop.energy, 1e12)
     assert state["stop_depth"][0, 0, 1] == pytest.approx(stop.travel, rel=1e-3)
@@ -229,7 +229,7 @@ def test_an_undamped_stop_fills_its_travel_with_its_rated_energy_and_gives_it_ba
 
 
 @pytest.mark.parametrize("flexible", [False, True])
-def test_the_ground_pushes_up_and_takes_energy(flexible: bool) -> None:
+def test_ground_contact_takes_energy(flexible: bool) -> None:
     parameters = airless(PlantParameters(shaft=Shaft(flexible=flexible)))
     pose = np.array([0.2, 4.3, 6.0])
     height = joint_positions(parameters.robot, pose)[4, 1]
@@ -288,7 +288,7 @@ def closed_swing(exponent: float, mounted: float = 0.0) -> tuple[Plant, list[Any
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.4])
-def test_a_closed_chamber_is_compressed_by_p_v_to_the_n(exponent: float) -> None:
+def test_closed_chamber_follows_polytropic_law(exponent: float) -> None:
     plant, states = closed_swing(exponent)
     constant = np.array([s["pressure"][0] * volumes(plant, s["angle"][0]) ** exponent for s in states])
     assert np.max(np.abs(constant / constant[0] - 1.0)) < 1e-6
@@ -298,7 +298,7 @@ def test_a_closed_chamber_is_compressed_by_p_v_to_the_n(exponent: float) -> None
 
 
 @pytest.mark.parametrize("mounted", [0.0, 0.7, -0.3])
-def test_robot_and_shut_up_air_exchange_energy_without_loss(mounted: float) -> None:
+def test_closed_chambers_exchange_energy_without_loss(mounted: float) -> None:
     plant, states = closed_swing(1.4, mounted)
     atmosphere = plant.parameters.supply.atmosphere
     total = []
@@ -309,7 +309,7 @@ def test_robot_and_shut_up_air_exchange_energy_without_loss(mounted: float) -> N
     assert np.ptp(total) < 1e-4  # of some 900 J in the air
 
 
-def test_a_lever_turned_on_the_club_acts_as_the_wrist_turned_as_far_did() -> None:
+def test_wrist_lever_angle_shifts_wrist_stroke() -> None:
     """Its cylinder cannot tell the mounting angle from the wrist's own."""
     turned = 0.7
     square, mounted = PlantParameters(), PlantParameters(wrist_lever_angle=turned)
@@ -338,7 +338,7 @@ def standing(**supply: Any) -> Plant:
     )
 
 
-def test_air_is_neither_made_nor_lost_between_manifold_and_chambers() -> None:
+def test_manifold_and_chambers_conserve_air() -> None:
     plant = standing(feed_conductance=1e-30)
     state = initial_state(plant, POSE)
     state["supply_pressure"], state["supply_level"] = 8e5, 1.0
@@ -350,7 +350,7 @@ def test_air_is_neither_made_nor_lost_between_manifold_and_chambers() -> None:
         assert state["pressure"][0, ::2] == pytest.approx(float(state["supply_pressure"][0]), rel=1e-3)
 
 
-def test_air_that_leaks_past_the_seals_stays_in_the_actuator() -> None:
+def test_cross_leakage_keeps_air_in_actuator() -> None:
     plant = standing()
     leaking = changed(plant.parameters, cross_leakage=1e-8)
     plant = build_plant(leaking)
@@ -364,7 +364,7 @@ def test_air_that_leaks_past_the_seals_stays_in_the_actuator() -> None:
     assert abs(state["pressure"][0, 0] - state["pressure"][0, 1]) < 3.99e5
 
 
-def test_the_spool_steps_as_a_second_order_system() -> None:
+def test_spool_step_response_is_second_order() -> None:
     plant = build_plant(PlantParameters())
     state = initial_state(plant, POSE)
     valve = plant.parameters.wrist.valve
@@ -446,7 +446,7 @@ def flexible_plant(**shaft: Any) -> Plant:
     return build_plant(unstopped(airless(PlantParameters(shaft=Shaft(flexible=True, **shaft)))))
 
 
-def test_the_flexible_shafts_equations_are_lagranges() -> None:
+def test_flexible_shaft_accelerations_match_lagrange() -> None:
     plant = flexible_plant(frequency=5.0, damping_ratio=0.05)
     model = FlexibleRobot(plant.parameters)
     rng = np.random.default_rng(2)
@@ -465,7 +465,7 @@ def test_the_flexible_shafts_equations_are_lagranges() -> None:
         assert dy[13] == v[3]
 
 
-def test_the_flexible_plant_conserves_energy() -> None:
+def test_flexible_shaft_undamped_conserves_energy() -> None:
     plant = flexible_plant(damping_ratio=0.0)
     model = FlexibleRobot(plant.parameters)
 
@@ -478,7 +478,7 @@ def test_the_flexible_plant_conserves_energy() -> None:
 
 
 @pytest.mark.parametrize("frequency", [4.5, 12.0])
-def test_the_head_rings_at_the_configured_frequency_when_the_wrist_is_fixed(frequency: float) -> None:
+def test_flexible_shaft_locked_joints_rings_at_set_frequency(frequency: float) -> None:
     parameters = PlantParameters(robot=RobotParameters(gravity=0.0))
     parameters = airless(
         replace(parameters, shaft=Shaft(flexible=True, frequency=frequency)), friction=LOCKED
@@ -496,7 +496,7 @@ def test_the_head_rings_at_the_configured_frequency_when_the_wrist_is_fixed(freq
     assert state["angle"][0].tolist() == POSE.tolist()
 
 
-def test_a_stiff_shaft_swings_like_a_rigid_one() -> None:
+def test_flexible_shaft_stiff_matches_rigid_shaft() -> None:
     states = []
     for shaft in (Shaft(), Shaft(flexible=True, frequency=100.0, damping_ratio=1.0)):
         plant = build_plant(unstopped(airless(PlantParameters(shaft=shaft, substeps=16))))

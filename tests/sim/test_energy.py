@@ -68,7 +68,7 @@ def _energy(robot: RobotParameters, q: Any, u: Any) -> tuple[float, float]:
 
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("club", [Club.thesis(), Club.driver()], ids=lambda club: club.name)
-def test_energy_is_conserved_over_ten_seconds_of_free_swinging(start: str, club: Club) -> None:
+def test_forward_dynamics_free_swing_conserves_energy(start: str, club: Club) -> None:
     robot = thesis_robot(club)
     q, u = STARTS[start]
     no_effort = np.zeros(3)
@@ -92,7 +92,7 @@ def test_energy_is_conserved_over_ten_seconds_of_free_swinging(start: str, club:
     assert np.max(np.abs(total - total[0])) < TOLERANCE * most_kinetic
 
 
-def test_power_of_the_efforts_is_the_rate_of_energy() -> None:
+def test_forward_dynamics_effort_power_equals_energy_rate() -> None:
     """dE/dt = M_A u1 + F_E dl46/dt + M_C u3 at random states: signs and directions of the efforts."""
     robot = thesis_robot()
     rng = np.random.default_rng(5)

@@ -75,11 +75,11 @@ def broken(signal: str, kind: str, value: float = nan, **onset: object) -> Fault
     return Fault("test", signal, kind, value, **onset)  # type: ignore[arg-type]
 
 
-def test_phases_are_the_benchs() -> None:
+def test_fault_phases_match_bench_phases() -> None:
     assert [phase.name.lower() for phase in Phase] == list(PHASES)
 
 
-def test_every_signal_has_a_sort_and_every_meaning_a_kind() -> None:
+def test_fault_signal_sorts_match_meanings() -> None:
     assert {sort_of(signal) for signal in SIGNALS} == set(MEANINGS)
 
 
@@ -103,17 +103,17 @@ def test_every_signal_has_a_sort_and_every_meaning_a_kind() -> None:
         ("guard closed", "swapped", 8.0),
     ],
 )
-def test_what_has_no_meaning_is_refused(signal: str, kind: str, value: float) -> None:
+def test_fault_invalid_signal_kind_or_value_raises(signal: str, kind: str, value: float) -> None:
     with pytest.raises(ValueError, match=r"signal|kind|value"):
         broken(signal, kind, value)
 
 
-def test_a_delay_beyond_memory_is_refused() -> None:
+def test_new_faults_delay_beyond_history_raises() -> None:
     with pytest.raises(ValueError, match="delay"):
         Bed(broken("shoulder encoder", "delayed", 0.1))
 
 
-def test_swapped_encoders_and_valves_change_places_from_the_onset_on() -> None:
+def test_swapped_fault_exchanges_channels_from_onset() -> None:
     faults = (broken("shoulder encoder", "swapped", 2.0, time=0.01), broken("arm valve", "swapped", 0.0))
     bed = Bed(*faults).run(5)
     healthy = Bed().run(5)
@@ -125,14 +125,14 @@ def test_swapped_encoders_and_valves_change_places_from_the_onset_on() -> None:
 
 
 @pytest.mark.parametrize("fault", [broken("arm valve", "swapped", 0.0), broken("arm valve", "offset", 0.1)])
-def test_a_valves_fault_does_not_add_up_while_no_command_arrives(fault: Fault) -> None:
+def test_valve_fault_without_command_does_not_accumulate(fault: Fault) -> None:
     bed = Bed(fault).run(3)
     before = list(bed.valve)
     assert list(bed.run(7, spoken=False).valve) == before
 
 
 @pytest.mark.slow
-def test_nothing_is_changed_before_the_onset() -> None:
+def test_faults_before_onset_change_nothing() -> None:
     bed = Bed(*(broken(s, "off", time=1.0) for s in SIGNALS if "off" in MEANINGS[sort_of(s)])).run(50)
     assert bed.angle == pytest.approx(bed.true_angle, abs=1e-4)
     assert bed.readings["encoder_valid"].all()
@@ -142,7 +142,7 @@ def test_nothing_is_changed_before_the_onset() -> None:
     assert (bed.plant.robot == bed.faults.healthy_robot).all()
 
 
-def test_encoders_off_stuck_and_wrong() -> None:
+def test_encoder_fault_off_stuck_or_offset_changes_readings() -> None:
     faults = (broken("shoulder encoder", "off"), broken("arm encoder", "stuck"))
     bed = Bed(*faults, broken("wrist encoder", "offset", 0.2)).run(100)
     assert bed.readings["encoder_valid"][0].tolist() == [0, 1, 1]
@@ -159,19 +159,19 @@ def test_encoders_off_stuck_and_wrong() -> None:
         ("slow", 0.01, REST[0] + 0.297 - 0.03),
     ],
 )
-def test_encoders_plausible_but_wrong(kind: str, value: float, expected: float) -> None:
+def test_encoder_fault_plausible_kind_gives_expected_angle(kind: str, value: float, expected: float) -> None:
     bed = Bed(broken("shoulder encoder", kind, value)).run(100)
     assert bed.true_angle[0] == pytest.approx(REST[0] + 0.297)
     assert bed.angle[0] == pytest.approx(expected, abs=1e-3)
 
 
-def test_an_encoder_wrong_by_an_offset_may_cross_its_zero() -> None:
+def test_encoder_fault_offset_wraps_below_zero() -> None:
     bed = Bed(broken("shoulder encoder", "offset", -0.2)).run(1)
     assert bed.angle[0] == pytest.approx(REST[0] - 0.2, abs=1e-4)
     assert bed.readings["encoder_count"][0, 0] > 0
 
 
-def test_intermittent_is_a_share_of_ticks_and_the_same_for_the_same_seed() -> None:
+def test_intermittent_fault_drops_set_share_reproducibly() -> None:
     def valid(seed: int) -> list[int]:
         bed = Bed(broken("wrist encoder", "intermittent", 0.3), seed=seed)
         return [int(bed.run().readings["encoder_valid"][0, 2]) for _ in range(1000)]
@@ -180,7 +180,7 @@ def test_intermittent_is_a_share_of_ticks_and_the_same_for_the_same_seed() -> No
     assert valid(1) == valid(1) != valid(2)
 
 
-def test_garbage_is_any_count() -> None:
+def test_garbage_fault_spans_count_range() -> None:
     bed = Bed(broken("arm encoder", "garbage"))
     counts = [int(bed.run().readings["encoder_count"][0, 1]) for _ in range(200)]
     assert min(counts) < 0.1 * 2**17
@@ -199,12 +199,12 @@ def test_garbage_is_any_count() -> None:
         ("drifting", 1.0, 0.599),
     ],
 )
-def test_valves(kind: str, value: float, expected: float) -> None:
+def test_valve_fault_gives_expected_command(kind: str, value: float, expected: float) -> None:
     bed = Bed(broken("shoulder valve", kind, value)).run(100)
     assert bed.valve == pytest.approx([expected, -0.3, 0.1], abs=1e-6)
 
 
-def test_a_valve_follows_slowly_and_late() -> None:
+def test_valve_fault_slow_or_delayed_lags_command() -> None:
     bed = Bed(broken("shoulder valve", "slow", 0.01), broken("arm valve", "delayed", 0.005)).run(10)
     bed.command["valve"] = (1.0, 1.0, 1.0)
     assert bed.run(5).valve[1] == pytest.approx(-0.3)
@@ -212,7 +212,7 @@ def test_a_valve_follows_slowly_and_late() -> None:
     assert bed.run(1).valve[1] == pytest.approx(1.0)
 
 
-def test_parts_break_and_are_whole_again() -> None:
+def test_part_fault_ends_after_duration() -> None:
     faults = [
         broken("arm valve", "leaking", 0.05, duration=0.05),
         broken("supply", "scale", 0.7, duration=0.05),
@@ -235,7 +235,7 @@ def test_parts_break_and_are_whole_again() -> None:
         ("leaking", 0.05, None, 1.0, 0.05),
     ],
 )
-def test_relief_valves_break_and_are_whole_again(
+def test_relief_fault_changes_valve_and_ends_after_duration(
     valve: str, kind: str, value: float, opens_above: float | None, full: float, leaks: float
 ) -> None:
     bed = Bed(broken(f"{valve} relief", kind, value, duration=0.02)).run(10)
@@ -257,9 +257,7 @@ def test_relief_valves_break_and_are_whole_again(
         ("exhausts", list(range(7))),
     ],
 )
-def test_exhausts_are_throttled_where_the_fault_says_and_are_whole_again(
-    signal: str, throttled: list[int]
-) -> None:
+def test_exhaust_fault_throttles_selected_exhausts_for_duration(signal: str, throttled: list[int]) -> None:
     later = broken("exhausts", "scale", 0.5, time=10.0)
     bed = Bed(broken(signal, "scale", 0.1, duration=0.02), later).run(10)
     expected = np.where(np.isin(np.arange(7), throttled), 0.1, 1.0)
@@ -269,13 +267,13 @@ def test_exhausts_are_throttled_where_the_fault_says_and_are_whole_again(
 
 
 @pytest.mark.parametrize(("value", "stuck"), [(1.0, SHUT), (0.0, OPEN)])
-def test_the_safety_relay_sticks_at_either_end(value: float, stuck: int) -> None:
+def test_safety_relay_fault_sticks_at_either_end(value: float, stuck: int) -> None:
     bed = Bed(broken("safety relay", "stuck", value, duration=0.02)).run(10)
     assert bed.plant.plant["relay_stuck"] == stuck
     assert bed.run(20).plant.plant["relay_stuck"] == 0
 
 
-def test_supply_lost_and_sagging() -> None:
+def test_supply_fault_off_drifting_or_stuck_changes_supply() -> None:
     assert Bed(broken("supply", "off")).run().plant.plant["regulated"] == pytest.approx(1.013e5)
     bed = Bed(broken("supply", "drifting", -1e6)).run(100)
     assert bed.plant.plant["regulated"] == pytest.approx(8e5 - 1e6 * 0.099)
@@ -287,7 +285,7 @@ def test_supply_lost_and_sagging() -> None:
 
 
 @pytest.mark.parametrize("signal", ["emergency stop", "guard closed", "guard locked"])
-def test_switches(signal: str) -> None:
+def test_switch_fault_off_stuck_or_delayed_changes_reading(signal: str) -> None:
     name = {"emergency stop": "emergency_stop_clear"}.get(signal, signal.replace(" ", "_"))
     assert not Bed(broken(signal, "off")).run().readings[name][0]
     bed = Bed(broken(signal, "stuck")).run()
@@ -299,7 +297,7 @@ def test_switches(signal: str) -> None:
     assert not late.run(1).readings[name][0]
 
 
-def test_pressure_sensors() -> None:
+def test_pressure_sensor_fault_changes_reading() -> None:
     faults = (
         broken("supply sensor", "off"),
         broken("shoulder vane A sensor", "scale", 0.5),
@@ -312,7 +310,7 @@ def test_pressure_sensors() -> None:
     assert bed.readings["chamber_pressure"][0] == pytest.approx(expected)
 
 
-def test_a_cut_link_leaves_old_readings_and_a_device_that_lets_go() -> None:
+def test_link_fault_off_holds_readings_and_goes_passive() -> None:
     bed = Bed(broken("link", "off", time=0.05)).run(50)
     before = bed.readings.copy()
     bed.run(19)
@@ -329,7 +327,7 @@ def test_a_cut_link_leaves_old_readings_and_a_device_that_lets_go() -> None:
     assert not bed.faults.device["passive"][0]
 
 
-def test_a_late_link_is_late_both_ways() -> None:
+def test_link_fault_delayed_delays_both_directions() -> None:
     bed = Bed(broken("link", "delayed", 0.005)).run(30)
     assert bed.angle == pytest.approx(bed.true_angle - 0.005 * SPEED, abs=1e-4)
     bed.command["valve"] = 0.0
@@ -337,7 +335,7 @@ def test_a_late_link_is_late_both_ways() -> None:
     assert bed.run(1).valve[0] == 0.0
 
 
-def test_a_loop_that_says_nothing_is_let_go_of() -> None:
+def test_loop_fault_off_makes_device_passive_after_watchdog() -> None:
     bed = Bed(broken("loop", "off", time=0.01), watchdog=0.005).run(10)
     assert bed.faults.device["loop_up"][0]
     assert not bed.run(4, spoken=False).faults.device["loop_up"][0]
@@ -349,13 +347,13 @@ def test_a_loop_that_says_nothing_is_let_go_of() -> None:
     ("kind", "value", "expected"),
     [("off", nan, nan), ("stuck", nan, 2.0), ("offset", 0.5, 3.5), ("scale", 2.0, 4.0)],
 )
-def test_clocks(kind: str, value: float, expected: float) -> None:
+def test_clock_fault_gives_expected_time(kind: str, value: float, expected: float) -> None:
     bed = Bed(broken("clock", kind, value)).run()
     faulty_time(bed.faults, 2.0)
     assert faulty_time(bed.faults, 3.0) == pytest.approx(expected, nan_ok=True)
 
 
-def test_a_lost_head_leaves_the_club_that_remains() -> None:
+def test_club_head_fault_off_leaves_shaft_only() -> None:
     bed = Bed(broken("club head", "off")).run(3)
     robot, club = bed.plant.robot[0], PlantParameters().robot.club
     assert robot["mass_c"] == pytest.approx(club.mass - club.head_mass)
@@ -365,26 +363,26 @@ def test_a_lost_head_leaves_the_club_that_remains() -> None:
     assert not bed.state["ball_present"][0]
 
 
-def test_onset_by_time_and_duration() -> None:
+def test_fault_onset_by_time_acts_for_duration() -> None:
     bed = Bed(broken("shoulder valve", "off", time=0.02, after=0.01, duration=0.005))
     acted = [bed.run().valve[0] == 0.0 for _ in range(60)]
     assert np.flatnonzero(acted).tolist() == [30, 31, 32, 33, 34]
 
 
-def test_onset_by_phase() -> None:
+def test_fault_onset_by_phase_starts_in_phase() -> None:
     bed = Bed(broken("shoulder valve", "off", phase="top"))
     assert bed.run(5, Phase.BACKSWING).valve[0] == 0.5
     assert bed.run(1, Phase.TOP).valve[0] == 0.0
     assert bed.run(5, Phase.DOWNSWING).valve[0] == 0.0  # it stays broken
 
 
-def test_onset_by_joint_angle() -> None:
+def test_fault_onset_by_joint_angle_starts_at_angle() -> None:
     bed = Bed(broken("shoulder valve", "off", joint="wrist", angle=REST[2] - 0.1))
     assert bed.run(20).valve[0] == 0.5
     assert bed.run(2).valve[0] == 0.0
 
 
-def test_records_of_a_healthy_plant_are_left_alone() -> None:
+def test_own_records_leave_original_plant_unchanged() -> None:
     plant = build_plant(PlantParameters())
     own = own_records(plant)
     own.plant["regulated"] = 0.0

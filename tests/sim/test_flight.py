@@ -60,7 +60,7 @@ def _tour_launches(rows: list[dict[str, str]]) -> np.ndarray:
     return np.column_stack([column("ball_speed_mph") * MPH, angle, zero, column("spin_rpm") * RPM, zero])
 
 
-def test_tour_averages_within_15_yards_each_and_8_yards_rms() -> None:
+def test_fly_tour_averages_match_carry_within_limits() -> None:
     # TrackMan tour averages 2023 (published May 2024); nothing in the model was fitted to them.
     rows = _tour_rows()
     assert len(rows) == 23
@@ -77,14 +77,14 @@ def test_tour_averages_within_15_yards_each_and_8_yards_rms() -> None:
     assert rms <= 8, f"rms {rms:.2f} yd; yards, stated then computed:\n{table}"
 
 
-def test_another_published_model_can_be_chosen() -> None:
+def test_fly_smits_smith_model_changes_carry() -> None:
     default = fly(DRIVE)
     other = fly(DRIVE, aerodynamics=Aerodynamics.SMITS_SMITH)
     assert (default.aerodynamics, other.aerodynamics) == ("LIBGOLF", "SMITS_SMITH")
     assert abs(other.carry - default.carry) > 1
 
 
-def test_no_air_is_the_parabola() -> None:
+def test_fly_without_air_follows_parabola() -> None:
     launch = Launch(50.0, 0.6, 0.1, 300.0, 0.2)
     flight = fly(launch, ball=NO_AIR)
     g = 9.80665
@@ -102,7 +102,7 @@ def test_no_air_is_the_parabola() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(launch=launches)
-def test_mirrored_launch_gives_mirrored_flight(launch: Launch) -> None:
+def test_fly_mirrored_launch_mirrors_flight(launch: Launch) -> None:
     flight = fly(launch, wind=(2.0, 0.0, 3.0))
     mirror = fly(
         launch._replace(direction=-launch.direction, spin_axis=-launch.spin_axis), wind=(2.0, 0.0, -3.0)
@@ -113,14 +113,14 @@ def test_mirrored_launch_gives_mirrored_flight(launch: Launch) -> None:
     assert mirror.total_side == pytest.approx(-flight.total_side, abs=1e-7)
 
 
-def test_symmetric_launch_stays_on_the_target_line() -> None:
+def test_fly_symmetric_launch_stays_on_target_line() -> None:
     flight = fly(DRIVE)
     assert flight.carry_side == 0
     assert flight.total_side == 0
     assert not flight.path[:, 3].any()
 
 
-def test_signs() -> None:
+def test_fly_spin_axis_direction_and_wind_have_expected_signs() -> None:
     assert fly(DRIVE._replace(spin_axis=0.1)).carry_side > 5
     assert fly(DRIVE._replace(direction=0.05)).carry_side > 5
     assert fly(DRIVE, wind=(0, 0, 5)).carry_side > 5
@@ -133,14 +133,14 @@ def test_signs() -> None:
 
 @settings(max_examples=15, deadline=None)
 @given(launch=launches, model=st.sampled_from(list(Aerodynamics)))
-def test_tenfold_finer_step_changes_nothing_that_matters(launch: Launch, model: Aerodynamics) -> None:
+def test_fly_tenfold_finer_step_keeps_carry_and_apex(launch: Launch, model: Aerodynamics) -> None:
     coarse, fine = fly(launch, aerodynamics=model), fly(launch, aerodynamics=model, step=STEP / 10)
     # libgolf's lift steps at Re = 70,000, which costs the integrator its order but not its use.
     assert coarse.carry == pytest.approx(fine.carry, abs=0.02)
     assert coarse.apex == pytest.approx(fine.apex, abs=0.01)
 
 
-def test_smooth_model_converges_with_the_fourth_power_of_the_step() -> None:
+def test_fly_smooth_model_converges_at_fourth_order() -> None:
     def carry(step: float) -> float:
         return fly(DRIVE, aerodynamics=Aerodynamics.SMITS_SMITH, step=step).carry
 
@@ -156,7 +156,7 @@ def test_smooth_model_converges_with_the_fourth_power_of_the_step() -> None:
     tilt=st.floats(-pi, pi),
     model=st.sampled_from(list(Aerodynamics)),
 )
-def test_still_air_only_takes_energy(
+def test_flight_derivative_still_air_never_adds_energy(
     velocity: tuple[float, float, float], spin: float, tilt: float, model: Aerodynamics
 ) -> None:
     axis = (0.0, sin(tilt), cos(tilt))
@@ -169,7 +169,7 @@ def test_still_air_only_takes_energy(
 
 @settings(max_examples=20, deadline=None)
 @given(launch=launches, wind=st.floats(-12, 12))
-def test_uniform_wind_is_a_moving_frame(launch: Launch, wind: float) -> None:
+def test_fly_uniform_wind_equals_moving_frame(launch: Launch, wind: float) -> None:
     launch = launch._replace(direction=0.0, spin_axis=0.0)
     vx, vy = launch.speed * cos(launch.launch_angle) - wind, launch.speed * sin(launch.launch_angle)
     if vx < 1.0:
@@ -181,7 +181,7 @@ def test_uniform_wind_is_a_moving_frame(launch: Launch, wind: float) -> None:
     assert x == pytest.approx(still.carry + wind * still.time, abs=1e-5)
 
 
-def test_wind_profile_acts_with_height() -> None:
+def test_fly_wind_profile_acts_with_height() -> None:
     uniform, sheared = Wind((0.0, 0.0, 5.0)), Wind((0.0, 0.0, 5.0), reference_height=10.0, exponent=1 / 7)
     # Most of a drive is flown above 10 m, where the sheared wind is stronger.
     assert fly(DRIVE, wind=sheared).carry_side > fly(DRIVE, wind=uniform).carry_side
@@ -189,7 +189,7 @@ def test_wind_profile_acts_with_height() -> None:
     assert fly(low, wind=sheared).carry_side < fly(low, wind=uniform).carry_side
 
 
-def test_carry_grows_with_altitude(record_property: Callable[[str, object], None]) -> None:
+def test_fly_lower_air_pressure_increases_carry(record_property: Callable[[str, object], None]) -> None:
     # Aoyama: +1.16 % per 1,000 ft; reported, and bounded because air thins by 3.5 %.
     launch = Launch(171 * MPH, radians(10.4), 0.0, 2545 * RPM)
     gain = fly(launch, air=Air(pressure=97_717.0)).carry / fly(launch, air=Air(pressure=101_325.0)).carry - 1
@@ -199,14 +199,14 @@ def test_carry_grows_with_altitude(record_property: Callable[[str, object], None
 
 @settings(max_examples=20, deadline=None)
 @given(launch=launches)
-def test_batch_equals_single_flights(launch: Launch) -> None:
+def test_fly_many_equals_single_flights(launch: Launch) -> None:
     batch = fly_many(np.array([DRIVE, launch]), wind=(1.0, 0.0, 2.0))
     single = fly(launch, wind=(1.0, 0.0, 2.0))
     for name in batch.dtype.names or ():
         assert batch[name][1] == getattr(single, name)
 
 
-def test_path_runs_from_start_to_rest() -> None:
+def test_flight_path_runs_from_start_to_rest() -> None:
     flight = fly(DRIVE, start_height=0.03)
     t, x, y = flight.path[:, 0], flight.path[:, 1], flight.path[:, 2]
     assert flight.path[0].tolist() == [0, 0, 0.03, 0]
@@ -219,27 +219,27 @@ def test_path_runs_from_start_to_rest() -> None:
     assert flight.carry in x
 
 
-def test_hop_within_one_step_is_still_a_parabola() -> None:
+def test_fly_hop_within_one_step_follows_parabola() -> None:
     flight = fly(Launch(0.02, 0.6, 0.0, 0.0), ball=NO_AIR)
     assert flight.carry == pytest.approx(0.02**2 * sin(1.2) / 9.80665, rel=1e-6)
     assert flight.time == pytest.approx(2 * 0.02 * sin(0.6) / 9.80665, rel=1e-6)
     assert flight.apex == pytest.approx((0.02 * sin(0.6)) ** 2 / (2 * 9.80665), rel=1e-6)
 
 
-def test_topped_ball_carries_nothing_and_runs() -> None:
+def test_fly_topped_ball_has_zero_carry_and_rolls() -> None:
     flight = fly(Launch(20.0, -0.1, 0.0, 0.0))
     assert flight.carry == 0
     assert flight.apex == 0
     assert flight.total > 1
 
 
-def test_ball_factors_matter() -> None:
+def test_fly_ball_factors_change_flight() -> None:
     assert fly(DRIVE, ball=Ball(drag_factor=1.05)).carry < fly(DRIVE).carry
     assert fly(DRIVE, ball=Ball(lift_factor=0.9)).apex < fly(DRIVE).apex
     assert fly(DRIVE, ball=Ball(mass=0.044)).carry != fly(DRIVE).carry
 
 
-def test_drive_runs_on_and_wedge_stops() -> None:
+def test_fly_drive_rolls_out_and_wedge_stops() -> None:
     drive, wedge = fly(DRIVE), fly(Launch(104 * MPH, radians(23.7), 0.0, 9316 * RPM))
     assert 5 * YARD < drive.total - drive.carry < 50 * YARD
     assert abs(wedge.total - wedge.carry) < 5 * YARD
@@ -261,11 +261,13 @@ def test_drive_runs_on_and_wedge_stops() -> None:
         (1.5e5, 0.0, (0.2, 0.0)),
     ],
 )
-def test_libgolf_coefficients(reynolds: float, spin_ratio: float, expected: tuple[float, float]) -> None:
+def test_coefficients_libgolf_match_expected_values(
+    reynolds: float, spin_ratio: float, expected: tuple[float, float]
+) -> None:
     assert coefficients(0, reynolds, spin_ratio) == pytest.approx(expected, abs=2e-5)
 
 
-def test_smits_smith_coefficients() -> None:
+def test_coefficients_smits_smith_match_expected_values() -> None:
     assert coefficients(1, 90e3, 0.1) == pytest.approx((0.258, 0.54 * 0.1**0.4))
     assert coefficients(1, 300e3, 0.1) == coefficients(1, 210e3, 0.1)  # held where measurements end
 
@@ -281,19 +283,19 @@ def test_smits_smith_coefficients() -> None:
         ("spin_axis", nan),
     ],
 )
-def test_unphysical_launch_is_named(name: str, value: float) -> None:
+def test_fly_unphysical_launch_raises(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"launch 0, {name}: found .* expected"):
         fly(DRIVE._replace(**{name: value}))
 
 
-def test_ball_that_never_lands_is_refused() -> None:
+def test_fly_ball_never_landing_raises() -> None:
     updraught = (0.0, 60.0, 0.0)
     with pytest.raises(ValueError, match="still in the air after 60 s"):
         fly(DRIVE, wind=updraught)
     assert np.isnan(fly_many(np.array([DRIVE]), wind=updraught)["total"]).all()
 
 
-def test_bad_settings_are_named() -> None:
+def test_fly_invalid_settings_raise() -> None:
     with pytest.raises(ValueError, match="step: found 0"):
         fly(DRIVE, step=0.0)
     with pytest.raises(ValueError, match="start_height: found -1"):

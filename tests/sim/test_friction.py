@@ -55,7 +55,7 @@ def cases(n: int) -> list[tuple[Array, Array, Array]]:
     return found
 
 
-def test_speeds_after_friction_are_those_of_the_complementarity_problem() -> None:
+def test_friction_impulse_matches_complementarity_solution() -> None:
     for matrix, speed, bound in cases(200):
         after = rubbed(matrix, speed, bound)
         assert after == pytest.approx(enumerated(matrix, speed, bound), abs=1e-9)
@@ -70,25 +70,27 @@ coefficient = st.floats(-1.0, 1.0)
     st.lists(st.floats(-20, 20), min_size=3, max_size=3),
     st.lists(st.floats(0, 10), min_size=3, max_size=3),
 )
-def test_friction_never_adds_energy(factor: list[float], speed: list[float], bound: list[float]) -> None:
+def test_friction_impulse_never_adds_energy(
+    factor: list[float], speed: list[float], bound: list[float]
+) -> None:
     root = np.array(factor).reshape(3, 3)
     matrix, u = root @ root.T + 0.05 * np.eye(3), np.array(speed)
     after = rubbed(matrix, u, np.array(bound))
     assert after @ matrix @ after <= (u @ matrix @ u) * (1 + 1e-9) + 1e-12
 
 
-def test_enough_friction_stops_exactly() -> None:
+def test_friction_impulse_large_bound_stops_exactly() -> None:
     matrix, speed, _ = cases(1)[0]
     assert rubbed(matrix, speed + 1.0, np.full(3, 1e3)).tolist() == [0.0, 0.0, 0.0]
 
 
-def test_without_friction_nothing_changes() -> None:
+def test_friction_impulse_zero_bound_keeps_speed() -> None:
     matrix, _, _ = cases(1)[0]
     speed = np.array([1.0, -2.0, 3.0])
     assert rubbed(matrix, speed, np.zeros(3)).tolist() == speed.tolist()
 
 
-def test_a_fixed_joint_stays_fixed_while_another_is_stopped() -> None:
+def test_friction_impulse_fixed_joint_stays_fixed() -> None:
     matrix = cases(1)[0][0]
     after = rubbed(matrix, np.array([0.0, 0.0, 4.0]), np.array([inf, 0.0, 0.05]))
     assert after[0] == 0.0
@@ -96,7 +98,7 @@ def test_a_fixed_joint_stays_fixed_while_another_is_stopped() -> None:
     assert after[1] != 0.0
 
 
-def test_the_bound_falls_from_static_to_coulomb_friction() -> None:
+def test_friction_bound_falls_from_static_to_coulomb() -> None:
     assert friction_bound(6.0, 8.0, 0.05, 0.0) == 8.0
     assert friction_bound(6.0, 8.0, 0.05, -0.05) == pytest.approx(6.0 + 2.0 * np.exp(-1))
     assert friction_bound(6.0, 8.0, 0.05, 10.0) == 6.0

@@ -68,7 +68,7 @@ def head_place(robot: RobotParameters, y: Any) -> Any:
 
 @pytest.mark.parametrize("flexible", [False, True])
 @pytest.mark.parametrize("surface", SURFACES)
-def test_what_the_ground_takes_leaves_the_robot(surface: SurfaceName, flexible: bool) -> None:
+def test_ground_force_power_equals_robot_power_change(surface: SurfaceName, flexible: bool) -> None:
     for speed in SPEEDS:
         flex, flex_speed = (0.02, -1.5) if flexible else (0.0, 0.0)
         y = state_of(speed, flex, flex_speed)
@@ -86,7 +86,7 @@ def test_what_the_ground_takes_leaves_the_robot(surface: SurfaceName, flexible: 
 
 
 @pytest.mark.parametrize("surface", SURFACES)
-def test_the_drag_is_against_the_motion_and_grows_with_depth(surface: SurfaceName) -> None:
+def test_ground_drag_opposes_motion_and_grows_with_depth(surface: SurfaceName) -> None:
     p = plant_on(surface, -3.0).plant[0]
     assert ground_drag(p, 100.0, 0.005, 0.0) == 0.0
     for speed in (0.01, 1.0, 40.0):
@@ -97,7 +97,7 @@ def test_the_drag_is_against_the_motion_and_grows_with_depth(surface: SurfaceNam
         assert (drag == 0.0) == (surface == "none")
 
 
-def test_turf_takes_more_the_faster_it_is_cut_and_a_mat_does_not() -> None:
+def test_ground_drag_on_turf_grows_with_speed_on_mat_stays_constant() -> None:
     turf, mat = (plant_on(name, -3.0).plant[0] for name in ("turf", "mat"))
     assert ground_drag(turf, 100.0, 0.005, 40.0) < 2 * ground_drag(turf, 100.0, 0.005, 10.0)
     assert ground_drag(mat, 100.0, 0.005, 40.0) == pytest.approx(
@@ -105,7 +105,7 @@ def test_turf_takes_more_the_faster_it_is_cut_and_a_mat_does_not() -> None:
     )
 
 
-def test_a_surface_changes_nothing_above_the_ground() -> None:
+def test_ground_surface_without_contact_changes_nothing() -> None:
     y = state_of(SPEEDS[0], 0.0, 0.0)
     bare, turf = (rates(plant_on(name, -3.0), y) for name in ("none", "turf"))
     assert bare.tobytes() == turf.tobytes()

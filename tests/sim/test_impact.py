@@ -80,7 +80,7 @@ def _unit(v: Any3) -> np.ndarray:
     friction=st.floats(0, 1.5),
     factor=st.floats(0, 1),
 )
-def test_collision_conserves_momentum_and_never_gains_energy(
+def test_collide_conserves_momentum_and_gains_no_energy(
     velocity: Any3,
     spin: Any3,
     normal: Any3,
@@ -159,7 +159,7 @@ def _central(factor: float, friction: float, loft: float = 0.3) -> tuple[np.ndar
     return np.array(result[0]), np.array(result[1])
 
 
-def test_central_impact_is_penners_formula() -> None:
+def test_collide_central_impact_matches_penner() -> None:
     loft, m, M, r = 0.3, BALL.mass, 0.2, BALL.radius
     v, w = _central(1.0, 10.0, loft)
     n, down = np.array([cos(loft), sin(loft), 0]), np.array([sin(loft), -cos(loft), 0])
@@ -168,12 +168,12 @@ def test_central_impact_is_penners_formula() -> None:
     assert w == pytest.approx([0, 0, 2.5 * (v @ down) / r])  # back spin turns about the axis to the right
 
 
-def test_tangential_factor_is_the_share_of_rolling_spin() -> None:
+def test_collide_tangential_factor_scales_rolling_spin() -> None:
     assert _central(0.75, 10.0)[1] == pytest.approx(0.75 * _central(1.0, 10.0)[1])
     assert _central(0.0, 10.0)[1] == pytest.approx([0, 0, 0])
 
 
-def test_sliding_contact_follows_coulomb() -> None:
+def test_collide_sliding_contact_follows_coulomb() -> None:
     v, _ = _central(1.0, 0.02)
     n = np.array([cos(0.3), sin(0.3), 0])
     assert np.linalg.norm(v - (v @ n) * n) == pytest.approx(0.02 * (v @ n))
@@ -190,7 +190,7 @@ def test_sliding_contact_follows_coulomb() -> None:
         (120, 13.2, (162.5, 1.354, 10.6, 3675), (174.0, 1.450)),
     ],
 )
-def test_published_rows(
+def test_strike_matches_published_rows(
     speed: float, loft: float, penner: tuple[float, ...], stiff: tuple[float, ...]
 ) -> None:
     ball = Ball(radius=0.02134)
@@ -209,14 +209,14 @@ def test_published_rows(
 
 @settings(max_examples=100, deadline=None)
 @given(loft=st.floats(0, 1), attack=st.floats(-0.1, 0.1), x=st.floats(-0.03, 0.03), y=st.floats(-0.02, 0.02))
-def test_smash_ceiling(loft: float, attack: float, x: float, y: float) -> None:
+def test_strike_smash_factor_stays_below_ceiling(loft: float, attack: float, x: float, y: float) -> None:
     ceiling = 1.83 / (1 + BALL.mass / 0.2)
     launch = strike(delivery_from_angles(45, attack, 0, 0, loft, x, y), replace(DRIVER, restitution=0.83))
     assert launch.speed / 45 <= ceiling + 1e-12
     assert strike(delivery_from_angles(45, 0, 0, 0, 0), DRIVER).speed / 45 == pytest.approx(ceiling)
 
 
-def test_head_yields_to_friction_and_takes_a_little_spin() -> None:
+def test_strike_head_depth_reduces_spin_slightly() -> None:
     delivery = delivery_from_angles(45, 0, 0, 0, 0.2)
     deep = strike(delivery, replace(DRIVER, tangential_factor=1.0))
     point = strike(delivery, POINT_HEAD)
@@ -229,7 +229,7 @@ FLAT = replace(DRIVER, bulge_radius=1e6, roll_radius=1e6, tangential_factor=1.0)
 
 
 @pytest.mark.parametrize("x", [-0.02, -0.01, 0.01, 0.02])
-def test_horizontal_gear_effect(x: float) -> None:
+def test_strike_at_toe_or_heel_gives_horizontal_gear_effect(x: float) -> None:
     # Tutelman: side spin 58,830 V C x / I rpm (mph, in, in, g cm2), the ideal gear. A ball that rolls at
     # exit while it also gives way gets 1 / (1 + 2/5 (1 + ...)), about two thirds of that.
     launch = strike(delivery_from_angles(50, 0, 0, 0, 0.2, strike_x=x), FLAT)
@@ -238,7 +238,7 @@ def test_horizontal_gear_effect(x: float) -> None:
     assert 0.6 < side / gear < 0.8  # toe (x > 0) draws, heel fades
 
 
-def test_vertical_gear_effect() -> None:
+def test_strike_high_or_low_gives_vertical_gear_effect() -> None:
     def spin(y: float) -> float:
         launch = strike(delivery_from_angles(50, 0, 0, 0, 0.2, strike_y=y), FLAT)
         return launch.spin * cos(launch.spin_axis) / RPM
@@ -249,7 +249,7 @@ def test_vertical_gear_effect() -> None:
     assert 0.5 < (spin(-0.01) - spin(0.01)) / 2 / gear < 1.0
 
 
-def test_bulge_and_roll_turn_the_face_two_degrees_at_ten_millimetres() -> None:
+def test_strike_off_centre_bulge_and_roll_turn_launch_two_degrees() -> None:
     # TrackMan. Without friction and depth the ball leaves along the normal where it was struck.
     smooth = replace(DRIVER, tangential_factor=0.0, head_depth=0.0, head_inertia_horizontal=1e3)
     smooth = replace(smooth, head_inertia_vertical=1e3)
@@ -259,7 +259,7 @@ def test_bulge_and_roll_turn_the_face_two_degrees_at_ten_millimetres() -> None:
     assert degrees(low.launch_angle - 0.2) == pytest.approx(-1.9, abs=0.1)
 
 
-def test_bulge_and_gear_effect_work_against_each_other() -> None:
+def test_strike_bulge_and_gear_effect_oppose() -> None:
     toe = strike(delivery_from_angles(50, 0, 0, 0, 0.2, strike_x=0.015), DRIVER)
     assert toe.direction > 0
     assert toe.spin_axis < 0
@@ -268,7 +268,7 @@ def test_bulge_and_gear_effect_work_against_each_other() -> None:
     assert heel.spin_axis == pytest.approx(-toe.spin_axis)
 
 
-def test_off_centre_costs_speed() -> None:
+def test_strike_off_centre_loses_ball_speed() -> None:
     speeds = [
         strike(delivery_from_angles(50, 0, 0, 0, 0.2, strike_x=x), DRIVER).speed for x in (0, 0.01, 0.02)
     ]
@@ -283,7 +283,9 @@ def test_off_centre_costs_speed() -> None:
     [(DRIVER, 12.8, -0.9, 0.85), (replace(POINT_HEAD, restitution=0.72), 20.2, -3.7, 0.75)],
     ids=["driver", "6-iron"],
 )
-def test_face_share_of_the_start_direction(club: Club, loft: float, attack: float, share: float) -> None:
+def test_strike_face_share_of_direction_matches_published(
+    club: Club, loft: float, attack: float, share: float
+) -> None:
     # Published: .85 driver, .75 irons; others give .87 and .81.
     small = radians(1.0)
     launch = strike(delivery_from_angles(45, radians(attack), 0, small, radians(loft)), club)
@@ -291,7 +293,7 @@ def test_face_share_of_the_start_direction(club: Club, loft: float, attack: floa
     assert launch.spin_axis > 0  # face open to the path bends right
 
 
-def test_spin_axis_stands_square_to_the_plane_of_face_and_path() -> None:
+def test_strike_spin_axis_is_normal_to_d_plane() -> None:
     delivery = delivery_from_angles(45, -0.03, -0.02, 0.03, 0.25)
     # A head that yields unequally in height and width deviates slightly.
     launch = strike(delivery, POINT_HEAD)
@@ -310,7 +312,7 @@ def test_spin_axis_stands_square_to_the_plane_of_face_and_path() -> None:
 # --- Geometry of delivery ---------------------------------------------------------------------------
 
 
-def test_swing_plane_is_right_handed_and_tilted_towards_the_golfer() -> None:
+def test_plane_to_golf_is_right_handed_and_tilted() -> None:
     x0, y0, z0 = (
         np.array(plane_to_golf(*unit, LIE)) for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     )
@@ -319,7 +321,7 @@ def test_swing_plane_is_right_handed_and_tilted_towards_the_golfer() -> None:
     assert golf_to_plane(plane_to_golf(1.0, 2.0, 3.0, LIE), LIE) == pytest.approx((1, 2, 3))
 
 
-def test_soled_club_shows_its_own_loft_and_face_angle() -> None:
+def test_face_axes_soled_club_give_loft_and_face_angle() -> None:
     club = replace(DRIVER, face_angle=0.03)
     n, h, t = face_axes(DOWN, impact_parameters(club, BALL, club.lie))
     assert n == pytest.approx((cos(club.loft) * cos(0.03), sin(club.loft), cos(club.loft) * sin(0.03)))
@@ -335,7 +337,7 @@ def test_soled_club_shows_its_own_loft_and_face_angle() -> None:
     face=st.floats(-0.1, 0.1),
     club_lie=st.floats(0.7, 1.3),
 )
-def test_face_axes_are_the_rotations_they_claim(
+def test_face_axes_equal_composed_rotations(
     lean: float, lie: float, loft: float, face: float, club_lie: float
 ) -> None:
     club = replace(DRIVER, loft=loft, face_angle=face, lie=club_lie)
@@ -351,7 +353,7 @@ def test_face_axes_are_the_rotations_they_claim(
     assert delivery.shaft_lean == pytest.approx(lean, abs=1e-12)
 
 
-def test_signs_of_lean_lie_and_path() -> None:
+def test_delivery_lean_lie_and_path_have_expected_signs() -> None:
     def at(lean: float = 0.0, vy: float = 0.0, lie: float = LIE) -> Delivery:
         return delivery_from_plane((0, 0, DOWN + lean), (45, vy, 30), (0, 0), DRIVER, lie)
 
@@ -366,30 +368,28 @@ def test_signs_of_lean_lie_and_path() -> None:
 
 
 @pytest.mark.parametrize("turns", [-2, -1, 0, 1])
-def test_lean_does_not_count_turns(turns: int) -> None:
+def test_delivery_shaft_lean_ignores_whole_turns(turns: int) -> None:
     delivery = delivery_from_plane((0, 0, DOWN + 0.1 + turns * 2 * pi), (45, 0, 0), (0, 0), DRIVER, LIE)
     assert delivery.shaft_lean == pytest.approx(0.1)
 
 
 @settings(max_examples=100, deadline=None)
 @given(vx=st.floats(20, 60), vy=st.floats(-5, 5))
-def test_attack_angle_and_path_are_coupled_by_the_plane(vx: float, vy: float) -> None:
+def test_delivery_attack_angle_and_path_follow_swing_plane(vx: float, vy: float) -> None:
     d = delivery_from_plane((0, 0, DOWN), (vx, vy, 20), (0, 0), DRIVER, LIE)
     assert np.tan(d.path) == pytest.approx(-cos(LIE) * vy / vx)
     assert sin(d.attack_angle) * d.speed == pytest.approx(sin(LIE) * vy)
     assert d.speed == pytest.approx(hypot(vx, vy))
 
 
-def test_spin_loft_is_dynamic_loft_less_attack_angle_in_one_vertical_plane() -> None:
+def test_delivery_spin_loft_equals_dynamic_loft_less_attack_angle() -> None:
     d = delivery_from_angles(45, radians(-0.9), 0, 0, radians(12.8))
     assert degrees(d.spin_loft) == pytest.approx(13.7)
 
 
 @settings(max_examples=100, deadline=None)
 @given(lean=st.floats(-0.1, 0.1), error=st.floats(-0.02, 0.02), shift=st.floats(-0.03, 0.03))
-def test_a_tee_beside_the_plane_moves_the_strike_towards_the_toe(
-    lean: float, error: float, shift: float
-) -> None:
+def test_strike_point_tee_shift_moves_towards_toe(lean: float, error: float, shift: float) -> None:
     square, moved = (
         impact_parameters(replace(DRIVER, lie=LIE, tee_shift=s), BALL, LIE) for s in (0.0, shift)
     )
@@ -407,7 +407,7 @@ def test_a_tee_beside_the_plane_moves_the_strike_towards_the_toe(
     assert in_plane_error(0.0, 0.0, theta_t, bx, by, moved) == pytest.approx(error, abs=1e-9)
 
 
-def test_a_strike_at_the_toe_starts_right_and_turns_back_with_bulge() -> None:
+def test_strike_at_toe_starts_right_and_curves_back() -> None:
     toe = replace(DRIVER, lie=LIE, tee_shift=0.015)
     d = delivery_from_plane((0.0, 0.0, DOWN), (43.0, 1.5, 30.0), (0.0, 0.0), toe, LIE)
     assert d.strike_x == pytest.approx(0.015, abs=1e-9)
@@ -420,7 +420,7 @@ def test_a_strike_at_the_toe_starts_right_and_turns_back_with_bulge() -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(lean=st.floats(-0.3, 0.3), error=st.floats(-0.03, 0.03))
-def test_strike_point_projects_the_one_in_plane_number(lean: float, error: float) -> None:
+def test_strike_point_projects_in_plane_error(lean: float, error: float) -> None:
     parameters = impact_parameters(DRIVER, BALL, LIE)
     theta_t = DOWN + lean
     n, h, t = (np.array(a) for a in face_axes(theta_t, parameters))
@@ -440,19 +440,19 @@ def test_strike_point_projects_the_one_in_plane_number(lean: float, error: float
     assert (d.strike_x, d.strike_y, d.in_plane_error) == pytest.approx((x, y, error), abs=1e-15)
 
 
-def test_ball_up_the_plane_is_met_high_and_in_the_heel() -> None:
+def test_strike_point_ball_up_plane_is_high_and_in_heel() -> None:
     d = delivery_from_plane((0, 0, DOWN), (45, 0, 30), (0, 0.01), DRIVER, LIE)
     assert d.in_plane_error > 0
     assert d.strike_y > 0 > d.strike_x
 
 
-def test_gap_falls_to_zero_as_the_head_comes() -> None:
+def test_face_gap_falls_to_zero_at_contact() -> None:
     parameters = impact_parameters(DRIVER, BALL, LIE)
     gaps = [face_gap(x, 0.0, DOWN, 0.0, 0.0, parameters) for x in (-0.1, -0.01, 0.0, 0.01)]
     assert gaps[0] > gaps[1] > gaps[2] == 0 > gaps[3]
 
 
-def test_meets_face() -> None:
+def test_meets_face_accepts_only_points_on_face() -> None:
     assert meets_face(0.0, 0.0)
     assert meets_face(0.05, 0.0)
     assert not meets_face(0.0, 0.05)
@@ -468,7 +468,7 @@ PLANE_STATES = st.tuples(
 
 @settings(max_examples=100, deadline=None)
 @given(state=PLANE_STATES)
-def test_plane_and_golf_frame_give_the_same_strike(state: tuple[float, ...]) -> None:
+def test_impact_in_plane_matches_strike_in_golf_frame(state: tuple[float, ...]) -> None:
     lean, vx, vy, omega, ball_y = state
     parameters = impact_parameters(DRIVER, BALL, LIE)
     velocity, spin, _, _ = impact_in_plane(0.0, 0.0, DOWN + lean, vx, vy, omega, 0.0, ball_y, parameters)
@@ -478,7 +478,7 @@ def test_plane_and_golf_frame_give_the_same_strike(state: tuple[float, ...]) -> 
 
 @settings(max_examples=100, deadline=None)
 @given(state=PLANE_STATES)
-def test_impulse_on_the_club_is_the_opposite_one_and_takes_energy(state: tuple[float, ...]) -> None:
+def test_impact_in_plane_club_impulse_is_opposite_and_takes_energy(state: tuple[float, ...]) -> None:
     lean, vx, vy, omega, ball_y = state
     parameters = impact_parameters(DRIVER, BALL, LIE)
     velocity, spin, impulse, (fx, fy, moment) = impact_in_plane(
@@ -517,7 +517,7 @@ def test_impulse_on_the_club_is_the_opposite_one_and_takes_energy(state: tuple[f
     spin=st.floats(1, 1000),
     tilt=st.floats(-1.5, 1.5),
 )
-def test_launch_is_the_inverse_of_the_flights_start(
+def test_launch_from_motion_inverts_flight_start(
     elevation: float, azimuth: float, spin: float, tilt: float
 ) -> None:
     from sim.flight import _spin_axis
@@ -532,7 +532,7 @@ def test_launch_is_the_inverse_of_the_flights_start(
     assert launch == pytest.approx((60, elevation, azimuth, spin, tilt), abs=1e-9)
 
 
-def test_spin_about_the_line_of_flight_is_small() -> None:
+def test_impact_in_plane_spin_about_flight_line_is_small() -> None:
     parameters = impact_parameters(DRIVER, BALL, LIE)
     for ball_y in (-0.02, 0.0, 0.02):
         velocity, spin, _, _ = impact_in_plane(0.0, 0.0, DOWN, 45.0, 0.0, 30.0, 0.0, ball_y, parameters)
@@ -540,18 +540,18 @@ def test_spin_about_the_line_of_flight_is_small() -> None:
         assert launch.spin == pytest.approx(np.linalg.norm(spin), rel=0.01)
 
 
-def test_two_balls_differ() -> None:
+def test_strike_ball_properties_change_launch() -> None:
     delivery = delivery_from_angles(45, 0, 0, 0, 0.2)
     assert strike(delivery, DRIVER, Ball(restitution_factor=0.98)).speed < strike(delivery, DRIVER).speed
     assert strike(delivery, DRIVER, Ball(mass=0.045)).speed > strike(delivery, DRIVER).speed
     assert strike(delivery, DRIVER, Ball(friction=0.01)).spin < strike(delivery, DRIVER).spin
 
 
-def test_thesis_club_strikes_too() -> None:
+def test_strike_thesis_club_gives_plausible_smash_factor() -> None:
     assert 1.2 < strike(delivery_from_angles(45, 0, 0, 0, 0.2), Club.thesis()).speed / 45 < 1.3
 
 
-def test_bad_deliveries_are_named() -> None:
+def test_delivery_invalid_values_raise() -> None:
     with pytest.raises(ValueError, match=r"Delivery\.speed: found 0 m/s"):
         Delivery((0.0, 0.0, 0.0), 0.0, 0.2)
     with pytest.raises(ValueError, match="Delivery: found nan"):
@@ -562,12 +562,12 @@ def test_bad_deliveries_are_named() -> None:
         strike(delivery_from_angles(45, 0, pi, 0, 0.2), DRIVER)
 
 
-def test_unusable_club_is_named() -> None:
+def test_impact_parameters_unusable_club_raises() -> None:
     with pytest.raises(ValueError, match="head_mass of club 'driver' or ball 'standard': found nan"):
         impact_parameters(replace(DRIVER, head_mass=nan), BALL, LIE)
 
 
-def test_plain_and_compiled_code_agree() -> None:
+def test_impact_and_flight_compiled_and_plain_python_agree() -> None:
     program = (
         "from sim.robot import Club; from sim.ball import Ball; from sim.flight import Launch, fly;"
         "from sim.impact import *;"
@@ -590,7 +590,7 @@ def test_plain_and_compiled_code_agree() -> None:
     assert len(outputs[0]) == 15
 
 
-def test_lean_towards_the_target_is_what_a_protractor_shows() -> None:
+def test_plane_to_golf_lean_projects_onto_vertical_plane() -> None:
     # Head ahead of the hands by `lean` in the plane: the shaft's picture on the vertical plane through X.
     shaft = plane_to_golf(cos(DOWN + 0.1), sin(DOWN + 0.1), 0.0, LIE)
     assert shaft[0] > 0

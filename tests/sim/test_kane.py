@@ -40,12 +40,12 @@ def random_states(n: int, seed: int = 1) -> tuple[Any, Any, Any]:
     return q, rng.uniform(-30, 30, (n, 3)), rng.uniform(-1, 1, (n, 3)) * (400, 2000, 200)
 
 
-def test_there_are_forty_reference_cases() -> None:
+def test_reference_cases_count_forty() -> None:
     assert len(CASES) == 40
 
 
 @pytest.mark.parametrize("case", CASES, ids=range(len(CASES)))
-def test_reference_case(case: dict[str, Any]) -> None:
+def test_kane_matches_reference_case(case: dict[str, Any]) -> None:
     robot = thesis_robot()
     q, u, effort = case["q"], case["u"], case["effort"]
     assert relative_error(forward_dynamics(robot, q, u, effort), case["qdd"]) < TOLERANCE
@@ -54,7 +54,7 @@ def test_reference_case(case: dict[str, Any]) -> None:
     assert relative_error(inverse_dynamics(robot, q, u, case["qdd"]), effort) < TOLERANCE
 
 
-def test_every_component_of_the_reference_cases() -> None:
+def test_kane_matches_reference_in_every_component() -> None:
     """Also component by component, so that a large component hides no error in a small one."""
     robot = thesis_robot()
     columns = {key: np.array([case[key] for case in CASES]) for key in CASES[0]}
@@ -71,7 +71,7 @@ def test_every_component_of_the_reference_cases() -> None:
     effort=st.tuples(st.floats(-400, 400), st.floats(-3000, 3000), st.floats(-300, 300)),
     club=clubs,
 )
-def test_inverse_dynamics_gives_back_the_effort(
+def test_inverse_dynamics_recovers_effort(
     q: tuple[float, ...], u: tuple[float, ...], effort: tuple[float, ...], club: str
 ) -> None:
     robot = thesis_robot(CLUBS[club])
@@ -90,14 +90,14 @@ def test_mass_matrix_is_symmetric_and_positive_definite(q: tuple[float, ...], cl
 
 
 @given(q=st.tuples(angle, angle, angle), turn=angle)
-def test_mass_matrix_does_not_depend_on_the_shoulder_angle(q: tuple[float, ...], turn: float) -> None:
+def test_mass_matrix_ignores_shoulder_angle(q: tuple[float, ...], turn: float) -> None:
     robot = thesis_robot()
     turned = (q[0] + turn, q[1], q[2])
     np.testing.assert_allclose(mass_matrix(robot, turned), mass_matrix(robot, q), rtol=1e-13)
 
 
 @pytest.mark.parametrize("shape", [(5,), (2, 3), (0,), (1, 1)])
-def test_batches_equal_single_calls(shape: tuple[int, ...]) -> None:
+def test_kane_batches_equal_single_calls(shape: tuple[int, ...]) -> None:
     robot = thesis_robot()
     n = int(np.prod(shape))
     q, u, effort = random_states(n)
@@ -115,14 +115,14 @@ def test_batches_equal_single_calls(shape: tuple[int, ...]) -> None:
         assert np.array_equal(back[index], inverse_dynamics(robot, q[i], u[i], u_dot[index]))
 
 
-def test_batch_broadcasts_one_effort_over_many_states() -> None:
+def test_forward_dynamics_broadcasts_effort_over_states() -> None:
     robot = thesis_robot()
     q, u, effort = random_states(4)
     found = forward_dynamics(robot, q, u, effort[0])
     assert np.array_equal(found, forward_dynamics(robot, q, u, np.tile(effort[0], (4, 1))))
 
 
-def test_bias_forces_and_mass_matrix_make_up_the_forward_dynamics() -> None:
+def test_forward_dynamics_equals_mass_matrix_and_bias_solution() -> None:
     robot = thesis_robot()
     q, u, effort = random_states(200)
     l46 = right_arm_length(robot, q[:, 1])
@@ -132,7 +132,7 @@ def test_bias_forces_and_mass_matrix_make_up_the_forward_dynamics() -> None:
     np.testing.assert_allclose(forward_dynamics(robot, q, u, effort), expected, rtol=1e-9, atol=1e-9)
 
 
-def test_at_the_dead_centre_the_right_arm_has_no_lever() -> None:
+def test_inverse_dynamics_at_dead_centre_gives_non_finite_arm_effort() -> None:
     """The shoulder and wrist efforts are still right; F_E is not finite, and nothing warns or raises."""
     robot = thesis_robot()
     q, u = (0.3, 0.0, 5.0), (1.0, 2.0, 3.0)
@@ -143,17 +143,17 @@ def test_at_the_dead_centre_the_right_arm_has_no_lever() -> None:
 
 
 @pytest.mark.parametrize("bad", [(1.0, 2.0), 1.0, np.zeros((3, 2))])
-def test_wrong_shapes_are_refused(bad: Any) -> None:
+def test_forward_dynamics_wrong_shape_raises(bad: Any) -> None:
     with pytest.raises(ValueError, match=r"expected 3|could not be broadcast|shape mismatch"):
         forward_dynamics(thesis_robot(), bad, bad, bad)
 
 
-def test_nan_stays_nan() -> None:
+def test_forward_dynamics_nan_input_gives_nan() -> None:
     assert np.isnan(forward_dynamics(thesis_robot(), (0.0, 4.0, np.nan), np.zeros(3), np.zeros(3))).all()
 
 
 @given(q=st.tuples(angle, angle, angle))
-def test_a_heavier_head_adds_inertia_in_every_direction(q: tuple[float, ...]) -> None:
+def test_mass_matrix_heavier_head_adds_inertia(q: tuple[float, ...]) -> None:
     light, heavy = (mass_matrix(RobotParameters(club=Club(head_mass=mass)), q) for mass in (0.1, 0.3))
     added = np.linalg.eigvalsh(heavy - light)
     # A point mass in a plane adds two directions of inertia and nothing in the third.

@@ -45,7 +45,7 @@ def pose_with_wrist_at(distance: float, direction: float, theta_t: float) -> np.
 
 
 @given(theta1=turn, theta2=arm_angle, theta3=turn)
-def test_angles_to_pose_and_back(theta1: float, theta2: float, theta3: float) -> None:
+def test_inverse_kinematics_recovers_joint_angles(theta1: float, theta2: float, theta3: float) -> None:
     q = np.array([theta1, theta2, theta3])
     found = inverse_kinematics(ROBOT, forward_kinematics(ROBOT, q))
     # theta1 comes back in (-pi, pi]; theta3 takes up the whole turns, for theta_t is not wrapped.
@@ -56,7 +56,9 @@ def test_angles_to_pose_and_back(theta1: float, theta2: float, theta3: float) ->
 
 
 @given(distance=st.floats(NEAREST, FARTHEST), direction=turn, theta_t=turn)
-def test_pose_to_angles_and_back_up_to_the_edges(distance: float, direction: float, theta_t: float) -> None:
+def test_forward_kinematics_recovers_reachable_pose(
+    distance: float, direction: float, theta_t: float
+) -> None:
     pose = pose_with_wrist_at(distance, direction, theta_t)
     q = inverse_kinematics(ROBOT, pose)
     np.testing.assert_allclose(forward_kinematics(ROBOT, q), pose, rtol=0, atol=1e-7)
@@ -70,12 +72,14 @@ beyond = st.one_of(st.floats(FARTHEST + 1e-6, 1e3), st.floats(0.0, NEAREST - 1e-
 
 
 @given(distance=beyond, direction=turn, theta_t=turn)
-def test_unreachable_poses_are_refused(distance: float, direction: float, theta_t: float) -> None:
+def test_inverse_kinematics_unreachable_pose_raises(
+    distance: float, direction: float, theta_t: float
+) -> None:
     with pytest.raises(UnreachablePose):
         inverse_kinematics(ROBOT, pose_with_wrist_at(distance, direction, theta_t))
 
 
-def test_the_refusal_names_pose_and_reach() -> None:
+def test_unreachable_pose_error_names_pose_and_reach() -> None:
     with pytest.raises(UnreachablePose) as refusal:
         inverse_kinematics(ROBOT, [5.25, -1.5, 0.75])
     text = str(refusal.value)
@@ -86,14 +90,14 @@ def test_the_refusal_names_pose_and_reach() -> None:
 
 @pytest.mark.parametrize("where", range(3))
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_not_finite_poses_are_refused(where: int, bad: float) -> None:
+def test_inverse_kinematics_non_finite_pose_raises(where: int, bad: float) -> None:
     pose = forward_kinematics(ROBOT, [-1.0, 4.0, 5.5])
     pose[where] = bad
     with np.errstate(invalid="ignore"), pytest.raises(UnreachablePose):
         inverse_kinematics(ROBOT, pose)
 
 
-def test_one_unreachable_pose_in_a_batch_is_the_one_named() -> None:
+def test_inverse_kinematics_batch_names_unreachable_pose() -> None:
     poses = forward_kinematics(ROBOT, np.tile([-1.0, 4.0, 5.5], (2, 3, 1)))
     poses[1, 2] = (7.125, 0.0, 0.0)
     with pytest.raises(UnreachablePose, match=r"7\.125"):
@@ -101,7 +105,7 @@ def test_one_unreachable_pose_in_a_batch_is_the_one_named() -> None:
 
 
 @pytest.mark.parametrize("shape", [(6,), (2, 3), (0,), (1, 1)])
-def test_batches_equal_single_calls(shape: tuple[int, ...]) -> None:
+def test_kinematics_batches_equal_single_calls(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(3)
     q = rng.uniform((-pi, pi + 0.1, pi), (pi, 2 * pi - 0.1, 2 * pi), (*shape, 3))
     poses = forward_kinematics(ROBOT, q)
@@ -115,7 +119,7 @@ def test_batches_equal_single_calls(shape: tuple[int, ...]) -> None:
         np.testing.assert_allclose(points[index], joint_positions(ROBOT, q[index]), rtol=0, atol=1e-15)
 
 
-def test_address_by_hand() -> None:
+def test_forward_kinematics_address_matches_hand_value() -> None:
     """Link along the target line, arm and club straight down: a pose that needs no computer."""
     q = [0.0, 1.5 * pi, 2 * pi]
     expected = [0.25, -0.56 - 1.09, 3.5 * pi]
@@ -123,7 +127,7 @@ def test_address_by_hand() -> None:
 
 
 @given(theta1=turn, theta2=turn, theta3=turn)
-def test_the_points_keep_their_distances(theta1: float, theta2: float, theta3: float) -> None:
+def test_joint_positions_keep_link_lengths(theta1: float, theta2: float, theta3: float) -> None:
     q = (theta1, theta2, theta3)
     r1, r2, r3, r6, head = joint_positions(ROBOT, q)
     rods = np.array([r2 - r1, r3 - r2, head - r3, r6 - r1, r2 - r6, r3 - r6])
@@ -133,11 +137,11 @@ def test_the_points_keep_their_distances(theta1: float, theta2: float, theta3: f
 
 
 @given(theta2=arm_angle)
-def test_right_arm_length_and_back(theta2: float) -> None:
+def test_theta2_from_right_arm_inverts_right_arm_length(theta2: float) -> None:
     assert theta2_from_right_arm(ROBOT, right_arm_length(ROBOT, theta2)) == pytest.approx(theta2, abs=1e-11)
 
 
-def test_right_arm_of_batches_and_at_its_ends() -> None:
+def test_right_arm_length_batch_matches_end_values() -> None:
     angles = np.linspace(pi, 2 * pi, 12).reshape(3, 4)
     lengths = right_arm_length(ROBOT, angles)
     assert lengths.shape == (3, 4)
@@ -148,13 +152,13 @@ def test_right_arm_of_batches_and_at_its_ends() -> None:
 
 
 @pytest.mark.parametrize("length", [0.2, 0.95, np.nan, [0.5, 1.5]])
-def test_impossible_right_arms_are_refused(length: Any) -> None:
+def test_theta2_from_right_arm_impossible_length_raises(length: Any) -> None:
     with pytest.raises(UnreachablePose, match=r"0\.22 to 0\.9 m"):
         theta2_from_right_arm(ROBOT, length)
 
 
 @given(q=st.tuples(turn, turn, turn), u=st.tuples(*[st.floats(-30, 30)] * 3))
-def test_head_motion_is_the_derivative_of_the_pose(q: tuple[float, ...], u: tuple[float, ...]) -> None:
+def test_head_motion_equals_pose_derivative(q: tuple[float, ...], u: tuple[float, ...]) -> None:
     motion: Any = head_motion
     found = np.array(motion(ROBOT.record[0], *q, *u))
     np.testing.assert_allclose(found[:3], forward_kinematics(ROBOT, q), atol=1e-14)

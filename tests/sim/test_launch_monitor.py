@@ -48,7 +48,7 @@ def told(launch: Launch, number: int, parameters: MonitorParameters) -> list[Lau
     return records
 
 
-def test_a_carry_is_reported_with_its_own_noise_and_changes_no_other() -> None:
+def test_monitor_messages_carry_has_noise_and_keeps_launch() -> None:
     noisy, exact = MonitorParameters(seed=3), replace(EXACT, carry_noise=0.0)
     assert told(STRUCK, 1, exact)[0].carry is None
     for launch, parameters, carry, tolerance in ((STRUCK, exact, 190.0, 1e-3), (STRUCK, noisy, 190.0, 5.0)):
@@ -68,7 +68,7 @@ def test_a_carry_is_reported_with_its_own_noise_and_changes_no_other() -> None:
 
 @pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("spelling", [False, True])
-def test_without_noise_the_server_hears_the_launch_itself(text: bool, spelling: bool) -> None:
+def test_monitor_messages_without_noise_give_exact_launch(text: bool, spelling: bool) -> None:
     parameters = replace(EXACT, text_numbers=text, other_spelling=spelling)
     (record,) = told(STRUCK, 1, parameters)
     assert record.launch == pytest.approx(STRUCK, rel=1e-4)
@@ -76,7 +76,7 @@ def test_without_noise_the_server_hears_the_launch_itself(text: bool, spelling: 
 
 
 @pytest.mark.parametrize("text", [False, True])
-def test_it_tells_of_the_club_where_it_is_one_that_does(text: bool) -> None:
+def test_monitor_messages_with_club_report_club_motion(text: bool) -> None:
     club = ClubMotion(43.0, -0.02)
     parameters = replace(EXACT, club=True, text_numbers=text)
     ((_, message),) = monitor_messages(STRUCK, 1, parameters, club)
@@ -90,7 +90,7 @@ def test_it_tells_of_the_club_where_it_is_one_that_does(text: bool) -> None:
     assert np.std(speeds) == pytest.approx(MonitorParameters().speed_noise * club.speed, rel=0.15)
 
 
-def test_the_noise_has_the_size_asked_for() -> None:
+def test_monitor_messages_noise_has_set_deviation() -> None:
     p = MonitorParameters()
     launches = np.array([told(STRUCK, number, p)[0].launch for number in range(600)])
     spread = [p.speed_noise * 65, p.angle_noise, p.angle_noise, p.spin_noise * 300, p.axis_noise]
@@ -101,7 +101,7 @@ def test_the_noise_has_the_size_asked_for() -> None:
 @pytest.mark.parametrize(
     ("fault", "messages"), [("missing", 0), ("double", 2), ("repeated", 2), ("ghost", 2), ("misread", 1)]
 )
-def test_each_fault_has_its_share_and_moves_nothing_else(fault: str, messages: int) -> None:
+def test_monitor_messages_fault_affects_set_share_only(fault: str, messages: int) -> None:
     faults = replace(MonitorParameters(), **{fault: 0.25})  # type: ignore[arg-type]
     clean = [monitor_messages(STRUCK, n, MonitorParameters()) for n in range(400)]
     faulty = [monitor_messages(STRUCK, n, faults) for n in range(400)]
@@ -112,7 +112,7 @@ def test_each_fault_has_its_share_and_moves_nothing_else(fault: str, messages: i
     assert clean != [monitor_messages(STRUCK, n, MonitorParameters(seed=2)) for n in range(400)]
 
 
-def test_every_misread_shot_is_noticed_and_no_other() -> None:
+def test_add_doubts_flags_misread_shots_only() -> None:
     for number in range(200):
         assert told(STRUCK, number, MonitorParameters())[0].valid
         assert not told(STRUCK, number, MonitorParameters(misread=1.0))[0].valid
@@ -120,7 +120,7 @@ def test_every_misread_shot_is_noticed_and_no_other() -> None:
         assert "no spin" in blind.reason
 
 
-def test_a_series_comes_to_the_outcomes_the_faults_make() -> None:
+def test_match_series_with_faults_gives_expected_outcomes() -> None:
     p = MonitorParameters(missing=0.1, double=0.1, repeated=0.1, ghost=0.05)
     swings, records, expected = [], [], Counter[MatchOutcome]()
     for n in range(300):
@@ -149,7 +149,7 @@ def test_a_series_comes_to_the_outcomes_the_faults_make() -> None:
 
 
 @pytest.mark.parametrize("pieces", [False, True])
-def test_over_the_wire(server: LaunchMonitorServer, pieces: bool) -> None:
+def test_simulated_monitor_sends_shots_to_server(server: LaunchMonitorServer, pieces: bool) -> None:
     monitor = SimulatedMonitor(replace(EXACT, pieces=pieces, delay=0.0), *server.address)
     try:
         monitor.see(STRUCK, 0.0)
@@ -168,7 +168,7 @@ def test_over_the_wire(server: LaunchMonitorServer, pieces: bool) -> None:
         monitor.close()
 
 
-def test_it_comes_again_when_the_server_was_away(server: LaunchMonitorServer) -> None:
+def test_simulated_monitor_reconnects_after_server_outage(server: LaunchMonitorServer) -> None:
     address, now = server.address, 0.0
     monitor = SimulatedMonitor(EXACT, *address)
     again = LaunchMonitorServer(LaunchMonitorSettings(), port=address[1])
@@ -194,12 +194,12 @@ def test_it_comes_again_when_the_server_was_away(server: LaunchMonitorServer) ->
         again.close()
 
 
-def test_parameters_are_checked() -> None:
+def test_monitor_parameters_invalid_share_raises() -> None:
     with pytest.raises(ValueError, match="missing"):
         MonitorParameters(missing=1.5)
 
 
-def test_a_shot_whose_connection_drops_while_it_is_sent_is_sent_again(
+def test_simulated_monitor_connection_drop_resends_shot(
     server: LaunchMonitorServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monitor, deadline = SimulatedMonitor(EXACT, *server.address), time.monotonic() + 10.0

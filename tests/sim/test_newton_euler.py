@@ -136,7 +136,7 @@ def test_kane_equals_newton_and_euler(club: Club) -> None:
         assert np.max(np.abs(found - needed)) < TOLERANCE * np.max(np.abs(needed))
 
 
-def test_round_trip_through_the_free_bodies() -> None:
+def test_kane_round_trip_with_newton_euler_recovers_effort() -> None:
     robot = thesis_robot()
     q, u, effort = np.array([-1.0, 4.0, 5.5]), np.array([-9.0, 3.0, 12.0]), np.array([200.0, 900.0, 60.0])
     there = _inverse(robot, q, u, forward_dynamics(robot, q, u, effort))

@@ -52,7 +52,7 @@ POWERED: dict[str, Any] = {"supply_enable": True, "exhaust_closed": True, "guard
 
 
 @compiled_only
-def test_the_soft_start_opens_the_supply_over_its_time() -> None:
+def test_supply_soft_start_opens_over_set_time() -> None:
     plant = locked_plant()
     states = history(plant, initial_state(plant, POSE), 3000, command_of(**POWERED))
     supply = plant.parameters.supply
@@ -67,7 +67,7 @@ def test_the_soft_start_opens_the_supply_over_its_time() -> None:
 
 
 @compiled_only
-def test_air_used_is_what_fills_the_manifold() -> None:
+def test_air_used_equals_manifold_fill() -> None:
     """Isothermal: mass = V (p - p0) / (R T), in kg."""
     plant = locked_plant(supply=replace(PlantParameters().supply, polytropic_exponent=1.0))
     state = initial_state(plant, POSE)
@@ -78,7 +78,7 @@ def test_air_used_is_what_fills_the_manifold() -> None:
 
 
 @compiled_only
-def test_the_supply_sags_when_the_valves_take_air() -> None:
+def test_supply_pressure_sags_under_valve_flow() -> None:
     plant = build_plant(PlantParameters())
     state = initial_state(plant, POSE, pressurised=True)
     states = history(plant, state, 100, command_of(valve=(1.0, 1.0, 1.0), **POWERED))
@@ -86,7 +86,7 @@ def test_the_supply_sags_when_the_valves_take_air() -> None:
 
 
 @compiled_only
-def test_without_energy_the_manifold_is_dumped() -> None:
+def test_manifold_supply_disabled_exhausts_to_atmosphere() -> None:
     plant = locked_plant()
     state = initial_state(plant, POSE, pressurised=True)
     pressure = history(plant, state, 2000, command_of(exhaust_closed=True))["supply_pressure"]
@@ -96,7 +96,7 @@ def test_without_energy_the_manifold_is_dumped() -> None:
 
 
 @compiled_only
-def test_chambers_keep_their_air_until_the_vents_open_after_their_delay() -> None:
+def test_vents_empty_chambers_after_delay() -> None:
     plant = locked_plant()
     state = initial_state(plant, POSE, pressurised=True)
     start = state["pressure"][0].copy()
@@ -111,7 +111,7 @@ def test_chambers_keep_their_air_until_the_vents_open_after_their_delay() -> Non
     assert np.all(after[-1] >= atmosphere)
 
 
-def test_closing_the_exhaust_starts_the_vents_delay_anew() -> None:
+def test_vents_exhaust_closed_restarts_delay() -> None:
     plant = locked_plant(supply=replace(PlantParameters().supply, vent_delay=0.003))
     state = initial_state(plant, POSE, pressurised=True)
     start = state["pressure"][0].copy()
@@ -123,7 +123,7 @@ def test_closing_the_exhaust_starts_the_vents_delay_anew() -> None:
 
 
 @compiled_only
-def test_relief_valves_open_above_their_set_pressure_only() -> None:
+def test_relief_valves_open_only_above_set_pressure() -> None:
     plant = locked_plant()
     relief = plant.parameters.supply.relief_pressure
     state = initial_state(plant, POSE)
@@ -142,9 +142,7 @@ def test_relief_valves_open_above_their_set_pressure_only() -> None:
     [(1.1, 8.8e5, 9.3e5), (4.0, 11.1e5, 11.2e5)],
     ids=["fitted", "never opens"],
 )
-def test_the_manifolds_relief_valve_bounds_a_regulator_that_surges(
-    opens_at: float, least: float, most: float
-) -> None:
+def test_manifold_relief_valve_limits_regulator_surge(opens_at: float, least: float, most: float) -> None:
     plant = locked_plant(supply=replace(PlantParameters().supply, manifold_relief_ratio=opens_at))
     plant.plant["regulated"] = 1.4 * plant.parameters.supply.pressure
     states = history(plant, initial_state(plant, POSE), 2000, command_of(**POWERED))
@@ -152,7 +150,7 @@ def test_the_manifolds_relief_valve_bounds_a_regulator_that_surges(
 
 
 @compiled_only
-def test_a_closed_relief_valve_changes_no_bit() -> None:
+def test_manifold_relief_valve_closed_changes_nothing() -> None:
     kept = []
     for opens_at in (1.1, 4.0):
         supply = replace(PlantParameters().supply, manifold_relief_ratio=opens_at)
@@ -163,7 +161,7 @@ def test_a_closed_relief_valve_changes_no_bit() -> None:
     assert kept[0] == kept[1]
 
 
-def test_the_guard_locks_only_when_it_is_closed() -> None:
+def test_guard_locks_only_when_closed() -> None:
     plant = locked_plant()
     state = initial_state(plant, POSE)
     for closed, lock in ((True, True), (True, False), (False, True)):
@@ -173,7 +171,7 @@ def test_the_guard_locks_only_when_it_is_closed() -> None:
 
 
 @compiled_only
-def test_peaks_are_those_of_the_motion() -> None:
+def test_plant_peaks_match_motion() -> None:
     plant = build_plant(PlantParameters(site=Site(ground=-3.0)))
     state = initial_state(plant, POSE, pressurised=True)
     start = state["pressure"].copy()
@@ -190,7 +188,7 @@ def test_peaks_are_those_of_the_motion() -> None:
     ("stuck", "positions"),
     [((0, 0), [1, 1]), ((SHUT, 0), [0, 1]), ((0, SHUT), [1, 0]), ((SHUT, SHUT), [0, 0])],
 )
-def test_either_vent_empties_the_chambers_as_fast_as_both(
+def test_vents_one_working_empties_chambers_as_fast_as_both(
     stuck: tuple[int, int], positions: list[int]
 ) -> None:
     pressures = []
@@ -211,7 +209,7 @@ def test_either_vent_empties_the_chambers_as_fast_as_both(
 
 
 @pytest.mark.parametrize("share", [0.1, 0.0])
-def test_a_throttled_exhaust_keeps_its_air_and_no_other(share: float) -> None:
+def test_exhaust_throttled_slows_selected_volumes_only(share: float) -> None:
     pressures = []
     for shares in ((1.0,) * 7, (1.0, share, 1.0, 1.0, 1.0, 1.0, share)):
         # Arms that move and spools that leak would let the neighbours feel it, too.
@@ -236,7 +234,7 @@ def test_a_throttled_exhaust_keeps_its_air_and_no_other(share: float) -> None:
         ({}, SHUT, True),
     ],
 )
-def test_supply_and_shut_off_valve_each_empty_the_manifold(
+def test_supply_or_shut_off_valve_closed_empties_manifold(
     command: dict[str, bool], stuck: int, cut: bool
 ) -> None:
     plant = build_plant(PlantParameters())
@@ -253,9 +251,7 @@ def test_supply_and_shut_off_valve_each_empty_the_manifold(
 @compiled_only
 @pytest.mark.parametrize("open_", ["emergency_stop_clear", "guard_closed"])
 @pytest.mark.parametrize("stuck", [0, SHUT])
-def test_emergency_stop_and_guard_open_the_vents_and_the_shut_off_valve_whatever_is_commanded(
-    open_: str, stuck: int
-) -> None:
+def test_safety_relay_emergency_stop_or_guard_vents_and_cuts_supply(open_: str, stuck: int) -> None:
     plant = build_plant(PlantParameters())
     plant.plant["relay_stuck"] = stuck
     state = initial_state(plant, POSE, pressurised=True)
@@ -273,7 +269,7 @@ def test_emergency_stop_and_guard_open_the_vents_and_the_shut_off_valve_whatever
 
 
 @compiled_only
-def test_a_relay_that_falls_open_acts_as_an_emergency_stop() -> None:
+def test_safety_relay_stuck_open_acts_as_emergency_stop() -> None:
     plant = build_plant(PlantParameters())
     plant.plant["relay_stuck"] = OPEN
     state = initial_state(plant, POSE, pressurised=True)
@@ -282,7 +278,7 @@ def test_a_relay_that_falls_open_acts_as_an_emergency_stop() -> None:
     assert states["supply_pressure"][-1] < 1.1 * plant.parameters.supply.atmosphere
 
 
-def test_equal_inputs_give_equal_bits() -> None:
+def test_plant_equal_inputs_give_equal_bits() -> None:
     rng = np.random.default_rng(8)
     valves = rng.uniform(-1, 1, (40, 3))
     results = []
@@ -296,7 +292,7 @@ def test_equal_inputs_give_equal_bits() -> None:
 
 
 @pytest.mark.parametrize("mounted", [0.0, 0.6])
-def test_effort_is_force_of_the_air_less_the_atmospheres(mounted: float) -> None:
+def test_effort_equals_air_force_less_atmosphere(mounted: float) -> None:
     plant = build_plant(replace(locked_plant().parameters, wrist_lever_angle=mounted))
     state = initial_state(plant, POSE)
     atmosphere = plant.parameters.supply.atmosphere

@@ -30,14 +30,14 @@ def _turn(plant: Plant, turned: float, speed: float) -> tuple[float, np.ndarray]
     return float(state["angle"][0].sum()) - 3.5 * np.pi, state
 
 
-def test_a_club_that_comes_to_the_ball_strikes_it(plant: Plant) -> None:
+def test_plant_club_reaching_ball_strikes(plant: Plant) -> None:
     _, state = _turn(plant, -0.2, 20.0)
     assert state["struck"][0]
     assert not state["ball_present"][0]
     assert state["ball_velocity"][0, 0] > 10
 
 
-def test_the_plane_of_the_face_strikes_nothing_where_there_is_no_face(plant: Plant) -> None:
+def test_plant_face_plane_beyond_face_misses_ball(plant: Plant) -> None:
     """In the backswing the club turns by half a turn, and the plane of its face sweeps over the ball."""
     turned, state = _turn(plant, -1.8, -50.0)
     assert turned < -3.0

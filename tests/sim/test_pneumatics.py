@@ -17,7 +17,7 @@ pressures = st.floats(5e4, 1.2e6)
 ratios = st.floats(0.05, 0.9)
 
 
-def test_choked_flow_is_conductance_times_pressure_times_reference_density() -> None:
+def test_flow_choked_equals_conductance_times_pressure() -> None:
     """A 3/8 inch valve at 8 bar absolute passes 75 g/s."""
     assert flow(C, 8e5, 1.0e5, B) / R_T == pytest.approx(7.9e-8 * 8e5 * 1.185)
     assert flow(C, 8e5, 1.0e5, B) / R_T == pytest.approx(0.0749, rel=1e-3)
@@ -28,18 +28,18 @@ def test_choked_flow_is_conductance_times_pressure_times_reference_density() -> 
     ("ratio", "share"),  # sqrt(1 - ((ratio - 0.3) / 0.7)^2)
     [(0.3, 1.0), (0.5, 0.958315), (0.65, np.sqrt(0.75)), (0.8, 0.699854), (0.9, 0.515079), (0.95, 0.371154)],
 )
-def test_subsonic_flow_is_the_ellipse_of_iso_6358(ratio: float, share: float) -> None:
+def test_flow_subsonic_follows_iso_6358_ellipse(ratio: float, share: float) -> None:
     assert flow(C, 7e5, ratio * 7e5, B) == pytest.approx(share * flow(C, 7e5, 0.0, B), rel=2e-6)
 
 
 @given(pressures, pressures, ratios)
-def test_flow_changes_sign_with_the_pressures(first: float, second: float, critical: float) -> None:
+def test_flow_swapped_pressures_reverses_sign(first: float, second: float, critical: float) -> None:
     assert flow(C, first, second, critical) == -flow(C, second, first, critical)
     assert flow(C, first, first, critical) == 0.0
 
 
 @given(pressures, ratios, st.floats(0.0, 0.999), st.floats(1e-6, 1e-3))
-def test_flow_falls_as_the_pressure_behind_the_orifice_rises(
+def test_flow_falls_with_downstream_pressure(
     upstream: float, critical: float, ratio: float, more: float
 ) -> None:
     before = flow(C, upstream, ratio * upstream, critical)
@@ -49,7 +49,7 @@ def test_flow_falls_as_the_pressure_behind_the_orifice_rises(
 
 
 @given(pressures, pressures, ratios, st.floats(1e-6, 1e-3))
-def test_flow_grows_with_the_pressure_before_the_orifice(
+def test_flow_grows_with_upstream_pressure(
     upstream: float, downstream: float, critical: float, more: float
 ) -> None:
     before, after = (flow(C, p, downstream, critical) for p in (upstream, upstream * (1 + more)))
@@ -60,7 +60,7 @@ def test_flow_grows_with_the_pressure_before_the_orifice(
 
 
 @given(ratios)
-def test_flow_has_no_jump_between_its_branches(critical: float) -> None:
+def test_flow_is_continuous_between_branches(critical: float) -> None:
     for edge in (critical, LAMINAR_RATIO):
         below, above = (flow(C, 6e5, edge * (1 + side) * 6e5, critical) for side in (-1e-9, 1e-9))
         assert above == pytest.approx(below, rel=1e-4)
@@ -71,13 +71,13 @@ def test_flow_is_linear_near_equal_pressures() -> None:
     assert twice == pytest.approx(2 * small, rel=1e-9)
 
 
-def test_reference_density_is_that_of_iso_6358() -> None:
+def test_reference_density_matches_iso_6358() -> None:
     assert pytest.approx(1e5 / (288.0 * 293.15), rel=2e-3) == REFERENCE_DENSITY
 
 
 @pytest.mark.parametrize("damping", [0.05, 0.3, 0.8, 0.999999, 1.0, 1.000001, 1.7])
 @pytest.mark.parametrize("half_step", [2.5e-6, 1.25e-4, 1e-3])
-def test_spool_moves_as_the_matrix_exponential(damping: float, half_step: float) -> None:
+def test_valve_half_step_matrix_equals_matrix_exponential(damping: float, half_step: float) -> None:
     valve = Valve(damping_ratio=damping)
     omega = valve.natural_frequency
     system = np.array([[0.0, 1.0], [-(omega**2), -2 * damping * omega]])
@@ -87,7 +87,7 @@ def test_spool_moves_as_the_matrix_exponential(damping: float, half_step: float)
 
 
 @given(st.floats(1e-6, 0.1), st.floats(-50.0, 50.0))
-def test_a_cushion_never_pulls(depth: float, speed: float) -> None:
+def test_stop_force_never_pulls(depth: float, speed: float) -> None:
     stop = EndStop(energy=40.0, travel=0.02, damping_speed=2.0)
     force = stop_force(stop.stiffness, stop.travel, stop.damping_speed, depth, speed)
     assert force >= 0.0
@@ -95,7 +95,7 @@ def test_a_cushion_never_pulls(depth: float, speed: float) -> None:
         assert force == 0.0
 
 
-def test_a_cushion_pressed_slowly_over_its_travel_takes_its_rated_energy() -> None:
+def test_stop_force_full_travel_takes_rated_energy() -> None:
     stop = EndStop(energy=40.0, travel=0.02)
     depth = np.linspace(0.0, stop.travel, 1001)
     force = [stop_force(stop.stiffness, stop.travel, stop.damping_speed, d, 0.0) for d in depth]

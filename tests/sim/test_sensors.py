@@ -45,7 +45,7 @@ def turning(plant: Plant, speed: float) -> Any:
 
 
 @pytest.mark.parametrize("counts", [256, 5000, 2**17])
-def test_readings_are_whole_counts_below_the_angle_within_one_turn(counts: int) -> None:
+def test_encoder_readings_are_whole_counts_within_one_turn(counts: int) -> None:
     plant = plant_with(Encoders(counts_per_revolution=counts))
     rng = np.random.default_rng(4)
     readings = new_record(READINGS)
@@ -57,7 +57,7 @@ def test_readings_are_whole_counts_below_the_angle_within_one_turn(counts: int) 
 
 
 @pytest.mark.parametrize("latency", [0.0, 0.0001, 0.00025, 0.0011, 0.005])
-def test_readings_are_as_old_as_the_latency_says(latency: float) -> None:
+def test_encoder_readings_are_delayed_by_latency(latency: float) -> None:
     plant = plant_with(Encoders(counts_per_revolution=2**24, latency=latency))
     state = turning(plant, 20.0)
     assert sensed(plant, state)[0] == pytest.approx(POSE - 20.0 * latency, abs=2 * np.pi / 2**24)
@@ -67,7 +67,7 @@ def test_readings_are_as_old_as_the_latency_says(latency: float) -> None:
     assert readings["encoder_age"][0].tolist() == [latency] * 3
 
 
-def test_latency_is_kept_while_the_plant_moves() -> None:
+def test_encoder_latency_with_moving_plant_stays_constant() -> None:
     plant = plant_with(Encoders(counts_per_revolution=2**24, latency=0.002))
     state, command = initial_state(plant, POSE), new_record(COMMAND)
     passed = [POSE]
@@ -77,7 +77,7 @@ def test_latency_is_kept_while_the_plant_moves() -> None:
     assert sensed(plant, state)[0] == pytest.approx(passed[-3], abs=4e-7)
 
 
-def test_noise_has_the_stated_deviation_and_no_bias() -> None:
+def test_encoder_noise_has_set_deviation_without_bias() -> None:
     plant = plant_with(Encoders(noise=1e-3))
     error = sensed(plant, initial_state(plant, POSE), SAMPLES) - POSE
     tolerance = 5 / np.sqrt(2 * error.size)
@@ -87,7 +87,7 @@ def test_noise_has_the_stated_deviation_and_no_bias() -> None:
     assert abs(np.corrcoef(error[:-1, 0], error[1:, 0])[0, 1]) < 5 / np.sqrt(SAMPLES)
 
 
-def test_jitter_shows_as_speed_times_the_sampling_instants_deviation() -> None:
+def test_encoder_jitter_error_equals_speed_times_deviation() -> None:
     plant = plant_with(Encoders(latency=0.002, jitter=1e-4))
     error = sensed(plant, turning(plant, 20.0), SAMPLES) - (POSE - 20.0 * 0.002)
     assert np.std(error) == pytest.approx(20.0 * 1e-4, rel=5 / np.sqrt(2 * error.size))
@@ -106,18 +106,18 @@ def trace(seed: int, noise: float) -> tuple[bytes, bytes]:
     return b"".join(counts), state["angle"].tobytes()
 
 
-def test_equal_seeds_give_equal_bits_and_other_seeds_other_noise() -> None:
+def test_encoder_noise_is_reproducible_per_seed() -> None:
     assert trace(1, 1e-3) == trace(1, 1e-3)
     readings, motion = zip(*(trace(seed, 1e-3) for seed in range(4)), strict=True)
     assert len(set(readings)) == 4
     assert len(set(motion)) == 1, "noise is the sensors' own; the plant's motion has none"
 
 
-def test_without_noise_the_seed_does_not_matter() -> None:
+def test_encoder_without_noise_ignores_seed() -> None:
     assert trace(1, 0.0) == trace(2, 0.0)
 
 
-def test_a_latency_that_the_plant_does_not_remember_is_refused() -> None:
+def test_build_plant_latency_beyond_history_raises() -> None:
     parameters = PlantParameters(encoders=Encoders(latency=0.005), substeps=64)
     with pytest.raises(
         ValueError, match=r"encoders\.latency: found 0\.005 s .* expected .* up to 0\.00096875 s"

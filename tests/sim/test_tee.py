@@ -88,7 +88,7 @@ def masses(plant: Plant, y: Array, *, flexible: bool) -> Array:
 
 
 @pytest.mark.parametrize("flexible", [False, True])
-def test_robot_and_ball_take_the_same_impulse_and_no_energy_is_gained(flexible: bool) -> None:
+def test_strike_ball_shares_impulse_and_gains_no_energy(flexible: bool) -> None:
     plant, y = plant_with(flexible=flexible), at_contact(flexible=flexible)
     robot, parameters, impact = plant.records
     state = initial_state(plant, y[:3])
@@ -119,7 +119,7 @@ def test_robot_and_ball_take_the_same_impulse_and_no_energy_is_gained(flexible: 
 
 
 @pytest.mark.parametrize("flexible", [False, True])
-def test_contact_is_found_where_the_gap_is_zero(flexible: bool) -> None:
+def test_contact_occurs_at_zero_face_gap(flexible: bool) -> None:
     plant = plant_with(flexible=flexible)
     state = approach(plant)
     run(plant, state, 60)
@@ -130,7 +130,7 @@ def test_contact_is_found_where_the_gap_is_zero(flexible: bool) -> None:
     assert 0.0 < state["impact_time"][0] < 0.06
 
 
-def test_the_instant_of_contact_does_not_depend_on_the_tick_it_falls_into() -> None:
+def test_contact_time_is_independent_of_substeps() -> None:
     times = []
     for substeps in (4, 40):
         plant = plant_with(substeps=substeps)
@@ -141,7 +141,7 @@ def test_the_instant_of_contact_does_not_depend_on_the_tick_it_falls_into() -> N
 
 
 @pytest.mark.parametrize("height", [0.12, 0.05, -0.05])
-def test_a_face_that_passes_above_or_below_the_ball_misses_it_and_swings_on(height: float) -> None:
+def test_face_passing_ball_misses_and_swing_continues(height: float) -> None:
     plant = plant_with(ball=(BALL[0], BALL[1] + height))
     missed, alone = approach(plant), approach(plant)
     alone["ball_present"] = False
@@ -154,7 +154,7 @@ def test_a_face_that_passes_above_or_below_the_ball_misses_it_and_swings_on(heig
         assert missed[name].tobytes() == alone[name].tobytes()
 
 
-def test_a_ball_behind_the_face_is_left_alone_until_the_face_comes_from_behind() -> None:
+def test_contact_ball_behind_face_requires_forward_motion() -> None:
     plant = plant_with()
     state = approach(plant, turned=0.1)
     x, y, theta = head_geometry(
@@ -170,7 +170,7 @@ def test_a_ball_behind_the_face_is_left_alone_until_the_face_comes_from_behind()
     assert state["struck"][0]
 
 
-def test_a_new_ball_on_the_tee_can_be_struck_again() -> None:
+def test_tee_rising_edge_places_new_ball() -> None:
     plant = plant_with()
     state = approach(plant)
     run(plant, state, 60)

@@ -24,7 +24,7 @@ def bag() -> dict[str, Club]:
     return load_configuration(Path("bag")).clubs
 
 
-def test_held_out_rows_are_met(bag: dict[str, Club]) -> None:
+def test_bag_launches_match_held_out_rows(bag: dict[str, Club]) -> None:
     held = [a for a in tour_averages() if a.held_out]
     assert len(held) == 11
     errors = [error_of(a, club_of(a.club, bag)) for a in held]
@@ -34,7 +34,7 @@ def test_held_out_rows_are_met(bag: dict[str, Club]) -> None:
     assert found.spin < 0.10
 
 
-def test_rows_with_a_published_loft_are_met(bag: dict[str, Club]) -> None:
+def test_bag_launches_match_rows_with_published_loft(bag: dict[str, Club]) -> None:
     # Amateurs' averages hold their misses, which cost ball speed.
     averages = lofted_averages()
     errors = [error_of(a, club_of(a.club, bag)) for a in averages]
@@ -44,7 +44,7 @@ def test_rows_with_a_published_loft_are_met(bag: dict[str, Club]) -> None:
     assert rms(tours).ball_speed < 0.015
 
 
-def test_the_bag_holds_the_fitted_values(bag: dict[str, Club]) -> None:
+def test_bag_holds_fitted_values(bag: dict[str, Club]) -> None:
     fitted = fit(tour_averages(), bag)
     groups = {
         ("wood1",): fitted.driver,
@@ -61,5 +61,5 @@ def test_the_bag_holds_the_fitted_values(bag: dict[str, Club]) -> None:
             assert club.tangential_stiffness == pytest.approx(expected, abs=1e-3)
 
 
-def test_the_club_of_the_shipped_swings_is_as_before(bag: dict[str, Club]) -> None:
+def test_bag_driver_equals_default_driver(bag: dict[str, Club]) -> None:
     assert bag["driver"] == Club.driver()

@@ -29,33 +29,33 @@ def test_bounce_never_gains_energy(velocity: Vector, spin: Vector, friction: flo
     assert _energy(*after) <= _energy(velocity, spin) * (1 + 1e-12)
 
 
-def test_ball_that_grips_leaves_rolling() -> None:
+def test_bounce_gripping_ball_leaves_rolling() -> None:
     velocity, spin = bounce((10.0, -8.0, 1.0), (0.0, 0.0, 100.0), RADIUS, 10.0, 0.0, 1.0)
     assert slip_velocity(velocity, spin, UP, RADIUS) == pytest.approx((0, 0, 0), abs=1e-12)
     assert velocity[1] == pytest.approx(8.0 * restitution(8.0))
     assert velocity[0] == pytest.approx((5 * 10.0 - 2 * RADIUS * 100.0) / 7)  # Penner: (5 v - 2 r omega) / 7
 
 
-def test_sliding_ball_feels_coulomb_friction() -> None:
+def test_bounce_sliding_ball_follows_coulomb_friction() -> None:
     velocity, _ = bounce((10.0, -1.0, 0.0), (0.0, 0.0, 900.0), RADIUS, 0.1, 0.0, 1.0)
     assert velocity[0] == pytest.approx(10.0 - 0.1 * (1 + restitution(1.0)) * 1.0)
 
 
-def test_soft_turf_throws_the_ball_up() -> None:
+def test_bounce_soft_turf_steepens_rebound() -> None:
     flat = bounce((15.0, -12.0, 0.0), (0.0, 0.0, 300.0), RADIUS, 0.4, 0.0, 1.0)[0]
     soft = bounce((15.0, -12.0, 0.0), (0.0, 0.0, 300.0), RADIUS, 0.4, radians(15.4), 1.0)[0]
     assert soft[1] > flat[1]
     assert soft[0] < flat[0]
 
 
-def test_restitution_is_penners() -> None:
+def test_restitution_matches_penner() -> None:
     assert restitution(0.0) == pytest.approx(0.51)
     assert restitution(10.0) == pytest.approx(0.510 - 0.375 + 0.0903)
     assert restitution(25.0) == pytest.approx(0.12)
     assert restitution(19.999) == pytest.approx(0.12, abs=2e-3)
 
 
-def test_roll_stops_as_friction_says() -> None:
+def test_roll_stops_at_friction_distance() -> None:
     rolling_spin = (0.0, 0.0, -4.0 / RADIUS)
     x, z, time = roll((4.0, 0.0, 0.0), rolling_spin, RADIUS, 0.1, 9.80665)
     assert x == pytest.approx(4.0**2 / (2 * 0.1 * 9.80665))
@@ -63,10 +63,10 @@ def test_roll_stops_as_friction_says() -> None:
     assert time == pytest.approx(4.0 / (0.1 * 9.80665))
 
 
-def test_back_spin_can_draw_the_ball_back() -> None:
+def test_roll_back_spin_draws_ball_back() -> None:
     assert roll((0.5, 0.0, 0.0), (0.0, 0.0, 600.0), RADIUS, 0.131, 9.80665)[0] < 0
 
 
-def test_unphysical_turf_is_named() -> None:
+def test_turf_unphysical_value_raises() -> None:
     with pytest.raises(ValueError, match=r"Turf\.rolling_resistance: found 0\.0"):
         Turf(rolling_resistance=0.0)

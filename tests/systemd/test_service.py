@@ -109,7 +109,7 @@ def service(container: Container) -> Service:
     return service
 
 
-def test_ready_in_real_time_inside_the_hardened_unit(service: Service) -> None:
+def test_service_started_runs_hardened_in_real_time(service: Service) -> None:
     status = service.status()
     assert (status["state"], status["cause"]["name"]) == ("ESTOP", "POWER_UP")
     granted = {name: setting["granted"] for name, setting in status["real_time"]["settings"].items()}
@@ -125,20 +125,20 @@ def test_ready_in_real_time_inside_the_hardened_unit(service: Service) -> None:
     assert service.show("StatusText").startswith("bench bench1")
 
 
-def test_limits_alone_grant_real_time(service: Service) -> None:
+def test_service_limits_alone_grant_real_time(service: Service) -> None:
     if not may_raise_limits():
         pytest.skip("not even root may raise RLIMIT_RTPRIO on this machine: capabilities stand in for it")
     loop = service.status()["processes"]["loop"]["pid"]
     assert "CapEff:\t0000000000000000" in service.container.run("cat", f"/proc/{loop}/status")
 
 
-def test_no_other_user_sees_what_the_bench_keeps(service: Service) -> None:
+def test_service_folders_are_closed_to_other_users(service: Service) -> None:
     for folder in ("/var/lib/golfbench", "/var/cache/golfbench"):
         assert service.container.run("stat", "--format=%a %U", folder) == "750 golfbench"
     assert service.container.run("stat", "--format=%a", MEMORY) == "700"
 
 
-def test_stopped_in_order_and_started_again_from_kept_machine_code(service: Service) -> None:
+def test_service_restart_reuses_machine_code(service: Service) -> None:
     kept = service.machine_code()
     assert len(kept) > 50
     service.container.run("systemctl", "stop", UNIT)
@@ -151,7 +151,7 @@ def test_stopped_in_order_and_started_again_from_kept_machine_code(service: Serv
     assert service.machine_code() == kept
 
 
-def test_killed_supervisor_is_restarted_in_estop(service: Service) -> None:
+def test_supervisor_killed_restarts_in_estop(service: Service) -> None:
     loop = service.processes()["loop"]
     assert service.kill("KILL", "supervisor") == 1
     assert f"Killing process {loop} " not in service.journal()  # it has ended by itself
@@ -159,14 +159,14 @@ def test_killed_supervisor_is_restarted_in_estop(service: Service) -> None:
     assert (status["state"], status["cause"]["name"]) == ("ESTOP", "RESTART")
 
 
-def test_killed_loop_is_restarted_in_estop_with_its_last_state_told(service: Service) -> None:
+def test_loop_killed_restarts_in_estop(service: Service) -> None:
     assert service.kill("KILL", "loop") == 1
     assert "killed by SIGKILL" in service.journal()
     status = service.status()
     assert (status["state"], status["cause"]["name"]) == ("ESTOP", "RESTART")
 
 
-def test_the_watchdog_kills_a_frozen_supervisor_alone(service: Service) -> None:
+def test_watchdog_kills_frozen_supervisor_only(service: Service) -> None:
     pids = service.processes()
     assert service.kill("STOP", "supervisor") == 1
     journal = service.journal()
@@ -177,13 +177,13 @@ def test_the_watchdog_kills_a_frozen_supervisor_alone(service: Service) -> None:
     assert (status["state"], status["cause"]["name"]) == ("ESTOP", "RESTART")
 
 
-def test_a_frozen_loop_is_killed_by_its_supervisor(service: Service) -> None:
+def test_supervisor_kills_frozen_loop(service: Service) -> None:
     assert service.kill("STOP", "loop") == 1
     assert "froze" in service.journal()
     assert service.status()["state"] == "ESTOP"
 
 
-def test_a_wrong_configuration_is_told_and_not_tried_again(container: Container) -> None:
+def test_service_invalid_configuration_fails_without_restart(container: Container) -> None:
     config = container.root / "etc/golfbench/bench2.toml"
     config.write_text('base = "shipped"\n[loop]\nrate_hz = 7\n')
     told = container.run("systemctl", "start", "golfbench@bench2", check=False, timeout=START)
@@ -194,7 +194,7 @@ def test_a_wrong_configuration_is_told_and_not_tried_again(container: Container)
     assert "loop.rate" in container.run("journalctl", "--no-pager", "--unit=golfbench@bench2")
 
 
-def test_exposure_of_the_unit_that_runs_is_that_of_its_file(service: Service) -> None:
+def test_service_exposure_when_running_matches_manual(service: Service) -> None:
     if not may_raise_limits():
         pytest.skip("the unit runs with capabilities in place of limits")
     told = service.container.run("systemd-analyze", "security", "--no-pager", f"{UNIT}.service")

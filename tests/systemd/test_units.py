@@ -45,19 +45,19 @@ def exposure(unit: Path) -> float:
 
 
 @pytest.mark.parametrize("name", INSTANCES)
-def test_unit_is_clean(name: str, tmp_path: Path) -> None:
+def test_unit_passes_systemd_verify(name: str, tmp_path: Path) -> None:
     done = verify(tmp_path, name)
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
 
 
-def test_the_checker_sees_a_misspelt_setting(tmp_path: Path) -> None:
+def test_systemd_verify_misspelt_setting_fails(tmp_path: Path) -> None:
     done = verify(tmp_path, "golfbench", "\n[Service]\nWatchdogSecs=2\n")
     assert done.returncode != 0
     assert "WatchdogSecs" in done.stderr
 
 
 @pytest.mark.parametrize("name", INSTANCES)
-def test_exposure_is_what_the_readme_states(name: str) -> None:
+def test_unit_exposure_matches_manual(name: str) -> None:
     stated = re.search(
         rf"\| `{name}@\.service` \| ([0-9.]+) \|", (MANUAL / "integrator/service.md").read_text()
     )
@@ -65,7 +65,7 @@ def test_exposure_is_what_the_readme_states(name: str) -> None:
     assert exposure(UNITS / f"{name}@.service") == float(stated[1])
 
 
-def test_the_bench_is_guarded_but_where_it_must_not_be() -> None:
+def test_bench_unit_is_restricted_except_needed_settings() -> None:
     told = analyze("security", "--offline=true", "--json=short", UNITS / "golfbench@.service").stdout
     open_to = {item["json_field"] for item in json.loads(told) if not item["set"]}
     needed = {"MemoryDenyWriteExecute", "RestrictRealtime", "SystemCallFilter_resources"}
@@ -74,7 +74,7 @@ def test_the_bench_is_guarded_but_where_it_must_not_be() -> None:
 
 
 @pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="needs systemd-sysusers")
-def test_the_user_and_the_folders_belong_together(tmp_path: Path) -> None:
+def test_sysusers_and_tmpfiles_match_unit(tmp_path: Path) -> None:
     (tmp_path / "etc/sysusers.d").mkdir(parents=True)
     shutil.copy(UNITS / "golfbench.sysusers", tmp_path / "etc/sysusers.d/golfbench.conf")
     subprocess.run(["systemd-sysusers", f"--root={tmp_path}"], check=True, capture_output=True)

@@ -9,14 +9,14 @@ from tests.vm.can_bits import bits_of
 
 
 @pytest.mark.parametrize("length", range(9))
-def test_no_frame_takes_more_than_the_worst_case_nor_less_than_the_unstuffed(length: int) -> None:
+def test_bits_of_lies_between_unstuffed_and_worst_case(length: int) -> None:
     chance = random.Random(length)
     for _ in range(300):
         data = chance.choice((bytes(length), b"\xff" * length, chance.randbytes(length)))
         assert 47 + 8 * length <= bits_of(chance.randrange(0x800), data) <= worst_bits(length)
 
 
-def test_it_agrees_with_division_and_stuffing_written_another_way() -> None:
+def test_bits_of_matches_independent_stuffing() -> None:
     for identifier in range(0x800):
         crc = _divided(int(f"0{identifier:011b}0000000", 2), 19)
         wire = f"0{identifier:011b}0000000{crc:015b}"

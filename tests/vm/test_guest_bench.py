@@ -11,7 +11,7 @@ from bench.swing.profile import load_profile, save_profile
 from tests.vm.guest_bench import slower
 
 
-def test_a_slower_swing_is_the_same_swing(tmp_path: Path) -> None:
+def test_slower_profile_keeps_swing(tmp_path: Path) -> None:
     profile = load_profile(find_profile("default"))
     save_profile(tmp_path / "slower.toml", slower(profile, 2))
     again = load_profile(tmp_path / "slower.toml")

@@ -11,7 +11,7 @@ from tests.vm.inside_frames import _reaction, _thirds
 OPEN, PASSIVE = bytes([0, 0, 0, 0, 0, 0, 1]), bytes(7)
 
 
-def test_an_answer_is_over_with_the_third_position() -> None:
+def test_thirds_answer_ends_with_third_position() -> None:
     frames = [
         Frame(t, i, b"")
         for t, i in [
@@ -29,7 +29,7 @@ def test_an_answer_is_over_with_the_third_position() -> None:
     assert _thirds(frames) == pytest.approx([0.5])
 
 
-def test_the_reaction_is_a_passive_command_or_the_nodes_own() -> None:
+def test_reaction_is_passive_command_or_node_emergency() -> None:
     passive, own = Frame(2.0, COMMAND, PASSIVE), Frame(3.0, EMERGENCY, bytes([0x50, 0x82, 0x11]))
     earlier, over = Frame(0.5, COMMAND, PASSIVE), Frame(1.5, EMERGENCY, bytes(8))
     assert _reaction([earlier, Frame(1.2, COMMAND, OPEN), over, passive, own], 1.0) == passive

@@ -29,12 +29,12 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_each_module_is_loaded_after_what_it_needs(folder: Path) -> None:
+def test_load_order_puts_dependencies_first(folder: Path) -> None:
     order = [path.stem for path in load_order(folder, ["sja1000", "overlay", "can_dev"])]
     assert order == ["can", "can-dev", "sja1000", "base", "overlay"]
 
 
-def test_modules_of_can_and_those_wanted_are_kept(folder: Path) -> None:
+def test_keep_modules_keeps_can_and_wanted(folder: Path) -> None:
     keep_modules(folder, ["overlay", "not_there"])
     assert sorted(path.stem for path in folder.rglob("*.ko")) == [
         "base",
@@ -45,7 +45,7 @@ def test_modules_of_can_and_those_wanted_are_kept(folder: Path) -> None:
     ]
 
 
-def test_the_kernel_is_found_behind_what_only_looks_like_it(tmp_path: Path) -> None:
+def test_unpack_kernel_skips_other_compressed_data(tmp_path: Path) -> None:
     kernel = b"\x7fELF and more"
     (tmp_path / "vmlinuz").write_bytes(
         b"setup" + lzma.compress(b"firmware") + lzma.compress(kernel) + b"tail"
@@ -54,7 +54,7 @@ def test_the_kernel_is_found_behind_what_only_looks_like_it(tmp_path: Path) -> N
     assert (tmp_path / "vmlinux").read_bytes() == kernel
 
 
-def test_a_file_without_a_kernel_is_refused(tmp_path: Path) -> None:
+def test_unpack_kernel_without_kernel_raises(tmp_path: Path) -> None:
     (tmp_path / "vmlinuz").write_bytes(b"no kernel")
     with pytest.raises(ValueError, match="no kernel packed with xz"):
         unpack_kernel(tmp_path / "vmlinuz", tmp_path / "vmlinux")

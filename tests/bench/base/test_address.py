@@ -12,12 +12,12 @@ from bench.config import VARIANTS, load_configuration
 
 
 @pytest.mark.parametrize("name", ["shipped", *sorted(path.stem for path in VARIANTS.glob("*.toml"))])
-def test_load_address_of_a_variant_is_that_of_its_configuration(name: str) -> None:
+def test_load_address_variant_matches_load_configuration(name: str) -> None:
     whole, address = load_configuration(Path(name)), load_address(Path(name))
     assert (address.bench, address.network) == (whole.bench, whole.network)
 
 
-def test_load_address_over_the_defaults_of_the_code_has_them(tmp_path: Path) -> None:
+def test_load_address_base_defaults_uses_code_defaults(tmp_path: Path) -> None:
     file = tmp_path / "bench.toml"
     file.write_text(
         'base = "defaults"\n[bench]\nid = "b"\ndata_dir = "d"\n[network]\nendpoint = "tcp/127.0.0.1:7000"\n'
@@ -27,7 +27,7 @@ def test_load_address_over_the_defaults_of_the_code_has_them(tmp_path: Path) -> 
     assert (address.network.endpoint, address.network.operators) == ("tcp/127.0.0.1:7000", ())
 
 
-def test_load_address_with_a_mistake_elsewhere_is_read(tmp_path: Path) -> None:
+def test_load_address_mistake_in_other_section_is_ignored(tmp_path: Path) -> None:
     """A robot is stopped with any configuration whose bench can be reached."""
     file = tmp_path / "bench.toml"
     file.write_text('base = "shipped"\n[loop]\nrate_hz = -3.0\n[no_such_section]\nx = 1\n')
@@ -46,7 +46,7 @@ def test_load_address_with_a_mistake_elsewhere_is_read(tmp_path: Path) -> None:
         ('[network]\nendpoint = "tls/host:7451"', "network.identity"),
     ],
 )
-def test_load_address_with_a_mistake_in_it_is_refused(tmp_path: Path, text: str, location: str) -> None:
+def test_load_address_mistake_is_refused_with_location(tmp_path: Path, text: str, location: str) -> None:
     file = tmp_path / "bench.toml"
     file.write_text(f'base = "shipped"\n{text}\n')
     with pytest.raises(ExceptionGroup) as caught:

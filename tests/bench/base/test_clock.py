@@ -40,7 +40,7 @@ class World:
 
 
 @pytest.mark.parametrize("latency", [0, 7_000, LONGEST_SPIN - LOOK])
-def test_ticks_lie_on_the_grid_and_usual_latencies_do_not_show(latency: int) -> None:
+def test_grid_clock_usual_latency_keeps_ticks_on_grid(latency: int) -> None:
     world = World(latency)
     clock = world.clock()
     for k in range(1, 2000):
@@ -54,7 +54,7 @@ def test_ticks_lie_on_the_grid_and_usual_latencies_do_not_show(latency: int) -> 
 
 
 @pytest.mark.parametrize("period", [200_000, 250_000, 500_000, PERIOD, 10 * PERIOD])
-def test_less_than_a_twentieth_of_the_time_is_spun(period: int) -> None:
+def test_grid_clock_spins_under_one_twentieth_of_period(period: int) -> None:
     world = World()
     clock = world.clock(period)
     for _ in range(10):
@@ -74,7 +74,7 @@ def test_less_than_a_twentieth_of_the_time_is_spun(period: int) -> None:
         (100 * PERIOD + 5, 100),
     ],
 )
-def test_grid_points_that_passed_are_skipped_and_counted(work: int, skipped: int) -> None:
+def test_grid_clock_overrun_skips_and_counts_missed_ticks(work: int, skipped: int) -> None:
     world = World()
     clock = world.clock()
     clock.wait()
@@ -87,7 +87,7 @@ def test_grid_points_that_passed_are_skipped_and_counted(work: int, skipped: int
     assert clock.due == first + (2 + skipped) * PERIOD, "no burst follows"
 
 
-def test_a_late_wake_up_is_counted_and_told() -> None:
+def test_grid_clock_counts_late_wake_up() -> None:
     world = World()
     clock = world.clock()
     for latency, late in ((LATE, 0), (LATE + 1, 1)):
@@ -99,7 +99,7 @@ def test_a_late_wake_up_is_counted_and_told() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 10 * PERIOD), st.integers(0, 10 * PERIOD)), max_size=50))
-def test_whatever_happens_the_counts_add_up(delays: list[tuple[int, int]]) -> None:
+def test_grid_clock_random_delays_keep_counts_consistent(delays: list[tuple[int, int]]) -> None:
     world = World()
     clock = world.clock()
     clock.wait()
@@ -114,7 +114,7 @@ def test_whatever_happens_the_counts_add_up(delays: list[tuple[int, int]]) -> No
         before = clock.due
 
 
-def test_a_sleep_that_ends_early_makes_no_tick_early() -> None:
+def test_grid_clock_early_sleep_return_sleeps_again() -> None:
     world = World()
 
     def interrupted(due: int) -> None:
@@ -138,7 +138,7 @@ def alarms() -> Iterator[list[int]]:
     signal.signal(signal.SIGALRM, before)
 
 
-def test_signals_make_no_tick_early(alarms: list[int]) -> None:
+def test_grid_clock_signals_make_no_tick_early(alarms: list[int]) -> None:
     clock = GridClock(10 * PERIOD)
     for _ in range(20):
         time_s = clock.wait()
@@ -146,7 +146,7 @@ def test_signals_make_no_tick_early(alarms: list[int]) -> None:
     assert len(alarms) >= 10, "the handlers ran"
 
 
-def test_an_exception_of_a_signal_handler_leaves_the_wait(alarms: list[int]) -> None:
+def test_grid_clock_signal_handler_exception_leaves_wait(alarms: list[int]) -> None:
     def leave(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -161,7 +161,7 @@ def test_an_exception_of_a_signal_handler_leaves_the_wait(alarms: list[int]) -> 
         wait_with_an_alarm()
 
 
-def test_the_wall_clock_keeps_to_monotonic_time() -> None:
+def test_grid_clock_times_follow_monotonic_clock() -> None:
     clock = GridClock(2 * PERIOD)
     before = time.monotonic()
     times = np.array([clock.wait() for _ in range(25)])
@@ -173,7 +173,7 @@ def test_the_wall_clock_keeps_to_monotonic_time() -> None:
     assert times[-1] - before >= grid_points * 2e-3
 
 
-def test_sleeping_until_the_past_returns_at_once() -> None:
+def test_absolute_sleep_past_time_returns_at_once() -> None:
     sleep_until = absolute_sleep()
     before = time.monotonic_ns()
     sleep_until(before - 1_000_000_000)
@@ -181,6 +181,6 @@ def test_sleeping_until_the_past_returns_at_once() -> None:
     assert time.monotonic_ns() - before < 1_000_000_000
 
 
-def test_an_impossible_sleep_is_an_error() -> None:
+def test_absolute_sleep_negative_time_raises_os_error() -> None:
     with pytest.raises(OSError, match="Invalid argument"):
         absolute_sleep()(-1_000_000_000)

@@ -40,7 +40,7 @@ print(step)
 """
 
 
-def test_a_signal_at_any_line_of_the_wait_leaves_no_process_hanging() -> None:
+def test_stop_flag_wait_signal_at_any_line_never_hangs() -> None:
     """A lock that `wait` held when the handler wanted it once kept a process alive for ever."""
     struck = subprocess.run(
         [sys.executable, "-c", _STRUCK_EVERYWHERE], check=True, timeout=60.0, capture_output=True, text=True
@@ -48,7 +48,7 @@ def test_a_signal_at_any_line_of_the_wait_leaves_no_process_hanging() -> None:
     assert int(struck.stdout) > 3
 
 
-def test_control_c_is_a_question_until_the_block_ends() -> None:
+def test_deferred_interrupt_sigint_raises_at_block_end() -> None:
     before, steps = signal.getsignal(signal.SIGINT), []
 
     def work() -> None:
@@ -64,7 +64,7 @@ def test_control_c_is_a_question_until_the_block_ends() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_sigterm_is_a_question_only_where_it_is_asked_for() -> None:
+def test_deferred_interrupt_defers_sigterm_only_with_terminate() -> None:
     before, causes = signal.getsignal(signal.SIGTERM), []
 
     def work() -> None:
@@ -94,7 +94,7 @@ with deferred_interrupt(terminate=True) as asked:
 """
 
 
-def test_a_closed_terminal_is_a_request_to_end_and_printing_goes_on(tmp_path: Path) -> None:
+def test_deferred_interrupt_closed_terminal_reports_sighup(tmp_path: Path) -> None:
     master, slave = pty.openpty()
     command = [sys.executable, "-c", _ON_A_TERMINAL, str(tmp_path / "ended")]
     with subprocess.Popen(
@@ -107,7 +107,7 @@ def test_a_closed_terminal_is_a_request_to_end_and_printing_goes_on(tmp_path: Pa
     assert (tmp_path / "ended").read_text() == "SIGHUP"
 
 
-def test_a_hangup_that_nohup_ignores_stays_ignored() -> None:
+def test_stop_on_signals_ignored_sighup_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with stop_on_signals() as asked:
@@ -117,7 +117,7 @@ def test_a_hangup_that_nohup_ignores_stays_ignored() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-def test_an_error_inside_the_block_is_not_hidden_by_control_c() -> None:
+def test_deferred_interrupt_sigint_keeps_block_error() -> None:
     before = signal.getsignal(signal.SIGINT)
 
     def work() -> None:
@@ -130,7 +130,7 @@ def test_an_error_inside_the_block_is_not_hidden_by_control_c() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_other_threads_get_no_signals() -> None:
+def test_deferred_interrupt_other_thread_gets_no_signal() -> None:
     seen = []
 
     def work() -> None:

@@ -40,11 +40,11 @@ MOVING = set(Phase) - {Phase.STANDING}
 
 
 @pytest.mark.parametrize("kind", [Phase, Reaction, Cause])
-def test_numbers_are_contiguous_from_zero(kind: type[IntEnum]) -> None:
+def test_lifecycle_enums_are_contiguous_from_zero(kind: type[IntEnum]) -> None:
     assert [member.value for member in kind] == list(range(len(kind)))
 
 
-def test_requests_are_accepted_where_the_table_says_and_a_stop_everywhere() -> None:
+def test_accepted_table_matches_accepted_in_with_stop_in_every_state() -> None:
     table = np.array(accepted_table())
     assert table.shape == (len(Request), len(State))
     for request, state in np.ndindex(table.shape):
@@ -53,14 +53,14 @@ def test_requests_are_accepted_where_the_table_says_and_a_stop_everywhere() -> N
     assert not table[Request.NONE].any()
 
 
-def test_every_cause_tells_the_operator_something_of_its_own() -> None:
+def test_cause_text_is_unique_for_every_cause() -> None:
     assert set(CAUSE_TEXT) == set(Cause)
     assert len(set(CAUSE_TEXT.values())) == len(Cause)
     for text in CAUSE_TEXT.values():
         assert text.strip() == text != ""
 
 
-def test_causes_of_a_joint_stand_side_by_side() -> None:
+def test_cause_joints_have_consecutive_numbers() -> None:
     names = (
         "ENCODER",
         "RANGE",
@@ -79,7 +79,7 @@ def test_causes_of_a_joint_stand_side_by_side() -> None:
         assert [Cause[f"{joint}_{name}"] - first for joint in ("SHOULDER", "ARM", "WRIST")] == [0, 1, 2]
 
 
-def test_the_table_names_a_reaction_for_every_phase_and_column() -> None:
+def test_reaction_table_covers_every_phase_and_column() -> None:
     assert list(STOP_REACTIONS) == list(Phase)
     assert {READINGS_VALID, READINGS_LOST, EMERGENCY, ACTUATOR_FAULT, WRIST_FAULT, CHAMBER_SUSPECT} == set(
         range(6)
@@ -93,47 +93,47 @@ def test_the_table_names_a_reaction_for_every_phase_and_column() -> None:
         assert Reaction(int(table[phase, column])) is STOP_REACTIONS[Phase(phase)][column]
 
 
-def test_standing_is_vented() -> None:
+def test_stop_reactions_standing_vents() -> None:
     assert set(STOP_REACTIONS[Phase.STANDING]) == {Reaction.VENT}
 
 
-def test_nothing_is_vented_while_it_moves() -> None:
+def test_stop_reactions_moving_never_vents() -> None:
     assert not any(Reaction.VENT in STOP_REACTIONS[phase] for phase in MOVING)
 
 
 @pytest.mark.parametrize("phase", sorted(MOVING))
-def test_moving_without_readings_is_braked_blindly(phase: Phase) -> None:
+def test_stop_reactions_readings_lost_uses_open_loop_brake(phase: Phase) -> None:
     assert STOP_REACTIONS[phase][READINGS_LOST] is Reaction.BLIND_BRAKE
 
 
 @pytest.mark.parametrize("phase", sorted(SLOW | {Phase.DOWNSWING}))
-def test_before_the_no_return_instant_a_trusted_stop_brakes(phase: Phase) -> None:
+def test_stop_reactions_before_committed_brakes(phase: Phase) -> None:
     assert STOP_REACTIONS[phase][READINGS_VALID] is STOP_REACTIONS[phase][EMERGENCY] is Reaction.BRAKE
 
 
-def test_past_the_no_return_instant_only_an_emergency_stop_brakes() -> None:
+def test_stop_reactions_committed_brakes_only_for_emergency() -> None:
     row = STOP_REACTIONS[Phase.COMMITTED]
     assert (row[READINGS_VALID], row[EMERGENCY]) == (Reaction.COMPLETE, Reaction.BRAKE)
 
 
 @pytest.mark.parametrize("phase", sorted(SHOCK))
-def test_from_the_blow_on_the_swing_brakes_as_planned(phase: Phase) -> None:
+def test_stop_reactions_from_impact_completes_swing(phase: Phase) -> None:
     assert {STOP_REACTIONS[phase][column] for column in (READINGS_VALID, EMERGENCY, WRIST_FAULT)} == {
         Reaction.COMPLETE
     }
 
 
-def test_a_shoulder_or_arm_that_does_not_obey_loses_its_air() -> None:
+def test_stop_reactions_actuator_fault_is_passive() -> None:
     assert {STOP_REACTIONS[phase][ACTUATOR_FAULT] for phase in MOVING} == {Reaction.PASSIVE}
 
 
-def test_a_wrist_that_does_not_obey_loses_its_air_only_while_it_is_slow() -> None:
+def test_stop_reactions_wrist_fault_is_passive_only_in_slow_phases() -> None:
     assert {phase for phase in MOVING if STOP_REACTIONS[phase][WRIST_FAULT] is Reaction.PASSIVE} == SLOW
     fast = MOVING - SLOW - SHOCK
     assert {STOP_REACTIONS[phase][WRIST_FAULT] for phase in fast} == {Reaction.BRAKE}
 
 
-def test_a_chamber_that_alone_does_not_fit_costs_the_air_only_while_the_robot_is_slow() -> None:
+def test_stop_reactions_chamber_suspect_is_passive_only_in_slow_phases() -> None:
     assert {phase for phase in MOVING if STOP_REACTIONS[phase][CHAMBER_SUSPECT] is Reaction.PASSIVE} == SLOW
     assert {STOP_REACTIONS[phase][CHAMBER_SUSPECT] for phase in (Phase.DOWNSWING, Phase.COMMITTED)} == {
         Reaction.BRAKE
@@ -141,7 +141,7 @@ def test_a_chamber_that_alone_does_not_fit_costs_the_air_only_while_the_robot_is
     assert {STOP_REACTIONS[phase][CHAMBER_SUSPECT] for phase in SHOCK} == {Reaction.COMPLETE}
 
 
-def test_severity_rises_from_finishing_to_letting_the_air_out() -> None:
+def test_reaction_severity_rises_from_complete_to_vent() -> None:
     order = [
         Reaction.NONE,
         Reaction.COMPLETE,
@@ -187,7 +187,7 @@ TEE: ARMED
 """
 
 
-def test_the_bench_gets_from_state_to_state_in_these_ways_only() -> None:
+def test_transitions_match_expected_edges() -> None:
     ways = [
         (State[source], *way.split(" > "))
         for source, rest in (line.split(": ") for line in WAYS.split("\n") if line)
@@ -197,7 +197,7 @@ def test_the_bench_gets_from_state_to_state_in_these_ways_only() -> None:
     assert sorted(found) == sorted(ways)
 
 
-def test_the_matrix_of_transitions_has_the_edges_and_staying_only() -> None:
+def test_transition_table_allows_only_edges_and_same_state() -> None:
     table = np.array(transition_table())
     assert table.shape == CONTROL_PARAMETERS["transitions"].shape
     ways = {(edge.source, edge.target) for edge in TRANSITIONS} | {(state, state) for state in State}
@@ -205,7 +205,7 @@ def test_the_matrix_of_transitions_has_the_edges_and_staying_only() -> None:
         assert bool(table[source, target]) is ((State(source), State(target)) in ways)
 
 
-def test_requests_are_accepted_in_these_states_only() -> None:
+def test_accepted_in_matches_expected_states() -> None:
     expected = {request: set(State) for request in (Request.STOP, Request.EMERGENCY_STOP)}
     expected[Request.NONE] = set()
     for line in ANSWERED.split("\n"):
@@ -215,7 +215,7 @@ def test_requests_are_accepted_in_these_states_only() -> None:
     assert expected == ACCEPTED_IN
 
 
-def test_what_ends_motion_needs_no_lease_and_everything_else_does() -> None:
+def test_needs_lease_excludes_only_motion_ending_requests() -> None:
     assert set(Request) - NEEDS_LEASE == {
         Request.NONE,
         Request.STOP,
@@ -224,12 +224,12 @@ def test_what_ends_motion_needs_no_lease_and_everything_else_does() -> None:
     }
 
 
-def test_only_these_causes_latch_the_emergency_stop() -> None:
+def test_emergencies_match_expected_causes() -> None:
     assert {cause.name for cause in EMERGENCIES} == {"EMERGENCY_STOP", "NETWORK_STOP", "POWER_UP", "RESTART"}
 
 
 @pytest.mark.parametrize("kind", [State, Request, Answer, Refusal])
-def test_numbers_on_the_wire_stay_as_they_are(kind: type[IntEnum]) -> None:
+def test_wire_enums_keep_numbers(kind: type[IntEnum]) -> None:
     assert [member.name for member in kind] == NAMES[kind].split()
     assert [member.value for member in kind] == list(range(len(kind)))
 

@@ -29,16 +29,16 @@ def read(text: str) -> Any:
         ('"é\\\x7f\n', '"é\\\x7f\n'),
     ],
 )
-def test_each_value_is_read_back_as_it_was(value: object, expected: object) -> None:
+def test_toml_value_reads_back_unchanged(value: object, expected: object) -> None:
     found = read(toml_value(value))
     assert found == expected
     assert type(found) is type(expected)
 
 
-def test_what_was_not_measured_is_nan() -> None:
+def test_toml_value_none_becomes_nan() -> None:
     assert isnan(read(toml_value(None)))
 
 
-def test_a_value_that_toml_lacks_is_refused_and_not_printed() -> None:
+def test_toml_value_unsupported_type_is_refused() -> None:
     with pytest.raises(TypeError, match="ndarray"):
         toml_value(np.zeros(2))

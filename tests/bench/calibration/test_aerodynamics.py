@@ -59,14 +59,14 @@ def fitted(measured: list[MeasuredFlight], common: FlightUncertainty = NONE) -> 
     return fit_aerodynamics("x", measured, SCATTER, common, mass=MASS, radius=RADIUS)
 
 
-def test_exact_flights_give_the_factors_they_were_flown_with() -> None:
+def test_fit_aerodynamics_exact_flights_recover_factors() -> None:
     values = fitted(flights(6, 1, NONE))
     assert (values.drag_factor, values.lift_factor) == pytest.approx((DRAG, LIFT), abs=5e-4)
     assert (values.ball, values.model, values.flights) == ("x", "LIBGOLF", 6)
     assert values.chi_square < 1e-3
 
 
-def test_the_points_of_an_indoor_range_do(tmp_path: Path) -> None:
+def test_fit_aerodynamics_indoor_range_points_recover_factors(tmp_path: Path) -> None:
     ball = Ball("x", MASS, RADIUS, drag_factor=DRAG, lift_factor=LIFT)
     measured = []
     for speed in (55.0, 65.0, 75.0):
@@ -84,7 +84,7 @@ def test_the_points_of_an_indoor_range_do(tmp_path: Path) -> None:
 
 @pytest.mark.release
 @pytest.mark.parametrize("common", [NONE, replace(NONE, speed=0.2, launch_angle=0.002, carry=0.5)])
-def test_the_standard_errors_cover_the_truth_in_19_of_20(common: FlightUncertainty) -> None:
+def test_fit_aerodynamics_standard_errors_cover_truth(common: FlightUncertainty) -> None:
     off = []
     for seed in range(120):
         values = fitted(flights(8, seed, SCATTER, common), common)
@@ -97,7 +97,7 @@ def test_the_standard_errors_cover_the_truth_in_19_of_20(common: FlightUncertain
     assert np.all(np.abs(np.mean(off, axis=0)) < 0.3)
 
 
-def test_a_devices_calibration_is_not_averaged_away() -> None:
+def test_fit_aerodynamics_common_error_does_not_average_out() -> None:
     common = replace(NONE, speed=0.3)
     few, many = (fitted(flights(n, 3, SCATTER), common) for n in (5, 40))
     pure = fitted(flights(40, 3, SCATTER))
@@ -105,14 +105,14 @@ def test_a_devices_calibration_is_not_averaged_away() -> None:
     assert many.drag_error > 0.6 * few.drag_error
 
 
-def test_more_scatter_than_stated_widens_the_errors() -> None:
+def test_fit_aerodynamics_excess_scatter_widens_errors() -> None:
     wide = replace(SCATTER, carry=4.0, apex=2.0, time=0.2)
     values, honest = fitted(flights(12, 5, wide)), fitted(flights(12, 5, SCATTER))
     assert values.chi_square > 4
     assert values.drag_error > 1.5 * honest.drag_error
 
 
-def test_data_that_do_not_separate_drag_from_lift_are_refused() -> None:
+def test_fit_aerodynamics_insufficient_data_is_refused() -> None:
     one = flights(1, 1, NONE)[0]
     with pytest.raises(ValueError, match=r"separate drag from lift|do not determine"):
         fitted([replace(one, apex=None, time=None)] * 8)
@@ -122,7 +122,7 @@ def test_data_that_do_not_separate_drag_from_lift_are_refused() -> None:
         fitted([replace(one, apex=None, time=None, carry=None)] * 4)
 
 
-def test_the_uncertainty_of_a_carry_is_that_of_drawn_factors() -> None:
+def test_carry_error_matches_drawn_factors() -> None:
     values = fitted(flights(10, 7, SCATTER))
     launch = Launch(64.0, 0.2, 0.0, 290.0, 0.0)
     stated = values.carry_error(launch, AIR, Wind(), Turf())
@@ -139,7 +139,7 @@ def test_the_uncertainty_of_a_carry_is_that_of_drawn_factors() -> None:
     assert stated == pytest.approx(float(np.std(carries)), rel=0.12)
 
 
-def test_a_launch_outside_the_measured_range_is_named() -> None:
+def test_ball_aerodynamics_outside_names_launch_beyond_range() -> None:
     values = fitted(flights(6, 1, NONE))
     assert values.outside(Launch(64.0, 0.2, 0.0, 290.0, 0.0)) == ""
     assert "ball speed 78.7 m/s, aerodynamics of x measured from" in values.outside(
@@ -154,7 +154,7 @@ def database(tmp_path: Path) -> Iterator[Engine]:
         yield engine
 
 
-def test_measurements_are_kept_and_the_newest_is_used(database: Engine) -> None:
+def test_newest_aerodynamics_returns_latest_version(database: Engine) -> None:
     values = fitted(flights(6, 1, NONE))
     for source in ("indoor range", "radar on range 2"):
         add_aerodynamics(database, "b", values, date=NOW, source=source, by="Ann")
@@ -171,7 +171,7 @@ def test_measurements_are_kept_and_the_newest_is_used(database: Engine) -> None:
         add_aerodynamics(database, "b", values, date=NOW, source=" ", by="Ann")
 
 
-def test_a_table_of_flights_is_read(tmp_path: Path) -> None:
+def test_read_flights_converts_units_and_reads_points(tmp_path: Path) -> None:
     table, points = tmp_path / "flights.csv", tmp_path / "points.csv"
     table.write_text(
         "flight,ball_speed_mph,launch_angle_deg,spin_rpm,carry_yd,apex_m,time_s,air_temperature_k,note\n"
@@ -198,7 +198,7 @@ def test_a_table_of_flights_is_read(tmp_path: Path) -> None:
         ("ball_speed_mps,launch_angle_deg,spin_rpm,relative_humidity\n60,11,2500,55\n", "relative_humidity"),
     ],
 )
-def test_a_mistake_in_it_is_named(tmp_path: Path, text: str, found: str) -> None:
+def test_read_flights_mistake_is_refused_with_place(tmp_path: Path, text: str, found: str) -> None:
     table = tmp_path / "flights.csv"
     table.write_text(text)
     with pytest.raises(BenchError, match=found):

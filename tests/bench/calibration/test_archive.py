@@ -54,7 +54,7 @@ def add(database: Engine, values: Values, date: datetime = NOW, days: float = 10
 
 
 @pytest.mark.parametrize("values", ALL)
-def test_what_is_added_comes_back_bit_for_bit(database: Engine, values: Values) -> None:
+def test_add_calibration_returns_values_unchanged(database: Engine, values: Values) -> None:
     entry = add(database, values, note="new tee")
     assert entry.values == values
     assert (entry.version, entry.bench, entry.by, entry.method, entry.note) == (
@@ -69,7 +69,7 @@ def test_what_is_added_comes_back_bit_for_bit(database: Engine, values: Values) 
     assert values_of(entry.kind, content_of(values), "here") == values
 
 
-def test_versions_rise_per_kind_and_bench(database: Engine) -> None:
+def test_add_calibration_version_rises_per_kind_and_bench(database: Engine) -> None:
     order: list[tuple[Values, str]] = [(BALL, "b"), (BALL, "b"), (ZEROS, "b"), (BALL, "c"), (BALL, "b")]
     versions = [
         add(database, values, NOW + i * DAY, bench=bench).version for i, (values, bench) in enumerate(order)
@@ -77,13 +77,13 @@ def test_versions_rise_per_kind_and_bench(database: Engine) -> None:
     assert versions == [1, 2, 1, 1, 3]
 
 
-def test_writers_at_the_same_time_get_versions_of_their_own(database: Engine) -> None:
+def test_add_calibration_concurrent_writers_get_unique_versions(database: Engine) -> None:
     with ThreadPoolExecutor(4) as pool:
         entries = list(pool.map(lambda _: add(database, BALL), range(12)))
     assert sorted(entry.version for entry in entries) == list(range(1, 13))
 
 
-def test_the_newest_until_then_is_in_force(database: Engine) -> None:
+def test_effective_calibration_uses_newest_at_date(database: Engine) -> None:
     for day in range(3):
         add(database, BallPosition(0.25 + 0.001 * day, -1.56, 1e-3), NOW + day * DAY)
     for when, version in ((NOW - DAY, None), (NOW, 1), (NOW + 1.5 * DAY, 2), (NOW + 9 * DAY, 3)):
@@ -92,7 +92,7 @@ def test_the_newest_until_then_is_in_force(database: Engine) -> None:
     assert effective_calibration(database, "c", NOW + 9 * DAY).entries == ()
 
 
-def test_one_that_is_later_than_the_clock_is_a_problem(database: Engine) -> None:
+def test_effective_calibration_date_after_clock_reports_problem(database: Engine) -> None:
     add(database, BALL)
     add(database, BallPosition(0.26, -1.56, 1e-3), NOW + DAY)
     set_back = effective_calibration(database, "b", NOW + 0.5 * DAY)
@@ -104,7 +104,7 @@ def test_one_that_is_later_than_the_clock_is_a_problem(database: Engine) -> None
     assert effective_calibration(database, "b", NOW + DAY).problems(NOW + DAY) == []
 
 
-def test_only_the_mounted_clubs_calibration_is_in_force(database: Engine) -> None:
+def test_effective_calibration_uses_only_mounted_club(database: Engine) -> None:
     add(database, CLUB)
     add(database, ClubInMount("iron7", 0.872, 0.57, 1.09, 5e-4, 2e-3), NOW + DAY)
     for club, version in (("driver", 1), ("iron7", 2), ("thesis", None)):
@@ -112,7 +112,7 @@ def test_only_the_mounted_clubs_calibration_is_in_force(database: Engine) -> Non
         assert (entry and entry.version) == version
 
 
-def test_an_older_one_does_not_supersede(database: Engine) -> None:
+def test_add_calibration_older_date_is_refused(database: Engine) -> None:
     add(database, BALL, NOW)
     with pytest.raises(BenchError, match="superseded by a later one"):
         add(database, BALL, NOW - DAY)
@@ -122,14 +122,16 @@ def test_an_older_one_does_not_supersede(database: Engine) -> None:
 @pytest.mark.parametrize(
     ("more", "location"), [({"by": " "}, "--by"), ({"method": ""}, "--method"), ({"days": 0}, "expires")]
 )
-def test_who_how_and_until_when_must_be_said(database: Engine, more: dict[str, Any], location: str) -> None:
+def test_add_calibration_missing_author_method_or_expiry_is_refused(
+    database: Engine, more: dict[str, Any], location: str
+) -> None:
     with pytest.raises(BenchError) as refusal:
         add(database, BALL, **more)
     assert location in refusal.value.location
     assert list_calibrations(database, "b") == []
 
 
-def test_expiry_is_a_problem_and_missing_ones_only_with_a_machine(database: Engine) -> None:
+def test_effective_calibration_reports_expired_and_missing_kinds(database: Engine) -> None:
     add(database, BALL, days=1)
     simulated = effective_calibration(database, "b", NOW)
     assert simulated.problems(NOW) == []
@@ -151,7 +153,7 @@ def test_expiry_is_a_problem_and_missing_ones_only_with_a_machine(database: Engi
     ]
 
 
-def test_reading_makes_no_database(tmp_path: Path) -> None:
+def test_calibration_of_creates_no_database(tmp_path: Path) -> None:
     configuration = _at(tmp_path, "sim")
     calibration = calibration_of(configuration, NOW)
     assert calibration.nominal == tuple(CalibrationKind)
@@ -159,14 +161,14 @@ def test_reading_makes_no_database(tmp_path: Path) -> None:
     assert not (tmp_path / "data").exists()
 
 
-def test_nodes_that_processes_of_this_machine_play_need_not_either(tmp_path: Path) -> None:
+def test_calibration_of_local_socket_requires_no_calibration(tmp_path: Path) -> None:
     machine = _at(tmp_path, "canopen")
     played = replace(machine, canopen=replace(machine.canopen, interface="local_socket"))
     assert not calibration_of(played, NOW).required
 
 
 @pytest.mark.parametrize(("driver", "required"), [("sim", False), ("mock", False), ("canopen", True)])
-def test_a_machine_must_be_calibrated_a_simulation_need_not(
+def test_calibration_of_requires_calibration_only_with_canopen(
     tmp_path: Path, driver: str, required: bool
 ) -> None:
     configuration = _at(tmp_path, driver)
@@ -210,7 +212,7 @@ def _at(folder: Path, driver: str) -> Configuration:
         ),
     ],
 )
-def test_every_wrong_value_is_named(
+def test_values_of_names_every_wrong_value(
     kind: CalibrationKind, content: dict[str, Any], places: list[str]
 ) -> None:
     with pytest.raises(ExceptionGroup) as group:

@@ -62,12 +62,12 @@ def in_force(*values: Values, club: str = "driver") -> Calibration:
     return Calibration("bench1", club, NOW, entries)
 
 
-def test_without_calibration_nothing_changes(shipped: Configuration) -> None:
+def test_apply_without_calibration_changes_nothing(shipped: Configuration) -> None:
     assert apply(in_force(), shipped) == shipped
     assert in_force().summary() == "nominal: encoders, ball, club, valves, inputs"
 
 
-def test_every_kind_reaches_its_place(shipped: Configuration) -> None:
+def test_apply_sets_parameters_of_every_kind(shipped: Configuration) -> None:
     c = apply(
         in_force(
             EncoderZeros((10.0, 20.0, 30.0), (1, -1, 1), 131072, 0.0),
@@ -87,7 +87,7 @@ def test_every_kind_reaches_its_place(shipped: Configuration) -> None:
     assert [a.valve.dead_band for a in c.plant.actuators] == [0.04, 0.05, 0.06]
 
 
-def test_a_club_that_is_not_mounted_leaves_the_robot_alone(shipped: Configuration) -> None:
+def test_apply_unmounted_club_leaves_plant_unchanged(shipped: Configuration) -> None:
     c = apply(in_force(ClubInMount("iron7", 0.88, 0.5, 1.0, 0.0, 0.0), club="iron7"), shipped)
     assert c.clubs["iron7"].length_to_face == 0.88
     assert c.plant == shipped.plant
@@ -96,12 +96,12 @@ def test_a_club_that_is_not_mounted_leaves_the_robot_alone(shipped: Configuratio
 @pytest.mark.parametrize(
     "values", [EncoderZeros((0, 0, 0), (1, 1, 1), 4096, 0.0), ClubInMount("hickory", 1.0, 0.2, 0.9, 0.0, 0.0)]
 )
-def test_a_calibration_of_something_else_is_refused(shipped: Configuration, values: Values) -> None:
+def test_apply_mismatched_calibration_is_refused(shipped: Configuration, values: Values) -> None:
     with pytest.raises(BenchError, match="version 1"):
         apply(in_force(values), shipped)
 
 
-def test_the_record_is_json_and_complete() -> None:
+def test_calibration_record_is_complete_json() -> None:
     calibration = in_force(BallPosition(0.26, -1.55, 1e-3), ValveCentres((0, 0, 0), (0, 0, 0), 0.0))
     record = json.loads(json.dumps(calibration.record(), allow_nan=False))
     assert [(e["kind"], e["id"], e["version"], e["date"]) for e in record["in_force"]] == [
@@ -117,7 +117,7 @@ def test_the_record_is_json_and_complete() -> None:
 # Encoder zeros ---------------------------------------------------------------------------------------
 
 
-def test_a_pose_gives_the_zeros_that_show_it(shipped: Configuration) -> None:
+def test_zero_counts_known_pose_recovers_zeros(shipped: Configuration) -> None:
     """Unknown zeros, one encoder the other way around: locked at a known pose they are found again."""
     true_zero, sign = (130000.3, 7.9, 65000.0), (1, -1, 1)
     encoders = replace(shipped.plant.encoders, zero_count=true_zero, sign=sign, latency=0.0)
@@ -130,7 +130,7 @@ def test_a_pose_gives_the_zeros_that_show_it(shipped: Configuration) -> None:
         assert abs(found - true) <= 0.5 + 1e-6  # the resolution of a reading
 
 
-def test_the_bench_knows_its_pose_by_the_calibrated_zeros(shipped: Configuration) -> None:
+def test_lockstep_calibrated_zeros_give_true_pose(shipped: Configuration) -> None:
     zeros = EncoderZeros((130000.3, 700.9, 65000.0), (-1, 1, -1), 131072, 1e-4)
     plant = apply(in_force(zeros), shipped).plant
     pose = hanging_pose(plant)
@@ -165,7 +165,7 @@ def _controller(c: Configuration, plant: PlantParameters) -> ControlParameters:
         (EncoderZeros((0, 0, 0), (1, 1, 1), 4096, 0.0), "calibration encoders version 1"),
     ],
 )
-def test_what_cannot_be_true_of_this_bench_is_refused(
+def test_require_plausible_implausible_values_are_refused(
     shipped: Configuration, values: Values, location: str
 ) -> None:
     with pytest.raises(BenchError) as refusal:
@@ -173,17 +173,17 @@ def test_what_cannot_be_true_of_this_bench_is_refused(
     assert refusal.value.location == location
 
 
-def test_a_ball_below_the_ground_contradicts_the_configuration(shipped: Configuration) -> None:
+def test_require_plausible_ball_below_ground_is_refused(shipped: Configuration) -> None:
     with pytest.raises(ExceptionGroup) as group:
         require_plausible(BallPosition(0.25, -1.62, 1e-3), shipped)
     assert "ball_y" in str(group.value.exceptions[0])
 
 
-def test_measurements_near_the_configured_values_pass(shipped: Configuration) -> None:
+def test_require_plausible_values_near_configuration_pass(shipped: Configuration) -> None:
     for values in (BallPosition(0.26, -1.55, 1e-3), ClubInMount("iron7", 0.88, 0.57, 1.09, 1e-3, 1e-3)):
         require_plausible(values, shipped)
 
 
-def test_the_kinds_are_told_apart() -> None:
+def test_kinds_are_not_subclasses_of_each_other() -> None:
     for a, b in pairwise(KINDS.values()):
         assert not issubclass(a, b)

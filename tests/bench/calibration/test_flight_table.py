@@ -51,7 +51,7 @@ def read(folder: Path, text: str | bytes) -> FlightTable:
     return read_flights(file)
 
 
-def test_a_trackman_export_is_read_with_its_units(tmp_path: Path) -> None:
+def test_read_flights_trackman_export_converts_units(tmp_path: Path) -> None:
     (flight,), notes = read(tmp_path, TRACKMAN)
     assert flight.launch == pytest.approx(
         (171 * 0.44704, radians(10.4), radians(-0.4), 2545 * pi / 30, radians(1.2))
@@ -64,7 +64,7 @@ def test_a_trackman_export_is_read_with_its_units(tmp_path: Path) -> None:
     )
 
 
-def test_a_foresight_shot_has_its_axis_from_side_and_back_spin(tmp_path: Path) -> None:
+def test_read_flights_foresight_shot_derives_spin_axis(tmp_path: Path) -> None:
     (flight,), _ = read(tmp_path, FORESIGHT)
     assert flight.launch == pytest.approx(
         (76.44384, radians(10.4), radians(0.6), 2545 * pi / 30, 0.049958), rel=1e-4
@@ -72,7 +72,7 @@ def test_a_foresight_shot_has_its_axis_from_side_and_back_spin(tmp_path: Path) -
     assert (flight.carry, flight.apex) == (257.9, None)
 
 
-def test_a_foresight_session_gives_its_shots_and_names_the_other_rows(tmp_path: Path) -> None:
+def test_read_flights_foresight_session_notes_other_rows(tmp_path: Path) -> None:
     (one, two), notes = read(tmp_path, SESSION)
     assert one.launch == pytest.approx(
         (171 * 0.44704, radians(10.4), radians(1.2), 2545 * pi / 30, radians(-3.4))
@@ -88,7 +88,7 @@ def test_a_foresight_session_gives_its_shots_and_names_the_other_rows(tmp_path: 
     )
 
 
-def test_the_templates_of_the_manual_give_one_flight_without_a_note(tmp_path: Path) -> None:
+def test_read_flights_manual_templates_give_one_flight(tmp_path: Path) -> None:
     blocks = (ROOT / "bench/manual/test_engineer/ball_data.md").read_text().split("```text\n")[1:]
     templates = [read(tmp_path, block.split("```")[0]) for block in blocks]
     assert [(len(table.flights), table.notes) for table in templates] == [(1, ()), (1, ())]
@@ -96,7 +96,7 @@ def test_the_templates_of_the_manual_give_one_flight_without_a_note(tmp_path: Pa
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le"])
-def test_semicolons_with_decimal_commas_are_read(tmp_path: Path, encoding: str) -> None:
+def test_read_flights_semicolons_with_decimal_commas_are_read(tmp_path: Path, encoding: str) -> None:
     (flight,), notes = read(tmp_path, GERMAN.encode(encoding))
     assert (flight.launch.speed, flight.carry) == pytest.approx((275.2 / 3.6, 257.9))
     assert flight.launch.launch_angle == pytest.approx(radians(10.4))
@@ -111,7 +111,7 @@ def test_semicolons_with_decimal_commas_are_read(tmp_path: Path, encoding: str) 
         "BallSpeed (mph),VLA,TotalSpin,CarryDistance (yds)",
     ],
 )
-def test_capitals_spaces_and_brackets_in_headers_are_read(tmp_path: Path, header: str) -> None:
+def test_read_flights_header_spelling_variants_are_read(tmp_path: Path, header: str) -> None:
     (flight,), notes = read(tmp_path, f"{header}\n{FLIGHT}\n")
     assert (flight.launch.speed, flight.carry) == pytest.approx((171 * 0.44704, 282 * 0.9144))
     assert notes == ()
@@ -126,22 +126,22 @@ def test_capitals_spaces_and_brackets_in_headers_are_read(tmp_path: Path, header
         ("hang time", "6.4", "time", 6.4),
     ],
 )
-def test_a_known_unit_is_converted(tmp_path: Path, column: str, cell: str, figure: str, value: float) -> None:
+def test_read_flights_known_unit_is_converted(
+    tmp_path: Path, column: str, cell: str, figure: str, value: float
+) -> None:
     (flight,), _ = read(tmp_path, f"{HEADER},{column}\n{FLIGHT},{cell}\n")
     assert getattr(flight, figure) == pytest.approx(value)
 
 
 @pytest.mark.parametrize(("column", "cell"), [("Side Spin", "100 R"), ("Spin Axis (deg)", "2.862405R")])
-def test_spin_and_its_axis_come_from_back_spin_and_either_part(
-    tmp_path: Path, column: str, cell: str
-) -> None:
+def test_read_flights_spin_components_give_spin_and_axis(tmp_path: Path, column: str, cell: str) -> None:
     header = f"ball_speed_mph,VLA,Back Spin,{column},carry_yd"
     (flight,), _ = read(tmp_path, f"{header}\n171,10.4,2000,{cell},282\n")
     assert flight.launch.spin == pytest.approx(2002.498 * pi / 30)
     assert flight.launch.spin_axis == pytest.approx(radians(2.862405))
 
 
-def test_air_in_the_units_of_a_weather_station_is_converted(tmp_path: Path) -> None:
+def test_read_flights_weather_station_units_are_converted(tmp_path: Path) -> None:
     more = "Temperature (°F),Air Pressure (kPa),Relative Humidity (%)"
     (flight,), _ = read(tmp_path, f"{HEADER},{more}\n{FLIGHT},68,100.4,39\n")
     air = flight.air
@@ -149,7 +149,7 @@ def test_air_in_the_units_of_a_weather_station_is_converted(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("row", ["Average,1,2,3", "Std. Dev.,1,2,3", "AVG (3),1,2,3", "max,1,2,3"])
-def test_a_row_of_averages_or_deviations_is_no_flight(tmp_path: Path, row: str) -> None:
+def test_read_flights_summary_row_is_skipped_and_noted(tmp_path: Path, row: str) -> None:
     flights, notes = read(tmp_path, f"{HEADER}\n{FLIGHT}\n{row}\n")
     assert (len(flights), notes) == (1, (f"line 3: {row.split(',', maxsplit=1)[0]}",))
 
@@ -184,7 +184,7 @@ def test_a_row_of_averages_or_deviations_is_no_flight(tmp_path: Path, row: str) 
         (HEADER, "flights.csv", "no rows"),
     ],
 )
-def test_a_table_that_is_not_clear_is_refused_with_its_place(
+def test_read_flights_invalid_table_is_refused_with_place(
     tmp_path: Path, text: str | bytes, location: str, found: str
 ) -> None:
     with pytest.raises(BenchError) as raised:

@@ -33,7 +33,7 @@ def answer(
     seed=st.integers(0, 1000),
 )
 @settings(max_examples=40, deadline=None)
-def test_both_edges_are_found_in_any_valve(
+def test_find_centre_synthetic_ramp_finds_centre_and_dead_band(
     centre: float, band: float, below: float, above: float, level: float, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
@@ -62,14 +62,18 @@ def test_both_edges_are_found_in_any_valve(
         (OPENINGS, answer(-0.27, 0.02), "lower edge"),
     ],
 )
-def test_what_is_no_ramp_of_a_valve_is_told(openings: np.ndarray, rates: np.ndarray, text: str) -> None:
+def test_find_centre_invalid_ramp_raises_value_error(
+    openings: np.ndarray, rates: np.ndarray, text: str
+) -> None:
     with pytest.raises(ValueError, match=text):
         find_centre(openings, rates)
 
 
 @pytest.mark.parametrize(("centre", "band"), [(0.0, 0.02), (0.03, 0.02), (-0.12, 0.05), (0.02, 0.1)])
 @pytest.mark.parametrize("actuator", [0, 1, 2])
-def test_the_software_plants_valves_are_found(actuator: int, centre: float, band: float) -> None:
+def test_find_centre_simulated_valve_finds_centre_and_dead_band(
+    actuator: int, centre: float, band: float
+) -> None:
     plant = PlantParameters()
     name = ("shoulder", "right_arm", "wrist")[actuator]
     one = getattr(plant, name)

@@ -30,7 +30,7 @@ NOW = datetime(2026, 11, 22, 12, 0, tzinfo=UTC)
 CONFIGURATION = load_configuration(Path("shipped"))
 
 
-def test_a_campaign_keeps_the_newest_calibrations_of_its_clubs(tmp_path: Path) -> None:
+def test_bench_calibrations_keep_newest_of_campaign_clubs(tmp_path: Path) -> None:
     plan = load_plan(Path("clubs"), CONFIGURATION)
     begun = NOW - timedelta(days=10)
 
@@ -62,7 +62,7 @@ def test_a_campaign_keeps_the_newest_calibrations_of_its_clubs(tmp_path: Path) -
     assert {one["club"] for one in entry.calibrations["bench"]["club_speed"]} == set(plan.design.clubs)
 
 
-def test_what_has_expired_or_will_is_told_before_the_first_shot(tmp_path: Path) -> None:
+def test_calibration_warnings_report_expired_and_expiring(tmp_path: Path) -> None:
     plan = load_plan(Path("clubs"), CONFIGURATION)
     bench, clubs, begun = CONFIGURATION.bench.id, plan.design.clubs, NOW - timedelta(days=10)
 
@@ -90,7 +90,7 @@ def test_what_has_expired_or_will_is_told_before_the_first_shot(tmp_path: Path) 
         assert any("Valves of bench" in text for text in never)
 
 
-def test_club_speed_grows_by_the_clubs_angular_rate() -> None:
+def test_speed_sensitivities_length_matches_club_angular_rate() -> None:
     plan = load_plan(Path("two-balls"), CONFIGURATION)
     robot, profiles = CONFIGURATION.plant.robot, require_swings(plan, CONFIGURATION)
     (one,) = speed_sensitivities(profiles, plan.clubs, robot)
@@ -104,7 +104,7 @@ def test_club_speed_grows_by_the_clubs_angular_rate() -> None:
 
 
 @pytest.mark.parametrize("clubs", [(), ("driver",)])
-def test_an_empty_archive_has_nominal_values_only(tmp_path: Path, clubs: tuple[str, ...]) -> None:
+def test_calibrations_in_force_empty_archive_is_nominal(tmp_path: Path, clubs: tuple[str, ...]) -> None:
     with open_database(database_url("", tmp_path)) as engine:
         found = calibrations_in_force(engine, "bench1", clubs, NOW)
     assert found["in_force"] == []

@@ -31,7 +31,7 @@ def _referred(plan: CampaignPlan, reference: str) -> CampaignPlan:
     return replace(plan, analysis=replace(plan.analysis, reference=reference))
 
 
-def test_difference_tables_of_three_swings_have_a_column_per_swing() -> None:
+def test_difference_tables_three_swings_have_one_column_each() -> None:
     plan, analyses = _analysed("ten-balls", blocks=4)
     (table,) = difference_tables(plan, analyses)
     assert (table.factor, table.across, table.reference) == ("ball", "swing", "a")
@@ -51,7 +51,7 @@ def test_difference_tables_of_three_swings_have_a_column_per_swing() -> None:
             assert (one.pair.verdict, one.pair.p_adjusted) == (pair.verdict, pair.p_adjusted)
 
 
-def test_reference_of_the_plan_changes_the_view_and_no_result() -> None:
+def test_difference_tables_reference_changes_no_result() -> None:
     plan, analyses = _analysed("ten-balls", blocks=4, swings=("default",))
     (table,) = difference_tables(_referred(plan, "c"), analyses)
     assert (table.reference, table.across, table.columns[0].name) == ("c", "", "")
@@ -63,7 +63,7 @@ def test_reference_of_the_plan_changes_the_view_and_no_result() -> None:
     assert difference_to("j", "c", analyses[0].confirmatory.pairs) == last.reversed()
 
 
-def test_difference_tables_of_a_split_plot_compare_balls_within_clubs() -> None:
+def test_difference_tables_split_plot_compares_balls_within_clubs() -> None:
     plan, analyses = _analysed("clubs-split-plot")
     clubs, balls = difference_tables(_referred(plan, "driver-9"), analyses)
     assert (clubs.factor, clubs.reference, clubs.across) == ("club", "driver-9", "")
@@ -86,7 +86,7 @@ def test_not_compared_lists_missing_pairs_interaction_and_other_quantities() -> 
 
 
 @pytest.mark.parametrize("quantity", ["launch_angle", "spin_rpm"])
-def test_not_compared_leaves_out_the_compared_quantity(quantity: Any) -> None:
+def test_not_compared_omits_compared_quantity(quantity: Any) -> None:
     plan, analyses = _analysed("ten-balls", blocks=2, swings=("default",))
     plan = replace(plan, analysis=replace(plan.analysis, quantity=quantity))
     (others,) = not_compared(plan, difference_tables(plan, analyses), "x")
@@ -94,7 +94,7 @@ def test_not_compared_leaves_out_the_compared_quantity(quantity: Any) -> None:
     assert "carry" in others
 
 
-def test_difference_tables_of_a_single_level_are_empty() -> None:
+def test_difference_tables_single_level_is_empty() -> None:
     plan, analyses = _analysed("repeatability", blocks=4)
     assert difference_tables(plan, analyses) == ()
     assert list(not_compared(plan, (), "club speed")) == []

@@ -15,7 +15,7 @@ AREA = pi * stats.chi2.ppf(0.95, 2) * np.sqrt(np.linalg.det(TRUTH))
 
 
 @pytest.mark.release
-def test_the_area_is_unbiased_and_its_interval_holds() -> None:
+def test_ellipse_area_is_unbiased_and_interval_covers_truth() -> None:
     random, areas, inside = np.random.default_rng(1), [], 0
     ball = np.zeros(12, int)
     for _ in range(3000):
@@ -26,7 +26,7 @@ def test_the_area_is_unbiased_and_its_interval_holds() -> None:
     assert inside / 3000 == pytest.approx(0.95, abs=0.012)
 
 
-def test_balls_that_are_hit_again_count_as_balls() -> None:
+def test_ellipse_repeated_hits_count_as_one_ball() -> None:
     random, areas, inside, tries = np.random.default_rng(2), [], 0, 2000
     ball = np.repeat(np.arange(12), 4)
     for _ in range(tries):
@@ -38,7 +38,7 @@ def test_balls_that_are_hit_again_count_as_balls() -> None:
     assert 0.93 <= inside / tries <= 0.97
 
 
-def test_a_large_sample_has_95_percent_of_its_points_inside_axes_and_tilt_of_the_truth() -> None:
+def test_ellipse_large_sample_matches_true_axes_and_tilt() -> None:
     points = np.random.default_rng(3).multivariate_normal([1, 200], TRUTH, 20_000)
     found = _ellipse("a", points, np.arange(20_000), 0.95)
     out, cross, along = found.covariance
@@ -53,7 +53,7 @@ def test_a_large_sample_has_95_percent_of_its_points_inside_axes_and_tilt_of_the
     assert found.tilt == pytest.approx(tilt, abs=radians(2))
 
 
-def test_one_ball_or_a_ball_for_each_shot_is_the_plain_covariance() -> None:
+def test_total_covariance_one_ball_or_one_hit_each_is_plain() -> None:
     points = np.random.default_rng(4).normal(size=(9, 2))
     for ball in (np.zeros(9, int), np.arange(9)):
         covariance, dof = total_covariance(points, ball)

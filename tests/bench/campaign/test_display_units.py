@@ -35,7 +35,7 @@ def _figures(page: str) -> str:
 
 
 @pytest.mark.parametrize(("units", "foreign"), [(UnitSystem.SI, US_ONLY), (UnitSystem.US, SI_ONLY)])
-def test_one_system_of_units_in_a_whole_report(
+def test_campaign_report_uses_one_unit_system(
     record: CampaignRecord, units: UnitSystem, foreign: re.Pattern[str]
 ) -> None:
     page = _figures(_page(record, units))
@@ -47,7 +47,7 @@ def test_one_system_of_units_in_a_whole_report(
     assert not other & set(heads)
 
 
-def test_the_verdict_is_the_same_in_other_units(record: CampaignRecord) -> None:
+def test_campaign_report_us_units_convert_verdict(record: CampaignRecord) -> None:
     pair = findings(record.plan, record.shots).sections[0].confirmatory.pairs[0]  # type: ignore[union-attr]
     page = _words(_page(record, UnitSystem.US))
     assert f"pole has {pair.difference / 0.9144:.2f} yd more carry (launch monitor) than seam" in page
@@ -55,14 +55,14 @@ def test_the_verdict_is_the_same_in_other_units(record: CampaignRecord) -> None:
     assert "77.0 °F, 29.92 inHg, 50 %" in page
 
 
-def test_every_quantity_of_a_page_has_a_unit_in_both_systems() -> None:
+def test_display_unit_every_quantity_has_consistent_units() -> None:
     columns = {*QUANTITIES, *QUANTITY_NAMES, *(quantity.column for quantity in (*CLUB, *BALL))}
     for column in columns:
         si, us = (display_unit(column, units) for units in UnitSystem)
         assert (si.unit == us.unit) == (si.size == us.size)
 
 
-def test_figures_as_text() -> None:
+def test_display_unit_formats_figures_as_text() -> None:
     assert display_unit("carry_m", UnitSystem.US).text(182.88) == "200.0"
     assert display_unit("air_temperature_k", UnitSystem.US).text(296.15) == "73.4"
     assert display_unit("carry_side_m").text(-0.04) == "0.0"

@@ -54,9 +54,7 @@ def _page(store: CampaignStore, campaign: str) -> str:
     return render_campaign_report(record, findings(record.plan, record.shots, []))
 
 
-def test_an_excluded_shot_leaves_the_results_and_stays_in_the_records(
-    store: CampaignStore, taken: CampaignRecord
-) -> None:
+def test_exclude_shot_changes_results_and_keeps_record(store: CampaignStore, taken: CampaignRecord) -> None:
     campaign, before = taken.entry.id, store.shots(taken.entry.id)
     page = _page(store, campaign)
     exclude_shot(store, campaign, 9, " leaf on the <tee> ", "Ann", LATER)
@@ -82,7 +80,7 @@ def test_an_excluded_shot_leaves_the_results_and_stays_in_the_records(
     assert "With these shots the result would" in again
 
 
-def test_an_exclusion_taken_back_is_listed_too(store: CampaignStore, taken: CampaignRecord) -> None:
+def test_exclude_shot_undo_is_listed_in_report(store: CampaignStore, taken: CampaignRecord) -> None:
     campaign = taken.entry.id
     exclude_shot(store, campaign, 9, "leaf on the tee", "Ann", LATER)
     exclude_shot(store, campaign, 9, "it was shot 10", "Bob", LATER, undo=True)
@@ -99,7 +97,7 @@ def test_an_exclusion_taken_back_is_listed_too(store: CampaignStore, taken: Camp
     assert verify_page(record, page, "report.html").differences == ()
 
 
-def test_the_page_says_whether_results_had_been_looked_at(taken: CampaignRecord) -> None:
+def test_campaign_report_exclusion_states_previous_look(taken: CampaignRecord) -> None:
     def seen(exclusion: ShotExclusion, *looks: Event, state: CampaignState = CampaignState.STOPPED) -> str:
         shots = with_exclusions(taken.shots, [exclusion])
         record = replace(
@@ -134,7 +132,7 @@ def test_the_page_says_whether_results_had_been_looked_at(taken: CampaignRecord)
         (8, "a gust", "Ann", False, "excluded by hand already"),
     ],
 )
-def test_what_cannot_be_excluded_is_refused(
+def test_exclude_shot_invalid_request_is_refused(
     store: CampaignStore, taken: CampaignRecord, shot: int, reason: str, by: str, undo: bool, message: str
 ) -> None:
     exclude_shot(store, taken.entry.id, 8, "a leaf", "Ann", NOW)
@@ -143,7 +141,7 @@ def test_what_cannot_be_excluded_is_refused(
     assert len(store.exclusions(taken.entry.id)) == 1
 
 
-def test_a_shot_that_does_not_count_is_not_excluded(store: CampaignStore, taken: CampaignRecord) -> None:
+def test_exclude_shot_failed_shot_is_refused(store: CampaignStore, taken: CampaignRecord) -> None:
     failed = replace(taken.shots[-1], shot=99, status=ShotStatus.FAILED, reason="no ball on the tee")
     store.add(taken.entry, [StoredShot(failed)])
     with pytest.raises(Refused, match="failed already: no ball on the tee"):

@@ -32,7 +32,7 @@ def plan() -> CampaignPlan:
     return replace(two, design=replace(two.design, blocks=20))
 
 
-def test_levels_are_those_published_for_obrien_and_fleming() -> None:
+def test_look_level_matches_published_obrien_fleming_limits() -> None:
     # Lan and DeMets' O'Brien-Fleming spending, 5 equal looks, two-sided 5 %: limits in z.
     shares = (0.2, 0.4, 0.6, 0.8, 1.0)
     limits = [4.8769, 3.3569, 2.6803, 2.2898, 2.0310]
@@ -40,20 +40,20 @@ def test_levels_are_those_published_for_obrien_and_fleming() -> None:
     assert found == pytest.approx(limits, abs=2e-3)
 
 
-def test_one_look_at_the_end_has_the_whole_error() -> None:
+def test_look_level_single_final_look_has_full_error() -> None:
     assert look_level(0.05, (1.0,)) == 0.05
     assert spent(0.05, 1.0) == 0.05
     assert spent(0.05, 0.0) == 0.0
 
 
-def test_looking_after_each_block_keeps_the_error() -> None:
+def test_look_level_look_after_each_block_keeps_error_rate() -> None:
     random, shares = np.random.default_rng(2), tuple(np.arange(1, 21) / 20)
     score = np.cumsum(random.normal(size=(20_000, 20)), axis=1) / np.sqrt(np.arange(1, 21))
     limits = [stats.norm.isf(look_level(0.05, shares[:n]) / 2) for n in range(1, 21)]
     assert (np.abs(score) > limits).any(axis=1).mean() == pytest.approx(0.05, abs=0.005)
 
 
-def test_an_unfinished_plan_counts_as_looked_at_after_each_block(plan: CampaignPlan) -> None:
+def test_look_now_unfinished_plan_counts_look_after_each_block(plan: CampaignPlan) -> None:
     shots = campaign_shots(plan, Truth(), 1)
     assert share_done(plan, shots) == 1.0
     assert look_now(plan, shots, None) == pytest.approx((1.0, 1, 0.05))
@@ -68,7 +68,7 @@ def test_an_unfinished_plan_counts_as_looked_at_after_each_block(plan: CampaignP
     assert 0.03 < late.alpha < 0.05
 
 
-def test_words_and_intervals_have_their_true_level(plan: CampaignPlan) -> None:
+def test_findings_interim_look_states_true_confidence(plan: CampaignPlan) -> None:
     shots = campaign_shots(plan, Truth(sd=2.0, difference=3.0), 3)[:20]
     found = findings(plan, shots, [20])
     comparison = found.sections[0].confirmatory
@@ -86,11 +86,11 @@ def test_words_and_intervals_have_their_true_level(plan: CampaignPlan) -> None:
     ("confidence", "words"),
     [(0.95, "95"), (0.983333, "98.3"), (0.99944, "99.944"), (0.9999999999, "> 99.999999"), (0.9, "90")],
 )
-def test_a_level_is_never_rounded_up(confidence: float, words: str) -> None:
+def test_confidence_words_never_rounds_up(confidence: float, words: str) -> None:
     assert confidence_words(confidence) == words
 
 
-def test_looks_at_an_unfinished_campaign_are_events_and_count(plan: CampaignPlan, tmp_path: Path) -> None:
+def test_note_look_unfinished_campaign_stores_event(plan: CampaignPlan, tmp_path: Path) -> None:
     entry = new_entry(plan, load_configuration(Path("shipped")), NOW, simulated=True)
     shots = [StoredShot(shot) for shot in campaign_shots(plan, Truth(), 4)]
     with open_database(database_url("", tmp_path)) as engine:

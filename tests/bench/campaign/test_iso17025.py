@@ -69,7 +69,7 @@ def record() -> CampaignRecord:
     return replace(record, plan=plan)
 
 
-def test_a_plan_names_laboratory_items_and_calibrations(tmp_path: Path) -> None:
+def test_load_plan_reads_laboratory_items_and_calibrations(tmp_path: Path) -> None:
     configuration = load_configuration(Path("shipped"))
     file = tmp_path / "signed.toml"
     file.write_text(PLAN)
@@ -92,7 +92,7 @@ def test_a_plan_names_laboratory_items_and_calibrations(tmp_path: Path) -> None:
     assert any(isinstance(fault, BenchError) for fault in caught.value.exceptions)
 
 
-def test_a_draft_states_what_is_known_and_names_what_is_not(record: CampaignRecord) -> None:
+def test_particulars_draft_states_known_and_missing_facts(record: CampaignRecord) -> None:
     runs = [CampaignRun(1, NOW, "erika@bench1", {}, {})]
     stated = dict(particulars(replace(record, runs=runs), "0123"))
     assert stated["Report number"] == f"{record.entry.id}-draft"
@@ -115,13 +115,13 @@ def test_a_draft_states_what_is_known_and_names_what_is_not(record: CampaignReco
         assert wanted in page, wanted
 
 
-def test_items_are_those_that_were_hit(record: CampaignRecord) -> None:
+def test_item_table_lists_items_hit(record: CampaignRecord) -> None:
     rows = {row[0]: row[1:] for row in item_table(record).rows}
     assert rows["pole"] == ("ball", "8, no. 1 to 8", "Maker X, lot 1234", "new", "2025-12-20")
     assert rows["driver"] == ("club", "", "not stated", "not stated", "not stated")
 
 
-def test_calibrations_in_force_overdue_and_missing(record: CampaignRecord) -> None:
+def test_calibration_table_shows_in_force_overdue_and_missing(record: CampaignRecord) -> None:
     entry = {
         "kind": "encoders",
         "version": 2,
@@ -144,7 +144,7 @@ def test_calibrations_in_force_overdue_and_missing(record: CampaignRecord) -> No
     assert "Overdue at the tests: launch monitor, no. 77." in page
 
 
-def test_an_issue_has_number_date_and_name_and_an_amendment_its_reason(
+def test_issue_report_numbers_issues_and_amendment_requires_reason(
     record: CampaignRecord, tmp_path: Path
 ) -> None:
     configuration = load_configuration(Path("shipped"))
@@ -169,7 +169,7 @@ def test_an_issue_has_number_date_and_name_and_an_amendment_its_reason(
     assert [event.date for event in second.issues] == [NOW, datetime(2026, 11, 23, 12, tzinfo=UTC)]
 
 
-def test_an_issued_report_shows_its_number_on_every_page(record: CampaignRecord) -> None:
+def test_campaign_report_issued_shows_number_on_every_page(record: CampaignRecord) -> None:
     issued = replace(record, events=[*record.events, Event(NOW, 41, "issue", "issued by Ann")])
     page = render_campaign_report(issued, findings(issued.plan, issued.shots))
     assert f'@bottom-left {{ content: "Report {record.entry.id}-R1"' in page

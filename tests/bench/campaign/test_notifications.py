@@ -65,7 +65,7 @@ def url_file(folder: Path, text: str, mode: int = 0o600) -> Path:
     return file
 
 
-def test_states_that_need_a_person_are_sent_and_tried_again(
+def test_notifier_sends_states_for_operator_and_retries(
     tmp_path: Path, campaign: CampaignEntry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
@@ -89,7 +89,7 @@ def test_states_that_need_a_person_are_sent_and_tried_again(
     assert said == []
 
 
-def test_a_service_that_refuses_is_named_by_its_line_and_never_by_its_url(
+def test_notifier_failed_service_reports_line_without_url(
     tmp_path: Path,
     campaign: CampaignEntry,
     monkeypatch: pytest.MonkeyPatch,
@@ -109,7 +109,7 @@ def test_a_service_that_refuses_is_named_by_its_line_and_never_by_its_url(
     assert HIDDEN not in text + shown.out + shown.err + caplog.text
 
 
-def test_a_service_that_hangs_or_fails_is_in_nobodys_way(campaign: CampaignEntry) -> None:
+def test_notifier_hanging_service_does_not_block(campaign: CampaignEntry) -> None:
     end, said = Event(), list[str]()
 
     def hangs(title: str, text: str) -> bool:
@@ -133,7 +133,7 @@ def test_a_service_that_hangs_or_fails_is_in_nobodys_way(campaign: CampaignEntry
         (f"# chat\nnosuch://{HIDDEN}", 0o600, "notify.urls, line 2", "does not know"),
     ],
 )
-def test_a_bad_file_is_refused_without_showing_what_is_in_it(
+def test_read_services_invalid_file_is_refused_without_content(
     tmp_path: Path, text: str, mode: int, location: str, found: str
 ) -> None:
     with pytest.raises(BenchError) as error:
@@ -143,7 +143,7 @@ def test_a_bad_file_is_refused_without_showing_what_is_in_it(
     assert HIDDEN not in str(error.value)
 
 
-def test_nobody_is_notified_as_shipped(campaign: CampaignEntry) -> None:
+def test_notifying_without_file_sends_nothing(campaign: CampaignEntry) -> None:
     with notifying("", campaign, print) as nobody:
         nobody.standing(CampaignState.FINISHED, "")
     with pytest.raises(BenchError, match="no such file"):

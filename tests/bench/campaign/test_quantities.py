@@ -15,7 +15,7 @@ from bench.records.shot.shot import ShotStatus
 from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 
-def test_each_level_has_all_quantities_of_its_valid_shots() -> None:
+def test_level_quantities_cover_valid_shots_of_each_level() -> None:
     plan = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
     plan = replace(plan, design=replace(plan.design, blocks=6))
     shots = [replace(s, spin_rpm=2500.0 + s.shot, carry_side_m=0.1) for s in campaign_shots(plan, Truth(), 1)]

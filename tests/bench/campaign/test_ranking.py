@@ -16,7 +16,7 @@ from tests.benchmarks.campaign_statistics import Truth, campaign_shots
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_exactly_the_different_pairs_share_no_letter(seed: int) -> None:
+def test_compact_letters_only_different_pairs_share_no_letter(seed: int) -> None:
     random = np.random.default_rng(seed)
     names = [f"ball {n}" for n in range(random.integers(2, 11))]
     pairs = list(combinations(names, 2))
@@ -27,21 +27,21 @@ def test_exactly_the_different_pairs_share_no_letter(seed: int) -> None:
         assert ((one, two) in different) == (not set(letters[one]) & set(letters[two]))
 
 
-def test_letters_of_a_ranking_are_those_of_the_textbook() -> None:
+def test_compact_letters_match_textbook() -> None:
     far = [("a", "c"), ("a", "d"), ("b", "d")]
     assert compact_letters(["a", "b", "c", "d"], far) == {"a": "a", "b": "ab", "c": "bc", "d": "c"}
     assert compact_letters(["a", "b"], []) == {"a": "a", "b": "a"}
     assert compact_letters(["a", "b"], [("b", "a")]) == {"a": "a", "b": "b"}
 
 
-def test_many_groups_have_letters_of_their_own() -> None:
+def test_compact_letters_thirty_groups_are_unique() -> None:
     names = [str(n) for n in range(30)]
     letters = compact_letters(names, combinations(names, 2))
     assert len(set(letters.values())) == 30
     assert letters["26"] == "a'"
 
 
-def test_a_ranking_is_in_order_of_the_model_and_says_how_far_behind() -> None:
+def test_ranking_orders_by_effect_and_reports_difference_to_first() -> None:
     plan = load_plan(Path("ten-balls"), load_configuration(Path("shipped")))
     shots = [s for s in campaign_shots(plan, Truth(sd=1.0, difference=6.0), 1) if s.section == 1]
     analysis = analyse(plan, shots, 1, "", ())

@@ -58,13 +58,13 @@ class Blocks:
             self.drifts.note(shot)
 
 
-def test_what_scatters_has_not_drifted(plan: CampaignPlan) -> None:
+def test_drift_detector_scatter_reports_no_drift(plan: CampaignPlan) -> None:
     blocks = Blocks(plan)
     found = [drift for number in range(1, 12) for drift in blocks.block(number, 42.0)]
     assert found == [None] * 55
 
 
-def test_a_drift_is_told_once_at_the_next_blocks_begin(plan: CampaignPlan) -> None:
+def test_drift_detector_reports_drift_once_at_next_block(plan: CampaignPlan) -> None:
     blocks = Blocks(plan)
     told = [
         list(blocks.block(number, speed)) for number, speed in enumerate((42.0, 42.05, 42.3, 42.3, 42.3), 1)
@@ -76,7 +76,7 @@ def test_a_drift_is_told_once_at_the_next_blocks_begin(plan: CampaignPlan) -> No
     assert told[4] == [None] * 5  # what came after is the new measure
 
 
-def test_a_swing_is_learned_when_it_is_up_again(plan: CampaignPlan) -> None:
+def test_drift_detector_reports_at_next_block_of_same_swing(plan: CampaignPlan) -> None:
     blocks = Blocks(plan)
     for number, speed in ((1, 42.0), (2, 42.4)):
         assert not any(blocks.block(number, speed))
@@ -93,24 +93,24 @@ def test_a_swing_is_learned_when_it_is_up_again(plan: CampaignPlan) -> None:
         {"strike_y_mm": None},
     ],
 )
-def test_shots_that_do_not_count_say_nothing(plan: CampaignPlan, changes: dict[str, Any]) -> None:
+def test_drift_detector_invalid_shots_report_no_drift(plan: CampaignPlan, changes: dict[str, Any]) -> None:
     blocks = Blocks(plan)
     for number, speed in ((1, 42.0), (2, 44.0), (3, 46.0)):
         assert not any(blocks.block(number, speed, **changes))
 
 
-def test_too_few_shots_say_nothing(plan: CampaignPlan) -> None:
+def test_drift_detector_few_shots_report_no_drift(plan: CampaignPlan) -> None:
     blocks = Blocks(plan)
     assert not any(d for number in range(1, 6) for d in blocks.block(number, 40.0 + number, shots=1))
 
 
-def test_small_blocks_are_taken_together(plan: CampaignPlan) -> None:
+def test_drift_detector_combines_small_blocks(plan: CampaignPlan) -> None:
     blocks = Blocks(plan)
     speeds = (*[42.0] * 4, *[42.5] * 6)
     told = [list(blocks.block(number, speed, shots=2)) for number, speed in enumerate(speeds, 1)]
     assert [drift[0] is not None for drift in told] == [False] * 6 + [True] + [False] * 3
 
 
-def test_a_plan_that_does_not_ask_for_it_is_left_alone(plan: CampaignPlan) -> None:
+def test_drift_detector_without_refresh_reports_no_drift(plan: CampaignPlan) -> None:
     blocks = Blocks(replace(plan, learning=replace(plan.learning, refresh=False)))
     assert not any(d for number in range(1, 6) for d in blocks.block(number, 40.0 + number))

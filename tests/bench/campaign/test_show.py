@@ -201,7 +201,7 @@ def show(folder: Path) -> Result:
 
 
 @pytest.mark.timeout(900)  # the first start compiles
-def test_what_was_planned_is_there_in_the_end_and_what_went_wrong_on_record(tmp_path: Path) -> None:
+def test_campaign_with_disturbances_completes_plan_and_records_faults(tmp_path: Path) -> None:
     r = show(tmp_path)
     assert r.code == 0, r.output
     valid = [shot for shot in r.shots if shot.status is ShotStatus.VALID]

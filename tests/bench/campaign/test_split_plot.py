@@ -80,7 +80,7 @@ def _analysis(plan: CampaignPlan, shots: list[Shot]) -> SectionAnalysis:
     return analyse(plan, shots, 1, "")
 
 
-def test_a_club_stays_mounted_for_all_its_hits_of_a_block() -> None:
+def test_all_trials_split_plot_keeps_club_mounted_within_block() -> None:
     plan = _plan()
     (section,) = sections(plan)
     assert len(section.arms) == 6
@@ -97,7 +97,7 @@ def test_a_club_stays_mounted_for_all_its_hits_of_a_block() -> None:
     assert "Fully randomised it would be" in needs_words(plan, 10**12)[-1]
 
 
-def test_all_clubs_of_a_block_hit_the_same_balls() -> None:
+def test_sample_for_clubs_of_one_block_hit_same_balls() -> None:
     plan = _plan()
     hit: dict[tuple[int, str], list[tuple[str, int | None]]] = {}
     for trial in all_trials(plan):
@@ -110,7 +110,7 @@ def test_all_clubs_of_a_block_hit_the_same_balls() -> None:
     assert len({number for balls in hit.values() for _, number in balls}) == 12
 
 
-def test_a_club_that_begins_the_next_block_is_mounted_again() -> None:
+def test_missing_same_club_in_next_block_requires_new_mounting() -> None:
     plan = _plan(blocks=40)
     one, two = next(
         (a, b) for a, b in pairwise(all_trials(plan)) if a.block < b.block and a.arm.club == b.arm.club
@@ -132,7 +132,7 @@ def test_a_club_that_begins_the_next_block_is_mounted_again() -> None:
 
 
 @pytest.mark.parametrize("balls", [("tour",), ("tour", "range")])
-def test_clubs_are_judged_by_the_means_of_their_mountings(balls: tuple[str, ...]) -> None:
+def test_analyse_split_plot_compares_clubs_by_mounting_means(balls: tuple[str, ...]) -> None:
     plan = _plan(blocks=4, balls=balls)
     shots = _shots(plan, 2.0, 1.0)
     comparison = _analysis(plan, shots).confirmatory
@@ -159,7 +159,7 @@ def test_clubs_are_judged_by_the_means_of_their_mountings(balls: tuple[str, ...]
     assert half == pytest.approx(stats.t.isf(0.025, 6) * error, rel=1e-3)
 
 
-def test_balls_are_judged_within_the_mountings_of_each_club() -> None:
+def test_analyse_split_plot_compares_balls_within_mountings() -> None:
     plan = _plan()
     quiet = _analysis(plan, _shots(plan, 0.0, 1.0)).within
     loud = _analysis(plan, _shots(plan, 50.0, 1.0)).within
@@ -176,7 +176,7 @@ def test_balls_are_judged_within_the_mountings_of_each_club() -> None:
         assert pair.verdict == "different"
 
 
-def test_missing_shots_of_one_ball_do_not_move_the_clubs() -> None:
+def test_analyse_split_plot_missing_shots_keep_club_differences() -> None:
     plan = _plan()
     shots = [
         replace(shot, status=ShotStatus.FAILED, reason="no ball on the tee")
@@ -191,7 +191,7 @@ def test_missing_shots_of_one_ball_do_not_move_the_clubs() -> None:
     assert found["driver", "driver-12"] == pytest.approx(-5.0)
 
 
-def test_one_mounting_of_each_says_nothing_of_clubs() -> None:
+def test_analyse_split_plot_one_mounting_compares_no_clubs() -> None:
     plan = _plan()
     shots = [shot for shot in _shots(plan, 2.0, 1.0) if shot.block == 1]
     result = _analysis(plan, shots)
@@ -201,7 +201,7 @@ def test_one_mounting_of_each_says_nothing_of_clubs() -> None:
     assert "at least two mountings" in first.detail
 
 
-def test_many_mountings_have_a_scatter_of_their_own() -> None:
+def test_analyse_split_plot_many_mountings_have_separate_scatter() -> None:
     plan = _plan(blocks=12, hits=1, balls=("tour",))
     shots = _shots(plan, 0.0, 1.0)
     wild = [
@@ -214,7 +214,7 @@ def test_many_mountings_have_a_scatter_of_their_own() -> None:
     assert errors["driver-9", "driver-12"] < 0.2 * errors["driver", "driver-9"]
 
 
-def test_what_it_resolves_is_foretold_with_the_mountings_scatter() -> None:
+def test_outlook_split_plot_includes_mounting_scatter() -> None:
     plan = _plan()
     found, without = (
         outlook(plan),
@@ -233,7 +233,7 @@ def test_what_it_resolves_is_foretold_with_the_mountings_scatter() -> None:
     assert "driver-12: " in console.export_text()
 
 
-def test_check_names_the_split_plot_of_a_plan_whose_clubs_change_from_shot_to_shot() -> None:
+def test_as_split_plot_suggests_layout_for_randomised_clubs() -> None:
     plan = load_plan(Path("clubs"), SHIPPED)
     layout = as_split_plot(plan)
     assert layout is not None
@@ -251,7 +251,7 @@ def test_check_names_the_split_plot_of_a_plan_whose_clubs_change_from_shot_to_sh
         (("[gate]", '[control]\nball = "tour"\n[gate]'), "control.ball"),
     ],
 )
-def test_a_split_plot_that_cannot_answer_is_refused(
+def test_load_plan_invalid_split_plot_is_refused(
     change: tuple[str, str], location: str, tmp_path: Path
 ) -> None:
     text = (Path("bench") / "campaigns" / "clubs-split-plot.toml").read_text()
@@ -270,7 +270,7 @@ def test_progress_counts_mountings() -> None:
     assert progress.message["seconds_left"] == pytest.approx(seconds)
 
 
-def test_the_report_names_mountings_and_balls_within_clubs() -> None:
+def test_campaign_report_split_plot_names_mountings() -> None:
     plan = _plan()
     shots = _shots(plan, 1.0, 1.0)
     found = findings(plan, shots)
@@ -292,7 +292,7 @@ def test_the_report_names_mountings_and_balls_within_clubs() -> None:
     assert "within" not in findings_record(findings(plain, []))["sections"][0]
 
 
-def test_mountings_that_agree_by_chance_do_not_make_one_shot_scatter_less() -> None:
+def test_analyse_split_plot_zero_mounting_sd_keeps_shot_scatter() -> None:
     case = next(case for case in cases() if "no mounting error" in case.name)
     found = []
     for number in range(20):

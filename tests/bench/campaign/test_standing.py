@@ -23,29 +23,25 @@ def lock(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("state", [CampaignState.RUNNING, CampaignState.WAITING, CampaignState.PAUSED])
-def test_standing_now_of_a_killed_runner_is_interrupted_with_the_way_to_resume(
-    lock: Path, tmp_path: Path, state: CampaignState
-) -> None:
+def test_standing_now_killed_runner_is_interrupted(lock: Path, tmp_path: Path, state: CampaignState) -> None:
     standing = standing_now(tmp_path, NAME, Standing(state, "", ""))
     assert standing.state is CampaignState.INTERRUPTED
     assert f"golfbench campaign resume {NAME}" in standing.reason
 
 
-def test_standing_now_of_a_living_runner_is_as_stored(lock: Path, tmp_path: Path) -> None:
+def test_standing_now_living_runner_is_unchanged(lock: Path, tmp_path: Path) -> None:
     stored = Standing(CampaignState.RUNNING, "", "")
     with lock.open("rb") as file:
         assert try_lock(file.fileno())
         assert standing_now(tmp_path, NAME, stored) == stored
 
 
-def test_standing_now_of_a_runner_on_another_machine_is_as_stored(tmp_path: Path) -> None:
+def test_standing_now_runner_on_other_machine_is_unchanged(tmp_path: Path) -> None:
     stored = Standing(CampaignState.RUNNING, "", "")
     assert standing_now(tmp_path, NAME, stored) == stored
 
 
 @pytest.mark.parametrize("state", [CampaignState.FINISHED, CampaignState.ABORTED, CampaignState.SUSPENDED])
-def test_standing_now_of_a_closed_campaign_is_as_stored(
-    lock: Path, tmp_path: Path, state: CampaignState
-) -> None:
+def test_standing_now_closed_campaign_is_unchanged(lock: Path, tmp_path: Path, state: CampaignState) -> None:
     stored = Standing(state, "its reason", "")
     assert standing_now(tmp_path, NAME, stored) == stored

@@ -29,7 +29,7 @@ def _first(plan: CampaignPlan, shots: Sequence[Shot]) -> Verdict:
     return findings(plan, shots).verdicts[0][0]
 
 
-def test_one_ball_of_each_is_judged_as_that_ball() -> None:
+def test_verdict_one_ball_holds_for_ball_not_model() -> None:
     case = _case("one ball of each x 20, balls differ")
     shots, _ = drawn(case, 9.0, 1)
     verdict = _first(case.plan, shots)
@@ -40,7 +40,7 @@ def test_one_ball_of_each_is_judged_as_that_ball() -> None:
     assert "not for its model" not in _first(many.plan, drawn(many, 9.0, 1)[0]).detail
 
 
-def test_a_balls_hits_are_no_new_balls() -> None:
+def test_analyse_repeated_hits_count_as_one_ball() -> None:
     case = _case("ball SD as the shot's")
     shots, _ = drawn(case, 0.0, 2)
     comparison = analyse(case.plan, shots, 1, "", ()).confirmatory
@@ -61,7 +61,7 @@ def ten() -> Case:
     return Case("ten equal ones", plan, Known(sd=1.0))
 
 
-def test_ten_levels_that_are_all_alike_are_said_to_be(ten: Case) -> None:
+def test_verdict_ten_equal_levels_are_same(ten: Case) -> None:
     shots, _ = drawn(ten, 0.0, 3)
     verdict = _first(ten.plan, shots)
     assert verdict.resolved
@@ -72,13 +72,13 @@ def test_ten_levels_that_are_all_alike_are_said_to_be(ten: Case) -> None:
     assert "by less than that" in headline
 
 
-def test_ten_levels_of_which_one_is_far_are_counted(ten: Case) -> None:
+def test_verdict_one_distant_level_counts_pairs(ten: Case) -> None:
     shots, _ = drawn(ten, 12.0, 4)
     headline = _first(ten.plan, shots).headline
     assert headline == "9 of 45 pairs differ in carry (launch monitor), 36 are the same within 4 m."
 
 
-def test_pairs_that_differ_by_less_than_the_margin_are_counted_as_different(ten: Case) -> None:
+def test_verdict_differences_below_margin_count_as_different(ten: Case) -> None:
     shots, _ = drawn(ten, 3.45, 5)
     found = findings(ten.plan, shots)
     pairs = found.sections[0].confirmatory.pairs  # type: ignore[union-attr]
@@ -92,7 +92,7 @@ def test_pairs_that_differ_by_less_than_the_margin_are_counted_as_different(ten:
     assert headline.startswith(begin)
 
 
-def test_enough_shots_are_not_called_too_few(ten: Case) -> None:
+def test_verdict_enough_shots_reports_no_shortage(ten: Case) -> None:
     # All are about a margin apart: neither different by more nor the same, however many shots.
     shots, _ = drawn(ten, 4.0, 5)
     found = findings(ten.plan, shots)
@@ -101,7 +101,7 @@ def test_enough_shots_are_not_called_too_few(ten: Case) -> None:
     assert "not enough" not in found.verdicts[0][0].headline
 
 
-def test_a_pair_differs_exactly_if_its_joint_interval_leaves_out_zero(ten: Case) -> None:
+def test_analyse_pair_differs_if_joint_interval_excludes_zero(ten: Case) -> None:
     shots, _ = drawn(ten, 1.2, 6)
     comparison = analyse(ten.plan, shots, 1, "", ()).confirmatory
     assert comparison is not None
@@ -111,7 +111,7 @@ def test_a_pair_differs_exactly_if_its_joint_interval_leaves_out_zero(ten: Case)
 
 
 @pytest.mark.parametrize("truth", [1.0, 2.5])
-def test_ratios_of_scatter_cover_the_truth_whatever_the_blocks(truth: float) -> None:
+def test_scatter_ratios_cover_truth(truth: float) -> None:
     random, covered, false = np.random.default_rng(9), 0, 0
     block, level = np.repeat(np.arange(24), 3), np.tile(np.arange(3), 24)
     for _ in range(400):
@@ -125,7 +125,7 @@ def test_ratios_of_scatter_cover_the_truth_whatever_the_blocks(truth: float) -> 
     assert false / 400 < 0.06
 
 
-def test_a_covariate_takes_out_what_it_explains() -> None:
+def test_analyse_covariate_removes_explained_scatter() -> None:
     case = _case("club speed as covariate")
     shots, _ = drawn(case, 0.0, 7)
     with_it = analyse(case.plan, shots, 1, "", ()).confirmatory
@@ -146,7 +146,7 @@ def test_a_covariate_takes_out_what_it_explains() -> None:
     assert left.covariates.missing == 1
 
 
-def test_a_covariate_is_refused_where_it_is_what_is_compared(tmp_path: Path) -> None:
+def test_load_plan_covariate_equal_to_quantity_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "plan.toml"
     file.write_text(
         '[campaign]\nname = "x"\n[design]\ncompare = "club"\nballs = ["tour"]\nclubs = ["driver"]\n'
@@ -159,7 +159,7 @@ def test_a_covariate_is_refused_where_it_is_what_is_compared(tmp_path: Path) -> 
     assert "not the quantity" in words
 
 
-def test_more_hits_of_the_same_balls_do_not_replace_balls() -> None:
+def test_series_needed_large_ball_scatter_requires_more_balls() -> None:
     plan = _case("ball SD half").plan
     plan = replace(plan, analysis=replace(plan.analysis, target_difference=1.0))
     few, _ = series_needed(plan, 1.0, 0.2)
@@ -171,7 +171,7 @@ def test_more_hits_of_the_same_balls_do_not_replace_balls() -> None:
     assert many.shots == 8 * many.balls
 
 
-def test_power_is_foretold_by_the_same_degrees_of_freedom() -> None:
+def test_predict_precision_uses_ball_degrees_of_freedom() -> None:
     plan = _case("2 levels, 12 balls").plan
     ahead = predict_precision(plan, 2.0, 1.0)
     assert ahead is not None
@@ -180,7 +180,7 @@ def test_power_is_foretold_by_the_same_degrees_of_freedom() -> None:
     assert ahead.power(ahead.resolution(0.8)) == pytest.approx(0.8, abs=1e-6)
 
 
-def test_repeatability_without_two_shots_in_a_block_is_that_of_successive_shots() -> None:
+def test_successive_scatter_ignores_drift() -> None:
     random = np.random.default_rng(1)
     drifting = 0.02 * np.arange(400) + random.normal(size=400)
     found = successive_scatter(drifting)

@@ -68,7 +68,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
     return run
 
 
-def test_help_names_commands_and_exit_codes() -> None:
+def test_help_lists_commands_and_exit_codes() -> None:
     answer = _golfbench("--help")
     assert answer.returncode == 0
     assert "doctor" in answer.stdout
@@ -76,7 +76,7 @@ def test_help_names_commands_and_exit_codes() -> None:
         assert f" {code.value}  " in answer.stdout
 
 
-def test_help_starts_without_heavy_packages() -> None:
+def test_help_loads_no_heavy_packages() -> None:
     code = "import sys, atexit; atexit.register(lambda: print(*sys.modules))\n"
     code += "from bench.commands.cli import main; main(['--help'])"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -121,7 +121,7 @@ COMMANDS = (
 
 
 @pytest.mark.parametrize("command", release_except({"stop", "status", "swing", "lease take"}, COMMANDS))
-def test_a_command_of_a_running_bench_loads_no_model(command: str, tmp_path: Path) -> None:
+def test_operate_command_loads_no_model_packages(command: str, tmp_path: Path) -> None:
     """With a bench that answers everything and swings at once."""
     code = (
         "import sys; from bench.base.interrupt import leave; import bench.commands.cli\n"
@@ -148,7 +148,7 @@ def test_a_command_of_a_running_bench_loads_no_model(command: str, tmp_path: Pat
 
 
 @pytest.mark.parametrize("command", ["campaign list", "campaign stop nothing", "campaign watch"])
-def test_command_of_stored_campaigns_loads_no_model(command: str, tmp_path: Path) -> None:
+def test_campaign_command_loads_no_model_packages(command: str, tmp_path: Path) -> None:
     code = (
         "import sys; import bench.commands.cli\n"
         "def show(code): print(*sys.modules)\n"
@@ -168,7 +168,7 @@ def test_command_of_stored_campaigns_loads_no_model(command: str, tmp_path: Path
     assert not loaded & (NO_CLIENTS - {"pydantic", "sqlalchemy"})
 
 
-def test_list_of_profiles_loads_no_compiler(tmp_path: Path) -> None:
+def test_profile_list_loads_no_compiler(tmp_path: Path) -> None:
     code = (
         "import sys; import bench.commands.cli\n"
         "bench.commands.cli.leave = lambda code: print(*sys.modules)\n"
@@ -188,7 +188,7 @@ def _pages(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
 @pytest.mark.parametrize(
     ("path", "command"), [pytest.param(*page, id=" ".join(page[0])) for page in _pages(command_line())]
 )
-def test_a_help_page_shows_every_text_whole(
+def test_help_page_shows_complete_texts(
     path: tuple[str, ...], command: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Brackets are style tags to the library that prints it: "Where to [default: here]." lost its default."""
@@ -206,18 +206,18 @@ def test_a_help_page_shows_every_text_whole(
     assert "[[" not in shown
 
 
-def test_version() -> None:
+def test_version_option_prints_package_version() -> None:
     assert _golfbench("--version").stdout == f"golfbench {version('golfbench')}\n"
 
 
 @pytest.mark.parametrize("arguments", [["dcotor"], ["doctor", "--jsno"], ["--config"], []])
-def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
+def test_cli_wrong_usage_exits_with_2(arguments: list[str]) -> None:
     answer = _golfbench(*arguments)
     assert answer.returncode == ExitCode.BAD_INPUT
     assert "Traceback" not in answer.stderr
 
 
-def test_shell_completion_is_there() -> None:
+def test_shell_completion_completes_command_name() -> None:
     answer = _golfbench(
         env={
             **os.environ,
@@ -246,7 +246,7 @@ def test_shell_completion_is_there() -> None:
         (Terminated(), 143, []),
     ],
 )
-def test_errors_show_their_action_and_no_traceback(
+def test_main_error_prints_action_and_exit_code_without_traceback(
     error: BaseException,
     code: int,
     texts: list[str],
@@ -259,7 +259,7 @@ def test_errors_show_their_action_and_no_traceback(
     assert "Traceback" not in shown
 
 
-def test_errors_for_a_program_are_json_lines(
+def test_main_error_for_programs_prints_json_lines(
     run: Callable[..., int], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(FOR_PROGRAMS, "json")
@@ -268,12 +268,12 @@ def test_errors_for_a_program_are_json_lines(
     assert printed == [BAD_PRESSURE.record(), BAD_KEY.record()]
 
 
-def test_debug_shows_the_traceback(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
+def test_debug_option_prints_traceback(run: Callable[..., int], capsys: pytest.CaptureFixture[str]) -> None:
     assert run(ZeroDivisionError("1/0"), "--debug") == ExitCode.INTERNAL
     assert "Traceback (most recent call last)" in capsys.readouterr().err
 
 
-def test_an_error_reads_well_in_one_line_and_crosses_processes() -> None:
+def test_bench_error_pickle_keeps_type_and_text() -> None:
     copy = pickle.loads(pickle.dumps(UNSAFE))  # noqa: S301 - our own bytes
     assert type(copy) is Refused
     assert (
@@ -282,14 +282,14 @@ def test_an_error_reads_well_in_one_line_and_crosses_processes() -> None:
     )
 
 
-def test_full_disk_behind_standard_output_is_no_internal_error(
+def test_main_full_disk_exits_with_file_code(
     run: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(OSError(errno.ENOSPC, "No space left on device")) == ExitCode.FILE
     assert capsys.readouterr().err == "error: standard output or a file: No space left on device\n"
 
 
-def test_deleted_working_directory_is_reported_with_its_action(
+def test_main_deleted_working_directory_is_reported(
     run: Callable[..., int],
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
@@ -304,9 +304,7 @@ def test_deleted_working_directory_is_reported_with_its_action(
 
 
 @pytest.mark.parametrize("name", ["sim/__init__.py", "drivers/__init__.py", "sim.py"])
-def test_import_of_the_bench_beside_a_package_of_the_same_name_reports_both_places(
-    tmp_path: Path, name: str
-) -> None:
+def test_import_bench_shadowed_package_reports_both_paths(tmp_path: Path, name: str) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).touch()
     (tmp_path / "script.py").write_text("import bench\n")
@@ -321,7 +319,7 @@ def test_import_of_the_bench_beside_a_package_of_the_same_name_reports_both_plac
 
 
 @pytest.mark.live
-def test_ctrl_c_ends_with_130_and_no_traceback() -> None:
+def test_main_ctrl_c_exits_with_130_without_traceback() -> None:
     command = [sys.executable, "-m", "bench", "doctor", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while not psutil.Process(process.pid).children():  # until it examines packages in a child
@@ -333,7 +331,7 @@ def test_ctrl_c_ends_with_130_and_no_traceback() -> None:
 
 
 @pytest.mark.live
-def test_a_closed_pipe_is_no_error() -> None:
+def test_main_closed_pipe_prints_no_error() -> None:
     command = f"{sys.executable} -m bench doctor --json | head -c 10"
     answer = subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=True)
     assert answer.stdout.startswith("{")

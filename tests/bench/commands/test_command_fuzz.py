@@ -14,7 +14,7 @@ pytestmark = pytest.mark.live
 MESSAGES = 3000
 
 
-def test_each_message_is_answered_or_dropped_with_a_count() -> None:
+def test_command_fuzz_each_message_is_answered_or_counted() -> None:
     configuration = loopback_configuration()
     with (
         running_plane(FakeDesk(), configuration) as running,

@@ -78,7 +78,7 @@ def _run(state: Commissioning, configuration: Configuration) -> RobotEstimate:
         return commission(state, configuration.plant, machine, lambda: DAY)
 
 
-def test_values_by_their_keys() -> None:
+def test_with_values_sets_values_by_key() -> None:
     plant = PlantParameters()
     changed = with_values(plant, {"wrist.valve.centre": 0.01, "encoders.sign.1": -1.0})
     assert changed.wrist.valve.centre == 0.01
@@ -89,7 +89,7 @@ def test_values_by_their_keys() -> None:
         with_values(plant, {"wrist.valve.center": 0.0})
 
 
-def test_state_is_kept_after_each_step_and_resumed(
+def test_commissioning_state_is_saved_after_each_step_and_resumed(
     tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first, second = _Found("first"), _Found("second", failing=True)
@@ -113,7 +113,7 @@ def test_state_is_kept_after_each_step_and_resumed(
     assert read_state(tmp_path).wrong is None
 
 
-def test_step_that_a_stall_ended_is_repeated_at_most_three_times(
+def test_commission_stalled_step_is_repeated_at_most_three_times(
     tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late, stuck = _Found("late", stalls=3), _Found("stuck", stalls=9)
@@ -126,7 +126,7 @@ def test_step_that_a_stall_ended_is_repeated_at_most_three_times(
     assert (late.runs, stuck.runs) == (4, 4)
 
 
-def test_another_robot_is_not_resumed(tmp_path: Path, configuration: Configuration) -> None:
+def test_commissioning_resume_other_robot_is_refused(tmp_path: Path, configuration: Configuration) -> None:
     begin(tmp_path, configuration, simulated=True, resume=False).save()
     plant = replace(configuration.plant, wrist_lever=0.05)
     with pytest.raises(BenchError, match="another configured robot"):
@@ -135,7 +135,7 @@ def test_another_robot_is_not_resumed(tmp_path: Path, configuration: Configurati
         begin(tmp_path / "empty", configuration, simulated=True, resume=True)
 
 
-def test_two_processes_do_not_commission_in_one_folder(tmp_path: Path) -> None:
+def test_folder_lock_second_lock_is_refused(tmp_path: Path) -> None:
     assert commissioning_process(tmp_path / "day") is None
     with folder_lock(tmp_path / "day"):
         assert commissioning_process(tmp_path / "day") == os.getpid()
@@ -144,7 +144,7 @@ def test_two_processes_do_not_commission_in_one_folder(tmp_path: Path) -> None:
     assert commissioning_process(tmp_path / "day") is None
 
 
-def test_a_check_says_the_steps_and_writes_nothing(
+def test_commission_check_lists_steps_and_writes_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "day"
@@ -163,7 +163,9 @@ def test_a_check_says_the_steps_and_writes_nothing(
     assert not folder.exists()
 
 
-def test_a_state_names_the_robot_that_moved(tmp_path: Path, configuration: Configuration) -> None:
+def test_commissioning_state_stores_robot_and_is_refused_without(
+    tmp_path: Path, configuration: Configuration
+) -> None:
     state = begin(tmp_path / "day", configuration, simulated=True, resume=False)
     assert not (tmp_path / "day").exists()
     state.robot = "/srv/other.toml"
@@ -177,7 +179,7 @@ def test_a_state_names_the_robot_that_moved(tmp_path: Path, configuration: Confi
         read_state(tmp_path / "day")
 
 
-def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configuration) -> None:
+def test_robot_file_loads_as_configuration(tmp_path: Path, configuration: Configuration) -> None:
     known = RobotEstimate(configuration.plant)
     known.add(
         [
@@ -204,7 +206,7 @@ def test_robot_file_is_a_configuration(tmp_path: Path, configuration: Configurat
     assert load_configuration(path).envelope.model == model
 
 
-def test_robot_file_says_how_its_zeros_are_calibrated(tmp_path: Path, configuration: Configuration) -> None:
+def test_robot_file_command_calibrates_encoder_zeros(tmp_path: Path, configuration: Configuration) -> None:
     known = RobotEstimate(configuration.plant)
     zeros = {f"encoders.zero_count.{i}": 1234.5 + i for i in range(3)}
     known.add([ParameterEstimate(key, zero, 18.2, "counts", "wiring") for key, zero in zeros.items()])
@@ -224,7 +226,7 @@ def test_robot_file_says_how_its_zeros_are_calibrated(tmp_path: Path, configurat
     assert command.endswith("--uncertainty-deg 0.05")
 
 
-def test_a_passed_bound_makes_the_machine_passive() -> None:
+def test_simulated_machine_exceeded_bound_makes_passive() -> None:
     plant = PlantParameters()
     with SimulatedMachine(plant, plant) as machine:
         machine.vent(1.0)
@@ -235,7 +237,7 @@ def test_a_passed_bound_makes_the_machine_passive() -> None:
 
 
 @pytest.mark.parametrize("signal", ["emergency_stop_clear", "guard_closed"])
-def test_an_interlock_ends_a_motion(signal: str) -> None:
+def test_simulated_machine_open_interlock_ends_run(signal: str) -> None:
     plant = PlantParameters()
     with SimulatedMachine(plant, plant) as machine:
         machine.driver.plant_state[signal] = False
@@ -244,7 +246,7 @@ def test_an_interlock_ends_a_motion(signal: str) -> None:
         assert not machine.driver.applied.supply_enable
 
 
-def test_chamber_sensors_are_needed() -> None:
+def test_simulated_machine_without_chamber_sensors_is_refused() -> None:
     plant = replace(PlantParameters(), pressure_sensors=False)
     with pytest.raises(Refused, match="no pressure of shoulder vane A"):
         SimulatedMachine(plant, plant)
@@ -257,7 +259,7 @@ QUICKLY_FOUND = ("valves swapped", "vents stay shut", "encoders swapped")
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", release_except({"valves swapped"}, QUICKLY_FOUND))
-def test_a_wrong_machine_is_named_by_the_first_step(name: str) -> None:
+def test_wiring_step_wrong_machine_raises_fault(name: str) -> None:
     nominal = PlantParameters()
     case = wrong_machines(drawn_robot(4))[name]
     with SimulatedMachine(case.robot, nominal, case.faults) as machine:
@@ -275,7 +277,9 @@ def test_a_wrong_machine_is_named_by_the_first_step(name: str) -> None:
 
 @pytest.mark.release
 @pytest.mark.timeout(900)
-def test_errors_cover_the_truth_of_a_drawn_robot(tmp_path: Path, configuration: Configuration) -> None:
+def test_commission_drawn_robot_errors_cover_true_values(
+    tmp_path: Path, configuration: Configuration
+) -> None:
     truth = drawn_robot(3, configuration.plant)
     state = begin(tmp_path, configuration, simulated=True, resume=False)
     with SimulatedMachine(truth, configuration.plant) as machine:
@@ -317,7 +321,7 @@ def _measured(monkeypatch: pytest.MonkeyPatch, *steps: _Swinging) -> None:
     monkeypatch.setattr("bench.commissioning.commissioning.SWINGING_STEPS", steps)
 
 
-def test_the_robot_swings_as_it_was_measured(
+def test_commission_swings_use_measured_values(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first, last = _Swinging("swings"), _Swinging("learning")
@@ -333,7 +337,7 @@ def test_the_robot_swings_as_it_was_measured(
     assert [step.name for step in read_state(tmp_path / "day").done] == ["inputs", "swings", "learning"]
 
 
-def test_without_a_learned_swing_the_command_does_not_exit_with_0(
+def test_commission_failed_learning_exits_with_1_and_resumes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nobody's script takes a measured robot for one that swings; its swing is repeated when resumed."""
@@ -364,7 +368,7 @@ def test_without_a_learned_swing_the_command_does_not_exit_with_0(
         ('[driver]\nname = "mock"\n', [], "neither a program nor a terminal"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(
+def test_commission_conflicting_options_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], configured: str, options: list[str], location: str
 ) -> None:
     file = tmp_path / "bench.toml"
@@ -392,7 +396,9 @@ class _Quick:
 
 @pytest.mark.live
 @pytest.mark.timeout(300)
-def test_without_sim_the_robot_of_the_driver_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commission_without_sim_moves_robot_of_driver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     swinging = _Swinging("swings")
     monkeypatch.setattr("bench.commissioning.commissioning.STEPS", (_Quick(),))
     monkeypatch.setattr("bench.commissioning.commissioning.SWINGING_STEPS", (swinging,))
@@ -409,7 +415,7 @@ def test_without_sim_the_robot_of_the_driver_moves(tmp_path: Path, monkeypatch: 
 
 @pytest.mark.release
 @pytest.mark.timeout(1800)
-def test_a_robot_of_the_range_learns_its_swing(tmp_path: Path, configuration: Configuration) -> None:
+def test_commission_drawn_robot_learns_planned_delivery(tmp_path: Path, configuration: Configuration) -> None:
     truth = drawn_robot(31, configuration.plant)
     file = tmp_path / "truth.toml"
     file.write_text(drawn_robot_file(truth, configuration))

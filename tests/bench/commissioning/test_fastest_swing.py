@@ -14,7 +14,9 @@ from bench.design.designer import DesignFailed, SwingDemand
 
 
 @pytest.mark.parametrize("works_from", [0.85, 1.1, 9.0])
-def test_a_slower_backswing_is_tried(monkeypatch: pytest.MonkeyPatch, works_from: float) -> None:
+def test_design_at_failed_design_tries_slower_backswing(
+    monkeypatch: pytest.MonkeyPatch, works_from: float
+) -> None:
     tried = list[float]()
 
     def design(_: Any, demand: SwingDemand, name: str, **given: Any) -> SimpleNamespace:

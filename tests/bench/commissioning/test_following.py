@@ -21,7 +21,9 @@ compiled_only = pytest.mark.skipif(
 
 
 @compiled_only
-def test_the_shipped_robot_keeps_its_limits(configuration: Configuration, default: Profile) -> None:
+def test_with_following_limits_shipped_robot_keeps_limits(
+    configuration: Configuration, default: Profile
+) -> None:
     assert with_following_limits(configuration, default).envelope.max_following_error == {
         phase: pytest.approx(limits) for phase, limits in configuration.envelope.max_following_error.items()
     }
@@ -29,7 +31,7 @@ def test_the_shipped_robot_keeps_its_limits(configuration: Configuration, defaul
 
 @pytest.mark.release
 @compiled_only
-def test_a_robot_that_lags_gets_room_and_is_not_stopped(
+def test_with_following_limits_lagging_robot_widens_limits(
     configuration: Configuration, default: Profile
 ) -> None:
     plant = Variation(flow=(0.5, 0.5, 0.5)).applied_to(configuration.plant)

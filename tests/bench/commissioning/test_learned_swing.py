@@ -47,7 +47,7 @@ class TouchedBall(SimulatedRobot):
         return made
 
 
-def test_a_mark_is_read_to_half_a_millimetre() -> None:
+def test_read_mark_rounds_to_half_millimetre() -> None:
     made = Delivery((40.0, 1.0, 0.0), 0.0, 0.2, strike_x=0.00138, strike_y=-0.0029)
     assert read_mark(made) == (1.5, -3.0)
     assert read_mark(None) is None
@@ -56,9 +56,7 @@ def test_a_mark_is_read_to_half_a_millimetre() -> None:
 @compiled_only
 @pytest.mark.release
 @pytest.mark.timeout(600)
-def test_marks_find_what_unmeasured_lengths_do_to_the_strike(
-    tmp_path: Path, configuration: Configuration
-) -> None:
+def test_learned_swing_face_marks_correct_length_error(tmp_path: Path, configuration: Configuration) -> None:
     robot = configuration.plant.robot
     longer = replace(configuration.plant, robot=replace(robot, l12=robot.l12 + 0.008))
     profile = load_profile(find_profile("default"))

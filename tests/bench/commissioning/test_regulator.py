@@ -11,7 +11,7 @@ import pytest
 from bench.commissioning.machine.inputs import RegulatorNotTurned, by_person, by_program, turned_once
 
 
-def test_a_person_is_told_gauge_and_absolute_pressure() -> None:
+def test_by_person_prompts_gauge_and_absolute_pressure() -> None:
     asked: list[str] = []
     turn = by_person(asked.append, service=8.0e5, atmosphere=1.0e5)
     turn(1.3e5)
@@ -22,7 +22,7 @@ def test_a_person_is_told_gauge_and_absolute_pressure() -> None:
     ]
 
 
-def test_the_same_pressure_is_not_asked_for_twice() -> None:
+def test_turned_once_same_pressure_is_requested_once() -> None:
     asked: list[float] = []
     turn = turned_once(asked.append)
     for pressure in (3e5, 3e5, 4.5e5, math.inf, math.inf, 3e5):
@@ -30,7 +30,7 @@ def test_the_same_pressure_is_not_asked_for_twice() -> None:
     assert asked == [3e5, 4.5e5, math.inf, 3e5]
 
 
-def test_a_regulator_that_was_not_turned_is_asked_for_again() -> None:
+def test_turned_once_failed_turn_is_requested_again() -> None:
     asked: list[float] = []
 
     def fail(pressure: float) -> None:
@@ -44,7 +44,7 @@ def test_a_regulator_that_was_not_turned_is_asked_for_again() -> None:
     assert asked == [3e5, 3e5]
 
 
-def test_a_program_gets_the_pressure_in_bar(tmp_path: Path) -> None:
+def test_by_program_passes_pressure_in_bar(tmp_path: Path) -> None:
     noted = tmp_path / "noted"
     program = tmp_path / "turn.py"
     program.write_text(f"import sys\nopen({str(noted)!r}, 'a').write(' '.join(sys.argv[1:]) + '\\n')\n")
@@ -54,7 +54,7 @@ def test_a_program_gets_the_pressure_in_bar(tmp_path: Path) -> None:
     assert noted.read_text().splitlines() == ["--channel 2 1.300", "--channel 2 service"]
 
 
-def test_a_program_that_fails_or_is_missing_is_said(tmp_path: Path) -> None:
+def test_by_program_failed_or_missing_program_raises(tmp_path: Path) -> None:
     program = tmp_path / "turn.py"
     program.write_text("import sys\nsys.exit('no answer from the regulator')\n")
     with pytest.raises(RegulatorNotTurned, match=r"1\.300(?s:.)*no answer from the regulator(?s:.)*--resume"):

@@ -49,7 +49,7 @@ def faults(path: Path) -> list[BenchError]:
     return [fault for fault in raised.value.exceptions if isinstance(fault, BenchError)]
 
 
-def test_a_club_brings_its_site(bag: Configuration) -> None:
+def test_plant_with_club_uses_site_of_club(bag: Configuration) -> None:
     plant = bag.plant_with(club="iron7")
     assert plant.robot.club == bag.clubs["iron7"]
     assert plant.robot.lie == pytest.approx(radians(62.0))
@@ -59,21 +59,21 @@ def test_a_club_brings_its_site(bag: Configuration) -> None:
     assert build_plant(plant).plant["lie"][0] == plant.robot.lie
 
 
-def test_the_way_back_leads_to_the_common_site(bag: Configuration, shipped: Configuration) -> None:
+def test_plant_with_club_without_site_uses_common_site(bag: Configuration, shipped: Configuration) -> None:
     assert bag.plant == shipped.plant
     ironed = replace(bag, plant=bag.plant_with(club="iron7"))
     assert ironed.plant_with(club="driver") == shipped.plant
     assert shipped.plant_with(club="iron7").site == shipped.plant.site
 
 
-def test_the_club_of_the_swing_stands_on_its_site(overlay: Overlay) -> None:
+def test_configuration_swing_club_uses_site_of_club(overlay: Overlay) -> None:
     found = load_configuration(overlay(IRON7 + '[swing]\nclub = "iron7"'))
     assert found.plant.robot.lie == pytest.approx(radians(62.5))
     assert found.plant.site.ball_y == -1.3956
 
 
 @pytest.mark.parametrize("name", BAG)
-def test_clubs_of_the_bag_meet_their_balls_level(name: str, bag: Configuration) -> None:
+def test_bag_clubs_meet_ball_with_level_face(name: str, bag: Configuration) -> None:
     plant = bag.plant_with(club=name)
     site, club = plant.site, plant.robot.club
     n, _, toe = face_axes(1.5 * pi, impact_parameters(club, plant.ball, plant.robot.lie))
@@ -86,7 +86,7 @@ def test_clubs_of_the_bag_meet_their_balls_level(name: str, bag: Configuration) 
     assert (site.surface, site.divot > 0.0) == (("none", False) if name == "wood1" else ("turf", True))
 
 
-def test_the_bag_goes_from_long_and_light_to_short_and_heavy(bag: Configuration) -> None:
+def test_bag_clubs_run_from_long_light_to_short_heavy(bag: Configuration) -> None:
     clubs = [bag.clubs[name] for name in BAG]
     for longer, shorter in pairwise(clubs):
         assert longer.length_to_face > shorter.length_to_face
@@ -121,7 +121,7 @@ def test_the_bag_goes_from_long_and_light_to_short_and_heavy(bag: Configuration)
         ),
     ],
 )
-def test_a_site_that_cannot_be_is_refused(
+def test_configuration_invalid_site_is_refused(
     change: tuple[str, str], key: str, found: str, wanted: str, overlay: Overlay
 ) -> None:
     text = IRON7.replace(*change)
@@ -131,14 +131,14 @@ def test_a_site_that_cannot_be_is_refused(
     assert wanted in fault.expected
 
 
-def test_a_divot_needs_a_surface(overlay: Overlay) -> None:
+def test_configuration_divot_without_surface_is_refused(overlay: Overlay) -> None:
     (fault,) = faults(overlay(IRON7 + "divot = 0.012\n"))
     assert fault.location.endswith("sites.iron7.divot")
     assert "0.012 m into a bare floor" in fault.found
     assert load_configuration(overlay(IRON7 + 'divot = 0.012\nsurface = "mat"\n')).plant.site.divot == 0.0
 
 
-def test_a_site_must_be_complete(overlay: Overlay) -> None:
+def test_configuration_incomplete_site_is_refused(overlay: Overlay) -> None:
     (fault,) = faults(overlay(IRON7.replace("ball_x = 0.14\n", "")))
     assert fault.location.endswith("sites.iron7.ball_x")
     assert fault.found == "nothing"

@@ -69,7 +69,7 @@ def setting(keys: tuple[str, ...], value: str) -> str:
 # The shipped files -----------------------------------------------------------------------------------
 
 
-def test_the_printed_configuration_is_complete_and_the_same(default: Configuration, tmp_path: Path) -> None:
+def test_configuration_text_loads_as_same_configuration(default: Configuration, tmp_path: Path) -> None:
     (tmp_path / "printed.toml").write_text(TEXT, encoding="utf-8")
     printed = load_configuration(tmp_path / "printed.toml")
     assert replace(printed, files=default.files).effective() == default.effective()
@@ -77,14 +77,14 @@ def test_the_printed_configuration_is_complete_and_the_same(default: Configurati
     assert len(LEAVES) > 380
 
 
-def test_config_toml_gives_only_what_has_no_default(default: Configuration) -> None:
+def test_shipped_config_toml_repeats_no_default(default: Configuration) -> None:
     given = tomllib.loads(shipped_configuration().read_text(encoding="utf-8"))
     assert given.pop("base") == "defaults"
     defaults = {keys for keys, _ in leaves(default_tables())}
     assert [keys for keys, _ in leaves(given) if keys in defaults] == []
 
 
-def test_every_key_of_the_printed_configuration_has_a_comment() -> None:
+def test_configuration_text_each_key_has_comment() -> None:
     above, bare = "", []
     for line in TEXT.splitlines():
         of_phases = any(f"{name} = [" in line for name in MODEL_ROWS)
@@ -94,7 +94,7 @@ def test_every_key_of_the_printed_configuration_has_a_comment() -> None:
     assert bare == []
 
 
-def test_the_printed_configuration_has_people_units_bounds_and_origins() -> None:
+def test_configuration_text_shows_units_bounds_and_origins() -> None:
     for text in (
         "natural_frequency_hz = 100.0",
         "loft_deg = 15.0",
@@ -105,20 +105,20 @@ def test_the_printed_configuration_has_people_units_bounds_and_origins() -> None
         assert text in " ".join(TEXT.replace("\n# ", " ").split())
 
 
-def test_the_demo_balls_differ_by_one_to_two_per_cent_of_restitution(default: Configuration) -> None:
+def test_shipped_balls_differ_by_1_to_2_percent_restitution(default: Configuration) -> None:
     tour, other = default.balls["tour"], default.balls["range"]
     assert 0.01 <= 1 - other.restitution_factor / tour.restitution_factor <= 0.02
     assert other.mass == tour.mass
 
 
 @pytest.mark.parametrize("path", sorted(VARIANTS.glob("*.toml")), ids=lambda path: path.stem)
-def test_variants_hold_and_are_found_by_name(path: Path, default: Configuration) -> None:
+def test_variants_load_by_name(path: Path, default: Configuration) -> None:
     variant = load_configuration(Path(path.stem))
     assert variant != default
     assert [file.name for file in variant.files] == ["config.toml", path.name]
 
 
-def test_what_the_variants_change() -> None:
+def test_variants_change_documented_values() -> None:
     small = load_configuration(Path("small_plant")).plant
     assert (small.shoulder.area_a, small.wrist.area_a, small.wrist_lever) == (3e-4, 12.57e-4, 0.05)
     assert {a.valve.conductance for a in small.actuators} == {5.4e-8}
@@ -127,7 +127,7 @@ def test_what_the_variants_change() -> None:
     assert (wrist.lower, wrist.upper) == pytest.approx((2 * pi - radians(80), 2 * pi + radians(80)))
 
 
-def test_without_a_name_the_working_directory_comes_first(
+def test_find_configuration_without_name_prefers_working_directory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -136,7 +136,7 @@ def test_without_a_name_the_working_directory_comes_first(
     assert load_configuration().bench.id == "here"
 
 
-def test_the_effective_configuration_is_plain_data(default: Configuration) -> None:
+def test_effective_configuration_is_plain_data(default: Configuration) -> None:
     effective = default.effective()
     assert effective["plant"]["wrist"]["stop"]["energy"] == 90.0
     assert effective["plant"]["wrist"]["stop"]["rated"] == 120.0
@@ -146,31 +146,31 @@ def test_the_effective_configuration_is_plain_data(default: Configuration) -> No
 # Overlays --------------------------------------------------------------------------------------------
 
 
-def test_an_overlay_changes_only_its_keys(overlay: Overlay, default: Configuration) -> None:
+def test_overlay_changes_only_given_keys(overlay: Overlay, default: Configuration) -> None:
     found = load_configuration(overlay("[plant.wrist.stop]\ntravel = 0.16"))
     wanted = replace(default.plant.wrist, stop=replace(default.plant.wrist.stop, travel=0.16))
     assert found == replace(default, plant=replace(default.plant, wrist=wanted))
 
 
-def test_degrees_hertz_and_si_give_the_same(overlay: Overlay) -> None:
+def test_overlay_degrees_and_hertz_equal_si_values(overlay: Overlay) -> None:
     degrees = load_configuration(overlay("[plant.shoulder]\nlower_deg = -90\n[loop]\nrate_hz = 2000"))
     plain = load_configuration(overlay(f"[plant.shoulder]\nlower = {radians(-90)!r}\n[loop]\nrate = 2000"))
     assert degrees == plain
     assert degrees.plant.tick == 0.0005
 
 
-def test_an_overlay_in_si_replaces_a_base_in_degrees(overlay: Overlay) -> None:
+def test_overlay_si_value_replaces_base_in_degrees(overlay: Overlay) -> None:
     assert load_configuration(overlay("[clubs.driver]\nloft = 0.2")).plant.robot.club.loft == 0.2
 
 
-def test_overlays_lie_over_overlays(overlay: Overlay, tmp_path: Path) -> None:
+def test_overlay_of_overlay_overrides_values(overlay: Overlay, tmp_path: Path) -> None:
     overlay('[swing]\nball = "range"\n[bench]\nid = "one"')
     (tmp_path / "top.toml").write_text('base = "mine.toml"\n[bench]\nid = "two"\n')
     found = load_configuration(tmp_path / "top.toml")
     assert (found.bench.id, found.plant.ball.name) == ("two", "range")
 
 
-def test_a_new_ball_and_club_are_like_others(overlay: Overlay) -> None:
+def test_overlay_like_copies_ball_and_club(overlay: Overlay) -> None:
     ball = '[balls.soft]\nlike = "tour"\nrestitution_factor = 0.97\n'
     club = '[clubs.short]\nlike = "driver"\nloft_deg = 12\n'
     found = load_configuration(overlay(ball + club + '[swing]\nball = "soft"\nclub = "short"'))
@@ -181,7 +181,7 @@ def test_a_new_ball_and_club_are_like_others(overlay: Overlay) -> None:
         found.plant_with(ball="hard")
 
 
-def test_a_file_without_base_must_be_complete(tmp_path: Path) -> None:
+def test_configuration_without_base_missing_key_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "bare.toml"
     path.write_text(TEXT.replace("pressure = 800000.0", ""))
     (fault,) = faults(path)
@@ -190,7 +190,7 @@ def test_a_file_without_base_must_be_complete(tmp_path: Path) -> None:
     assert 'base = "shipped"' in fault.action
 
 
-def test_a_new_ball_without_like_must_be_complete(overlay: Overlay) -> None:
+def test_overlay_ball_without_like_missing_keys_are_refused(overlay: Overlay) -> None:
     found = faults(overlay("[balls.soft]\nmass = 0.045"))
     assert len(found) == 6
     assert {fault.found for fault in found} == {"nothing"}
@@ -205,14 +205,14 @@ def test_a_new_ball_without_like_must_be_complete(overlay: Overlay) -> None:
         ('base = "loop.toml"', '"loop.toml"'),
     ],
 )
-def test_a_bad_base_is_refused(text: str, found: str, tmp_path: Path) -> None:
+def test_configuration_invalid_base_is_refused(text: str, found: str, tmp_path: Path) -> None:
     (tmp_path / "loop.toml").write_text(text)
     (fault,) = faults(tmp_path / "loop.toml")
     assert fault.location.endswith("loop.toml: base")
     assert fault.found == found
 
 
-def test_a_variant_is_a_base_by_name(tmp_path: Path) -> None:
+def test_configuration_base_accepts_variant_name(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('base = "small_plant"\n[bench]\nid = "here"\n')
     found = load_configuration(path)
@@ -246,11 +246,11 @@ def check_each(overlay: Overlay, bad: Callable[[tuple[str, ...], Any], str | Non
     assert wrong.keys() - named == set()
 
 
-def test_every_key_refuses_a_wrong_type(overlay: Overlay) -> None:
+def test_configuration_each_key_wrong_type_is_refused(overlay: Overlay) -> None:
     check_each(overlay, lambda _, value: "{ a = 1 }" if isinstance(value, str) else '"text"')
 
 
-def test_every_number_refuses_nan(overlay: Overlay) -> None:
+def test_configuration_each_number_nan_is_refused(overlay: Overlay) -> None:
     def bad(_: tuple[str, ...], value: Any) -> str | None:
         if isinstance(value, list):
             return str([*value[:-1], "NaN"]).replace("'NaN'", "nan")
@@ -260,7 +260,7 @@ def test_every_number_refuses_nan(overlay: Overlay) -> None:
 
 
 @pytest.mark.parametrize("other", ["inf", "-inf", "true"])
-def test_every_number_refuses_infinity_and_true(other: str, overlay: Overlay) -> None:
+def test_configuration_each_number_infinity_or_true_is_refused(other: str, overlay: Overlay) -> None:
     def bad(_: tuple[str, ...], value: Any) -> str | None:
         if isinstance(value, bool | str):
             return None
@@ -270,14 +270,14 @@ def test_every_number_refuses_infinity_and_true(other: str, overlay: Overlay) ->
 
 
 @pytest.mark.parametrize("value", ["-1e30", "1e30"])
-def test_every_physical_value_has_a_range(value: str, overlay: Overlay) -> None:
+def test_configuration_each_physical_value_out_of_range_is_refused(value: str, overlay: Overlay) -> None:
     settings_of_control = {"control", "lifecycle", "homing", "estimator", "envelope"}
     physical = [k for k, v in LEAVES if isinstance(v, float) and k[0] not in settings_of_control]
     assert len(physical) > 100
     check_each(overlay, lambda keys, _: value if keys in physical else None)
 
 
-def test_no_setting_of_control_is_negative(overlay: Overlay) -> None:
+def test_configuration_negative_control_setting_is_refused(overlay: Overlay) -> None:
     for keys, value in LEAVES:
         if keys[0] in {"control", "lifecycle", "homing", "estimator", "envelope"} and isinstance(
             value, float
@@ -286,7 +286,7 @@ def test_no_setting_of_control_is_negative(overlay: Overlay) -> None:
             assert fault.location.endswith(".".join(keys))
 
 
-def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
+def test_configuration_misspelt_key_suggests_correct_key(overlay: Overlay) -> None:
     for keys in [keys for keys, _ in LEAVES if not {"max_following_error", "model", "like"} & {*keys}][::7]:
         text = setting((*keys[:-1], keys[-1] + "x"), "1.0")
         (fault,) = faults(overlay(text))
@@ -401,7 +401,7 @@ def test_every_key_can_be_misspelt(overlay: Overlay) -> None:
         ("[plant.wrist]\npressure_rating = 5e5", "plant.wrist.pressure_rating", "500000", "800000 Pa"),
     ],
 )
-def test_each_mistake_names_place_found_and_expected(
+def test_configuration_error_names_location_found_and_expected(
     text: str, location: str, found: str, expected: str, overlay: Overlay
 ) -> None:
     path = overlay(text)
@@ -415,7 +415,7 @@ def test_each_mistake_names_place_found_and_expected(
 @pytest.mark.parametrize(
     "text", ["damping = [0.0, 0.0, 0.0]", "move_gain = [0.1, 0.1, 0.1]", "pid.integral = [0.5, 0.8, 0.3]"]
 )
-def test_a_gain_set_by_hand_beside_those_of_the_machine_is_refused(text: str, overlay: Overlay) -> None:
+def test_configuration_hand_gain_with_machine_gains_is_refused(text: str, overlay: Overlay) -> None:
     key = text.partition(" ")[0]
     (fault,) = faults(overlay(f'[control]\ngains = "machine"\n{text}'))
     assert fault.location.endswith(f"control.{key}")
@@ -423,7 +423,7 @@ def test_a_gain_set_by_hand_beside_those_of_the_machine_is_refused(text: str, ov
     assert faults(overlay(f'[control]\ngains = "hand"\n{text}')) == []
 
 
-def test_gains_of_the_machine_may_lie_over_those_set_by_hand(overlay: Overlay, tmp_path: Path) -> None:
+def test_overlay_machine_gains_replace_hand_gains_of_base(overlay: Overlay, tmp_path: Path) -> None:
     overlay('[control]\ngains = "hand"\ndamping = [0.0, 0.0, 0.0]')
     over = tmp_path / "over.toml"
     over.write_text('base = "mine.toml"\n[control]\ngains = "machine"\n')
@@ -433,7 +433,7 @@ def test_gains_of_the_machine_may_lie_over_those_set_by_hand(overlay: Overlay, t
     assert fault.location == f"{over}: control.move_gain"
 
 
-def test_all_mistakes_come_at_once_each_with_its_file(overlay: Overlay, tmp_path: Path) -> None:
+def test_configuration_errors_of_all_files_are_reported_together(overlay: Overlay, tmp_path: Path) -> None:
     lower = overlay("[air]\nhumidity = 0.5\n[loop]\nrate_hz = 5")
     upper = tmp_path / "upper.toml"
     upper.write_text('base = "mine.toml"\n[turf]\nfriction = -1.0\n')
@@ -458,7 +458,7 @@ def test_all_mistakes_come_at_once_each_with_its_file(overlay: Overlay, tmp_path
         (b"a = " + 9999 * b"[", "nested too deep"),
     ],
 )
-def test_what_is_no_toml_is_told_with_its_line(content: bytes, found: str, tmp_path: Path) -> None:
+def test_configuration_invalid_toml_reports_location(content: bytes, found: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     (fault,) = faults(path)
@@ -466,13 +466,13 @@ def test_what_is_no_toml_is_told_with_its_line(content: bytes, found: str, tmp_p
     assert found in fault.found
 
 
-def test_configuration_with_a_byte_order_mark_is_read(tmp_path: Path, default: Configuration) -> None:
+def test_configuration_with_byte_order_mark_loads(tmp_path: Path, default: Configuration) -> None:
     path = tmp_path / "notepad.toml"
     path.write_bytes(b'\xef\xbb\xbfbase = "shipped"\r\n')
     assert load_configuration(path) == default
 
 
-def test_configuration_is_read_without_a_working_directory(
+def test_configuration_without_working_directory_loads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, default: Configuration
 ) -> None:
     gone = tmp_path / "gone"
@@ -482,14 +482,14 @@ def test_configuration_is_read_without_a_working_directory(
     assert load_configuration() == default
 
 
-def test_a_missing_file_names_the_variants(tmp_path: Path) -> None:
+def test_configuration_missing_file_lists_variants(tmp_path: Path) -> None:
     (fault,) = faults(tmp_path / "none.toml")
     assert fault.found == "no such file"
     for variant in ("shipped", "small_plant", "swing_through_wrist"):
         assert variant in fault.expected
 
 
-def test_a_folder_is_no_configuration(tmp_path: Path) -> None:
+def test_configuration_folder_is_refused(tmp_path: Path) -> None:
     (fault,) = faults(tmp_path)
     assert fault.found == "Is a directory"
 
@@ -505,7 +505,7 @@ VALUES = st.one_of(
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(leaf=st.sampled_from(LEAVES), value=VALUES)
-def test_any_value_is_taken_or_refused_in_words(
+def test_configuration_any_value_loads_or_raises_bench_error(
     leaf: tuple[tuple[str, ...], Any], value: str, overlay: Overlay
 ) -> None:
     path = overlay(setting(leaf[0], value))
@@ -532,11 +532,11 @@ def test_any_value_is_taken_or_refused_in_words(
         ("[envelope.model.air]\nswing = [1.0, 1.0, 1.0]", "envelope.model.air.swing"),
     ],
 )
-def test_faults_that_cannot_be_are_refused(overlay: Overlay, text: str, location: str) -> None:
+def test_configuration_invalid_fault_is_refused(overlay: Overlay, text: str, location: str) -> None:
     assert any(location in fault.location for fault in faults(overlay(text)))
 
 
-def test_a_phase_is_nothing_to_a_plant_on_its_own_clock(overlay: Overlay) -> None:
+def test_unheard_phases_plant_with_separate_clock_reports_fault_phase(overlay: Overlay) -> None:
     text = '[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"\n[driver]\nname = "canopen"\n'
     configuration = load_configuration(overlay(text + '[canopen]\ninterface = "local_socket"'))
     (fault,) = unheard_phases(configuration)
@@ -545,7 +545,7 @@ def test_a_phase_is_nothing_to_a_plant_on_its_own_clock(overlay: Overlay) -> Non
     assert not unheard_phases(configuration.with_driver(replace(configuration.driver, name="sim")))
 
 
-def test_a_fault_gives_only_what_it_needs(overlay: Overlay) -> None:
+def test_configuration_fault_omitted_keys_use_defaults(overlay: Overlay) -> None:
     text = '[faults.a]\nsignal = "tee"\nkind = "off"\nphase = "top"'
     configuration = load_configuration(overlay(text))
     assert not unheard_phases(configuration)
@@ -553,7 +553,7 @@ def test_a_fault_gives_only_what_it_needs(overlay: Overlay) -> None:
     assert (fault.name, fault.signal, fault.phase, fault.duration) == ("a", "tee", "top", 0.0)
 
 
-def test_a_lower_supply_is_one_key(overlay: Overlay) -> None:
+def test_build_controller_lower_supply_lowers_supply_limit(overlay: Overlay) -> None:
     """The relief valve opens lower with it, and the limit of the supply follows."""
     c = load_configuration(overlay("[plant.supply]\npressure = 7.2e5"))
     profile = load_profile(find_profile("default"))
@@ -561,7 +561,7 @@ def test_a_lower_supply_is_one_key(overlay: Overlay) -> None:
     assert record["max_supply_pressure"] == c.plant.supply.manifold_relief_pressure == pytest.approx(7.92e5)
 
 
-def test_the_models_limits_are_the_simulated_plants(overlay: Overlay) -> None:
+def test_model_check_simulated_is_off_with_other_driver(overlay: Overlay) -> None:
     simulated = '[envelope.model]\ncheck = "simulated"'
     assert load_configuration(overlay(simulated)).envelope.model.check == "simulated"
     mock = f'[driver]\nname = "mock"\n{simulated}'

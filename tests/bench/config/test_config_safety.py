@@ -56,7 +56,9 @@ def with_value(c: Configuration, bound: Bound, number: float) -> Configuration:
     return replace(c, **{name: replace(section, **{key: changed})})
 
 
-def test_what_is_shipped_holds(simulated: Configuration, real: Configuration) -> None:
+def test_check_safety_shipped_configuration_is_accepted(
+    simulated: Configuration, real: Configuration
+) -> None:
     assert not simulated.is_machine
     assert real.is_machine
     assert mistakes(simulated) == mistakes(real) == {}
@@ -64,7 +66,7 @@ def test_what_is_shipped_holds(simulated: Configuration, real: Configuration) ->
 
 @each_bound
 @pytest.mark.parametrize("kind", ["simulated", "real"])
-def test_each_bound_is_kept_at_both_ends(
+def test_check_safety_value_beyond_bound_is_refused(
     bound: Bound, kind: str, simulated: Configuration, real: Configuration
 ) -> None:
     c = simulated if kind == "simulated" else real
@@ -77,7 +79,7 @@ def test_each_bound_is_kept_at_both_ends(
 
 
 @each_bound
-def test_a_real_robot_is_bounded_at_least_as_tightly(bound: Bound) -> None:
+def test_safety_bounds_real_are_tighter_than_simulated(bound: Bound) -> None:
     assert bound.simulated[0] <= bound.real[0] < bound.real[1] <= bound.simulated[1]
     assert bound.real != bound.simulated
     assert bound.real[1] < inf
@@ -93,14 +95,14 @@ def test_a_real_robot_is_bounded_at_least_as_tightly(bound: Bound) -> None:
         ("control.address_tolerance", 3.0),
     ],
 )
-def test_values_that_make_no_sense_are_refused_in_simulation_too(
+def test_check_safety_simulated_absurd_value_is_refused(
     name: str, value: float, simulated: Configuration
 ) -> None:
     bound = next(bound for bound in BOUNDS if bound.key == name)
     assert set(mistakes(with_value(simulated, bound, value))) == {name}
 
 
-def test_a_real_robot_has_its_button_and_its_warning(real: Configuration) -> None:
+def test_check_safety_real_requires_local_reset_and_warning_time(real: Configuration) -> None:
     lifecycle = replace(real.lifecycle, local_reset=False, warning_time=0.0)
     found = mistakes(replace(real, lifecycle=lifecycle))
     assert set(found) == {"lifecycle.local_reset", "lifecycle.warning_time"}
@@ -122,7 +124,7 @@ SENSORS = ("ai1", "ai2", "ai3", "ai4", "ai5", "ai6")
         ({"vent_proof": "pressure switches PS1 to PS7 in the guard circuit"}, set()),
     ],
 )
-def test_the_card_proves_the_vent_or_names_what_does(
+def test_check_safety_daq_requires_pressures_or_vent_proof(
     real: Configuration, fitted: dict[str, Any], missing: set[str]
 ) -> None:
     found = mistakes(replace(real, daq=replace(real.daq, **{"vent_proof": ""} | fitted)))
@@ -141,7 +143,7 @@ def test_the_card_proves_the_vent_or_names_what_does(
         ({}, (-1, -1), set()),
     ],
 )
-def test_the_node_proves_the_vent_or_names_what_does(
+def test_check_safety_canopen_requires_pressures_or_vent_proof(
     simulated: Configuration, node: dict[str, Any], vents: tuple[int, int], missing: set[str]
 ) -> None:
     lifecycle = replace(simulated.lifecycle, local_reset=True)
@@ -155,9 +157,7 @@ def test_the_node_proves_the_vent_or_names_what_does(
     assert found == {f"canopen.valve_node.{key}" for key in missing}
 
 
-def test_a_real_robot_shows_where_its_shut_off_valve_is(
-    simulated: Configuration, real: Configuration
-) -> None:
+def test_check_safety_real_requires_shut_off_feedback(simulated: Configuration, real: Configuration) -> None:
     without = replace(real, daq=replace(real.daq, shut_off_feedback=""))
     assert set(mistakes(without)) == {"daq.shut_off_feedback"}
     lifecycle = replace(simulated.lifecycle, local_reset=True)
@@ -175,7 +175,7 @@ def test_a_real_robot_shows_where_its_shut_off_valve_is(
 
 
 @pytest.mark.parametrize("interface", ["local_socket", "socketcan"])
-def test_nodes_of_this_machine_are_no_real_robot(interface: str, simulated: Configuration) -> None:
+def test_check_safety_local_socket_counts_as_simulated(interface: str, simulated: Configuration) -> None:
     c = replace(
         simulated,
         driver=replace(simulated.driver, name="canopen"),
@@ -185,7 +185,7 @@ def test_nodes_of_this_machine_are_no_real_robot(interface: str, simulated: Conf
 
 
 @pytest.mark.parametrize("realtime", ["off", "prefer", "require"])
-def test_the_loop_of_a_real_robot_is_not_delayed(
+def test_check_safety_real_requires_realtime(
     realtime: Any, simulated: Configuration, real: Configuration
 ) -> None:
     for c, wrong in ((simulated, False), (real, realtime != "require")):
@@ -193,6 +193,6 @@ def test_the_loop_of_a_real_robot_is_not_delayed(
         assert ("loop.realtime" in mistakes(changed)) is wrong
 
 
-def test_a_real_robot_is_homed_at_its_stops(simulated: Configuration, real: Configuration) -> None:
+def test_check_safety_real_requires_homing_at_stops(simulated: Configuration, real: Configuration) -> None:
     for c, wrong in ((simulated, []), (real, ["homing.stops"])):
         assert list(mistakes(replace(c, homing=replace(c.homing, stops=False)))) == wrong

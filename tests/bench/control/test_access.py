@@ -36,7 +36,7 @@ def stick_open(puppet: Puppet, pressure: float = SUPPLY) -> None:
     puppet.give(supply_pressure=pressure, chamber_pressure=(ATMOSPHERE,) * 6)
 
 
-def test_a_bench_that_is_started_beside_a_hanging_arm_waits_until_it_has_sunk() -> None:
+def test_access_after_power_up_waits_for_access_delay() -> None:
     """Who restarted it a second after a stop may find the last air, and friction, still holding an arm."""
     puppet = at_power_up(rest_time_vented=0.05, access_delay=0.5)
     puppet.control["is_warmed_up"] = True
@@ -48,7 +48,7 @@ def test_a_bench_that_is_started_beside_a_hanging_arm_waits_until_it_has_sunk() 
 
 
 @each_source
-def test_the_guard_is_not_released_before_a_full_manifold(source: State) -> None:
+def test_access_full_manifold_keeps_guard_locked(source: State) -> None:
     puppet = reach(source)
     stick_open(puppet)
     puppet.run(5)
@@ -61,7 +61,7 @@ def test_the_guard_is_not_released_before_a_full_manifold(source: State) -> None
 
 
 @pytest.mark.parametrize("pressure", [HOLDING + 1.0, EMPTY_AT + 1.0, SUPPLY, inf])
-def test_any_pressure_in_the_manifold_counts(pressure: float) -> None:
+def test_access_manifold_above_holding_pressure_refused(pressure: float) -> None:
     puppet = reach(State.READY, vent_timeout=5.0)
     stick_open(puppet, pressure)
     puppet.tick()
@@ -70,7 +70,7 @@ def test_any_pressure_in_the_manifold_counts(pressure: float) -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_after_a_swing_access_waits_for_the_manifold() -> None:
+def test_access_after_disarm_waits_for_manifold() -> None:
     puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05)
     stick_open(puppet)
     puppet.tick(Request.DISARM)
@@ -85,14 +85,14 @@ def test_after_a_swing_access_waits_for_the_manifold() -> None:
 
 
 @pytest.mark.parametrize("source", [State.SAFE, State.READY], ids=lambda state: state.name)
-def test_a_manifold_that_does_not_empty_is_a_fault_of_its_own(source: State) -> None:
+def test_manifold_keeping_pressure_latches_fault(source: State) -> None:
     puppet = reach(source)
     stick_open(puppet)
     puppet.run(30)
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.MANIFOLD)
 
 
-def test_a_manifold_that_fills_while_somebody_is_inside_is_named() -> None:
+def test_manifold_filling_in_access_latches_fault() -> None:
     puppet = reach(State.ACCESS)
     puppet.run(5)
     puppet.give(supply_pressure=SUPPLY).tick()
@@ -101,7 +101,7 @@ def test_a_manifold_that_fills_while_somebody_is_inside_is_named() -> None:
 
 @pytest.mark.parametrize("source", LATCHED, ids=lambda state: state.name)
 @pytest.mark.parametrize("cause", [Cause.NOT_VENTED, Cause.MANIFOLD], ids=lambda cause: cause.name)
-def test_trapped_pressure_is_named_in_a_latched_state(source: State, cause: Cause) -> None:
+def test_trapped_pressure_in_latched_state_replaces_cause(source: State, cause: Cause) -> None:
     puppet = reach(source)
     assert puppet.cause not in (Cause.NOT_VENTED, Cause.MANIFOLD)
     if cause is Cause.MANIFOLD:
@@ -114,7 +114,7 @@ def test_trapped_pressure_is_named_in_a_latched_state(source: State, cause: Caus
     assert (puppet.bench, puppet.cause) == (source, cause)
 
 
-def test_trapped_pressure_is_named_while_the_emergency_stop_is_pressed() -> None:
+def test_trapped_pressure_during_emergency_stop_reports_manifold() -> None:
     puppet = reach(State.ESTOP)
     puppet.give(emergency_stop_clear=False)
     stick_open(puppet)
@@ -122,14 +122,14 @@ def test_trapped_pressure_is_named_while_the_emergency_stop_is_pressed() -> None
     assert (puppet.bench, puppet.cause) == (State.ESTOP, Cause.MANIFOLD)
 
 
-def test_an_emergency_stays_one_when_trapped_pressure_is_named() -> None:
+def test_trapped_pressure_keeps_emergency() -> None:
     puppet = reach(State.ESTOP)
     stick_open(puppet)
     puppet.run(40)
     assert puppet.control["emergency"]
 
 
-def test_a_manifold_without_a_sensor_is_judged_by_time() -> None:
+def test_access_manifold_without_sensor_waits_for_vent_timeout() -> None:
     puppet = reach(State.ARMED, vent_timeout=0.3)
     puppet.give(supply_pressure=nan)
     puppet.control["sensors"]["seen"] = 0  # it never was there
@@ -140,13 +140,13 @@ def test_a_manifold_without_a_sensor_is_judged_by_time() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_an_armed_bench_is_not_judged_by_its_manifold() -> None:
+def test_armed_bench_with_full_manifold_reports_no_cause() -> None:
     puppet = reach(State.ARMED)
     puppet.run(50)
     assert (puppet.bench, puppet.phase, puppet.cause) == (State.ARMED, Phase.HOLD, Cause.NONE)
 
 
-def test_a_sensor_that_showed_no_pressure_at_the_venting_is_no_proof_before_time() -> None:
+def test_access_sensor_empty_before_venting_waits_for_vent_timeout() -> None:
     puppet = reach(State.ARMED, vent_timeout=5.0)
     full, empty = (5.0e5,) * 6, (ATMOSPHERE,) * 6
     puppet.give(chamber_pressure=(ATMOSPHERE, *full[1:])).run(20)  # the first one sticks
@@ -158,7 +158,7 @@ def test_a_sensor_that_showed_no_pressure_at_the_venting_is_no_proof_before_time
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_a_sensor_that_jumps_to_empty_is_no_proof_before_time() -> None:
+def test_access_sensor_jump_to_empty_waits_for_vent_timeout() -> None:
     puppet = reach(State.ARMED, vent_timeout=5.0)
     full = (5.0e5,) * 6
     puppet.give(chamber_pressure=full).run(20)
@@ -173,7 +173,7 @@ def test_a_sensor_that_jumps_to_empty_is_no_proof_before_time() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_nobody_is_let_in_at_power_up_before_the_robot_was_seen_to_rest() -> None:
+def test_access_at_power_up_waits_for_rest_time() -> None:
     puppet = reach(State.SAFE, rest_time_vented=2.0)
     puppet.control["venting"]["start"] = puppet.time
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
@@ -181,7 +181,7 @@ def test_nobody_is_let_in_at_power_up_before_the_robot_was_seen_to_rest() -> Non
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_access_waits_as_long_as_an_arm_may_sink_whatever_the_encoders_show() -> None:
+def test_access_encoders_at_rest_waits_for_access_delay() -> None:
     """A stuck encoder shows rest: only the time with empty chambers tells that a raised arm has sunk."""
     puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05, access_delay=3.0)
     vent(puppet).run(2900)
@@ -204,20 +204,20 @@ def emptied(creep: float) -> Puppet:
 
 
 @pytest.mark.parametrize(("creep", "let_in"), [(0.0, True), (0.0002, True), (0.002, False), (-0.002, False)])
-def test_an_arm_that_creeps_slower_than_speeds_show_has_not_sunk(creep: float, let_in: bool) -> None:
+def test_access_creeping_arm_refused(creep: float, let_in: bool) -> None:
     puppet = emptied(creep)
     assert bool(puppet.control["vented"]) is let_in
     assert asked(puppet, Request.ACCESS) is (Refusal.NONE if let_in else Refusal.NOT_VENTED)
 
 
-def test_an_arm_that_crept_has_sunk_once_it_rests() -> None:
+def test_access_arm_at_rest_after_creep_accepted() -> None:
     puppet = emptied(0.002)
     puppet.run(2200)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
 @pytest.mark.parametrize("shown", [ATMOSPHERE, 5.0e5], ids=["stuck empty", "full"])
-def test_that_time_begins_with_the_venting_and_again_with_pressure(shown: float) -> None:
+def test_access_delay_restarts_with_pressure(shown: float) -> None:
     puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05, access_delay=3.0)
     puppet.give(chamber_pressure=(shown,) * 6).run(20)
     puppet.tick(Request.DISARM)
@@ -226,13 +226,13 @@ def test_that_time_begins_with_the_venting_and_again_with_pressure(shown: float)
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
 
 
-def test_sensors_that_fell_with_the_air_are_a_proof_at_once() -> None:
+def test_access_observed_pressure_decay_accepted_before_vent_timeout() -> None:
     puppet = reach(State.ARMED, vent_timeout=5.0)
     vent(puppet).run(3000)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_access_after_trapped_air_with_a_button_takes_a_press_beside_the_gauge() -> None:
+def test_access_after_trapped_air_with_button_requires_press() -> None:
     puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05, local_reset=True)
     puppet.give(chamber_pressure=(5.0e5,) * 6).run(20)
     puppet.tick(Request.DISARM)
@@ -247,7 +247,7 @@ def test_access_after_trapped_air_with_a_button_takes_a_press_beside_the_gauge()
     assert not puppet.control["venting"]["trapped"]
 
 
-def test_access_after_trapped_air_without_a_button_waits_for_a_venting_that_is_seen() -> None:
+def test_access_after_trapped_air_without_button_requires_venting() -> None:
     puppet = reach(State.READY)
     puppet.control["venting"]["trapped"] = True
     assert asked(puppet, Request.ACCESS) is Refusal.GAUGE
@@ -259,7 +259,7 @@ def test_access_after_trapped_air_without_a_button_waits_for_a_venting_that_is_s
 
 
 @pytest.mark.parametrize("button", [True, False])
-def test_access_to_chambers_without_sensors_takes_a_press_beside_the_gauge(button: bool) -> None:
+def test_access_chambers_without_sensors_requires_press(button: bool) -> None:
     puppet = reach(State.READY, fitted=False, local_reset=button)
     puppet.run(100)
     assert asked(puppet, Request.ACCESS) is Refusal.GAUGE
@@ -268,14 +268,14 @@ def test_access_to_chambers_without_sensors_takes_a_press_beside_the_gauge(butto
 
 
 @pytest.mark.parametrize(("above", "let_in"), [(-1.0, True), (1.0, False)])
-def test_access_waits_for_a_pressure_that_holds_nothing_up(above: float, let_in: bool) -> None:
+def test_access_chamber_above_holding_pressure_refused(above: float, let_in: bool) -> None:
     puppet = reach(State.READY)
     puppet.give(chamber_pressure=(*(ATMOSPHERE,) * 5, HOLDING + above)).run(50)
     assert puppet.cause is Cause.NONE
     assert asked(puppet, Request.ACCESS) is (Refusal.NONE if let_in else Refusal.NOT_VENTED)
 
 
-def test_air_that_comes_back_for_an_instant_long_after_the_venting_costs_no_more_than_the_sinking() -> None:
+def test_access_brief_pressure_after_venting_waits_access_delay_only() -> None:
     puppet = reach(State.READY, access_delay=0.5)
     puppet.run(2000)
     puppet.give(chamber_pressure=(HOLDING + 1.0,) * 6).run(10)
@@ -285,7 +285,7 @@ def test_air_that_comes_back_for_an_instant_long_after_the_venting_costs_no_more
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_access_waits_for_as_long_again_as_the_chambers_took_to_vent() -> None:
+def test_access_slow_venting_waits_for_venting_time_again() -> None:
     """Behind a throttled exhaust the last air, which may hold an arm, goes as slowly as the first."""
     puppet = reach(State.ARMED, vent_timeout=5.0, rest_time_vented=0.05, access_delay=0.5)
     vent(puppet).give(chamber_pressure=(HOLDING + 1.0,) * 6)
@@ -296,7 +296,7 @@ def test_access_waits_for_as_long_again_as_the_chambers_took_to_vent() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_the_pressure_that_holds_nothing_up_is_a_fifth_of_the_least_static_friction() -> None:
+def test_holding_pressure_equals_fifth_of_least_static_friction() -> None:
     plant = PlantParameters()
     least = min(a.friction.static / max(a.area_a, a.area_b) for a in plant.actuators)
     assert plant.supply.atmosphere + 0.2 * least == pytest.approx(HOLDING)

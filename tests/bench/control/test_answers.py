@@ -226,12 +226,12 @@ each_request = pytest.mark.parametrize("request_", FROM, ids=lambda request: req
 
 
 @each_request
-def test_nothing_forbids(good: Make, request_: Request) -> None:
+def test_check_request_without_condition_accepts(good: Make, request_: Request) -> None:
     assert good(request_).refusal(request_) is Refusal.NONE
 
 
 @each_request
-def test_each_condition_forbids_what_it_must_and_nothing_else(good: Make, request_: Request) -> None:
+def test_check_request_each_condition_refuses_only_listed_requests(good: Make, request_: Request) -> None:
     for condition in CONDITIONS:
         situation = good(request_)
         condition.apply(situation)
@@ -240,7 +240,7 @@ def test_each_condition_forbids_what_it_must_and_nothing_else(good: Make, reques
 
 
 @each_request
-def test_of_two_conditions_the_first_is_told(good: Make, request_: Request) -> None:
+def test_check_request_two_conditions_reports_first(good: Make, request_: Request) -> None:
     forbidding = [condition for condition in CONDITIONS if request_ in condition.forbids]
     for first, second in combinations(forbidding, 2):
         situation = good(request_)
@@ -250,7 +250,7 @@ def test_of_two_conditions_the_first_is_told(good: Make, request_: Request) -> N
 
 
 @pytest.mark.parametrize("request_", STOPS, ids=lambda request: request.name)
-def test_nothing_forbids_a_stop(good: Make, request_: Request) -> None:
+def test_check_request_stop_accepts_under_all_conditions(good: Make, request_: Request) -> None:
     situation = good(request_)
     for condition in CONDITIONS:
         condition.apply(situation)
@@ -258,7 +258,7 @@ def test_nothing_forbids_a_stop(good: Make, request_: Request) -> None:
 
 
 @pytest.mark.parametrize("request_", [len(Request), 255])
-def test_what_is_no_request_is_refused(good: Make, request_: int) -> None:
+def test_check_request_unknown_request_refuses(good: Make, request_: int) -> None:
     assert good(Request.ARM).refusal(request_) is Refusal.STATE
 
 
@@ -270,7 +270,9 @@ def test_what_is_no_request_is_refused(good: Make, request_: int) -> None:
         ({"reaction": Reaction.BRAKE, "phase": Phase.HOMING}, True),
     ],
 )
-def test_a_stop_is_under_way_while_it_moves(good: Make, values: dict[str, int], stopping: bool) -> None:
+def test_check_request_reaction_in_motion_refuses_as_stopping(
+    good: Make, values: dict[str, int], stopping: bool
+) -> None:
     situation = good(Request.TEE)
     for name, value in values.items():
         put(situation.state.control, name, value)
@@ -278,7 +280,7 @@ def test_a_stop_is_under_way_while_it_moves(good: Make, values: dict[str, int], 
 
 
 @pytest.mark.parametrize("state", State, ids=lambda state: state.name)
-def test_in_each_state_all_other_requests_are_refused_by_the_state(good: Make, state: State) -> None:
+def test_check_request_other_state_refuses_by_state(good: Make, state: State) -> None:
     for request in FROM:
         if state not in ACCEPTED_IN[request]:
             situation = good(request)
@@ -287,9 +289,7 @@ def test_in_each_state_all_other_requests_are_refused_by_the_state(good: Make, s
 
 
 @pytest.mark.parametrize("sensor", range(1, SENSORS))
-def test_a_chamber_without_sensor_bars_what_moves_and_sends_a_person_to_the_gauge(
-    good: Make, sensor: int
-) -> None:
+def test_check_request_dead_chamber_sensor_refuses_motion_and_access(good: Make, sensor: int) -> None:
     refusals = dict.fromkeys(sorted(MOVES_OR_RESETS), Refusal.SENSOR) | {Request.ACCESS: Refusal.GAUGE}
     for request, refusal in refusals.items():
         situation = good(request)
@@ -305,7 +305,7 @@ def test_a_chamber_without_sensor_bars_what_moves_and_sends_a_person_to_the_gaug
         ({}, Refusal.NOT_VENTED),
     ],
 )
-def test_access_names_what_proves_no_empty_chambers(
+def test_check_request_access_not_vented_names_reason(
     good: Make, found: dict[str, Any], refusal: Refusal
 ) -> None:
     situation = good(Request.ACCESS)
@@ -314,7 +314,7 @@ def test_access_names_what_proves_no_empty_chambers(
     assert situation.refusal(Request.ACCESS) is refusal
 
 
-def test_a_manifold_is_full_above_the_pressure_of_empty_chambers(good: Make) -> None:
+def test_manifold_is_full_above_vented_pressure_returns_true(good: Make) -> None:
     situation = good(Request.ARM)
     bound = situation.parameters.control["vented_pressure"][0]
     for pressure, full in ((bound, False), (np.nextafter(bound, inf), True), (nan, False)):
@@ -322,33 +322,33 @@ def test_a_manifold_is_full_above_the_pressure_of_empty_chambers(good: Make) -> 
         assert manifold_is_full(situation.parameters.control[0], situation.readings) is full
 
 
-def test_access_names_a_manifold_that_is_full(good: Make) -> None:
+def test_check_request_access_full_manifold_refuses(good: Make) -> None:
     situation = good(Request.ACCESS)
     situation.state.control["vented"], situation.readings["supply_pressure"] = False, 8e5
     assert situation.refusal(Request.ACCESS) is Refusal.MANIFOLD
 
 
 @pytest.mark.parametrize(("since", "refusal"), [(1.5 - 2.0**-40, Refusal.STOPPED), (1.5, Refusal.NONE)])
-def test_what_was_in_flight_when_a_stop_came_is_refused(good: Make, since: float, refusal: Refusal) -> None:
+def test_check_request_shortly_after_stop_refuses(good: Make, since: float, refusal: Refusal) -> None:
     situation = good(Request.ARM)
     situation.state.control["stopped_at"] = NOW - since
     assert situation.refusal(Request.ARM) is refusal
 
 
-def test_a_swing_begins_once_its_planned_air_is_ready(good: Make) -> None:
+def test_check_request_swing_with_planned_air_ready_accepts(good: Make) -> None:
     situation = good(Request.SWING)
     situation.parameters.profile["air_planned"] = situation.state.control["address_air"]["ready"] = True
     assert situation.refusal(Request.SWING) is Refusal.NONE
 
 
 @pytest.mark.parametrize("entered", [False, True])
-def test_a_latched_bench_locks_the_guard_only_after_somebody_went_in(good: Make, entered: bool) -> None:
+def test_check_request_secure_in_fault_requires_opened_guard(good: Make, entered: bool) -> None:
     situation = good(Request.SECURE)
     situation.state.control["state"], situation.state.control["guard_was_opened"] = State.FAULT, entered
     assert situation.refusal(Request.SECURE) is (Refusal.NONE if entered else Refusal.STATE)
 
 
-def test_access_does_not_ask_for_a_closed_guard(good: Make) -> None:
+def test_check_request_access_with_open_guard_accepts(good: Make) -> None:
     situation = good(Request.ACCESS)
     situation.readings["guard_closed"] = situation.readings["guard_locked"] = False
     assert situation.refusal(Request.ACCESS) is Refusal.NONE
@@ -357,14 +357,14 @@ def test_access_does_not_ask_for_a_closed_guard(good: Make) -> None:
 @pytest.mark.parametrize(
     ("since", "refusal"), [(STILL_TIME, Refusal.NONE), (STILL_TIME - 2.0**-40, Refusal.MOVING)]
 )
-def test_a_robot_rests_once_it_has_been_slow_for_a_while(good: Make, since: float, refusal: Refusal) -> None:
+def test_check_request_within_rest_time_refuses_as_moving(good: Make, since: float, refusal: Refusal) -> None:
     for request in (Request.RESET, Request.HOME, Request.ARM):
         situation = good(request)
         situation.state.control["moved_at"] = NOW - since
         assert situation.refusal(request) is refusal
 
 
-def test_a_search_of_the_index_begins_with_air(good: Make) -> None:
+def test_check_request_home_by_index_with_air_accepts(good: Make) -> None:
     situation = good(Request.HOME)
     situation.parameters.control["home_by_index"] = True
     situation.state.control["venting"]["emptied"] = False
@@ -375,7 +375,7 @@ def test_a_search_of_the_index_begins_with_air(good: Make) -> None:
     ("since", "refusal"),
     [(VENT_TIME, Refusal.NOT_VENTED), (VENT_TIME - 2.0**-40, Refusal.NONE), (0.0, Refusal.NONE)],
 )
-def test_a_reset_waits_for_the_air_from_the_time_on_in_which_it_should_be_out(
+def test_check_request_reset_with_air_after_vent_timeout_refuses(
     good: Make, since: float, refusal: Refusal
 ) -> None:
     situation = good(Request.RESET)
@@ -389,7 +389,7 @@ def test_a_reset_waits_for_the_air_from_the_time_on_in_which_it_should_be_out(
 @pytest.mark.parametrize(
     ("since", "counts"), [(0.0, True), (RESET_TIME, True), (RESET_TIME + 2.0**-40, False), (nan, False)]
 )
-def test_the_button_counts_up_to_its_time(good: Make, since: float, counts: bool) -> None:
+def test_check_request_press_counts_until_local_reset_time(good: Make, since: float, counts: bool) -> None:
     situation = good(Request.RESET)
     situation.parameters.control["local_reset"] = True
     situation.state.control["reset_pressed"] = NOW - since
@@ -398,7 +398,7 @@ def test_the_button_counts_up_to_its_time(good: Make, since: float, counts: bool
 
 @pytest.mark.parametrize("joint", range(3))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_address_up_to_its_tolerance_and_at_rest(good: Make, joint: int, sign: float) -> None:
+def test_near_address_within_tolerance_and_at_rest_returns_true(good: Make, joint: int, sign: float) -> None:
     for name, bound in (("angle", TOLERANCE[joint]), ("velocity", 2.0 * STILL[joint])):
         for value, near in ((bound, True), (np.nextafter(bound, inf), False), (nan, False), (inf, False)):
             situation = good(Request.SWING)
@@ -407,7 +407,7 @@ def test_the_address_up_to_its_tolerance_and_at_rest(good: Make, joint: int, sig
 
 
 @pytest.mark.parametrize("joint", range(3))
-def test_the_address_is_the_first_row_of_the_swing(good: Make, joint: int) -> None:
+def test_near_address_compares_with_first_profile_row(good: Make, joint: int) -> None:
     situation = good(Request.SWING)
     situation.parameters.angle[0, joint] = situation.state.estimator["angle"][0, joint] = 1.0
     assert near_address(situation.parameters, situation.state.estimator)
@@ -435,7 +435,7 @@ def told(situation: Situation) -> tuple[int, Answer, Refusal, int, int]:
     )
 
 
-def test_an_accepted_request_is_answered_once(good: Make) -> None:
+def test_handle_request_accepted_request_answers_once(good: Make) -> None:
     situation = good(Request.ARM)
     assert taken(situation, Request.ARM, 5) == Request.ARM
     answer = (5, Answer.ACCEPTED, Refusal.NONE, Request.ARM, Request.NONE)
@@ -444,7 +444,7 @@ def test_an_accepted_request_is_answered_once(good: Make) -> None:
     assert told(situation) == (5, Answer.ACCEPTED, Refusal.NONE, Request.NONE, Request.NONE)
 
 
-def test_a_refused_request_is_answered_with_its_reason(good: Make) -> None:
+def test_handle_request_refused_request_answers_with_refusal(good: Make) -> None:
     situation = good(Request.ARM)
     assert taken(situation, Request.SWING, 5) == Request.NONE
     assert told(situation) == (5, Answer.REFUSED, Refusal.STATE, Request.SWING, Request.NONE)
@@ -453,7 +453,7 @@ def test_a_refused_request_is_answered_with_its_reason(good: Make) -> None:
 
 
 @pytest.mark.parametrize("stop", STOPS, ids=lambda request: request.name)
-def test_a_stop_past_the_numbers_leaves_the_last_answer(good: Make, stop: Request) -> None:
+def test_handle_request_stop_without_new_number_keeps_last_answer(good: Make, stop: Request) -> None:
     situation = good(Request.ARM)
     taken(situation, Request.SWING, 5)
     assert taken(situation, stop, 5) == stop
@@ -463,20 +463,20 @@ def test_a_stop_past_the_numbers_leaves_the_last_answer(good: Make, stop: Reques
     assert situation.state.control["stopped_at"] == NOW
 
 
-def test_a_stop_before_any_number_is_answered(good: Make) -> None:
+def test_handle_request_stop_before_first_number_answers(good: Make) -> None:
     situation = good(Request.ARM)
     assert taken(situation, Request.STOP, 0) == Request.STOP
     assert told(situation) == (0, Answer.ACCEPTED, Refusal.NONE, Request.STOP, Request.NONE)
 
 
-def test_the_same_number_again_is_answered_again(good: Make) -> None:
+def test_handle_request_repeated_number_answers_again(good: Make) -> None:
     situation = good(Request.ARM)
     assert taken(situation, Request.SWING, 5) == Request.NONE
     assert taken(situation, Request.ARM, 5) == Request.ARM
     assert told(situation) == (5, Answer.ACCEPTED, Refusal.NONE, Request.ARM, Request.NONE)
 
 
-def test_a_press_is_an_edge(good: Make) -> None:
+def test_note_local_reset_counts_rising_edge_only(good: Make) -> None:
     s = good(Request.RESET).state.control[0]
     s["reset_was_low"], s["reset_pressed"] = False, -1.0
     for time, level, pressed in (

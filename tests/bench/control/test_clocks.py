@@ -39,7 +39,7 @@ def reset(puppet: Puppet) -> Refusal:
 
 
 @each_wrong
-def test_standing_a_tick_without_a_time_is_a_fault_and_a_reset_recovers(wrong: float) -> None:
+def test_clock_invalid_time_at_rest_faults_and_resets(wrong: float) -> None:
     puppet = reach(State.READY)
     tell(puppet, wrong)
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.TICK_GAP)
@@ -55,9 +55,7 @@ def test_standing_a_tick_without_a_time_is_a_fault_and_a_reset_recovers(wrong: f
 
 @each_wrong
 @pytest.mark.parametrize("source", [State.ARMED, State.SWINGING], ids=lambda state: state.name)
-def test_moving_a_tick_without_a_time_is_passive_at_once_and_a_reset_recovers(
-    wrong: float, source: State
-) -> None:
+def test_clock_invalid_time_in_motion_turns_passive_and_resets(wrong: float, source: State) -> None:
     puppet = reach(source)
     tell(puppet, wrong)
     assert (puppet.reaction, puppet.cause) == (Reaction.PASSIVE, Cause.TICK_GAP)
@@ -69,7 +67,7 @@ def test_moving_a_tick_without_a_time_is_passive_at_once_and_a_reset_recovers(
 
 
 @each_wrong
-def test_no_value_of_the_record_is_lost_to_a_tick_without_a_time(wrong: float) -> None:
+def test_cycle_invalid_time_keeps_values_finite(wrong: float) -> None:
     puppet = reach(State.READY)
     for _ in range(3):
         tell(puppet, wrong)
@@ -79,7 +77,7 @@ def test_no_value_of_the_record_is_lost_to_a_tick_without_a_time(wrong: float) -
 
 @each_wrong
 @pytest.mark.parametrize("state", [State.STARTING, State.ESTOP, State.FAULT], ids=lambda state: state.name)
-def test_a_latched_bench_can_be_reset_after_it(wrong: float, state: State) -> None:
+def test_clock_invalid_time_in_latched_state_allows_reset(wrong: float, state: State) -> None:
     puppet = reach(state)
     tell(puppet, wrong)
     puppet.give(is_warmed_up=True).run(60)
@@ -88,7 +86,7 @@ def test_a_latched_bench_can_be_reset_after_it(wrong: float, state: State) -> No
 
 
 @pytest.mark.parametrize("jump", [-0.5, -50.0, 1e300, -1e300, 3600.0])
-def test_a_clock_that_jumps_and_comes_back_leaves_the_encoders_readable(jump: float) -> None:
+def test_clock_jump_and_return_keeps_estimator_valid(jump: float) -> None:
     puppet = reach(State.READY)
     tell(puppet, puppet.time + jump)
     puppet.run(300)
@@ -100,7 +98,7 @@ def test_a_clock_that_jumps_and_comes_back_leaves_the_encoders_readable(jump: fl
 
 
 @pytest.mark.parametrize("jump", [-5.0, -3600.0, 3600.0])
-def test_a_clock_that_jumps_and_stays_there_leaves_the_encoders_readable(jump: float) -> None:
+def test_clock_permanent_jump_keeps_estimator_valid(jump: float) -> None:
     puppet = reach(State.READY)
     puppet.time += jump
     puppet.run(300)
@@ -111,7 +109,7 @@ def test_a_clock_that_jumps_and_stays_there_leaves_the_encoders_readable(jump: f
 
 
 @pytest.mark.parametrize("name", ["angle", "velocity", "acceleration", "covariance"])
-def test_an_estimate_that_is_no_number_begins_again_at_rest(name: str) -> None:
+def test_estimator_nan_estimate_restarts_at_rest(name: str) -> None:
     puppet = reach(State.FAULT)
     puppet.state.estimator[name][0, 1] = nan
     puppet.run(50)
@@ -119,7 +117,7 @@ def test_an_estimate_that_is_no_number_begins_again_at_rest(name: str) -> None:
     assert reset(puppet) is Refusal.NONE
 
 
-def test_a_steady_clock_is_no_fault() -> None:
+def test_clock_steady_time_reports_no_cause() -> None:
     puppet = reach(State.READY)
     puppet.angle = ADDRESS + [1e-4, 0.0, 0.0]
     puppet.run(50)

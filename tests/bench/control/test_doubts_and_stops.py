@@ -7,7 +7,7 @@ from tests.bench.control.operating import asked, press, reach, timed, until
 from tests.bench.control.puppet import ATMOSPHERE
 
 
-def test_a_reset_leaves_a_doubt_about_an_encoder_until_the_air_is_out() -> None:
+def test_reset_keeps_encoders_suspect_until_vented() -> None:
     puppet = timed(
         reach(State.ARMED), vent_timeout=0.3, rest_time_vented=0.05, rest_time_without_encoders=0.1
     )
@@ -31,7 +31,7 @@ def test_a_reset_leaves_a_doubt_about_an_encoder_until_the_air_is_out() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_after_a_deliberate_reset_nobody_waits_for_the_stop() -> None:
+def test_arm_after_reset_ignores_recent_stop() -> None:
     puppet = reach(State.ARMED)
     puppet.step(Request.STOP)
     puppet.run(200)

@@ -121,7 +121,7 @@ STRETCHED = (0.0, 0.0, 0.0)
 """All along x: what is computed of it is exact."""
 
 
-def test_limits_are_one_a_joint() -> None:
+def test_envelope_parameters_hold_one_limit_per_joint() -> None:
     shapes = {name: ENVELOPE_PARAMETERS[name].shape for name in ENVELOPE_PARAMETERS.names or ()}
     several = {name: shape for name, shape in shapes.items() if shape}
     assert several == {"max_following_error": (len(Phase), 3)} | dict.fromkeys(
@@ -133,14 +133,14 @@ def test_limits_are_one_a_joint() -> None:
 
 
 @pytest.mark.parametrize(("clear", "closed", "locked"), list(product((True, False), repeat=3)))
-def test_interlocks(clear: bool, closed: bool, locked: bool) -> None:
+def test_interlock_cause_reports_emergency_stop_before_guard(clear: bool, closed: bool, locked: bool) -> None:
     r = readings()
     r["emergency_stop_clear"], r["guard_closed"], r["guard_locked"] = clear, closed, locked
     guard = Cause.NONE if closed and locked else Cause.GUARD
     assert interlock_cause(r) == (guard if clear else Cause.EMERGENCY_STOP)
 
 
-def test_good_readings_are_trusted() -> None:
+def test_readings_cause_good_readings_returns_none() -> None:
     assert readings_cause(generous(), moving()) == Cause.NONE
 
 
@@ -149,14 +149,14 @@ def test_good_readings_are_trusted() -> None:
     ("silence", "lost"),
     [(0.0, 0), (below(0.0045), 0), (0.0045, 1), (above(0.0045), 1), (inf, 1), (nan, 1)],
 )
-def test_an_encoder_is_lost_after_its_time(joint: int, silence: float, lost: bool) -> None:
+def test_readings_cause_silent_encoder_reports_after_timeout(joint: int, silence: float, lost: bool) -> None:
     e = moving()
     e["without_sample"][0, joint] = silence
     assert readings_cause(generous(), e) == (nth(Cause.SHOULDER_ENCODER, joint) if lost else 0)
 
 
 @each_joint
-def test_an_encoder_that_never_gave_a_sample_is_lost(joint: int) -> None:
+def test_readings_cause_unstarted_encoder_reports_encoder(joint: int) -> None:
     e = moving()
     e["started"][0, joint] = 0
     assert readings_cause(generous(), e) == nth(Cause.SHOULDER_ENCODER, joint)
@@ -165,7 +165,7 @@ def test_an_encoder_that_never_gave_a_sample_is_lost(joint: int) -> None:
 @each_joint
 @pytest.mark.parametrize("name", ["angle", "velocity", "acceleration"])
 @pytest.mark.parametrize("value", [nan, inf, -inf])
-def test_an_estimate_that_is_not_finite(joint: int, name: str, value: float) -> None:
+def test_readings_cause_non_finite_estimate_reports_not_finite(joint: int, name: str, value: float) -> None:
     e = moving()
     e[name][0, joint] = value
     assert readings_cause(generous(), e) == Cause.NOT_FINITE
@@ -176,7 +176,7 @@ def test_an_estimate_that_is_not_finite(joint: int, name: str, value: float) -> 
 
 @each_phase
 @pytest.mark.parametrize("charging", [False, True])
-def test_nothing_is_broken(phase: Phase, charging: bool) -> None:
+def test_motion_cause_within_limits_returns_none(phase: Phase, charging: bool) -> None:
     assert Motion(phase=phase, charging=charging).cause() is Cause.NONE
 
 
@@ -197,7 +197,7 @@ def test_nothing_is_broken(phase: Phase, charging: bool) -> None:
         (nan, True),
     ],
 )
-def test_a_tick_that_is_too_long_or_runs_backwards(phase: Phase, step: float, broken: bool) -> None:
+def test_motion_cause_long_or_backward_tick_reports_tick_gap(phase: Phase, step: float, broken: bool) -> None:
     assert Motion(phase=phase, step=step).cause() is (Cause.TICK_GAP if broken else Cause.NONE)
 
 
@@ -207,7 +207,7 @@ def test_a_tick_that_is_too_long_or_runs_backwards(phase: Phase, step: float, br
     [(above(6.5e5), False), (6.5e5, False), (below(6.5e5), True), (0.0, True), (-inf, True)],
 )
 @pytest.mark.parametrize("charging", [False, True])
-def test_supply_pressure_counts_while_stopping_is_a_choice(
+def test_motion_cause_low_supply_reports_in_stoppable_phases(
     phase: Phase, pressure: float, low: bool, charging: bool
 ) -> None:
     motion = Motion(phase=phase, charging=charging)
@@ -219,7 +219,7 @@ def test_supply_pressure_counts_while_stopping_is_a_choice(
 @each_phase
 @pytest.mark.parametrize(("pressure", "high"), [(8.8e5, False), (above(8.8e5), True), (inf, True)])
 @pytest.mark.parametrize("charging", [False, True])
-def test_a_supply_that_surges_counts_while_it_charges_too(
+def test_motion_cause_high_supply_reports_even_while_charging(
     phase: Phase, pressure: float, high: bool, charging: bool
 ) -> None:
     motion = Motion(phase=phase, charging=charging)
@@ -228,7 +228,7 @@ def test_a_supply_that_surges_counts_while_it_charges_too(
 
 
 @each_phase
-def test_a_supply_sensor_that_is_not_fitted_stops_nothing(phase: Phase) -> None:
+def test_motion_cause_unfitted_supply_sensor_returns_none(phase: Phase) -> None:
     motion = Motion(phase=phase)
     motion.readings["supply_pressure"] = nan
     assert motion.cause() is Cause.NONE
@@ -237,7 +237,9 @@ def test_a_supply_sensor_that_is_not_fitted_stops_nothing(phase: Phase) -> None:
 @each_phase
 @each_joint
 @pytest.mark.parametrize("charging", [False, True])
-def test_working_range(phase: Phase, joint: int, charging: bool) -> None:
+def test_motion_cause_joint_beyond_working_range_reports_range(
+    phase: Phase, joint: int, charging: bool
+) -> None:
     motion = Motion(phase=phase, charging=charging)
     broken = nth(Cause.SHOULDER_RANGE, joint)
     position, _ = motion.coordinates(joint)
@@ -260,7 +262,7 @@ def test_working_range(phase: Phase, joint: int, charging: bool) -> None:
 @each_phase
 @each_joint
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_max_speed(phase: Phase, joint: int, sign: float) -> None:
+def test_motion_cause_joint_above_max_speed_reports_speed(phase: Phase, joint: int, sign: float) -> None:
     motion = Motion(phase=phase)
     broken = nth(Cause.SHOULDER_SPEED, joint)
     motion.estimator["velocity"] *= sign
@@ -283,7 +285,9 @@ def test_max_speed(phase: Phase, joint: int, sign: float) -> None:
 @each_phase
 @pytest.mark.parametrize("joint", [0, 2])
 @pytest.mark.parametrize("up", [True, False])
-def test_the_way_to_the_end_stop_exactly(phase: Phase, joint: int, up: bool) -> None:
+def test_motion_cause_short_stop_distance_reports_in_stoppable_phases(
+    phase: Phase, joint: int, up: bool
+) -> None:
     # 2.5² = 1.5² + 2·2·1: everything is exact in binary.
     motion = Motion(phase=phase)
     p, e = motion.parameters[0], motion.estimator[0]
@@ -304,9 +308,7 @@ def test_the_way_to_the_end_stop_exactly(phase: Phase, joint: int, up: bool) -> 
 @each_phase
 @pytest.mark.parametrize("joint", [0, 2])
 @pytest.mark.parametrize("speed", [0.25, -0.25])
-def test_the_way_counts_ahead_of_a_slow_joint_and_not_behind_it(
-    phase: Phase, joint: int, speed: float
-) -> None:
+def test_motion_cause_stop_distance_counts_ahead_only(phase: Phase, joint: int, speed: float) -> None:
     motion = Motion(phase=phase)
     p, e = motion.parameters[0], motion.estimator[0]
     e["velocity"][joint] = speed
@@ -321,7 +323,7 @@ def test_the_way_counts_ahead_of_a_slow_joint_and_not_behind_it(
 
 @each_phase
 @pytest.mark.parametrize("velocity", [3.0, -3.0])
-def test_the_way_of_the_rod(phase: Phase, velocity: float) -> None:
+def test_motion_cause_rod_stop_distance_reports_arm(phase: Phase, velocity: float) -> None:
     motion = Motion(phase=phase)
     motion.estimator["velocity"][0, 1] = velocity
     position, speed = motion.coordinates(1)
@@ -339,7 +341,9 @@ def test_the_way_of_the_rod(phase: Phase, velocity: float) -> None:
 @each_phase
 @each_joint
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_following_error(phase: Phase, joint: int, side: float) -> None:
+def test_motion_cause_following_error_beyond_limit_reports_following(
+    phase: Phase, joint: int, side: float
+) -> None:
     motion = Motion(phase=phase)
     motion.parameters["max_following_error"][0, phase, joint] = 0.25
     at = POSE[joint] + 0.25 * side
@@ -357,7 +361,7 @@ def test_following_error(phase: Phase, joint: int, side: float) -> None:
 
 
 @each_phase
-def test_the_following_error_is_that_of_the_phase(phase: Phase) -> None:
+def test_motion_cause_following_error_uses_limit_of_phase(phase: Phase) -> None:
     motion = Motion(phase=phase)
     motion.parameters["max_following_error"] = 0.0
     motion.parameters["max_following_error"][0, phase] = 1.0
@@ -378,7 +382,7 @@ def test_the_following_error_is_that_of_the_phase(phase: Phase) -> None:
         ({"min_lever": above(1.0)}, Cause.WRIST_LEVER),
     ],
 )
-def test_what_is_just_clear_is_clear(changes: dict[str, float], cause: Cause) -> None:
+def test_motion_cause_clearance_reports_only_beyond_limit(changes: dict[str, float], cause: Cause) -> None:
     robot = ROBOT.record[0]
     wrist = float(robot["l12"]) + float(robot["l23"])
     motion = Motion(estimator=moving(STRETCHED), reference=np.array(STRETCHED))
@@ -390,7 +394,7 @@ def test_what_is_just_clear_is_clear(changes: dict[str, float], cause: Cause) ->
 
 @each_phase
 @pytest.mark.parametrize("window", ["inside", "outside"])
-def test_ground(phase: Phase, window: str) -> None:
+def test_motion_cause_head_below_clearance_reports_ground(phase: Phase, window: str) -> None:
     motion = Motion(phase=phase)
     p = motion.parameters[0]
     x, y, _ = forward_kinematics(ROBOT, np.array(POSE))
@@ -409,7 +413,7 @@ def test_ground(phase: Phase, window: str) -> None:
             assert motion.cause() is expected
 
 
-def test_a_site_with_a_divot_lets_the_sole_into_the_turf_by_the_ball(slow_swing: Profile) -> None:
+def test_clearance_by_ball_with_divot_turns_negative(slow_swing: Profile) -> None:
     settings, site = EnvelopeSettings(), replace(PlantParameters().site, surface="turf", divot=0.012)
     assert settings.clearance_by_ball(PlantParameters().site) == settings.ball_clearance
     by_hand = ControlSettings(gains="hand")  # the machine's take half a minute of plain Python
@@ -419,7 +423,7 @@ def test_a_site_with_a_divot_lets_the_sole_into_the_turf_by_the_ball(slow_swing:
 
 
 @given(st.floats(-2.0, 2.0), st.floats(pi, 1.5 * pi), st.floats(4.8, 6.2), st.floats(0.0, 1.2))
-def test_frame(a: float, b: float, c: float, radius: float) -> None:
+def test_motion_cause_shaft_near_frame_reports_frame(a: float, b: float, c: float, radius: float) -> None:
     motion = Motion(estimator=moving((a, b, c)), reference=np.array((a, b, c)))
     motion.parameters["min_frame_distance"] = radius
     x, y, theta = forward_kinematics(ROBOT, np.array((a, b, c)))
@@ -431,7 +435,9 @@ def test_frame(a: float, b: float, c: float, radius: float) -> None:
 
 @each_phase
 @pytest.mark.parametrize("angle", [POSE, (0.5, 3.3, 4.9), (0.5, 4.25, 5.0)])
-def test_frame_at_its_limit(phase: Phase, angle: tuple[float, float, float]) -> None:
+def test_motion_cause_frame_distance_below_limit_reports_frame(
+    phase: Phase, angle: tuple[float, float, float]
+) -> None:
     motion = Motion(phase=phase, estimator=moving(angle), reference=np.array(angle))
     x, y, theta = forward_kinematics(ROBOT, np.array(angle))
     along = min(max(x * np.cos(theta) + y * np.sin(theta), 0.0), CLUB_REACH)
@@ -448,7 +454,9 @@ def test_frame_at_its_limit(phase: Phase, angle: tuple[float, float, float]) -> 
 @each_phase
 @pytest.mark.parametrize("mounted", [0.0, 0.5])
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_lever_of_the_wrist(phase: Phase, side: float, mounted: float) -> None:
+def test_motion_cause_small_wrist_lever_reports_wrist_lever(
+    phase: Phase, side: float, mounted: float
+) -> None:
     for beta, expected in (
         (asin(0.15) + TINY, Cause.NONE),
         (asin(0.15) - TINY, Cause.WRIST_LEVER),
@@ -464,7 +472,7 @@ def test_lever_of_the_wrist(phase: Phase, side: float, mounted: float) -> None:
         assert motion.cause() is Cause.WRIST_LEVER
 
 
-def test_the_first_broken_limit_is_the_cause() -> None:
+def test_motion_cause_several_broken_limits_reports_first() -> None:
     motion = Motion(step=1.0)
     p = motion.parameters
     motion.readings["supply_pressure"] = 0.0
@@ -497,7 +505,7 @@ def test_the_first_broken_limit_is_the_cause() -> None:
 
 
 @given(st.floats(pi, 1.5 * pi), st.floats(-20.0, 20.0))
-def test_the_arm_counts_by_its_rod(theta2: float, velocity: float) -> None:
+def test_joint_coordinates_arm_uses_rod(theta2: float, velocity: float) -> None:
     angle, speed = np.array([0.1, theta2, 5.5]), np.array([1.0, velocity, 2.0])
     position, rod_speed = joint_coordinates(ROBOT.record, angle, speed, 1)
     assert position == pytest.approx(float(right_arm_length(ROBOT, theta2)) - ROBOT.l56, abs=1e-12)
@@ -513,14 +521,14 @@ def test_the_arm_counts_by_its_rod(theta2: float, velocity: float) -> None:
 
 @pytest.mark.parametrize("wanted", [nan, inf, -inf])
 @pytest.mark.parametrize("before", [0.75, 0.0, -0.75])
-def test_an_opening_that_is_no_number_is_the_centre(wanted: float, before: float) -> None:
+def test_limit_non_finite_opening_returns_centre(wanted: float, before: float) -> None:
     assert limit(generous(), wanted, before, 1e-3) == 0.0
 
 
 @pytest.mark.parametrize("step", [0.0, -0.0, -1e-3, -inf, nan])
 @pytest.mark.parametrize("before", [0.75, 0.1, -0.75])
 @pytest.mark.parametrize("wanted", [1.0, 0.0, -1.0])
-def test_without_a_clock_the_valve_stays(step: float, before: float, wanted: float) -> None:
+def test_limit_invalid_step_keeps_opening(step: float, before: float, wanted: float) -> None:
     assert limit(generous(), wanted, before, step) == before
 
 
@@ -542,7 +550,7 @@ def test_without_a_clock_the_valve_stays(step: float, before: float, wanted: flo
         (0.75, -0.75, inf, 0.75),
     ],
 )
-def test_opening_and_slew(wanted: float, before: float, step: float, expected: float) -> None:
+def test_limit_bounds_opening_and_slew(wanted: float, before: float, step: float, expected: float) -> None:
     assert limit(generous(), wanted, before, step) == expected
 
 
@@ -550,7 +558,7 @@ steps = st.floats(-1e300, 1e300) | st.sampled_from([inf, -inf, nan])
 
 
 @given(st.floats(), st.floats(-0.75, 0.75), steps)
-def test_no_opening_leaves_its_bounds(wanted: float, before: float, step: float) -> None:
+def test_limit_any_input_keeps_opening_and_slew_bounded(wanted: float, before: float, step: float) -> None:
     opening = limit(generous(), wanted, before, step)
     assert abs(opening) <= 0.75
     if np.isfinite(wanted) and step >= 0:
@@ -585,7 +593,7 @@ def recarray(record: Record) -> Record:
     radius=st.floats(0.0, 0.5),
     silence=st.tuples(*[st.floats(0.0, 0.005)] * 3),
 )
-def test_compiled_and_plain_code_agree(
+def test_compiled_causes_match_plain_code(
     plain: Plain,
     angle: tuple[float, float, float],
     velocity: tuple[float, float, float],
@@ -620,6 +628,6 @@ def test_compiled_and_plain_code_agree(
 
 @compiled_only
 @given(st.floats(), st.floats(-0.75, 0.75), steps)
-def test_compiled_and_plain_limits_agree(plain: Plain, wanted: float, before: float, step: float) -> None:
+def test_limit_compiled_matches_plain_code(plain: Plain, wanted: float, before: float, step: float) -> None:
     p = generous()
     assert limit(p, wanted, before, step) == plain(limit)(recarray(p), wanted, before, step)

@@ -43,7 +43,7 @@ def clear(puppet: Puppet) -> None:
 
 
 @each_cause
-def test_a_cause_in_access_does_not_lock_in_who_went_in(name: str) -> None:
+def test_guard_lock_cause_after_entry_stays_released(name: str) -> None:
     puppet = entered(name)
     assert released(puppet)
     clear(puppet)
@@ -54,7 +54,7 @@ def test_a_cause_in_access_does_not_lock_in_who_went_in(name: str) -> None:
 
 
 @each_cause
-def test_a_press_and_secure_lock_it_and_the_cause_stays(name: str) -> None:
+def test_secure_after_press_locks_guard_and_keeps_cause(name: str) -> None:
     puppet = entered(name)
     clear(puppet)
     state = puppet.bench
@@ -71,7 +71,7 @@ def test_a_press_and_secure_lock_it_and_the_cause_stays(name: str) -> None:
 
 
 @each_cause
-def test_a_guard_that_does_not_lock_is_released_again(name: str) -> None:
+def test_secure_guard_not_locking_releases_again(name: str) -> None:
     puppet = entered(name)
     clear(puppet)
     press(puppet)
@@ -82,7 +82,7 @@ def test_a_guard_that_does_not_lock_is_released_again(name: str) -> None:
 
 
 @each_cause
-def test_where_nobody_went_in_a_cause_keeps_people_out(name: str) -> None:
+def test_guard_lock_cause_without_entry_locks(name: str) -> None:
     puppet = reach(State.ACCESS, local_reset=True)
     change, state = CAUSES[name]
     change(puppet).run(5)
@@ -91,7 +91,7 @@ def test_where_nobody_went_in_a_cause_keeps_people_out(name: str) -> None:
     assert asked(puppet, Request.SECURE) is Refusal.STATE
 
 
-def test_a_guard_that_fails_to_lock_at_the_end_of_access_lets_people_out() -> None:
+def test_secure_lock_failure_in_access_faults_and_releases_guard() -> None:
     puppet = reach(State.ACCESS, local_reset=True)
     puppet.give(guard_closed=False).run(10)
     puppet.give(guard_closed=True).run(10)

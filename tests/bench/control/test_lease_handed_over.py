@@ -60,7 +60,7 @@ def grant_access(led: Led) -> None:
     led.say(lease=2)
 
 
-def test_an_armed_bench_is_disarmed(led: Led) -> None:
+def test_lease_change_disarms_armed_bench(led: Led) -> None:
     puppet = reach(State.ARMED)
     led.run(puppet, 5)
     assert not puppet.is_without_energy()
@@ -70,7 +70,7 @@ def test_an_armed_bench_is_disarmed(led: Led) -> None:
     assert puppet.is_without_energy()
 
 
-def test_the_new_holder_cannot_swing_what_another_has_armed(led: Led) -> None:
+def test_lease_change_refuses_swing_of_new_holder(led: Led) -> None:
     puppet = reach(State.ARMED)
     led.run(puppet, 5)
     grant_access(led)
@@ -80,7 +80,7 @@ def test_the_new_holder_cannot_swing_what_another_has_armed(led: Led) -> None:
     assert not puppet.control["swings"]
 
 
-def test_a_robot_on_its_way_to_the_address_brakes(led: Led) -> None:
+def test_lease_change_on_way_to_address_brakes(led: Led) -> None:
     puppet = on_the_way()
     led.run(puppet, 5)
     grant_access(led)
@@ -88,7 +88,7 @@ def test_a_robot_on_its_way_to_the_address_brakes(led: Led) -> None:
     assert (puppet.bench, puppet.reaction) == (State.RECOVERING, Reaction.BRAKE)
 
 
-def test_a_swing_completes_and_nothing_stays_armed(led: Led) -> None:
+def test_lease_change_during_swing_completes_and_disarms(led: Led) -> None:
     puppet = reach(State.SWINGING, hold_between_swings=True)
     led.run(puppet, 5)
     grant_access(led)
@@ -98,7 +98,7 @@ def test_a_swing_completes_and_nothing_stays_armed(led: Led) -> None:
     assert (puppet.bench, puppet.phase) == (State.READY, Phase.STANDING)
 
 
-def test_homing_ends(led: Led) -> None:
+def test_lease_change_during_homing_brakes(led: Led) -> None:
     puppet = Puppet().enter(Phase.HOMING)
     led.run(puppet, 5)
     assert puppet.bench is State.HOMING
@@ -107,7 +107,7 @@ def test_homing_ends(led: Led) -> None:
     assert puppet.reaction is Reaction.BRAKE
 
 
-def test_an_arm_that_was_left_waiting_is_refused(led: Led) -> None:
+def test_lease_change_refuses_pending_arm_request(led: Led) -> None:
     puppet = reach(State.READY)
     led.run(puppet, 5)
     led.ask(Request.ARM)

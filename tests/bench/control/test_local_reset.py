@@ -41,7 +41,7 @@ each_stop = pytest.mark.parametrize("name", STOPS)
 
 @each_stop
 @pytest.mark.parametrize("source", [State.READY, State.ARMED], ids=lambda state: state.name)
-def test_a_press_before_the_stop_does_not_count(name: str, source: State) -> None:
+def test_local_reset_press_before_stop_does_not_count(name: str, source: State) -> None:
     puppet = reach(source, local_reset=True)
     press(puppet)
     STOPS[name](puppet)
@@ -54,7 +54,7 @@ def test_a_press_before_the_stop_does_not_count(name: str, source: State) -> Non
 
 @pytest.mark.parametrize("name", ["emergency stop", "network stop", "guard opened", "guard unlocked"])
 @pytest.mark.parametrize("state", [State.ESTOP, State.FAULT], ids=lambda state: state.name)
-def test_a_press_before_a_second_stop_does_not_count(name: str, state: State) -> None:
+def test_local_reset_press_before_second_stop_does_not_count(name: str, state: State) -> None:
     puppet = reach(state, local_reset=True)
     press(puppet)
     STOPS[name](puppet)
@@ -62,7 +62,7 @@ def test_a_press_before_a_second_stop_does_not_count(name: str, state: State) ->
     assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET
 
 
-def test_a_press_while_the_robot_brakes_does_not_count() -> None:
+def test_local_reset_press_during_brake_does_not_count() -> None:
     puppet = reach(State.SWINGING, local_reset=True)
     puppet.give(emergency_stop_clear=False).run(3)
     puppet.give(emergency_stop_clear=True).run(3)
@@ -83,7 +83,7 @@ def stuck() -> Puppet:
 
 
 @pytest.mark.parametrize("ticks", [1, 5, 100])
-def test_a_stuck_button_gives_no_edge_when_the_link_comes_back(ticks: int) -> None:
+def test_local_reset_stuck_button_after_lost_link_does_not_count(ticks: int) -> None:
     """Inputs that do not arrive read False, as all without energy does."""
     puppet = stuck()
     silent = dict.fromkeys(("local_reset", "emergency_stop_clear", "guard_closed", "guard_locked"), False)
@@ -93,7 +93,7 @@ def test_a_stuck_button_gives_no_edge_when_the_link_comes_back(ticks: int) -> No
 
 
 @pytest.mark.parametrize("ticks", [1, 5, 100])
-def test_a_stuck_button_gives_no_edge_when_the_device_comes_back(ticks: int) -> None:
+def test_local_reset_stuck_button_after_passive_device_does_not_count(ticks: int) -> None:
     puppet = stuck()
     puppet.give(local_reset=False, device_operational=False).run(ticks)
     puppet.give(local_reset=True, device_operational=True).run(5)
@@ -126,7 +126,7 @@ class Away:
     def close(self) -> None: ...
 
 
-def test_a_stuck_button_gives_no_edge_when_reading_failed() -> None:
+def test_local_reset_stuck_button_after_read_error_does_not_count() -> None:
     puppet = Puppet(lifecycle=SIMULATED)
     good = Readings(
         0.0, (0, 0, 0), (0.0,) * 3, (True,) * 3, (0.0,) * 3, True, True, True, 1e5, True, False, (1e5,) * 6
@@ -145,7 +145,7 @@ def test_a_stuck_button_gives_no_edge_when_reading_failed() -> None:
 
 
 @pytest.mark.parametrize("source", [State.READY, State.ESTOP, State.FAULT], ids=lambda state: state.name)
-def test_access_ends_with_the_button_where_there_is_one(source: State) -> None:
+def test_secure_with_button_requires_press(source: State) -> None:
     """Whoever asks over the network does not see who is inside."""
     puppet = reach(source, local_reset=True)
     press(puppet)
@@ -163,12 +163,12 @@ def test_access_ends_with_the_button_where_there_is_one(source: State) -> None:
         assert asked(puppet, Request.RESET) is Refusal.LOCAL_RESET
 
 
-def test_access_ends_without_a_button_where_there_is_none() -> None:
+def test_secure_without_button_accepts() -> None:
     puppet = reach(State.ACCESS)
     assert asked(puppet, Request.SECURE) is Refusal.NONE
 
 
-def test_a_press_before_access_does_not_end_it() -> None:
+def test_secure_press_before_access_refused() -> None:
     puppet = reach(State.READY, local_reset=True)
     press(puppet)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE

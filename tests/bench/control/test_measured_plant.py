@@ -11,7 +11,7 @@ PLANT = PlantParameters()
 ERRORS = {"shoulder.area_a": 1e-5, "wrist.valve.centre": 1e-3, "encoders.latency": 1e-3}
 
 
-def test_a_robot_is_drawn_within_its_standard_errors_and_keeps_the_rest() -> None:
+def test_measured_as_changes_listed_values_by_standard_error() -> None:
     off: dict[str, list[float]] = {key: [] for key in ERRORS}
     for seed in range(400):
         drawn = measured_as(PLANT, ERRORS, seed)
@@ -25,12 +25,12 @@ def test_a_robot_is_drawn_within_its_standard_errors_and_keeps_the_rest() -> Non
     assert measured_as(PLANT, ERRORS, 7) == measured_as(PLANT, ERRORS, 7)
 
 
-def test_the_areas_of_an_actuator_are_off_alike() -> None:
+def test_measured_as_keeps_area_ratio_of_actuator() -> None:
     errors = {"wrist.area_a": 0.02 * PLANT.wrist.area_a, "wrist.area_b": 0.02 * PLANT.wrist.area_b}
     for seed in range(20):
         drawn = measured_as(PLANT, errors, seed).wrist
         assert drawn.area_a / drawn.area_b == pytest.approx(PLANT.wrist.area_a / PLANT.wrist.area_b)
 
 
-def test_a_robot_without_standard_errors_is_as_measured() -> None:
+def test_measured_as_without_errors_returns_same_plant() -> None:
     assert measured_as(PLANT, {}, 7) == PLANT

@@ -29,12 +29,12 @@ from tests.bench.control.operating import (
 from tests.bench.control.puppet import Puppet
 
 
-def test_every_refusal_has_a_text_of_its_own() -> None:
+def test_refusal_text_covers_each_refusal_uniquely() -> None:
     assert set(REFUSAL_TEXT) == set(Refusal)
     assert len(set(REFUSAL_TEXT.values())) == len(Refusal)
 
 
-def test_a_reset_is_the_action_of_a_passive_device() -> None:
+def test_reset_reopened_passive_device_returns_to_ready() -> None:
     puppet = reach(State.READY)
     puppet.give(device_operational=False).tick()
     assert puppet.cause is Cause.DEVICE_PASSIVE
@@ -47,7 +47,7 @@ def test_a_reset_is_the_action_of_a_passive_device() -> None:
 @pytest.mark.parametrize(
     ("request_", "answer"), [(Request.ARM, Refusal.READ_ONLY), (Request.STOP, Refusal.NONE)]
 )
-def test_a_bench_that_only_observes_sends_no_energy(request_: Request, answer: Refusal) -> None:
+def test_read_only_bench_stays_without_energy(request_: Request, answer: Refusal) -> None:
     puppet = Puppet(read_only=True)
     puppet.run(10)
     assert asked(puppet, request_) is answer
@@ -61,7 +61,7 @@ HOLDING = holding_pressure(PlantParameters())
 """Up to it chambers hold nothing up (Pa absolute)."""
 
 
-def test_access_needs_the_proof_that_the_chambers_are_empty() -> None:
+def test_access_before_vent_timeout_refused() -> None:
     puppet = timed(reach(State.ARMED), vent_timeout=0.1)
     puppet.tick(Request.DISARM)
     assert asked(puppet, Request.ACCESS) is Refusal.NOT_VENTED
@@ -70,7 +70,7 @@ def test_access_needs_the_proof_that_the_chambers_are_empty() -> None:
     assert not puppet.record["guard_lock"][0]
 
 
-def test_access_waits_for_the_last_chamber() -> None:
+def test_access_last_chamber_above_holding_pressure_refused() -> None:
     puppet = timed(reach(State.READY), vent_timeout=0.1)
     empty, full = HOLDING - 1.0, HOLDING + 1.0
     puppet.give(chamber_pressure=(empty,) * 5 + (full,)).tick()
@@ -79,7 +79,7 @@ def test_access_waits_for_the_last_chamber() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_arming_waits_for_the_last_chamber() -> None:
+def test_arm_last_chamber_not_vented_refused() -> None:
     puppet = timed(reach(State.ARMED), vent_timeout=0.1)
     puppet.tick(Request.DISARM)
     empty, full = TIMES.vented_pressure - 1.0, TIMES.vented_pressure + 1.0
@@ -90,7 +90,7 @@ def test_arming_waits_for_the_last_chamber() -> None:
     assert asked(puppet, Request.ARM) is Refusal.NONE
 
 
-def test_access_waits_until_the_robot_has_rested_with_empty_chambers() -> None:
+def test_access_empty_chambers_waits_for_rest_time() -> None:
     puppet = reach(State.READY, vent_timeout=1.0, rest_time_vented=0.05, local_reset=True)
     puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6).tick()
     puppet.give(chamber_pressure=(HOLDING - 1.0,) * 6).run(42)
@@ -100,7 +100,7 @@ def test_access_waits_until_the_robot_has_rested_with_empty_chambers() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_a_raised_arm_that_sinks_is_not_vented_yet() -> None:
+def test_vented_sinking_arm_clears_until_rest() -> None:
     puppet = reach(State.READY, rest_time_vented=0.05)
     puppet.give(chamber_pressure=(HOLDING - 1.0,) * 6).run(60)
     assert puppet.control["vented"]
@@ -114,7 +114,7 @@ def test_a_raised_arm_that_sinks_is_not_vented_yet() -> None:
 
 
 @pytest.mark.parametrize("doubt", [{"encoders_suspect": True}, {}])
-def test_where_encoders_cannot_tell_it_waits_for_as_long_as_an_arm_may_sink(doubt: dict[str, bool]) -> None:
+def test_access_encoders_in_doubt_waits_for_longer_rest_time(doubt: dict[str, bool]) -> None:
     puppet = reach(State.FAULT, rest_time_vented=0.05, rest_time_without_encoders=0.3, local_reset=True)
     puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6, **doubt).tick()
     if not doubt:
@@ -126,7 +126,7 @@ def test_where_encoders_cannot_tell_it_waits_for_as_long_as_an_arm_may_sink(doub
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_a_reset_trusts_the_readings_again() -> None:
+def test_reset_clears_encoders_suspect() -> None:
     puppet = reach(State.FAULT)
     puppet.give(encoders_suspect=True)
     press(puppet)
@@ -134,14 +134,14 @@ def test_a_reset_trusts_the_readings_again() -> None:
     assert not puppet.control["encoders_suspect"]
 
 
-def test_pressure_in_the_chambers_while_the_guard_is_unlocked_locks_it() -> None:
+def test_chamber_pressure_in_access_faults_and_locks_guard() -> None:
     puppet = reach(State.ACCESS)
     puppet.give(chamber_pressure=(TIMES.vented_pressure + 1.0,) * 6).tick()
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.NOT_VENTED)
     assert puppet.record["guard_lock"][0]
 
 
-def test_a_reset_waits_until_the_chambers_are_empty() -> None:
+def test_reset_with_chamber_pressure_refused() -> None:
     puppet = reach(State.READY)
     puppet.give(chamber_pressure=(2e5,) * 6).tick()
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.NOT_VENTED)
@@ -152,7 +152,7 @@ def test_a_reset_waits_until_the_chambers_are_empty() -> None:
     assert puppet.bench is State.READY
 
 
-def test_a_reset_need_not_wait_while_the_chambers_are_emptying() -> None:
+def test_reset_before_vent_timeout_accepts_and_faults_later() -> None:
     puppet = timed(reach(State.ARMED), vent_timeout=0.1)
     puppet.tick(Request.STOP)
     assert until(puppet, State.FAULT) is State.FAULT
@@ -165,7 +165,7 @@ def test_a_reset_need_not_wait_while_the_chambers_are_emptying() -> None:
 
 
 @pytest.mark.parametrize("fitted", [True, False])
-def test_homing_by_the_vented_pose_needs_empty_chambers(fitted: bool) -> None:
+def test_home_by_vented_pose_requires_empty_chambers(fitted: bool) -> None:
     """A sensor in each chamber proves them empty, or the time for venting."""
     puppet = reach(State.SAFE, fitted=fitted, vent_timeout=0.1)
     shown = TIMES.vented_pressure + 1.0 if fitted else nan
@@ -181,7 +181,7 @@ def test_homing_by_the_vented_pose_needs_empty_chambers(fitted: bool) -> None:
 # The button beside the robot --------------------------------------------------------------------------
 
 
-def test_a_button_that_is_held_since_the_start_is_no_press() -> None:
+def test_local_reset_button_held_since_start_does_not_count() -> None:
     puppet = at_power_up(local_reset=True)
     puppet.readings["local_reset"], puppet.control["is_warmed_up"] = True, True
     puppet.run(30)
@@ -192,7 +192,7 @@ def test_a_button_that_is_held_since_the_start_is_no_press() -> None:
     assert asked(puppet, Request.RESET) is Refusal.NONE
 
 
-def test_a_press_counts_for_its_time_and_for_one_reset() -> None:
+def test_local_reset_press_expires_and_counts_once() -> None:
     puppet = reach(State.FAULT, local_reset=True, local_reset_time=0.05)
     press(puppet)
     puppet.run(60)
@@ -207,7 +207,7 @@ def test_a_press_counts_for_its_time_and_for_one_reset() -> None:
 # Answers ----------------------------------------------------------------------------------------------
 
 
-def test_a_stop_does_not_overwrite_the_answer_to_a_numbered_request() -> None:
+def test_cycle_stop_keeps_answer_to_numbered_request() -> None:
     puppet = reach(State.READY)
     tick = puppet.cycle
     puppet.give(request_number=7)

@@ -85,7 +85,7 @@ def file(limits: ModelLimits, tmp_path: Path) -> Path:
     return path
 
 
-def test_limits_are_read_as_they_were_written(limits: ModelLimits, file: Path) -> None:
+def test_load_limits_returns_saved_limits(limits: ModelLimits, file: Path) -> None:
     assert load_limits(file) == limits
 
 
@@ -110,7 +110,7 @@ Edit = Callable[[str], str]
         (lambda t: t + "[", "", "invalid TOML"),
     ],
 )
-def test_a_bad_file_is_named_with_its_place(file: Path, edit: Edit, location: str, found: str) -> None:
+def test_load_limits_bad_file_reports_place(file: Path, edit: Edit, location: str, found: str) -> None:
     file.write_text(edit(file.read_text()))
     with pytest.raises(BenchError) as error:
         load_limits(file)
@@ -119,12 +119,12 @@ def test_a_bad_file_is_named_with_its_place(file: Path, edit: Edit, location: st
     assert found in error.value.found
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
+def test_load_limits_missing_file_raises(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="no such file"):
         load_limits(tmp_path / "no.limits.toml")
 
 
-def test_limits_made_for_the_bench_are_used(limits: ModelLimits, file: Path) -> None:
+def test_limits_in_use_matching_file_applies_tables(limits: ModelLimits, file: Path) -> None:
     used = limits_in_use(ModelSettings(check="simulated"), limits.made_for, [file])
     assert (used.source, used.stale, used.settings.check) == (str(file), False, "simulated")
     for kind in KINDS:
@@ -135,18 +135,18 @@ def test_limits_made_for_the_bench_are_used(limits: ModelLimits, file: Path) -> 
         assert rest == {row: own[row] for row in own.keys() & FROM_SETTINGS | {"arming"}}
 
 
-def test_limits_are_resolved_once(limits: ModelLimits, file: Path) -> None:
+def test_limits_in_use_resolved_settings_stay_unchanged(limits: ModelLimits, file: Path) -> None:
     used = limits_in_use(ModelSettings(check="always"), limits.made_for, [file])
     assert limits_in_use(used.settings, limits.made_for, []).settings == used.settings
 
 
-def test_limits_by_hand_come_first(limits: ModelLimits, file: Path) -> None:
+def test_limits_in_use_configured_tables_take_precedence(limits: ModelLimits, file: Path) -> None:
     by_hand = replace(ModelSettings(check="always"), jump=ModelSettings().jump | {"hold": (1.0, 1.0, 1.0)})
     used = limits_in_use(by_hand, limits.made_for, [file])
     assert (used.settings, used.source) == (by_hand, "tables of the configuration")
 
 
-def test_without_limits_the_default_tables_are_used(limits: ModelLimits, tmp_path: Path) -> None:
+def test_limits_in_use_without_file_keeps_default_tables(limits: ModelLimits, tmp_path: Path) -> None:
     used = limits_in_use(ModelSettings(check="always"), limits.made_for, [tmp_path / "none.limits.toml"])
     assert (used.settings, used.stale) == (ModelSettings(check="always"), False)
     assert "none were made for this profile" in used.source
@@ -162,7 +162,7 @@ def test_without_limits_the_default_tables_are_used(limits: ModelLimits, tmp_pat
         ("controller", {"envelope": EnvelopeSettings(max_slew=300.0)}),
     ],
 )
-def test_stale_limits_are_named_and_not_used(
+def test_limits_in_use_stale_file_reports_part_and_keeps_defaults(
     default_profile: Profile, file: Path, part: str, changed: dict[str, Any]
 ) -> None:
     used = limits_in_use(ModelSettings(check="always"), made_for(default_profile, **changed), [file])
@@ -186,7 +186,7 @@ def moved(plant: PlantParameters, by: float) -> PlantParameters:
     )
 
 
-def test_what_a_swing_hardly_feels_keeps_the_limits(default_profile: Profile, file: Path) -> None:
+def test_limits_in_use_drift_within_tolerance_stays_valid(default_profile: Profile, file: Path) -> None:
     for by in (-0.99, 0.2, 0.99):
         near = made_for(default_profile, plant=moved(PLANT, by))
         assert not limits_in_use(ModelSettings(), near, [file]).stale
@@ -196,7 +196,7 @@ def test_what_a_swing_hardly_feels_keeps_the_limits(default_profile: Profile, fi
     assert "and 3 more" in far.source
 
 
-def test_a_key_that_is_renamed_keeps_its_name_in_files(
+def test_names_in_files_renamed_key_keeps_limits_valid(
     default_profile: Profile, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What the code calls otherwise than the file is not felt twice."""
@@ -208,7 +208,7 @@ def test_a_key_that_is_renamed_keeps_its_name_in_files(
     assert not limits_in_use(ModelSettings(), made_for(default_profile), [file]).stale
 
 
-def test_each_tolerance_and_exception_is_of_a_value_there_is(default_profile: Profile) -> None:
+def test_tolerances_and_ignored_fields_exist_in_plant(default_profile: Profile) -> None:
     nested = asdict(PLANT)
     for name in (*IGNORED_FIELDS, *TOLERANCES):
         value: Any = nested
@@ -217,12 +217,12 @@ def test_each_tolerance_and_exception_is_of_a_value_there_is(default_profile: Pr
     assert TOLERANCES.keys() <= made_for(default_profile).plant.keys()
 
 
-def test_limits_of_a_changed_profile_are_stale(default_profile: Profile, file: Path) -> None:
+def test_limits_in_use_changed_profile_reports_stale(default_profile: Profile, file: Path) -> None:
     shifted = replace(default_profile, angle=default_profile.angle + 1e-6)
     assert "another profile" in limits_in_use(ModelSettings(), made_for(shifted), [file]).source
 
 
-def test_ball_seed_and_ratings_do_not_make_limits_stale(default_profile: Profile, file: Path) -> None:
+def test_limits_in_use_ball_seed_and_ratings_stay_valid(default_profile: Profile, file: Path) -> None:
     stop = replace(PLANT.wrist.stop, rated=PLANT.wrist.stop.rated + 10.0)
     plant = replace(
         PLANT, ball=replace(PLANT.ball, mass=0.04), seed=77, wrist=replace(PLANT.wrist, stop=stop)
@@ -235,7 +235,7 @@ def with_club(**changed: Any) -> PlantParameters:
     return replace(PLANT, robot=replace(PLANT.robot, club=club))
 
 
-def test_a_moved_tee_and_a_clubs_name_do_not_make_limits_stale(default_profile: Profile, file: Path) -> None:
+def test_limits_in_use_small_tee_shift_and_club_name_stay_valid(default_profile: Profile, file: Path) -> None:
     """The face map's clubs are the driver at another place of the tee."""
     near = 0.99 * MIN_RELEVANT_TEE_SHIFT
     for plant in (with_club(name="toe", tee_shift=near), with_club(name="heel", tee_shift=-near)):
@@ -251,7 +251,7 @@ def test_a_moved_tee_and_a_clubs_name_do_not_make_limits_stale(default_profile: 
         {"friction_factor": 0.5},
     ],
 )
-def test_another_body_or_a_tee_moved_far_makes_limits_stale(
+def test_limits_in_use_other_club_or_large_tee_shift_reports_stale(
     default_profile: Profile, file: Path, changed: dict[str, float]
 ) -> None:
     seen = limits_in_use(ModelSettings(), made_for(default_profile, plant=with_club(**changed)), [file])
@@ -260,7 +260,9 @@ def test_another_body_or_a_tee_moved_far_makes_limits_stale(
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_tee_moved_less_is_felt_far_within_the_limits(default_profile: Profile, side: float) -> None:
+def test_min_relevant_tee_shift_changes_velocity_within_third_of_limit(
+    default_profile: Profile, side: float
+) -> None:
     """The joints' speeds after the blow differ by less than a third of what the comparison allows for."""
     c = load_configuration(Path("shipped")).for_profile(default_profile, find_profile("default"))
     bench = Bench(c.plant, default_profile, c.control, c.envelope, c.estimator)
@@ -276,14 +278,16 @@ def test_a_tee_moved_less_is_felt_far_within_the_limits(default_profile: Profile
     assert np.all(np.abs(speeds[1] - speeds[0]).max(axis=0) < allowed / 3.0)
 
 
-def test_a_lift_counts_only_where_it_acts(default_profile: Profile) -> None:
+def test_limits_fingerprint_turf_lift_counts_on_turf_only(default_profile: Profile) -> None:
     turf = replace(PLANT, site=replace(PLANT.site, surface="turf"))
     without = ControlSettings(turf_lift_gain=0.0)
     assert made_for(default_profile, control=without) == made_for(default_profile)
     assert made_for(default_profile, plant=turf, control=without) != made_for(default_profile, plant=turf)
 
 
-def test_the_first_file_that_fits_is_used(limits: ModelLimits, file: Path, tmp_path: Path) -> None:
+def test_limits_in_use_several_files_uses_first_match(
+    limits: ModelLimits, file: Path, tmp_path: Path
+) -> None:
     other = tmp_path / "other.limits.toml"
     save_limits(other, replace(limits, made_for=limits.made_for._replace(plant={"wrist_lever": 1.0})))
     assert limits_in_use(ModelSettings(), limits.made_for, [other, file]).source == str(file)
@@ -292,7 +296,7 @@ def test_the_first_file_that_fits_is_used(limits: ModelLimits, file: Path, tmp_p
 # What the controller makes of them -------------------------------------------------------------------
 
 
-def test_the_controller_has_a_row_for_each_limit(
+def test_build_controller_limits_fill_model_rows(
     default_profile: Profile, limits: ModelLimits, file: Path
 ) -> None:
     settings = limits_in_use(ModelSettings(check="always"), limits.made_for, [file]).settings
@@ -317,7 +321,7 @@ def test_the_controller_has_a_row_for_each_limit(
     assert (bool(teaching["check"]), int(teaching["first_row"])) == (True, LEARNING)
 
 
-def test_default_tables_hold_for_learning_of_a_measured_robot_only(default_profile: Profile) -> None:
+def test_for_learning_default_tables_check_only_if_always(default_profile: Profile) -> None:
     settings = ModelSettings(check="always")
     made = build_controller(PLANT, default_profile, envelope=EnvelopeSettings(model=settings))
     teaching = for_learning(made, settings).model[0]

@@ -39,7 +39,7 @@ def more(value: Any) -> Any:
 
 
 @pytest.mark.parametrize("section", ["control", "lifecycle", "homing", "envelope"])
-def test_each_number_of_a_section_reaches_the_step(configuration: Configuration, section: str) -> None:
+def test_build_controller_each_setting_changes_records(configuration: Configuration, section: str) -> None:
     before, settings = built(configuration), getattr(configuration, section)
     lost = {
         field.name

@@ -47,7 +47,7 @@ def forbid(puppet: Puppet, source: State, target: State) -> None:
     ],
     ids=lambda value: value.name,
 )
-def test_a_request_outside_the_matrix_is_a_fault_in_its_tick(
+def test_forbidden_transition_on_request_faults_in_same_tick(
     source: State, request_: Request, target: State
 ) -> None:
     puppet = reach(source)
@@ -59,7 +59,7 @@ def test_a_request_outside_the_matrix_is_a_fault_in_its_tick(
     assert not puppet.record["supply_enable"][0]
 
 
-def test_a_swing_outside_the_matrix_does_not_begin_and_the_robot_is_stopped() -> None:
+def test_forbidden_transition_to_swinging_brakes() -> None:
     puppet = reach(State.ARMED)
     forbid(puppet, State.ARMED, State.SWINGING)
     puppet.tick(Request.SWING)
@@ -69,7 +69,7 @@ def test_a_swing_outside_the_matrix_does_not_begin_and_the_robot_is_stopped() ->
     assert (puppet.bench, puppet.phase) == (State.FAULT, Phase.STANDING)
 
 
-def test_a_moving_robot_whose_state_is_wrong_is_braked_in_that_tick() -> None:
+def test_forbidden_transition_in_motion_brakes_in_same_tick() -> None:
     puppet = on_the_way()
     forbid(puppet, State.ARMED, State.RECOVERING)
     puppet.tick(Request.DISARM)
@@ -79,7 +79,7 @@ def test_a_moving_robot_whose_state_is_wrong_is_braked_in_that_tick() -> None:
 
 
 @pytest.mark.parametrize("state", [len(State), 255])
-def test_a_state_that_does_not_exist_is_a_fault(state: int) -> None:
+def test_unknown_state_latches_fault(state: int) -> None:
     puppet = reach(State.READY)
     puppet.control["state"] = state
     puppet.give(supervisor_alive=False).tick()
@@ -87,7 +87,7 @@ def test_a_state_that_does_not_exist_is_a_fault(state: int) -> None:
     assert puppet.control["latest_cause"] == Cause.EXCEPTION
 
 
-def test_an_emergency_stays_one_on_a_way_outside_the_matrix() -> None:
+def test_forbidden_transition_to_estop_keeps_emergency() -> None:
     puppet = reach(State.READY)
     forbid(puppet, State.READY, State.ESTOP)
     puppet.give(emergency_stop_clear=False).tick()
@@ -95,7 +95,7 @@ def test_an_emergency_stays_one_on_a_way_outside_the_matrix() -> None:
     assert puppet.control["latest_cause"] == Cause.EXCEPTION
 
 
-def test_the_robot_reaches_ready_again_after_a_forbidden_way() -> None:
+def test_reset_after_forbidden_transition_returns_to_ready() -> None:
     puppet = reach(State.READY)
     forbid(puppet, State.READY, State.ARMED)
     puppet.tick(Request.ARM)
@@ -117,7 +117,7 @@ def bench() -> tuple[ControlState, ControlParameters]:
 Bench = tuple[ControlState, ControlParameters]
 
 
-def test_a_less_severe_reaction_does_not_replace_one_under_way(bench: Bench) -> None:
+def test_begin_reaction_less_severe_keeps_current(bench: Bench) -> None:
     state, parameters = bench
     s = state.control[0]
     for reaction, began in ((Reaction.BRAKE, True), (Reaction.COMPLETE, False), (Reaction.BRAKE, False)):
@@ -128,7 +128,7 @@ def test_a_less_severe_reaction_does_not_replace_one_under_way(bench: Bench) -> 
 
 
 @pytest.mark.parametrize(("swinging", "sample", "row"), [(True, 32, 1), (True, 10**6, 4), (False, 32, -1)])
-def test_a_blind_brake_begins_in_the_row_of_the_sample(
+def test_begin_reaction_blind_brake_starts_at_row_of_sample(
     bench: Bench, swinging: bool, sample: int, row: int
 ) -> None:
     state, parameters = bench
@@ -140,7 +140,7 @@ def test_a_blind_brake_begins_in_the_row_of_the_sample(
 
 
 @pytest.mark.parametrize("before", [Reaction.NONE, Reaction.COMPLETE])
-def test_a_pattern_brakes_all_joints_without_their_encoders(bench: Bench, before: Reaction) -> None:
+def test_begin_reaction_blind_brake_opens_loop_of_all_joints(bench: Bench, before: Reaction) -> None:
     state, parameters = bench
     s = state.control[0]
     s["swinging"], s["swing"]["sample"] = True, 32
@@ -149,7 +149,7 @@ def test_a_pattern_brakes_all_joints_without_their_encoders(bench: Bench, before
     assert (s["blind_row"], s["open_loop_joints"].tolist()) == (1, [1, 1, 1])
 
 
-def test_a_blind_brake_out_of_a_brake_plays_no_pattern(bench: Bench) -> None:
+def test_begin_reaction_blind_brake_after_brake_skips_pattern(bench: Bench) -> None:
     state, parameters = bench
     s = state.control[0]
     s["swinging"], s["swing"]["sample"], s["open_loop_joints"] = True, 32, 1
@@ -170,7 +170,7 @@ def test_a_blind_brake_out_of_a_brake_plays_no_pattern(bench: Bench) -> None:
         (Cause.NONE, False, False, State.SAFE),
     ],
 )
-def test_at_rest_a_cause_is_latched(
+def test_enter_standstill_latches_cause(
     bench: Bench, cause: Cause, emergency: bool, homed: bool, state: State
 ) -> None:
     s = bench[0].control[0]
@@ -185,7 +185,7 @@ def test_at_rest_a_cause_is_latched(
     assert s["reaction"] == (Reaction.VENT if cause else Reaction.NONE)
 
 
-def test_the_first_cause_is_kept_unless_an_emergency_follows(bench: Bench) -> None:
+def test_latch_keeps_first_cause_until_emergency(bench: Bench) -> None:
     s = bench[0].control[0]
     for cause, kept in (
         (Cause.GUARD, Cause.GUARD),
@@ -198,7 +198,7 @@ def test_the_first_cause_is_kept_unless_an_emergency_follows(bench: Bench) -> No
     assert s["state"] == State.ESTOP
 
 
-def test_a_lasting_cause_does_not_hide_one_found_after_it() -> None:
+def test_react_lasting_cause_keeps_later_cause_visible() -> None:
     puppet = reach(State.SWINGING)
     s = puppet.state.control[0]
     for tick in range(3):
@@ -209,7 +209,7 @@ def test_a_lasting_cause_does_not_hide_one_found_after_it() -> None:
     assert (s["cause"], s["latest_cause"]) == (Cause.GUARD, Cause.WRIST_AIR)
 
 
-def test_a_cause_while_standing_vents_and_a_lost_reading_is_distrusted(bench: Bench) -> None:
+def test_react_lost_reading_at_rest_vents_and_suspects_encoders(bench: Bench) -> None:
     state, parameters = bench
     s = state.control[0]
     react(state, parameters, int(Cause.ARM_ENCODER), READINGS_LOST, 1.0)
@@ -220,7 +220,7 @@ def test_a_cause_while_standing_vents_and_a_lost_reading_is_distrusted(bench: Be
 
 
 @pytest.mark.parametrize("joint", range(3))
-def test_a_joint_that_does_not_follow_may_have_an_encoder_that_is_stuck(joint: int) -> None:
+def test_react_following_error_suspects_encoders(joint: int) -> None:
     puppet = reach(State.SWINGING)
     react(puppet.state, puppet.parameters, int(Cause.SHOULDER_FOLLOWING) + joint, READINGS_VALID, 1.0)
     assert puppet.control["encoders_suspect"]
@@ -235,7 +235,7 @@ def test_a_joint_that_does_not_follow_may_have_an_encoder_that_is_stuck(joint: i
         (Phase.RETURN, State.RECOVERING, Reaction.BRAKE, State.RECOVERING),
     ],
 )
-def test_disarming_vents_at_rest_and_brakes_otherwise(
+def test_disarm_vents_at_hold_and_brakes_in_motion(
     bench: Bench, phase: Phase, before: State, reaction: Reaction, after: State
 ) -> None:
     s = bench[0].control[0]
@@ -254,7 +254,7 @@ def test_disarming_vents_at_rest_and_brakes_otherwise(
         (State.RECOVERING, True, Reaction.COMPLETE, State.RECOVERING),
     ],
 )
-def test_at_the_address_a_series_is_held(
+def test_enter_hold_returns_to_armed_in_series(
     bench: Bench, before: State, held: bool, reaction: Reaction, after: State
 ) -> None:
     s = bench[0].control[0]
@@ -264,14 +264,14 @@ def test_at_the_address_a_series_is_held(
 
 
 @pytest.mark.parametrize("cause", [Cause.SHOULDER_INDEX, Cause.WRIST_INDEX], ids=lambda cause: cause.name)
-def test_an_index_off_its_place_takes_the_reference_away(bench: Bench, cause: Cause) -> None:
+def test_react_index_cause_clears_homed(bench: Bench, cause: Cause) -> None:
     s = bench[0].control[0]
     s["homed"] = True
     react(bench[0], bench[1], cause, READINGS_VALID, 1.0)
     assert not s["homed"]
 
 
-def test_a_tick_that_failed_leaves_nothing_under_way(bench: Bench) -> None:
+def test_latch_exception_clears_activity_and_faults(bench: Bench) -> None:
     control = bench[0].control
     control["phase"], control["state"], control["swinging"] = Phase.BACKSWING, State.SWINGING, True
     under_way = ("swinging", "moving", "disarming", "air", "vented", "tee")
@@ -284,7 +284,7 @@ def test_a_tick_that_failed_leaves_nothing_under_way(bench: Bench) -> None:
     assert (s["cause"], s["reaction"]) == (Cause.EXCEPTION, Reaction.PASSIVE)
 
 
-def test_the_braking_law_opposes_motion_and_fades() -> None:
+def test_brake_opening_opposes_motion_and_fades() -> None:
     law = (0.1, 0.01, 1.0)
     assert brake_opening(*law, 2.0, 0.0) == pytest.approx(-0.2)
     assert brake_opening(*law, -2.0, 0.0) == pytest.approx(0.2)

@@ -62,7 +62,7 @@ moving_phase = pytest.mark.parametrize("phase", list(Phase)[1:], ids=lambda phas
 # Power-up, arming, requests ---------------------------------------------------------------------------
 
 
-def test_power_up_is_standing_and_without_energy() -> None:
+def test_power_up_stands_without_energy() -> None:
     puppet = Puppet()
     for _ in range(20):
         puppet.tick()
@@ -71,7 +71,7 @@ def test_power_up_is_standing_and_without_energy() -> None:
 
 
 @pytest.mark.parametrize("name", GOOD)
-def test_arming_needs_every_interlock(name: str) -> None:
+def test_arm_open_interlock_refused(name: str) -> None:
     puppet = Puppet()
     puppet.run(10)
     puppet.readings[name] = False
@@ -85,7 +85,7 @@ def test_arming_needs_every_interlock(name: str) -> None:
 
 
 @pytest.mark.parametrize("joint", range(3))
-def test_arming_needs_every_encoder(joint: int) -> None:
+def test_arm_invalid_encoder_refused(joint: int) -> None:
     puppet = Puppet()
     puppet.readings["encoder_valid"][0, joint] = 0
     puppet.run(10)
@@ -95,7 +95,7 @@ def test_arming_needs_every_encoder(joint: int) -> None:
     assert puppet.tick(Request.ARM) == Answer.ACCEPTED
 
 
-def test_arming_holds_the_pose_it_finds() -> None:
+def test_arm_starts_reference_at_current_pose() -> None:
     puppet = Puppet()
     puppet.angle = ADDRESS + [-0.2, 0.1, -0.3]
     puppet.run(50)
@@ -108,7 +108,7 @@ def test_arming_holds_the_pose_it_finds() -> None:
     assert puppet.record["supply_enable"][0]
 
 
-def test_arming_again_is_without_a_bump() -> None:
+def test_arm_again_starts_with_small_openings() -> None:
     puppet = Puppet().hold()
     puppet.shift(0, -0.012)
     puppet.run(500)
@@ -126,7 +126,7 @@ def test_arming_again_is_without_a_bump() -> None:
     assert np.abs(openings).max() < 0.01
 
 
-def test_charging_swings_the_spools_around_their_centre() -> None:
+def test_precharge_swings_spools_around_centre() -> None:
     puppet = Puppet(control=replace(QUICK, precharge_time=0.4))
     puppet.run(10)
     openings = puppet.run(400, Request.ARM)
@@ -135,7 +135,7 @@ def test_charging_swings_the_spools_around_their_centre() -> None:
     assert np.ptp(openings) < 2 * QUICK.precharge_opening + 0.02
 
 
-def test_charging_is_watched_but_for_the_supply() -> None:
+def test_precharge_monitors_all_but_supply_pressure() -> None:
     puppet = Puppet(control=replace(QUICK, precharge_time=0.4))
     puppet.give(supply_pressure=1e5)
     puppet.run(10)
@@ -153,7 +153,7 @@ def test_charging_is_watched_but_for_the_supply() -> None:
     assert (puppet.reaction, puppet.cause) == (Reaction.PASSIVE, Cause.SHOULDER_FOLLOWING)
 
 
-def test_the_way_to_address_is_smooth_and_no_faster_than_allowed() -> None:
+def test_move_to_address_stays_smooth_within_move_speed() -> None:
     puppet = Puppet()
     puppet.angle = ADDRESS + [-0.3, 0.1, -0.4]
     puppet.run(10)
@@ -168,7 +168,7 @@ def test_the_way_to_address_is_smooth_and_no_faster_than_allowed() -> None:
     assert np.abs(np.diff(speed, axis=0)).max() < 0.05
 
 
-def test_an_address_that_is_not_reached_ends_the_move() -> None:
+def test_move_to_address_missed_address_reports_timeout() -> None:
     puppet = Puppet()
     puppet.run(10)
     puppet.tick(Request.ARM)
@@ -182,13 +182,13 @@ def test_an_address_that_is_not_reached_ends_the_move() -> None:
 
 
 @each_phase
-def test_a_swing_begins_only_from_the_hold(phase: Phase) -> None:
+def test_swing_outside_hold_refused(phase: Phase) -> None:
     puppet = Puppet().enter(phase)
     assert puppet.tick(Request.SWING) == (Answer.ACCEPTED if phase is Phase.HOLD else Answer.REFUSED)
 
 
 @pytest.mark.parametrize("joint", range(3))
-def test_a_swing_begins_only_at_the_address(joint: int) -> None:
+def test_swing_outside_address_tolerance_refused(joint: int) -> None:
     puppet = Puppet().hold()
     tolerance = QUICK.address_tolerance[joint]
     for miss, answer in ((1.1, Answer.REFUSED), (-1.1, Answer.REFUSED), (0.9, Answer.ACCEPTED)):
@@ -197,7 +197,7 @@ def test_a_swing_begins_only_at_the_address(joint: int) -> None:
         assert puppet.tick(Request.SWING) == answer
 
 
-def test_a_swing_begins_only_at_rest() -> None:
+def test_swing_moving_joint_refused() -> None:
     puppet = Puppet().hold()
     for _ in range(20):
         puppet.offset[2] += 0.0012  # 1.2 rad/s
@@ -208,7 +208,7 @@ def test_a_swing_begins_only_at_rest() -> None:
     assert puppet.tick(Request.SWING) == Answer.ACCEPTED
 
 
-def test_a_swing_begins_without_a_bump() -> None:
+def test_swing_start_keeps_openings_continuous() -> None:
     profile = replace(STILL, valve=np.full((SAMPLES, 3), 0.2))
     puppet = Puppet(profile).hold()
     for joint, miss in enumerate((0.01, -0.01, 0.02)):
@@ -220,7 +220,7 @@ def test_a_swing_begins_without_a_bump() -> None:
 
 
 @each_phase
-def test_disarming_vents_a_quiet_hold_and_brakes_a_slow_move(phase: Phase) -> None:
+def test_disarm_vents_hold_and_brakes_slow_move(phase: Phase) -> None:
     puppet = Puppet().enter(phase)
     quiet, slow = phase is Phase.HOLD, phase in {Phase.RETURN, Phase.HOMING}
     assert puppet.tick(Request.DISARM) == (Answer.ACCEPTED if quiet or slow else Answer.REFUSED)
@@ -233,7 +233,7 @@ def test_disarming_vents_a_quiet_hold_and_brakes_a_slow_move(phase: Phase) -> No
         assert (puppet.bench, puppet.is_without_energy()) == (rests, True)
 
 
-def test_disarming_does_not_cut_a_brake_short() -> None:
+def test_disarm_during_brake_refused() -> None:
     puppet = Puppet().hold()
     puppet.readings["guard_closed"] = False
     puppet.tick()
@@ -243,7 +243,7 @@ def test_disarming_does_not_cut_a_brake_short() -> None:
 
 
 @each_phase
-def test_a_stop_is_always_accepted(phase: Phase) -> None:
+def test_stop_accepted_in_each_phase(phase: Phase) -> None:
     puppet = Puppet().enter(phase)
     assert puppet.tick(Request.STOP) == Answer.ACCEPTED
     assert puppet.tick(Request.STOP) == Answer.ACCEPTED
@@ -255,7 +255,7 @@ def test_a_stop_is_always_accepted(phase: Phase) -> None:
 
 @each_phase
 @pytest.mark.parametrize("request_", [*range(1, len(Request)), 11, 255])
-def test_every_request_is_answered_once(phase: Phase, request_: int) -> None:
+def test_step_answers_each_request_once(phase: Phase, request_: int) -> None:
     puppet = Puppet().enter(phase)
     answer = puppet.tick(request_)
     assert answer in {Answer.ACCEPTED, Answer.REFUSED}
@@ -276,7 +276,7 @@ def curved(period: float = 1e-3) -> Profile:
 
 
 @pytest.mark.parametrize("tick", [1e-3, 5e-4, 1 / 3000, 1 / 700], ids=["1 kHz", "2 kHz", "3 kHz", "700 Hz"])
-def test_the_profile_is_interpolated_between_its_samples(tick: float) -> None:
+def test_profile_interpolates_between_samples(tick: float) -> None:
     profile = curved()
     puppet = Puppet(profile, replace(QUICK, gains="hand", damping=(0.0, 0.0, 0.0)), tick)
     puppet.run(10)
@@ -303,7 +303,7 @@ def test_the_profile_is_interpolated_between_its_samples(tick: float) -> None:
     assert puppet.phase is Phase.RETURN
 
 
-def test_dither_swings_the_spools_up_to_the_top_only() -> None:
+def test_dither_acts_until_top_only() -> None:
     puppet = Puppet(control=replace(QUICK, dither=(0.1, 0.2, 0.0), dither_period=0.02, damping=(0.0,) * 3))
     puppet.parameters.control["dither_delay"] = 0.15
     puppet.swing(0)
@@ -315,7 +315,7 @@ def test_dither_swings_the_spools_up_to_the_top_only() -> None:
     assert np.abs(down).max() < 0.01
 
 
-def test_the_downswing_keeps_its_share_of_the_damping() -> None:
+def test_downswing_damping_scales_damping_in_downswing_only() -> None:
     added = {}
     for share in (0.0, 1.0):
         puppet = Puppet(curved(), replace(QUICK, downswing_damping=share)).swing(50)
@@ -330,7 +330,7 @@ def test_the_downswing_keeps_its_share_of_the_damping() -> None:
     assert added[0.0, "backswing"] == added[1.0, "backswing"] > 1e-4
 
 
-def test_after_a_swing_the_robot_returns_and_holds() -> None:
+def test_swing_end_returns_and_holds() -> None:
     puppet = Puppet().swing(SAMPLES - 2)
     puppet.tick()
     assert (puppet.phase, bool(puppet.control["swinging"])) == (Phase.RETURN, False)
@@ -341,7 +341,7 @@ def test_after_a_swing_the_robot_returns_and_holds() -> None:
 
 
 @pytest.mark.parametrize("back", [0.001, 0.1, 10.0, 1e6])
-def test_a_clock_that_runs_backwards_stops_the_swing_within_the_tables(back: float) -> None:
+def test_swing_backward_clock_stops_within_tables(back: float) -> None:
     puppet = Puppet().swing(250)
     puppet.time -= back + puppet.period
     puppet.tick()
@@ -409,7 +409,7 @@ PROVOKED: dict[int, tuple[Callable[[Puppet], None], Cause]] = {
 @pytest.mark.parametrize(
     "column", PROVOKED, ids=["trusted", "lost", "emergency", "disobeyed", "wrist", "alone"]
 )
-def test_every_entry_of_the_table_is_what_happens(phase: Phase, column: int) -> None:
+def test_stopping_table_each_entry_triggers_reaction(phase: Phase, column: int) -> None:
     puppet = Puppet().enter(phase)
     provoke, cause = PROVOKED[column]
     if phase is Phase.HOMING and column in (ACTUATOR_FAULT, WRIST_FAULT):
@@ -436,7 +436,7 @@ def test_every_entry_of_the_table_is_what_happens(phase: Phase, column: int) -> 
 
 @pytest.mark.parametrize("phase", [Phase.TOP, Phase.DOWNSWING, Phase.HOMING], ids=lambda phase: phase.name)
 @pytest.mark.parametrize("joint", range(3))
-def test_a_valve_that_passes_too_much_is_a_joint_that_does_not_obey(phase: Phase, joint: int) -> None:
+def test_model_check_excess_flow_reacts_as_actuator_fault(phase: Phase, joint: int) -> None:
     puppet = model_checked(Puppet().enter(phase))
     puppet.parameters.model["flow"][0, :, joint] = -1.0
     puppet.tick()
@@ -446,14 +446,14 @@ def test_a_valve_that_passes_too_much_is_a_joint_that_does_not_obey(phase: Phase
 
 
 @pytest.mark.parametrize("kind", ["jump", "effort"])
-def test_readings_that_do_not_fit_are_lost(kind: str) -> None:
+def test_model_check_jump_or_effort_reacts_as_readings_lost(kind: str) -> None:
     puppet = model_checked(Puppet().enter(Phase.TOP), **{kind: -1.0})
     puppet.tick()
     assert puppet.cause is Cause[f"SHOULDER_{kind.upper()}"]
     assert puppet.reaction is STOP_REACTIONS[Phase.TOP][READINGS_LOST]
 
 
-def test_an_encoder_that_slips_while_the_robot_stands_is_not_homed_any_more() -> None:
+def test_model_check_encoder_slip_at_rest_clears_homed() -> None:
     puppet = model_checked(Puppet())
     puppet.parameters.model["jump"][0, Phase.STANDING] = 0.01
     puppet.run(60)
@@ -468,7 +468,7 @@ def test_an_encoder_that_slips_while_the_robot_stands_is_not_homed_any_more() ->
 
 @moving_phase
 @pytest.mark.parametrize("column", [READINGS_VALID, READINGS_LOST, EMERGENCY])
-def test_nothing_moves_again_by_itself(phase: Phase, column: int) -> None:
+def test_stop_requires_reset_and_arm_before_motion(phase: Phase, column: int) -> None:
     puppet = Puppet().enter(phase)
     PROVOKED[column][0](puppet)
     puppet.run(1500)
@@ -497,7 +497,7 @@ def test_nothing_moves_again_by_itself(phase: Phase, column: int) -> None:
 
 
 @moving_phase
-def test_a_stop_under_way_is_not_reset(phase: Phase) -> None:
+def test_reset_during_stop_refused(phase: Phase) -> None:
     puppet = Puppet().enter(phase)
     puppet.tick(Request.STOP)
     before = puppet.reaction
@@ -506,7 +506,7 @@ def test_a_stop_under_way_is_not_reset(phase: Phase) -> None:
     assert puppet.reaction is before
 
 
-def test_the_first_cause_is_kept_and_only_severity_goes_up() -> None:
+def test_reaction_escalates_and_keeps_first_cause() -> None:
     puppet = Puppet().enter(Phase.COMMITTED)
     _guard(puppet)
     puppet.tick()
@@ -524,7 +524,7 @@ def test_the_first_cause_is_kept_and_only_severity_goes_up() -> None:
     assert puppet.reaction is Reaction.BLIND_BRAKE
 
 
-def test_a_swing_that_completes_is_not_followed_by_a_return() -> None:
+def test_complete_reaction_brakes_without_return() -> None:
     puppet = Puppet().enter(Phase.FOLLOW_THROUGH)
     puppet.tick(Request.STOP)
     assert puppet.reaction is Reaction.COMPLETE
@@ -537,7 +537,7 @@ def test_a_swing_that_completes_is_not_followed_by_a_return() -> None:
     assert puppet.cause is Cause.OPERATOR_STOP
 
 
-def test_a_table_may_ask_to_vent_at_once() -> None:
+def test_reaction_table_vent_entry_vents_immediately() -> None:
     puppet = Puppet().enter(Phase.BACKSWING)
     puppet.parameters.control["reactions"][0, Phase.BACKSWING, EMERGENCY] = Reaction.VENT
     _emergency(puppet)
@@ -549,7 +549,7 @@ def test_a_table_may_ask_to_vent_at_once() -> None:
 # The reactions ----------------------------------------------------------------------------------------
 
 
-def test_a_brake_works_against_the_motion_until_it_rests() -> None:
+def test_brake_opposes_motion_until_rest() -> None:
     puppet = Puppet().swing(250)
     puppet.follows = False
     velocity = np.array([-1.0, 0.4, -1.5])
@@ -564,7 +564,7 @@ def test_a_brake_works_against_the_motion_until_it_rests() -> None:
     assert puppet.phase is Phase.STANDING
 
 
-def test_a_brake_has_an_end_also_without_rest() -> None:
+def test_brake_without_rest_ends_at_timeout() -> None:
     puppet = Puppet(control=replace(QUICK, brake_timeout=0.3)).swing(250)
     puppet.follows = False
     puppet.tick(Request.STOP)
@@ -576,7 +576,7 @@ def test_a_brake_has_an_end_also_without_rest() -> None:
 
 
 @pytest.mark.parametrize("circuit", ["emergency_stop_clear", "guard_closed"])
-def test_a_brake_ends_when_an_open_relay_opens_the_vents(circuit: str) -> None:
+def test_brake_open_safety_circuit_ends_after_vent_delay(circuit: str) -> None:
     """Also where the model-based check is off, as with hardware."""
     puppet = Puppet(control=replace(QUICK, brake_timeout=3.0)).swing(250)
     assert not puppet.parameters.model["check"][0]
@@ -590,7 +590,7 @@ def test_a_brake_ends_when_an_open_relay_opens_the_vents(circuit: str) -> None:
     assert puppet.phase is Phase.STANDING
 
 
-def test_a_brake_goes_on_while_both_vents_report_shut() -> None:
+def test_brake_continues_while_vents_report_shut() -> None:
     """A machine without the relay is braked until it rests."""
     puppet = Puppet(control=replace(QUICK, brake_timeout=1.0)).swing(250)
     puppet.follows = False
@@ -627,7 +627,7 @@ def braked_blindly(sample: int, seed: int) -> tuple[int, Array, Array]:
 
 
 @pytest.mark.parametrize("sample", [0, 19, 20, 333, 610, SAMPLES - 3])
-def test_a_blind_brake_is_its_pattern_by_time_alone(sample: int) -> None:
+def test_blind_brake_follows_pattern_regardless_of_readings(sample: int) -> None:
     row, desired, applied = braked_blindly(sample, seed=0)
     _, _, again = braked_blindly(sample, seed=1)
     assert np.array_equal(applied, again)
@@ -640,7 +640,7 @@ def test_a_blind_brake_is_its_pattern_by_time_alone(sample: int) -> None:
     assert not applied[round(ended * 1000) + 2 :].any()
 
 
-def test_a_blind_brake_outside_a_swing_centres_the_spools() -> None:
+def test_blind_brake_outside_swing_centres_spools() -> None:
     puppet = Puppet().hold()
     puppet.readings["encoder_valid"] = 0
     openings = puppet.run(300)
@@ -649,7 +649,7 @@ def test_a_blind_brake_outside_a_swing_centres_the_spools() -> None:
     assert not openings[10:].any()
 
 
-def test_passive_is_what_a_silent_bench_leaves() -> None:
+def test_passive_reaction_stays_without_energy() -> None:
     puppet = Puppet().enter(Phase.TOP)
     puppet.follows = False
     _disobeyed(puppet)
@@ -705,7 +705,7 @@ def puppets() -> dict[Phase, Puppet]:
         max_size=25,
     ),
 )
-def test_any_readings_at_any_time_give_a_bounded_command(
+def test_step_arbitrary_readings_give_bounded_command(
     puppets: dict[Phase, Puppet],
     phase: Phase,
     ticks: list[tuple[float, dict[str, Any] | None, tuple[float, float, float], int]],
@@ -739,7 +739,7 @@ def test_any_readings_at_any_time_give_a_bounded_command(
 
 
 @compiled_only
-def test_a_tick_leaves_no_memory_behind() -> None:
+def test_step_leaks_no_memory() -> None:
     puppet = Puppet().swing(250)
     given_ = (puppet.state, puppet.parameters, puppet.readings, puppet.time, puppet.record, puppet.cycle)
     step(*given_)

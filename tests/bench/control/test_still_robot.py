@@ -30,7 +30,7 @@ def turn(puppet: Puppet, joint: int, speed: float, ticks: int) -> None:
 
 @each_case
 @pytest.mark.parametrize("joint", range(3))
-def test_a_moving_joint_forbids_it(state: State, request_: Request, joint: int) -> None:
+def test_request_moving_joint_refused(state: State, request_: Request, joint: int) -> None:
     puppet = reach(state)
     turn(puppet, joint, 0.5, 100)
     press(puppet)
@@ -46,7 +46,7 @@ def test_a_moving_joint_forbids_it(state: State, request_: Request, joint: int) 
 
 
 @each_case
-def test_a_count_that_flickers_is_no_motion(state: State, request_: Request) -> None:
+def test_request_flickering_count_accepted(state: State, request_: Request) -> None:
     puppet = reach(state)
     at = puppet.angle.copy()
     for k in range(200):

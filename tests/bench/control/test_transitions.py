@@ -252,7 +252,7 @@ NAMES = [f"{i}-{c.edge.source.name}-{c.edge.event}-{c.edge.target.name}" for i, 
 each_case = pytest.mark.parametrize("case", CASES, ids=NAMES)
 
 
-def test_every_edge_is_tried() -> None:
+def test_cases_cover_all_transitions() -> None:
     assert {case.edge for case in CASES} == set(TRANSITIONS)
 
 
@@ -270,7 +270,7 @@ def follow(case: Case, puppet: Puppet) -> State:
 
 
 @each_case
-def test_an_edge_is_taken_when_its_guard_holds(case: Case) -> None:
+def test_transition_with_guard_reaches_target(case: Case) -> None:
     assert follow(case, case.before()) is case.edge.target
 
 
@@ -282,14 +282,14 @@ def test_an_edge_is_taken_when_its_guard_holds(case: Case) -> None:
         for why, act in case.but_for.items()
     ],
 )
-def test_an_edge_is_not_taken_without_its_guard(case: Case, prevent: Act) -> None:
+def test_transition_without_guard_does_not_happen(case: Case, prevent: Act) -> None:
     puppet = case.before()
     prevent(puppet)
     assert follow(case, puppet) is not case.edge.target
 
 
 @each_case
-def test_an_edge_is_not_taken_by_itself(case: Case) -> None:
+def test_transition_without_event_does_not_happen(case: Case) -> None:
     puppet = case.before()
     if case.event is not None:
         puppet.run(10)
@@ -298,7 +298,7 @@ def test_an_edge_is_not_taken_by_itself(case: Case) -> None:
 
 @pytest.mark.parametrize("event", ["emergency stop", "fault", "stop"])
 @pytest.mark.parametrize("source", [S.ARMED, S.SWINGING, S.RECOVERING], ids=lambda state: state.name)
-def test_a_moving_robot_is_stopped_first_and_latched_at_standstill(source: State, event: str) -> None:
+def test_transition_in_motion_brakes_before_latching(source: State, event: str) -> None:
     case = next(case for case in CASES if (case.edge.source, case.edge.event) == (source, event))
     puppet = reach(source) if source is not S.ARMED else on_the_way()
     assert case.event is not None
@@ -309,7 +309,7 @@ def test_a_moving_robot_is_stopped_first_and_latched_at_standstill(source: State
     assert puppet.phase is Phase.STANDING
 
 
-def test_a_guard_that_is_not_seen_locked_in_time_is_a_fault() -> None:
+def test_secure_guard_not_locked_in_time_faults() -> None:
     puppet = in_access()
     puppet.tick(Request.SECURE)
     puppet.run(1990)
@@ -318,7 +318,7 @@ def test_a_guard_that_is_not_seen_locked_in_time_is_a_fault() -> None:
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.GUARD)
 
 
-def test_a_bench_at_rest_is_not_latched_by_a_stop() -> None:
+def test_stop_at_rest_keeps_state() -> None:
     for source in (S.SAFE, S.READY, S.ACCESS):
         puppet = reach(source)
         assert asked(puppet, Request.STOP) is Refusal.NONE

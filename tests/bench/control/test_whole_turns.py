@@ -42,7 +42,7 @@ def here(ticks: int) -> np.ndarray[Any, Any]:
 
 
 @pytest.mark.parametrize("seconds", [0.02, 0.1, 0.5, 3.0])
-def test_garbage_leaves_no_whole_turn_behind(seconds: float) -> None:
+def test_decode_encoders_garbage_leaves_no_turn_error(seconds: float) -> None:
     rng = np.random.default_rng(round(1000 * seconds))
     for _ in range(20):
         garbage = rng.integers(0, COUNTS, (round(1000 * seconds), 3))
@@ -51,14 +51,14 @@ def test_garbage_leaves_no_whole_turn_behind(seconds: float) -> None:
 
 
 @pytest.mark.parametrize("speed", [-30.0, 30.0])
-def test_a_count_that_runs_round_and_round_comes_back_to_the_travel(speed: float) -> None:
+def test_decode_encoders_spinning_count_returns_to_travel(speed: float) -> None:
     """As a slipping cable or a rotating magnetic field makes it: every single step is plausible."""
     turning = np.round((HERE + speed * 1e-3 * np.arange(1000)[:, None]) * COUNTS / TURN).astype(int) % COUNTS
     angles = decoded(np.vstack([here(10), turning, here(600)]))
     assert angles[-1] == pytest.approx(HERE, abs=1e-3)
 
 
-def test_an_incremental_count_goes_on_over_the_end_of_its_range() -> None:
+def test_decode_encoders_unindexed_count_continues_past_range_end() -> None:
     """Before its index it has no zero, so that only differences mean anything."""
     turning = np.round((HERE + 5e-3 * np.arange(2000)[:, None]) * COUNTS / TURN).astype(int) % COUNTS
     angles = decoded(turning, indexed=0)
@@ -75,7 +75,7 @@ def disturb(puppet: Puppet, turns: float, ticks: int) -> None:
 
 
 @pytest.mark.parametrize("turns", [1.0, -1.0, 2.0])
-def test_after_reset_the_bench_believes_no_count_that_is_a_turn_off(turns: float) -> None:
+def test_reset_after_encoder_turns_keeps_true_angle(turns: float) -> None:
     puppet = reach(State.READY, local_reset=True)
     disturb(puppet, turns, 1500)
     assert puppet.state.estimator["angle"][0] == pytest.approx(ADDRESS, abs=2e-3)
@@ -86,7 +86,7 @@ def test_after_reset_the_bench_believes_no_count_that_is_a_turn_off(turns: float
     assert puppet.state.estimator["angle"][0] == pytest.approx(ADDRESS, abs=2e-3)
 
 
-def test_home_succeeds_after_garbage_without_a_restart() -> None:
+def test_home_after_encoder_turns_succeeds() -> None:
     puppet = reach(State.SAFE)
     disturb(puppet, 2.0, 1500)
     if puppet.bench is State.FAULT:

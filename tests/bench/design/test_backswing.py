@@ -20,7 +20,7 @@ TICKS = 1100
 
 
 @pytest.mark.parametrize("seed", release_except({0}, [0, 409, 418]))
-def test_the_way_up_is_followed(seed: int) -> None:
+def test_learned_backswing_follows_reference(seed: int) -> None:
     c, demand = load_configuration(), SwingDemand()
     plant = drawn_robot(seed, c.plant) if seed else c.plant
     pid = pid_record(c.control, c.estimator, plant)

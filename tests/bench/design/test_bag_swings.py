@@ -24,7 +24,7 @@ each_swing = pytest.mark.parametrize("name", release_except({"iron7-78mph", "wed
 
 @each_swing
 @needs_speed
-def test_a_swing_of_the_bag_delivers_as_demanded(name: str) -> None:
+def test_bag_swing_delivers_as_demanded(name: str) -> None:
     demand, delivery = DEMANDS[name], simulate_swing(mounted(name)).delivery
     assert delivery is not None
     assert delivery.speed == pytest.approx(demand.speed, rel=0.002)
@@ -34,7 +34,7 @@ def test_a_swing_of_the_bag_delivers_as_demanded(name: str) -> None:
 
 @each_swing
 @needs_speed
-def test_a_silent_bench_throws_no_head_deep_into_the_turf(name: str) -> None:
+def test_bag_swing_silent_bench_ends_safely(name: str) -> None:
     bench = mounted(name)
     profile, unwatched = bench.profile, bench.envelope.with_model_check("off")
     check = SwingCheck(bench.plant, profile, bench.control, unwatched, bench.estimator)
@@ -46,7 +46,7 @@ def test_a_silent_bench_throws_no_head_deep_into_the_turf(name: str) -> None:
     assert [(outcome.time, outcome.unsafe) for outcome in outcomes if outcome.unsafe] == []
 
 
-def test_a_lifted_arm_lets_a_straight_club_pass_above_the_turf() -> None:
+def test_lifted_angle_straight_club_clears_turf() -> None:
     bag = load_configuration(Path("bag"))
     for name in ("wood3", "iron7", "wedge56"):
         plant = bag.plant_with(club=name)

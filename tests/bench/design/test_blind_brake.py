@@ -24,17 +24,17 @@ def search(monkeypatch: pytest.MonkeyPatch) -> _BlindSearch:
     return _BlindSearch(plant=None, states=[], ticks=0)  # type: ignore[arg-type]
 
 
-def test_a_search_from_centred_spools_stays_in_its_hollow(search: _BlindSearch) -> None:
+def test_blind_search_first_stays_in_local_minimum(search: _BlindSearch) -> None:
     assert search.first(1, None).cost == 2.0
 
 
-def test_the_pattern_of_a_row_nearby_is_tried_and_improved(search: _BlindSearch) -> None:
+def test_blind_search_around_improves_pattern_of_near_row(search: _BlindSearch) -> None:
     stuck, good = _Found(2.0, np.zeros(6)), _Found(1.2, FAR - 0.1)
     found = search.around(0, [stuck, stuck, good])
     assert found.cost < _GOOD
     assert np.abs(found.pattern - FAR).max() < 0.1
 
 
-def test_a_row_far_away_is_not_tried_and_the_own_pattern_stays(search: _BlindSearch) -> None:
+def test_blind_search_around_ignores_far_row(search: _BlindSearch) -> None:
     stuck, good = _Found(2.0, np.zeros(6)), _Found(0.1, FAR)
     assert search.around(0, [stuck] * 8 + [good]) is stuck

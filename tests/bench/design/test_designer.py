@@ -100,7 +100,7 @@ def _bench(name: str, variant: str) -> SimulatedBench:
 
 
 @pytest.mark.parametrize("mounted", [0.0, 0.7])
-def test_the_models_derivative_is_the_plants(plant: PlantParameters, mounted: float) -> None:
+def test_build_equations_derivative_matches_plant(plant: PlantParameters, mounted: float) -> None:
     plant = replace(plant, wrist_lever_angle=mounted)
     equations, records = build_equations(plant), build_plant(plant)
     random = np.random.default_rng(0)
@@ -121,13 +121,13 @@ def test_the_models_derivative_is_the_plants(plant: PlantParameters, mounted: fl
         assert found[6:13] == pytest.approx(rate[6:13] / BAR, rel=0.02, abs=1.5)
 
 
-def test_the_models_head_is_the_robots(plant: PlantParameters) -> None:
+def test_build_equations_head_matches_robot(plant: PlantParameters) -> None:
     angle, speed = np.array([0.3, 4.3, 6.1]), np.array([5.0, 9.0, 20.0])
     head = np.array(build_equations(plant).head(angle, speed)).ravel()
     assert head == pytest.approx(head_motion(plant.robot.record[0], *angle, *speed)[:5])
 
 
-def test_collocation_differentiates_polynomials_exactly() -> None:
+def test_radau_slopes_differentiate_polynomials_exactly() -> None:
     points = np.array([1 / 3, 1.0])
     slopes = _radau_slopes(points)
     nodes = np.array([0.0, *points])
@@ -136,7 +136,7 @@ def test_collocation_differentiates_polynomials_exactly() -> None:
         assert nodes**power @ slopes == pytest.approx(expected)
 
 
-def test_a_path_in_the_tilted_plane_rises_by_the_attack_angle() -> None:
+def test_slope_of_tilted_plane_gives_attack_angle() -> None:
     lie, attack = radians(53.0), radians(2.0)
     assert sin(slope_of(attack, lie)) * sin(lie) == pytest.approx(sin(attack))
     assert slope_of(0.0, lie) == 0.0
@@ -146,7 +146,7 @@ def test_a_path_in_the_tilted_plane_rises_by_the_attack_angle() -> None:
 
 
 @pytest.mark.slow
-def test_a_wrist_may_be_kept_from_its_stop_at_the_ball(plant: PlantParameters) -> None:
+def test_fastest_plan_before_stop_keeps_wrist_off_end_stop(plant: PlantParameters) -> None:
     """The fastest downswing meets it there: a robot a little off was slower by 0.7 % in every other swing."""
     ahead, demand = 0.0012, SwingDemand(attack=radians(2.0))
     configuration = replace(load_configuration(None), plant=plant)
@@ -160,7 +160,7 @@ def test_a_wrist_may_be_kept_from_its_stop_at_the_ball(plant: PlantParameters) -
     assert missed[1] >= 0.999 * ahead
 
 
-def test_a_correction_begins_at_nothing_and_passes_its_knots() -> None:
+def test_correction_starts_at_zero_and_passes_knots() -> None:
     knots = np.array([[0.1, -0.2, 0.0], [0.3, 0.0, 0.2]])
     opening = correction(knots, 50, 1e-3)
     ticks = round(KNOT / 1e-3)
@@ -169,14 +169,14 @@ def test_a_correction_begins_at_nothing_and_passes_its_knots() -> None:
     assert opening[-1] == pytest.approx(knots[-1])
 
 
-def test_address_and_top_lie_within_the_machine(plant: PlantParameters) -> None:
+def test_address_and_top_pose_lie_within_joint_ranges(plant: PlantParameters) -> None:
     for pose in (address_pose(plant, SwingDemand()), top_pose(plant, SwingDemand())):
         assert plant.shoulder.lower < pose[0] < plant.shoulder.upper
         assert plant.wrist.lower < pose[2] < plant.wrist.upper
         assert abs(np.sin(pose[2] - 1.5 * np.pi)) >= sin(asin(SwingDemand().least_lever))
 
 
-def test_the_head_stands_behind_a_ball_on_turf_at_the_address() -> None:
+def test_address_pose_on_turf_places_head_behind_ball() -> None:
     bag = load_configuration(Path("bag"))
     for name in ("wood3", "iron7", "wedge56"):
         plant = bag.plant_with(club=name)
@@ -188,7 +188,7 @@ def test_the_head_stands_behind_a_ball_on_turf_at_the_address() -> None:
         assert plant.right_arm.lower < extension < plant.right_arm.upper
 
 
-def test_a_ball_on_turf_that_the_arms_do_not_reach_is_refused() -> None:
+def test_address_pose_ball_out_of_reach_raises() -> None:
     plant = load_configuration(Path("bag")).plant_with(club="iron7")
     far = replace(plant, site=replace(plant.site, ball_x=1.5))
     with pytest.raises(DesignFailed, match="do not reach the ball"):
@@ -196,7 +196,7 @@ def test_a_ball_on_turf_that_the_arms_do_not_reach_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("name", "variant", "speed"), release_except(SAMPLE, SHIPPED))
-def test_a_shipped_design_delivers_in_closed_loop(name: str, variant: str, speed: float) -> None:
+def test_shipped_profile_delivers_in_closed_loop(name: str, variant: str, speed: float) -> None:
     bench = _bench(name, variant)
     result, told = simulate_swing(bench), bench.profile.delivery
     delivery = result.delivery
@@ -213,7 +213,7 @@ def test_a_shipped_design_delivers_in_closed_loop(name: str, variant: str, speed
 
 
 @pytest.mark.parametrize(("name", "variant", "speed"), release_except(SAMPLE, SHIPPED))
-def test_a_shipped_design_survives_a_missed_ball(name: str, variant: str, speed: float) -> None:
+def test_shipped_profile_missed_ball_keeps_stop_energy(name: str, variant: str, speed: float) -> None:
     bench = _bench(name, variant)
     (missed,) = simulate_swings(bench, [None])
     assert missed.cause == Cause.NONE
@@ -221,13 +221,13 @@ def test_a_shipped_design_survives_a_missed_ball(name: str, variant: str, speed:
 
 
 @pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
-def test_a_shipped_design_may_be_swung(name: str, variant: str, speed: float) -> None:
+def test_shipped_profile_has_no_faults(name: str, variant: str, speed: float) -> None:
     bench = _bench(name, variant)
     assert profile_faults(bench.profile, bench.plant, bench.envelope) == []
 
 
 @pytest.mark.parametrize(("name", "variant", "speed"), SHIPPED)
-def test_no_shipped_wrist_meets_its_stop_at_the_ball(name: str, variant: str, speed: float) -> None:
+def test_shipped_profile_keeps_wrist_off_end_stop_at_ball(name: str, variant: str, speed: float) -> None:
     """Seven did: which of two swings met it before the ball was a matter of tenths of a millisecond."""
     bench = _bench(name, variant)
     period = bench.profile.period
@@ -238,7 +238,7 @@ def test_no_shipped_wrist_meets_its_stop_at_the_ball(name: str, variant: str, sp
     assert (bench.plant.wrist.upper - wrist) / turning > 0.8 * SwingDemand().before_stop
 
 
-def test_a_rehearsal_is_the_simulated_swing_tick_by_tick() -> None:
+def test_rehearsal_matches_simulated_swing_per_tick() -> None:
     bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
     swing = simulate_swing(bench).cycles
     rehearsal = Rehearsal(bench)
@@ -249,7 +249,7 @@ def test_a_rehearsal_is_the_simulated_swing_tick_by_tick() -> None:
         assert np.array_equal(cycles[name], told[name])
 
 
-def test_a_coarse_plan_meets_its_demand_and_is_the_same_twice(plant: PlantParameters) -> None:
+def test_solve_downswing_coarse_plan_meets_demand_reproducibly(plant: PlantParameters) -> None:
     """The shipped swing's downswing planned anew on a coarse mesh, a little slower."""
     bench = SimulatedBench(load_profile(find_profile("driver-85mph")))
     demand = SwingDemand(head_speed=36.0, attack=radians(0.5))
@@ -268,7 +268,7 @@ def test_a_coarse_plan_meets_its_demand_and_is_the_same_twice(plant: PlantParame
     assert np.array_equal(plan.state, plans[1].state)
 
 
-def test_a_plan_may_begin_where_friction_leaves_the_joints(plant: PlantParameters) -> None:
+def test_state_bounds_include_start_beyond_top(plant: PlantParameters) -> None:
     """A robot with much friction comes to the top some hundredths of a radian beyond it."""
     bench = SimulatedBench(load_profile(find_profile("default")))
     demand = demand_near(plant, bench.profile, SwingDemand(head_speed=43.2))
@@ -289,7 +289,7 @@ def _coarse_plan(plant: PlantParameters, demand: SwingDemand) -> tuple[Downswing
 
 
 @pytest.mark.slow
-def test_a_plan_that_may_give_way_does_not_where_it_need_not(plant: PlantParameters) -> None:
+def test_solve_downswing_nearest_reachable_demand_concedes_nothing(plant: PlantParameters) -> None:
     demand = SwingDemand(head_speed=36.0, attack=radians(0.5), nearest=True)
     problem, plan = _coarse_plan(plant, demand)
     vx, vy = head_motion(plant.robot.record[0], *plan.state[-1, :6])[3:5]
@@ -301,7 +301,7 @@ def test_a_plan_that_may_give_way_does_not_where_it_need_not(plant: PlantParamet
 
 
 @pytest.mark.slow
-def test_a_demand_out_of_reach_gives_the_nearest_plan(plant: PlantParameters) -> None:
+def test_solve_downswing_unreachable_demand_returns_nearest_plan(plant: PlantParameters) -> None:
     demand = SwingDemand(head_speed=58.0, attack=radians(0.5), nearest=True)
     problem, plan = _coarse_plan(plant, demand)
     vx, vy = head_motion(plant.robot.record[0], *plan.state[-1, :6])[3:5]
@@ -314,7 +314,7 @@ def test_a_demand_out_of_reach_gives_the_nearest_plan(plant: PlantParameters) ->
 
 
 @pytest.mark.slow
-def test_a_downswing_comes_from_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_design_downswing_without_guess_meets_demand(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a coarse mesh; played on the plant, it meets its demand and survives the missing ball."""
     monkeypatch.setattr("bench.design.designer._INTERVALS", 14)
     bench = _bench("default", "shipped")
@@ -330,7 +330,7 @@ def test_a_downswing_comes_from_nothing(monkeypatch: pytest.MonkeyPatch) -> None
     assert told[-1] == ("downswing", 1.0)
 
 
-def test_cushions_are_corrected_between_what_held_and_what_broke() -> None:
+def test_cushions_next_interpolates_between_tried_values() -> None:
     tried = _Cushions(np.zeros((2, 2)), np.zeros((2, 2)))
     brought, over = np.array([20.0, 25.0]), np.array([10.0, -4.0])
     tried = tried.learned(brought, over)
@@ -341,7 +341,7 @@ def test_cushions_are_corrected_between_what_held_and_what_broke() -> None:
     assert tried.next(brought, over) == pytest.approx([10.0 + 10.0 / 3, 25.5])
 
 
-def test_a_design_that_no_bench_would_take_is_refused_by_the_check_s_own_words() -> None:
+def test_require_possible_faulty_profile_raises_check_fault() -> None:
     """As the wrist that is late at the top leaves a step there."""
     bench = _bench("default", "shipped")
     _require_possible(bench, bench.profile)
@@ -355,7 +355,7 @@ def test_a_design_that_no_bench_would_take_is_refused_by_the_check_s_own_words()
     assert "a step no robot can follow" in str(caught.value)
 
 
-def test_a_design_ends_with_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_design_swing_faulty_result_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(designer, "_swing_up", lambda *_: None)
     monkeypatch.setattr(designer, "design_downswing", lambda *_: (SimpleNamespace(plan=None, trial=None), 1))
     made = replace(load_profile(find_profile("default")), club="none")
@@ -365,14 +365,14 @@ def test_a_design_ends_with_the_check(monkeypatch: pytest.MonkeyPatch) -> None:
         design_swing(load_configuration(None), SwingDemand(), "made")
 
 
-def test_a_shipped_swing_tells_what_it_is_short_of() -> None:
+def test_shipped_profile_text_reports_missing_speed() -> None:
     profile, golfer = load_profile(find_profile("tour-male")), GOLFERS["tour-male"]
     reached = profile.delivery["head_speed_mps"]
     told = f"demanded {golfer.head_speed:.1f} m/s, reached {reached:.1f} m/s, short by"
     assert f"{told} {golfer.head_speed - reached:.1f} m/s" in profile.text
 
 
-def test_a_missing_package_is_told_with_its_action(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_design_swing_missing_package_names_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(BenchError, match=r"golfbench\[design\]"):
         design_swing(load_configuration(None), SwingDemand(), "nothing")

@@ -16,7 +16,7 @@ from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
 
 
-def test_a_demand_near_a_swing_has_its_top_its_time_and_its_poses() -> None:
+def test_demand_near_takes_top_time_and_poses_of_profile() -> None:
     plant, profile = PlantParameters(), load_profile(find_profile("default"))
     demand = demand_near(plant, profile, SwingDemand(head_speed=43.2))
     begin, ball = profile.begins[3], round(profile.impact_time / profile.period)
@@ -30,7 +30,7 @@ def test_a_demand_near_a_swing_has_its_top_its_time_and_its_poses() -> None:
     assert demand.head_speed == 43.2
 
 
-def test_a_swing_follows_a_golfer_or_another_swing(tmp_path: Path) -> None:
+def test_profile_design_golfer_with_near_refused(tmp_path: Path) -> None:
     arguments = ["profile", "design", str(tmp_path / "a.toml"), "--golfer", "senior", "--near", "default"]
     result = CliRunner().invoke(app, arguments)
     assert "--golfer and --near" in str(result.exception or result.output)

@@ -36,7 +36,7 @@ def robot_that_does(
     return asked
 
 
-def test_a_higher_speed_is_demanded_until_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_highest_speed_raises_demand_until_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     """The robot of this test does 41.3 m/s, which its fastest plan of 38 does not tell."""
     asked, shown = robot_that_does(41.3, monkeypatch), list[str]()
     found = highest_speed(STUDY, InProcess(), shown.append)
@@ -47,13 +47,13 @@ def test_a_higher_speed_is_demanded_until_it_fails(monkeypatch: pytest.MonkeyPat
     assert shown[:2] == ["as fast as it goes", "40.0 and 42.0 m/s"]
 
 
-def test_the_search_goes_up_as_long_as_it_succeeds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_highest_speed_continues_while_successful(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = robot_that_does(47.0, monkeypatch)
     assert 46.5 <= highest_speed(STUDY, InProcess()).plan.speed <= 47.0
     assert asked[:7] == [None, 40.0, 42.0, 44.0, 46.0, 48.0, 50.0]
 
 
-def test_a_success_above_a_failure_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_highest_speed_success_above_failure_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     def plan(_: Any, demand: SwingDemand, *__: Any) -> Any:
         if demand.head_speed == 40.0:
             raise DesignFailed("no")
@@ -63,13 +63,13 @@ def test_a_success_above_a_failure_does_not_count(monkeypatch: pytest.MonkeyPatc
     assert highest_speed(STUDY, InProcess()).plan.speed < 40.0
 
 
-def test_a_robot_without_a_downswing_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_highest_speed_without_feasible_downswing_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     robot_that_does(30.0, monkeypatch)
     with pytest.raises(DesignFailed, match="cushion"):
         highest_speed(STUDY, InProcess())
 
 
-def test_a_fastest_plan_that_the_plant_does_not_follow_is_replaced_by_the_known_swing(
+def test_highest_speed_unfollowed_fastest_plan_starts_from_profile(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It opens the valves as far as they go, so that nothing is left to correct with."""

@@ -23,7 +23,7 @@ def golfer() -> GolferSwing:
     return golfer_swing()
 
 
-def test_a_demand_has_the_measured_speed_attack_and_tempo(golfer: GolferSwing) -> None:
+def test_demand_measured_takes_speed_attack_and_tempo(golfer: GolferSwing) -> None:
     plant = load_configuration(Path("golfers")).plant
 
     demand = demand_measured(plant, golfer, SwingDemand())
@@ -38,7 +38,7 @@ def test_a_demand_has_the_measured_speed_attack_and_tempo(golfer: GolferSwing) -
     assert (stated.head_speed, stated.attack) == (40.0, 0.02)
 
 
-def test_a_demand_follows_the_body_from_rest_with_the_whole_range_of_the_wrist(golfer: GolferSwing) -> None:
+def test_demand_measured_follows_body_with_full_wrist_range(golfer: GolferSwing) -> None:
     plant = load_configuration(Path("golfers")).plant
     cocked = golfer.angle.copy()
     cocked[:, 2] -= 0.03
@@ -56,7 +56,7 @@ def test_a_demand_follows_the_body_from_rest_with_the_whole_range_of_the_wrist(g
     assert top_pose(plant, demand)[0] == pytest.approx(deep.angle[deep.top_row, 0])
 
 
-def test_a_top_beyond_the_stroke_of_the_right_arm_stays_off_both_end_stops(golfer: GolferSwing) -> None:
+def test_demand_measured_top_beyond_stroke_stays_off_end_stops(golfer: GolferSwing) -> None:
     plant = load_configuration(Path("golfers")).plant
     lower, upper = plant.right_arm.lower, plant.right_arm.upper
     for turned in (-0.6, 0.9):
@@ -71,7 +71,7 @@ def test_a_top_beyond_the_stroke_of_the_right_arm_stays_off_both_end_stops(golfe
         assert lower < rods.min() <= rods.max() <= upper + 1e-9
 
 
-def test_a_body_without_a_club_is_no_demand(golfer: GolferSwing) -> None:
+def test_demand_measured_without_club_raises(golfer: GolferSwing) -> None:
     body = replace(golfer, angle=golfer.angle * [1.0, 1.0, np.nan])
 
     with pytest.raises(BenchError, match="grip and head"):

@@ -44,7 +44,7 @@ def watched(name: str) -> Configuration:
 
 
 @pytest.mark.parametrize("name", WITH_LIMITS)
-def test_shipped_limits_are_not_stale(name: str) -> None:
+def test_shipped_limits_match_profile_and_configuration(name: str) -> None:
     c, path = designed_for(name), find_profile(name)
     found = c.limits_in_use(load_profile(path), path)
     assert not found.stale, f"{found.source}: {ACTION}"
@@ -54,7 +54,7 @@ def test_shipped_limits_are_not_stale(name: str) -> None:
 @pytest.mark.release
 @needs_speed
 @pytest.mark.parametrize("name", WITH_LIMITS[:1])
-def test_no_healthy_swing_or_stop_is_stopped(name: str) -> None:
+def test_shipped_limits_healthy_run_reports_no_cause(name: str) -> None:
     c, profile = watched(name), load_profile(find_profile(name))
     parameters = build_controller(c.plant, profile, c.control, c.envelope, c.estimator)
     for seed in range(300, 303):
@@ -90,7 +90,7 @@ def worn(plant: PlantParameters, signs: tuple[float, float, float], lengths: flo
     ("signs", "lengths"),
     [((-1.0, -1.0, -1.0), 0.0), ((1.0, 1.0, 1.0), 0.0), ((-1.0, 1.0, -1.0), 0.0), ((0.0, 0.0, 0.0), 1.5e-3)],
 )
-def test_a_worn_robot_arms_and_swings_while_it_learns(
+def test_shipped_limits_worn_robot_swings_without_cause(
     signs: tuple[float, float, float], lengths: float
 ) -> None:
     c, profile = watched("default"), load_profile(find_profile("default"))

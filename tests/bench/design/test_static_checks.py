@@ -49,7 +49,7 @@ def faster(profile: Profile, factor: int) -> Profile:
     )
 
 
-def test_a_possible_swing_passes_every_check(
+def test_check_profile_possible_swing_passes(
     slow_swing: Profile, plant: PlantParameters, envelope: EnvelopeSettings
 ) -> None:
     checks = check_profile(slow_swing, plant, envelope)
@@ -68,7 +68,7 @@ def test_a_possible_swing_passes_every_check(
     require_possible(slow_swing, plant, envelope)
 
 
-def test_a_swing_for_another_rate_is_named(slow_swing: Profile, plant: PlantParameters) -> None:
+def test_other_rate_reports_profile_and_tick_periods(slow_swing: Profile, plant: PlantParameters) -> None:
     assert other_rate(slow_swing, plant) == ""
     note = other_rate(slow_swing, replace(plant, tick=0.00025))
     assert "a sample every 1 ms, the loop a tick every 0.25 ms" in note
@@ -121,7 +121,7 @@ def _site(**changes: Any) -> Any:
         (_profile(impact_time=0.5), "impact_time_s", "behind the ball", "within 0.08 and 0.02 m"),
     ],
 )
-def test_each_reason_is_named(
+def test_profile_faults_names_each_reason(
     change: Any,
     location: str,
     found: str,
@@ -149,7 +149,7 @@ def test_each_reason_is_named(
         ({"ball_window": 0.01, "clearance": 0.1}, "angle_rad[", "at least 100 mm"),
     ],
 )
-def test_the_envelopes_limits_are_kept_in_the_plan(
+def test_profile_faults_reports_exceeded_envelope_limit(
     limits: dict[str, Any], location: str, expected: str, slow_swing: Profile, plant: PlantParameters
 ) -> None:
     (fault,) = profile_faults(slow_swing, plant, EnvelopeSettings(**limits))
@@ -157,7 +157,7 @@ def test_the_envelopes_limits_are_kept_in_the_plan(
     assert expected in fault.expected
 
 
-def test_all_reasons_come_at_once(
+def test_require_possible_raises_all_faults_together(
     slow_swing: Profile, plant: PlantParameters, envelope: EnvelopeSettings
 ) -> None:
     with pytest.raises(ExceptionGroup) as raised:
@@ -166,7 +166,7 @@ def test_all_reasons_come_at_once(
     assert len(raised.value.exceptions) == 2
 
 
-def test_a_reference_beyond_a_joints_range_is_named(slow_swing: Profile, plant: PlantParameters) -> None:
+def test_beyond_range_names_joint_and_time(slow_swing: Profile, plant: PlantParameters) -> None:
     envelope = EnvelopeSettings()
     assert beyond_range(slow_swing, plant, envelope) == ""
     found = beyond_range(changed(slow_swing, "angle", 40, 2, 3.0), plant, envelope)
@@ -174,7 +174,7 @@ def test_a_reference_beyond_a_joints_range_is_named(slow_swing: Profile, plant: 
     assert f"{40 * slow_swing.period:.3f} s" in found
 
 
-def test_arriving_too_fast_at_a_stop_is_refused(
+def test_profile_faults_excess_end_stop_energy_reported(
     slow_swing: Profile, plant: PlantParameters, envelope: EnvelopeSettings
 ) -> None:
     fast = faster(slow_swing, 20)
@@ -188,7 +188,7 @@ def test_arriving_too_fast_at_a_stop_is_refused(
 # Air -------------------------------------------------------------------------------------------------
 
 
-def test_a_swing_that_asks_for_more_air_than_the_valves_pass_is_refused(
+def test_profile_faults_excess_air_demand_names_actuator(
     slow_swing: Profile, plant: PlantParameters, envelope: EnvelopeSettings
 ) -> None:
     faults = profile_faults(faster(slow_swing, 40), plant, envelope)
@@ -198,7 +198,7 @@ def test_a_swing_that_asks_for_more_air_than_the_valves_pass_is_refused(
     assert "plant.shoulder" in shoulder.action
 
 
-def test_valves_too_small_for_the_speed_are_refused(
+def test_profile_faults_undersized_valve_names_actuator(
     slow_swing: Profile, plant: PlantParameters, envelope: EnvelopeSettings
 ) -> None:
     n = 300  # the rod goes out from 20 to 200 mm in 0.3 s: nine times the chamber's volume
@@ -248,7 +248,7 @@ def free_play(plant: PlantParameters) -> tuple[Motion, np.ndarray]:
     return Motion(profile, plant), force
 
 
-def test_no_force_of_the_plant_lies_outside_the_bounds(free_play: tuple[Motion, np.ndarray]) -> None:
+def test_force_bounds_contain_plant_forces(free_play: tuple[Motion, np.ndarray]) -> None:
     motion, force = free_play
     bounds = force_bounds(motion)
     assert np.abs(motion.profile.velocity).max() > 5.0
@@ -260,7 +260,7 @@ def test_no_force_of_the_plant_lies_outside_the_bounds(free_play: tuple[Motion, 
     assert np.all(width[1:] < 0.95 * full[1:])
 
 
-def test_needed_force_is_the_force_that_was_there(free_play: tuple[Motion, np.ndarray]) -> None:
+def test_needed_force_matches_plant_force(free_play: tuple[Motion, np.ndarray]) -> None:
     motion, force = free_play
     middle = (force[1:] + force[:-1]) / 2
     moving = np.abs(motion.speed[1:]) > 0.3
@@ -269,7 +269,7 @@ def test_needed_force_is_the_force_that_was_there(free_play: tuple[Motion, np.nd
     assert np.median(error[moving]) < 0.02
 
 
-def test_steady_speed_goes_with_the_valve_and_against_the_area(plant: PlantParameters) -> None:
+def test_steady_speed_scales_with_conductance_over_area(plant: PlantParameters) -> None:
     vane, supply = plant.shoulder, plant.supply
     speed = steady_speed(vane, supply)
     # Far down the line the exhaust is sonic: C rho0 R T0 / D.
@@ -280,7 +280,7 @@ def test_steady_speed_goes_with_the_valve_and_against_the_area(plant: PlantParam
     assert steady_speed(large, supply) == pytest.approx(speed / 2, rel=1e-6)
 
 
-def test_stops_push_inwards_only_in_their_cushion(plant: PlantParameters) -> None:
+def test_stop_forces_act_inwards_beyond_end_stops_only(plant: PlantParameters) -> None:
     vane = plant.shoulder
     position = np.array([vane.lower - 0.05, vane.lower, 0.0, vane.upper, vane.upper + 0.05])
     force = stop_forces(vane, position, np.zeros(5))
@@ -290,7 +290,7 @@ def test_stops_push_inwards_only_in_their_cushion(plant: PlantParameters) -> Non
 # Motion ----------------------------------------------------------------------------------------------
 
 
-def test_motion_in_the_actuators_coordinates(slow_swing: Profile, plant: PlantParameters) -> None:
+def test_motion_speeds_match_actuator_positions(slow_swing: Profile, plant: PlantParameters) -> None:
     motion = Motion(slow_swing, plant)
     rate = np.gradient(motion.position, slow_swing.period, axis=0)
     np.testing.assert_allclose(rate[5:-5], motion.speed[5:-5], atol=1e-4)
@@ -298,7 +298,7 @@ def test_motion_in_the_actuators_coordinates(slow_swing: Profile, plant: PlantPa
     np.testing.assert_allclose(motion.head_speed, radius * slow_swing.velocity[:, 0], atol=1e-12)
 
 
-def test_phase_times_cover_the_swing(slow_swing: Profile) -> None:
+def test_phase_times_cover_swing(slow_swing: Profile) -> None:
     times = phase_times(slow_swing)
     assert times[0][:2] == (Phase.HOLD, 0.0)
     assert times[-1][2] == pytest.approx(slow_swing.duration)

@@ -31,7 +31,7 @@ def default_profile() -> Profile:
     return load_profile(find_profile("default"))
 
 
-def test_the_quantile_is_that_of_a_gumbel_distribution() -> None:
+def test_gumbel_quantile_matches_gumbel_distribution() -> None:
     maxima = np.random.default_rng(1).gumbel(3.0, 0.5, (200_000, 2))
     expected = 3.0 - 0.5 * np.log(-np.log1p(-1e-6))
     assert gumbel_quantile(maxima) == pytest.approx([expected, expected], rel=0.02)
@@ -43,7 +43,7 @@ def largest(n: int) -> np.ndarray:
     return made
 
 
-def test_a_limit_is_above_all_that_was_seen() -> None:
+def test_tables_limit_exceeds_largest_residual() -> None:
     made = largest(50)
     made[7, 0, MODEL_ROWS["hold"], 1] = 5e7
     table = _tables(made, "")["air"]
@@ -51,7 +51,7 @@ def test_a_limit_is_above_all_that_was_seen() -> None:
     assert 1.25e6 <= table["hold"][0] < 1.3e6
 
 
-def test_a_limit_is_never_below_its_floor_and_rows_of_few_swings_get_the_widest() -> None:
+def test_tables_apply_floor_and_skip_rows_with_few_runs() -> None:
     made = largest(50)
     made[:, :, MODEL_ROWS["top"]] = 1e-6
     made[:3, :, MODEL_ROWS["braking_top"]] = 9e9
@@ -65,11 +65,11 @@ def test_a_limit_is_never_below_its_floor_and_rows_of_few_swings_get_the_widest(
         assert not {f"learning_{row}" for row in FROM_SETTINGS} & tables[kind].keys()
 
 
-def test_limits_are_rounded_up() -> None:
+def test_rounded_rounds_up() -> None:
     assert _rounded(np.array([12345.0, 0.001, 99.99])) == (12400.0, 0.001, 100.0)
 
 
-def test_a_robot_to_learn_on_is_compared_as_closely_as_a_known_one_at_speed() -> None:
+def test_floor_of_learning_row_depends_on_phase_and_kind() -> None:
     assert floor_of("air", "learning_hold") == ModelSettings().air["hold"]
     assert floor_of("air", "learning_downswing") == FLOORS["air"]
     assert floor_of("velocity", "learning_impact") == FLOORS["velocity"]
@@ -77,7 +77,7 @@ def test_a_robot_to_learn_on_is_compared_as_closely_as_a_known_one_at_speed() ->
 
 
 @needs_speed
-def test_a_profile_that_healthy_robots_cannot_swing_gets_no_limits(default_profile: Profile) -> None:
+def test_make_limits_healthy_robots_stopped_refuses(default_profile: Profile) -> None:
     valve = default_profile.valve.copy()
     valve[1000:1300, 0] = 1.0
     broken = default_profile.__class__(**{**default_profile.__dict__, "valve": valve})
@@ -85,7 +85,7 @@ def test_a_profile_that_healthy_robots_cannot_swing_gets_no_limits(default_profi
         make_limits(Bench(PlantParameters(), broken), draws=4)
 
 
-def test_robots_that_touch_the_ground_ask_for_another_swing_or_site(
+def test_make_limits_ground_contact_suggests_divot(
     default_profile: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     causes = [Cause.NONE, Cause.ARM_EFFORT, *[Cause.GROUND] * 3]

@@ -34,7 +34,7 @@ def _as_golfer(motion: SwingMotion) -> SwingMotion:
     return replace(motion, source="measured")
 
 
-def test_a_swing_does_not_deviate_from_itself(motion: SwingMotion) -> None:
+def test_compare_motions_same_swing_has_zero_error(motion: SwingMotion) -> None:
     found = compare_motions(_as_golfer(motion), motion)
 
     assert found.error == pytest.approx((0.0, 0.0, 0.0, 0.0), abs=1e-9)
@@ -42,7 +42,7 @@ def test_a_swing_does_not_deviate_from_itself(motion: SwingMotion) -> None:
     assert motion.head[-1] == pytest.approx([0.0, 0.0], abs=0.05)
 
 
-def test_a_constant_shift_is_that_over_the_range(motion: SwingMotion) -> None:
+def test_compare_motions_constant_shift_divides_by_range(motion: SwingMotion) -> None:
     shifted = replace(motion, angle=motion.angle + [0.1, 0.0, 2 * np.pi], head=motion.head + [0.03, 0.04])
 
     found = compare_motions(_as_golfer(motion), shifted)
@@ -54,7 +54,7 @@ def test_a_constant_shift_is_that_over_the_range(motion: SwingMotion) -> None:
     assert found.share[3] == pytest.approx(0.05 / pdist(motion.head[rows]).max(), rel=0.01)
 
 
-def test_instants_without_a_motion_do_not_count(motion: SwingMotion) -> None:
+def test_compare_motions_missing_instants_do_not_count(motion: SwingMotion) -> None:
     late = motion.time >= -motion.downswing / 2
     begins_late = replace(motion, time=motion.time[late], angle=motion.angle[late], head=motion.head[late])
 
@@ -64,19 +64,19 @@ def test_instants_without_a_motion_do_not_count(motion: SwingMotion) -> None:
     assert found.error == pytest.approx((0.0, 0.0, 0.0, 0.0), abs=1e-9)
 
 
-def test_clocks_are_aligned_at_the_ball(motion: SwingMotion) -> None:
+def test_compare_motions_time_shift_raises_error(motion: SwingMotion) -> None:
     late = replace(motion, time=motion.time - 0.010)
 
     assert compare_motions(_as_golfer(motion), late).error[0] > 0.005
 
 
-def test_a_robot_is_no_reference(motion: SwingMotion) -> None:
+def test_compare_motions_robot_as_reference_raises(motion: SwingMotion) -> None:
     with pytest.raises(BenchError, match="Put the golfer first"):
         compare_motions(motion, motion)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.001])
-def test_a_measured_golfer_deviates_little_from_the_same_swing(noise: float, tmp_path: Path) -> None:
+def test_compare_motions_two_captures_of_same_swing_agree(noise: float, tmp_path: Path) -> None:
     (tmp_path / "map.toml").write_text(MAP)
     plant, motions = load_configuration(None).plant, []
     for golfer in (Synthetic(), Synthetic(rate=360, noise=noise, up="y")):
@@ -95,7 +95,7 @@ def test_a_measured_golfer_deviates_little_from_the_same_swing(noise: float, tmp
     assert np.ptp(down, axis=0) == pytest.approx(true, abs=0.02)
 
 
-def test_a_joint_that_was_not_measured_has_no_deviation(plant: PlantParameters, motion: SwingMotion) -> None:
+def test_compare_motions_unmeasured_joint_gives_nan(plant: PlantParameters, motion: SwingMotion) -> None:
     body = _as_golfer(replace(motion, angle=motion.angle * [1.0, 1.0, np.nan], head=motion.head * np.nan))
 
     found = compare_motions(body, motion)
@@ -105,7 +105,7 @@ def test_a_joint_that_was_not_measured_has_no_deviation(plant: PlantParameters, 
     assert np.isnan(beyond_ranges(plant, body.angle)[2])
 
 
-def test_what_lies_beyond_the_ranges_has_its_excess(plant: PlantParameters) -> None:
+def test_beyond_ranges_returns_excess(plant: PlantParameters) -> None:
     middle = [(plant.shoulder.lower + plant.shoulder.upper) / 2, 4.2, plant.wrist.upper - 0.1]
     within = np.array([middle, middle])
     further = within + [[0.0, 0.0, 0.0], [0.0, 0.0, 0.3]]
@@ -115,7 +115,7 @@ def test_what_lies_beyond_the_ranges_has_its_excess(plant: PlantParameters) -> N
 
 
 @pytest.mark.parametrize("golfer", GOLFERS)
-def test_the_golfers_variant_swings_as_its_page_says(golfer: str) -> None:
+def test_golfers_variant_delivers_documented_speed_and_deviation(golfer: str) -> None:
     plant, profile = load_configuration(Path("golfers")).plant, load_profile(find_profile(f"{golfer}-full"))
     away = compare_motions(golfer_motion(plant, GOLFERS[golfer]), robot_motion(plant, profile)).share
     assert profile.delivery["head_speed_mps"] == pytest.approx(GOLFERS[golfer].head_speed, abs=0.05)
@@ -123,7 +123,7 @@ def test_the_golfers_variant_swings_as_its_page_says(golfer: str) -> None:
 
 
 @pytest.mark.parametrize("golfer", ["tour-female", "average-male", "average-female", "senior"])
-def test_the_shipped_robot_follows_shoulder_and_arm(plant: PlantParameters, golfer: str) -> None:
+def test_shipped_robot_follows_golfer_shoulder_and_arm(plant: PlantParameters, golfer: str) -> None:
     away = compare_motions(
         golfer_motion(plant, GOLFERS[golfer]), robot_motion(plant, load_profile(find_profile(golfer)))
     )

@@ -54,14 +54,14 @@ def plant() -> PlantParameters:
     return replace(PLANT, site=replace(PLANT.site, ball_x=x, ball_y=y))
 
 
-def test_the_club_of_a_robot_is_held_at_its_own_angles(golfer: GolferSwing, plant: PlantParameters) -> None:
+def test_with_club_held_robot_club_returns_robot_angles(golfer: GolferSwing, plant: PlantParameters) -> None:
     held = with_club_held(plant, golfer)
     assert (held.name, held.follow) == ("Ann", "club")
     assert np.isnan(held.angle[:TOP]).all()
     assert held.angle[TOP:] == pytest.approx(swing()[TOP:], abs=1e-9)
 
 
-def test_a_shoulder_that_turns_back_beyond_half_a_turn_is_continuous(plant: PlantParameters) -> None:
+def test_with_club_held_shoulder_beyond_half_turn_stays_continuous(plant: PlantParameters) -> None:
     far = swing()
     far[:, 0] = far[-1, 0] + 2.5 * (far[:, 0] - far[-1, 0])
     assert far[TOP, 0] < -np.pi < far[-1, 0]
@@ -72,7 +72,7 @@ def test_a_shoulder_that_turns_back_beyond_half_a_turn_is_continuous(plant: Plan
     )
 
 
-def test_a_club_that_the_arm_hardly_reaches_is_held_as_near_as_it_can(
+def test_with_club_held_club_slightly_out_of_reach_holds_nearest(
     golfer: GolferSwing, plant: PlantParameters
 ) -> None:
     robot, row, head = plant.robot, TOP + 20, golfer.head.copy()
@@ -84,13 +84,15 @@ def test_a_club_that_the_arm_hardly_reaches_is_held_as_near_as_it_can(
     assert np.linalg.norm(missed) == pytest.approx(away, abs=0.002)
 
 
-def test_a_club_out_of_reach_is_refused_with_the_instant(golfer: GolferSwing, plant: PlantParameters) -> None:
+def test_with_club_held_club_out_of_reach_reports_instant(
+    golfer: GolferSwing, plant: PlantParameters
+) -> None:
     head = golfer.head.copy()
     head[TOP + 30] += (1.5, 0.0)
     with pytest.raises(BenchError, match=r"ms before the ball(?s:.)*where the arm reaches"):
         with_club_held(plant, replace(golfer, position=_head(head)))
 
 
-def test_a_body_without_a_club_holds_none(golfer: GolferSwing, plant: PlantParameters) -> None:
+def test_with_club_held_without_club_raises(golfer: GolferSwing, plant: PlantParameters) -> None:
     with pytest.raises(BenchError, match="grip and head"):
         with_club_held(plant, replace(golfer, position={}))

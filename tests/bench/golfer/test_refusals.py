@@ -108,7 +108,9 @@ DAMAGED: dict[str, tuple[Change, str, str]] = {
 
 
 @pytest.mark.parametrize(("change", "found", "marker"), DAMAGED.values(), ids=DAMAGED)
-def test_a_damaged_recording_is_refused(change: Change, found: str, marker: str, tmp_path: Path) -> None:
+def test_import_damaged_recording_names_marker(
+    change: Change, found: str, marker: str, tmp_path: Path
+) -> None:
     names, points = list(_recording()[0]), _recording()[1].copy()
     changed = change(names, points)
     path = write(tmp_path / "damaged.csv", names, points if changed is None else changed, RATE)
@@ -133,7 +135,7 @@ def _refusal(path: Path) -> BenchError:
     return refused.value
 
 
-def test_a_recording_at_60_hz_is_refused(tmp_path: Path) -> None:
+def test_read_capture_60_hz_refused(tmp_path: Path) -> None:
     names, points = _recording()
 
     refusal = _refusal(write(tmp_path / "slow.csv", list(names), points[::4], 60))
@@ -151,7 +153,7 @@ def test_a_recording_at_60_hz_is_refused(tmp_path: Path) -> None:
     ],
     ids=["text", "header", "cut row", "short row"],
 )
-def test_a_damaged_csv_is_refused_with_its_line(
+def test_read_capture_damaged_csv_reports_line(
     line: int, new: str, location: str, found: str, tmp_path: Path
 ) -> None:
     path = _csv(tmp_path)
@@ -173,7 +175,7 @@ def test_a_damaged_csv_is_refused_with_its_line(
     assert found in refusal.found
 
 
-def test_times_that_fall_are_refused(tmp_path: Path) -> None:
+def test_read_capture_falling_times_refused(tmp_path: Path) -> None:
     path = _csv(tmp_path)
     lines = path.read_text().splitlines()
     lines[10], lines[11] = lines[11], lines[10]
@@ -182,7 +184,7 @@ def test_times_that_fall_are_refused(tmp_path: Path) -> None:
     assert "does not rise" in _refusal(path).found
 
 
-def test_left_out_rows_are_gaps(tmp_path: Path) -> None:
+def test_read_capture_missing_rows_become_gaps(tmp_path: Path) -> None:
     path = _csv(tmp_path)
     lines = path.read_text().splitlines()
     del lines[150:153]
@@ -197,7 +199,7 @@ def test_left_out_rows_are_gaps(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".c3d", ".trc"])
 @pytest.mark.parametrize("part", [0.3, 0.97])
-def test_a_cut_file_is_refused(suffix: str, part: float, tmp_path: Path) -> None:
+def test_read_capture_truncated_file_refused(suffix: str, part: float, tmp_path: Path) -> None:
     names, points = _recording()
     path = write(tmp_path / f"swing{suffix}", list(names), points, RATE)
     content = path.read_bytes()
@@ -210,14 +212,14 @@ def test_a_cut_file_is_refused(suffix: str, part: float, tmp_path: Path) -> None
     "content", [b"", b"\x02\x50" + bytes(2000), bytes(range(256)) * 20], ids=["empty", "zeros", "noise"]
 )
 @pytest.mark.parametrize("suffix", [".c3d", ".trc", ".csv", ".bvh"])
-def test_a_file_of_something_else_is_refused(suffix: str, content: bytes, tmp_path: Path) -> None:
+def test_read_capture_foreign_content_refused(suffix: str, content: bytes, tmp_path: Path) -> None:
     path = tmp_path / f"other{suffix}"
     path.write_bytes(content)
 
     assert str(path) in _refusal(path).location
 
 
-def test_a_declared_unit_that_is_wrong_is_refused_with_the_one_that_fits(tmp_path: Path) -> None:
+def test_import_wrong_unit_suggests_fitting_unit(tmp_path: Path) -> None:
     golfer = Synthetic(unit="mm")
     path = write(tmp_path / "swing.trc", *golfer.recording(), RATE, "m")
 
@@ -227,11 +229,11 @@ def test_a_declared_unit_that_is_wrong_is_refused_with_the_one_that_fits(tmp_pat
     assert "they would fit mm" in refused.value.action
 
 
-def test_a_file_of_gears_itself_is_refused(tmp_path: Path) -> None:
+def test_read_capture_gears_file_suggests_c3d_export(tmp_path: Path) -> None:
     assert "export C3D from GEARS" in _refusal(tmp_path / "swing.gears").action
 
 
-def test_a_role_without_a_marker_lists_the_names_of_the_file(tmp_path: Path) -> None:
+def test_import_role_without_marker_lists_markers(tmp_path: Path) -> None:
     path = _csv(tmp_path)
 
     with pytest.raises(BenchError) as refused:
@@ -250,14 +252,14 @@ def test_a_role_without_a_marker_lists_the_names_of_the_file(tmp_path: Path) -> 
         ("grip = [", "invalid TOML"),
     ],
 )
-def test_a_damaged_map_is_refused(text: str, found: str, tmp_path: Path) -> None:
+def test_import_damaged_map_refused(text: str, found: str, tmp_path: Path) -> None:
     with pytest.raises(BenchError) as refused:
         imported(_csv(tmp_path), map_text=text)
 
     assert found in refused.value.found
 
 
-def test_lead_and_trail_swapped_in_a_map_are_refused(tmp_path: Path) -> None:
+def test_import_swapped_lead_and_trail_refused(tmp_path: Path) -> None:
     swapped = MAP.replace("left_", "trail_").replace("right_", "lead_")
 
     with pytest.raises(BenchError, match="sides swapped"):
@@ -274,16 +276,14 @@ def test_lead_and_trail_swapped_in_a_map_are_refused(tmp_path: Path) -> None:
     ],
     ids=["lead", "up", "impact", "top"],
 )
-def test_a_stated_value_that_contradicts_the_file_is_refused(
-    options: ImportOptions, location: str, tmp_path: Path
-) -> None:
+def test_import_contradicting_option_refused(options: ImportOptions, location: str, tmp_path: Path) -> None:
     with pytest.raises(BenchError) as refused:
         imported(_csv(tmp_path), options=options)
 
     assert location in refused.value.location
 
 
-def test_c3d_without_its_package_is_refused_with_the_action(
+def test_read_capture_c3d_without_package_names_extra(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setitem(sys.modules, "ezc3d", None)

@@ -67,7 +67,9 @@ CASES = {
 
 
 @pytest.mark.parametrize(("golfer", "suffix"), CASES.values(), ids=CASES)
-def test_a_synthetic_golfer_is_recovered(golfer: Synthetic, suffix: str, tmp_path: Path) -> None:
+def test_measure_synthetic_golfer_matches_known_angles(
+    golfer: Synthetic, suffix: str, tmp_path: Path
+) -> None:
     swing = imported(recorded(golfer, tmp_path / f"swing{suffix}"))
 
     away = errors(swing)
@@ -86,7 +88,7 @@ def test_a_synthetic_golfer_is_recovered(golfer: Synthetic, suffix: str, tmp_pat
 
 
 @pytest.mark.parametrize("role", ["HEAD", "LWRI", "GRIP", "LSHO"])
-def test_a_short_gap_in_the_downswing_changes_little(role: str, tmp_path: Path) -> None:
+def test_measure_short_downswing_gap_keeps_impact_and_angles(role: str, tmp_path: Path) -> None:
     golfer = Synthetic()
     whole = imported(recorded(golfer, tmp_path / "whole.csv"))
 
@@ -103,7 +105,7 @@ def test_a_short_gap_in_the_downswing_changes_little(role: str, tmp_path: Path) 
     [Synthetic(left_handed=True), Synthetic(turned=-2.0), Synthetic(unit="mm"), Synthetic(up="y")],
     ids=str,
 )
-def test_the_same_swing_seen_otherwise_has_the_same_angles(other: Synthetic, tmp_path: Path) -> None:
+def test_measure_other_recording_of_same_swing_gives_same_angles(other: Synthetic, tmp_path: Path) -> None:
     swing = imported(recorded(Synthetic(), tmp_path / "one.csv"))
 
     same = imported(recorded(other, tmp_path / "other.csv"))
@@ -113,7 +115,7 @@ def test_the_same_swing_seen_otherwise_has_the_same_angles(other: Synthetic, tmp
     assert swing.separation == pytest.approx(same.separation, abs=1e-3)
 
 
-def test_a_mirrored_file_with_unchanged_names_has_left_handed_axes_and_the_same_angles(
+def test_measure_mirrored_points_reports_left_handed_axes_and_keeps_angles(
     tmp_path: Path,
 ) -> None:
     golfer = Synthetic()
@@ -127,7 +129,7 @@ def test_a_mirrored_file_with_unchanged_names_has_left_handed_axes_and_the_same_
     assert np.abs(swing.angle - mirrored.angle).max() < np.radians(0.02)
 
 
-def test_a_file_without_a_club_has_shoulders_and_arm_only(tmp_path: Path) -> None:
+def test_measure_without_club_markers_gives_shoulders_and_arm_only(tmp_path: Path) -> None:
     body = "\n".join(line for line in MAP.splitlines() if not line.startswith(("grip", "head")))
 
     swing = imported(recorded(Synthetic(), tmp_path / "body.csv"), map_text=body)
@@ -138,7 +140,7 @@ def test_a_file_without_a_club_has_shoulders_and_arm_only(tmp_path: Path) -> Non
     assert swing.impact_clue == "hands at their position at address"
 
 
-def test_a_map_by_lead_and_trail_gives_the_same_angles(tmp_path: Path) -> None:
+def test_find_roles_lead_trail_map_gives_same_angles(tmp_path: Path) -> None:
     path = recorded(Synthetic(), tmp_path / "swing.csv")
     by_side = imported(path)
 
@@ -148,7 +150,7 @@ def test_a_map_by_lead_and_trail_gives_the_same_angles(tmp_path: Path) -> None:
     assert np.array_equal(by_side.angle, by_lead.angle)
 
 
-def test_stated_events_are_taken(tmp_path: Path) -> None:
+def test_import_options_top_and_impact_override_detection(tmp_path: Path) -> None:
     path = recorded(Synthetic(), tmp_path / "swing.csv")
 
     swing = imported(path, options=ImportOptions(top=1.06, impact=1.31))
@@ -158,7 +160,7 @@ def test_stated_events_are_taken(tmp_path: Path) -> None:
     assert swing.impact_clue == swing.top_clue == "--events"
 
 
-def test_the_arm_is_longer_off_the_plane_and_the_hub_travels(tmp_path: Path) -> None:
+def test_measure_reports_off_plane_lead_shoulder_and_hub_travel(tmp_path: Path) -> None:
     swing = imported(recorded(Synthetic(), tmp_path / "swing.csv"))
 
     assert 0.24 < swing.off_plane["lead_shoulder"] < 0.30

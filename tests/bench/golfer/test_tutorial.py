@@ -13,9 +13,7 @@ from bench.config import load_configuration
 TUTORIAL = Path(__file__).resolve().parents[3] / "bench/manual/test_engineer/golfer_tutorial.md"
 
 
-def test_the_tutorials_configuration_and_plan_are_accepted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_golfer_tutorial_configuration_and_plan_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     configuration, plan = re.findall(r"```toml\n(.*?)```", TUTORIAL.read_text(), flags=re.DOTALL)
     Path("config.toml").write_text(configuration)

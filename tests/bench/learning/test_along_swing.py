@@ -60,7 +60,7 @@ def estimator(bench: Bench) -> Estimator:
 
 
 @compiled_only
-def test_the_linear_plant_moves_as_the_plant_does(bench: Bench, plants: list[LinearPlant]) -> None:
+def test_linearize_small_valve_step_matches_plant_response(bench: Bench, plants: list[LinearPlant]) -> None:
     """From one state of the backswing, sliding without dry friction, with two openings a little apart."""
     actuators = {
         name: replace(
@@ -100,7 +100,9 @@ def test_the_linear_plant_moves_as_the_plant_does(bench: Bench, plants: list[Lin
 
 
 @compiled_only
-def test_hunting_is_foretold(bench: Bench, plants: list[LinearPlant], estimator: Estimator) -> None:
+def test_least_damping_stiff_wrist_predicts_hunting(
+    bench: Bench, plants: list[LinearPlant], estimator: Estimator
+) -> None:
     """With this stiff wrist the loop was seen to swing at 4 Hz in a backswing; with the soft one not."""
     soft = by_hand(bench)
     stiff = with_joint(soft, 2, proportional=0.75, integral=0.45, derivative=0.028, damping=0.0004)
@@ -114,7 +116,7 @@ def test_hunting_is_foretold(bench: Bench, plants: list[LinearPlant], estimator:
 
 
 @compiled_only
-def test_what_grows_by_its_gain_grows_at_the_gain_margin(
+def test_judge_gain_margin_matches_closed_loop_instability(
     bench: Bench, plants: list[LinearPlant], estimator: Estimator
 ) -> None:
     """The margins of a loop and the modes of the closed loop tell the same, by other ways."""
@@ -133,7 +135,7 @@ def test_what_grows_by_its_gain_grows_at_the_gain_margin(
 
 
 @compiled_only
-def test_gains_from_the_machine_keep_more_margin_than_those_by_hand(
+def test_gains_along_machine_gains_exceed_hand_gain_margins(
     bench: Bench, plants: list[LinearPlant], estimator: Estimator
 ) -> None:
     judged = [frozen for frozen in plants if frozen.point.judged]
@@ -153,7 +155,7 @@ def test_gains_from_the_machine_keep_more_margin_than_those_by_hand(
 
 
 @compiled_only
-def test_the_command_shows_margins_and_swings(capsys: pytest.CaptureFixture[str]) -> None:
+def test_tune_command_shows_margins_and_swings(capsys: pytest.CaptureFixture[str]) -> None:
     def shown(*options: str) -> str:
         with pytest.raises(SystemExit) as ended:
             main(["tune", *options])

@@ -33,7 +33,7 @@ def bench() -> Bench:
     return Bench(c.plant, load_profile(find_profile("average-male")), c.control, c.envelope)
 
 
-def test_the_thesis_gains_are_shares_of_the_greatest_force(bench: Bench) -> None:
+def test_thesis_gains_scale_with_greatest_actuator_force(bench: Bench) -> None:
     gains, gauge = thesis_gains(bench.model), 8.0e5 - 1.013e5
     assert gains.proportional == pytest.approx(
         (1000 / (4e-4 * gauge), 1000 / (19.63e-4 * gauge), 1000 / (0.06 * 19.63e-4 * gauge))
@@ -41,7 +41,7 @@ def test_the_thesis_gains_are_shares_of_the_greatest_force(bench: Bench) -> None
     assert gains.derivative[0] == pytest.approx(gains.proportional[0] / 1000)
 
 
-def test_each_controller_differs_from_the_one_before_in_one_thing(bench: Bench) -> None:
+def test_controllers_successive_entries_differ_in_single_setting(bench: Bench) -> None:
     thesis, alone, kane, inverted, fitted, planned = controllers(bench)
     assert (thesis.velocity_weight, alone.velocity_weight) == (0.0, 1.0)
     assert replace(alone.control, feed_forward="kane") == kane.control
@@ -50,7 +50,7 @@ def test_each_controller_differs_from_the_one_before_in_one_thing(bench: Bench) 
     assert planned.control == bench.control
 
 
-def test_what_strays_is_told_by_joint_and_phase(bench: Bench) -> None:
+def test_strayed_reports_first_joint_and_phase_outside_envelope(bench: Bench) -> None:
     cycles = np.zeros(5, CYCLE)
     cycles["phase"] = [Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.DOWNSWING, Phase.IMPACT]
     assert strayed(cycles, bench.envelope) is None
@@ -65,7 +65,7 @@ def test_what_strays_is_told_by_joint_and_phase(bench: Bench) -> None:
 
 @pytest.mark.release
 @compiled_only
-def test_the_model_tracks_where_pids_alone_do_not(bench: Bench) -> None:
+def test_compare_model_feed_forward_tracks_closer_than_pid(bench: Bench) -> None:
     told: list[str] = []
     rows = compare(bench, bench.model, swings=1, problem=problem_of(bench), on_start=told.append)
     thesis, alone, kane, inverted, fitted, planned, learned = rows

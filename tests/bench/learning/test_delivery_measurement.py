@@ -96,13 +96,15 @@ def _true_speed(motion: Motion, plant: PlantParameters) -> float:
     return float(np.hypot(*(ends[1] - ends[0]))) / (2 * step)
 
 
-def test_the_cushion_of_the_planned_swing_does_not_count(plant: PlantParameters, motion: Motion) -> None:
+def test_delivery_from_encoders_planned_cushion_keeps_head_speed(
+    plant: PlantParameters, motion: Motion
+) -> None:
     speeds = _speeds(motion, plant, plant)
     assert np.abs(speeds / _true_speed(motion, plant) - 1).max() < 2e-3
 
 
 @pytest.mark.parametrize("nearer", [0.006, 0.012])
-def test_a_ball_nearer_than_it_should_be_does_not_slow_the_club(
+def test_delivery_from_encoders_nearer_ball_keeps_head_speed(
     plant: PlantParameters, motion: Motion, nearer: float
 ) -> None:
     """The bench believes in a ball `nearer` m farther on than the one that is struck."""
@@ -112,7 +114,7 @@ def test_a_ball_nearer_than_it_should_be_does_not_slow_the_club(
 
 
 @pytest.mark.release
-def test_robots_whose_arm_lets_go_at_another_instant_are_measured_as_well() -> None:
+def test_delivery_from_encoders_varied_robots_keep_speed_error_small() -> None:
     profile = load_profile(find_profile("default"))
     bench = Bench(PlantParameters(), profile)
     plan, errors = prepare(bench).response.free, []

@@ -19,7 +19,7 @@ SHIPPED = load_configuration(shipped_configuration())
 BENCH = Bench(SHIPPED.plant, load_profile(find_profile("average-male")), SHIPPED.control, SHIPPED.envelope)
 
 
-def test_the_plan_is_in_the_profile() -> None:
+def test_planned_figures_match_profile_delivery() -> None:
     planned, told = planned_figures(BENCH).shown, BENCH.profile.delivery
     assert planned["head_speed_mps"] == pytest.approx(told["head_speed_mps"], abs=0.001)
     assert planned["attack_angle_deg"] == pytest.approx(told["attack_angle_deg"], abs=0.001)
@@ -27,7 +27,7 @@ def test_the_plan_is_in_the_profile() -> None:
     assert planned["head_speed_mps"] == pytest.approx(41.57, abs=0.05)
 
 
-def test_the_attack_angle_is_of_the_path_in_the_tilted_plane() -> None:
+def test_planned_figures_attack_angle_accounts_for_lie() -> None:
     rising = replace(BENCH.profile, delivery=BENCH.profile.delivery | {"path_slope_deg": 2.5})
     seen = planned_figures(BENCH._replace(profile=rising)).attack
     assert degrees(seen) == pytest.approx(
@@ -35,7 +35,7 @@ def test_the_attack_angle_is_of_the_path_in_the_tilted_plane() -> None:
     )
 
 
-def test_nothing_is_learned_without_a_plan() -> None:
+def test_planned_figures_profile_without_delivery_is_refused() -> None:
     without = BENCH._replace(profile=replace(BENCH.profile, delivery={}))
     for aimed in (planned_figures, prepare):
         with pytest.raises(BenchError, match="in_plane_error_mm"):

@@ -38,7 +38,7 @@ def nominal() -> np.ndarray:
 
 @pytest.mark.release
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a whole swing takes minutes without compilation")
-def test_flow_and_inertia_are_found_from_swings() -> None:
+def test_identify_two_swings_recovers_flow_and_inertia() -> None:
     truth = nominal()
     truth[FLOW], truth[INERTIA] = 0.92, 1.05
     series = Series(BENCH, variation_of(truth, BENCH).applied_to(BENCH.model))
@@ -49,7 +49,7 @@ def test_flow_and_inertia_are_found_from_swings() -> None:
     assert list(np.flatnonzero(found.known)) == [FLOW, INERTIA]
 
 
-def test_the_identified_robot_is_a_configuration(tmp_path: Path) -> None:
+def test_write_plant_file_loads_as_identified_configuration(tmp_path: Path) -> None:
     values = nominal() + 0.05
     error = np.full(len(NAMES), 0.01)
     error[0] = 0.2
@@ -63,12 +63,12 @@ def test_the_identified_robot_is_a_configuration(tmp_path: Path) -> None:
     assert again.control == SHIPPED.control
 
 
-def test_nothing_is_identified_from_nothing() -> None:
+def test_identify_without_swings_raises_error() -> None:
     with pytest.raises(BenchError, match="no swing"):
         identify(BENCH, [])
 
 
-def test_a_search_that_was_lost_begins_again_with_the_measured_supply(
+def test_identify_failed_search_restarts_from_measured_supply(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Far from the recorded robot all look alike: from the nominal supply nothing leads there."""

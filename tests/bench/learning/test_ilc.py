@@ -47,7 +47,7 @@ def learned(robot: Robot, settings: LearningSettings) -> Learner:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_robot_unlike_its_model_is_learned_within_twelve_swings(seed: int) -> None:
+def test_learner_differing_robot_converges_within_twelve_swings(seed: int) -> None:
     robot = Robot(seed)
     learner = learned(robot, LearningSettings())
     before, after = learner.trials[0], learner.trials[learner.chosen]
@@ -57,7 +57,7 @@ def test_a_robot_unlike_its_model_is_learned_within_twelve_swings(seed: int) -> 
     assert len(learner.trials) <= 13
 
 
-def test_it_ends_when_a_swing_within_the_tolerances_was_repeated() -> None:
+def test_learner_repeated_swing_within_tolerance_confirms() -> None:
     learner = learned(Robot(1), LearningSettings())
     assert learner.confirmed
     assert len(learner.trials) < 13
@@ -65,7 +65,7 @@ def test_it_ends_when_a_swing_within_the_tolerances_was_repeated() -> None:
     assert (learner.scatter < 0.5).all()
 
 
-def test_weights_stay_within_their_bound_and_steps_within_the_radius() -> None:
+def test_learner_weights_stay_in_bound_and_steps_in_radius() -> None:
     settings = LearningSettings(bound=0.4, radius=0.5, greatest_radius=0.5)
     learner = learned(Robot(2, offset=200.0), settings)
     points = np.array([trial.point for trial in learner.trials])
@@ -74,7 +74,7 @@ def test_weights_stay_within_their_bound_and_steps_within_the_radius() -> None:
     assert np.abs(points).max() > 0.39
 
 
-def test_a_stop_counts_as_failed_and_halves_the_step() -> None:
+def test_learner_stopped_swing_is_rejected_and_halves_step() -> None:
     robot = Robot(3)
     learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
     learner.note(robot.swing(learner.point))
@@ -87,7 +87,7 @@ def test_a_stop_counts_as_failed_and_halves_the_step() -> None:
     assert not np.allclose(learner.point, first)
 
 
-def test_the_path_of_stopped_swings_leads_back_to_the_plan() -> None:
+def test_learner_stopped_swings_reduce_path_error() -> None:
     """Before any swing reached the ball the path alone is learned from."""
     robot = Robot(4)
     learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
@@ -99,7 +99,7 @@ def test_the_path_of_stopped_swings_leads_back_to_the_plan() -> None:
     assert np.linalg.norm(last) < 0.6 * np.linalg.norm(off)
 
 
-def test_a_figure_that_nobody_measures_is_not_asked_for() -> None:
+def test_learner_unmeasured_figure_is_ignored() -> None:
     robot = Robot(5)
     learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
     for _ in range(13):
@@ -113,7 +113,7 @@ def test_a_figure_that_nobody_measures_is_not_asked_for() -> None:
     assert np.nanmax(np.abs(errors)) < 1.0
 
 
-def test_the_best_is_kept_whatever_came_later() -> None:
+def test_learner_worse_later_swings_keep_best_trial() -> None:
     robot = Robot(0, scatter=0.0)
     learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
     learner.note(robot.swing(learner.point))
@@ -134,7 +134,7 @@ def begun(robot: Robot, point: Array) -> Beginning:
     return Beginning(point, about, (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1)
 
 
-def test_the_first_swing_after_arming_confirms_nothing_and_is_not_kept() -> None:
+def test_learner_unsettled_swing_is_neither_confirmed_nor_chosen() -> None:
     robot = Robot(1, offset=0.0, scatter=0.0)
     learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
     for settled in (False, False, True):
@@ -145,7 +145,7 @@ def test_the_first_swing_after_arming_confirms_nothing_and_is_not_kept() -> None
     assert learner.confirmed
 
 
-def test_a_first_swing_that_began_otherwise_does_not_mislead_the_next_steps() -> None:
+def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
     """It is ten tolerances of head speed off what the same weights deliver later."""
     used = {}
     for told in (True, False):
@@ -162,7 +162,7 @@ def test_a_first_swing_that_began_otherwise_does_not_mislead_the_next_steps() ->
     assert used[True] < used[False]
 
 
-def test_what_is_expected_of_an_identified_robot_outweighs_one_swing() -> None:
+def test_learner_identified_prior_outweighs_single_swing() -> None:
     robot = Robot(2, offset=0.1, scatter=0.0)
     zero = np.zeros(WEIGHTS)
     learner = Learner(
@@ -177,7 +177,7 @@ def test_what_is_expected_of_an_identified_robot_outweighs_one_swing() -> None:
     assert not np.array_equal(alone.point, zero)
 
 
-def test_what_is_expected_to_be_off_is_corrected_before_the_first_swing() -> None:
+def test_learner_expected_offset_is_corrected_before_first_swing() -> None:
     robot = Robot(3, offset=3.0, doubt=0.05)
     known = begun(robot, np.zeros(WEIGHTS))._replace(radius=1.5)
     learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), known)
@@ -186,7 +186,7 @@ def test_what_is_expected_to_be_off_is_corrected_before_the_first_swing() -> Non
     assert off < 0.5 * np.abs(robot.offset / robot.scale).max()
 
 
-def test_a_mean_beside_the_target_is_stepped_from_not_repeated_for_ever() -> None:
+def test_learner_mean_off_target_takes_further_step() -> None:
     robot = Robot(4, offset=0.0, scatter=0.0)
     zero = np.zeros(WEIGHTS)
     learner = Learner(

@@ -45,7 +45,7 @@ def result(problem: LearningProblem) -> LearningResult:
     return learn(problem, on_series(problem, Series(BENCH, WORN)))
 
 
-def test_the_robot_learns_what_the_profile_plans(problem: LearningProblem, result: LearningResult) -> None:
+def test_learn_worn_robot_reaches_planned_delivery(problem: LearningProblem, result: LearningResult) -> None:
     before, kept = result.attempts[0], result.attempts[result.chosen]
     alike = [attempt.error for attempt in result.attempts if attempt.effort == kept.effort]
     assert np.abs(before.error).max() > 4.0
@@ -60,12 +60,12 @@ def test_the_robot_learns_what_the_profile_plans(problem: LearningProblem, resul
     assert np.abs(off).max() <= 1.0
 
 
-def test_the_target_is_the_plan_whatever_the_model_delivers(problem: LearningProblem) -> None:
+def test_prepare_target_equals_planned_figures(problem: LearningProblem) -> None:
     assert problem.target == planned_figures(BENCH)
     assert np.any(problem.response.figures != problem.target.array)
 
 
-def test_a_robot_that_comes_late_is_not_compared_with_a_model_in_its_cushions(
+def test_delivery_from_encoders_late_robot_matches_plant(
     problem: LearningProblem,
 ) -> None:
     """The worn robot's first swing comes when the modelled one has run into the wrist's cushion."""
@@ -77,7 +77,7 @@ def test_a_robot_that_comes_late_is_not_compared_with_a_model_in_its_cushions(
     assert np.abs((seen - truth) / scale).max() < 3.0
 
 
-def test_encoders_tell_the_delivery_that_the_plant_knows(problem: LearningProblem) -> None:
+def test_delivery_from_encoders_unknown_latency_matches_plant(problem: LearningProblem) -> None:
     """Also with a latency that the bench does not know."""
     swing = Series(BENCH, Variation(latency=0.001).applied_to(PLANT)).swing(BENCH.profile)
     truth = figures_of(swing.delivery)
@@ -87,7 +87,7 @@ def test_encoders_tell_the_delivery_that_the_plant_knows(problem: LearningProble
         assert np.abs((seen.array - truth.array) / scale).max() < allowed
 
 
-def test_other_sources_replace_what_they_tell(problem: LearningProblem) -> None:
+def test_figures_from_other_source_replaces_measured_figures_only(problem: LearningProblem) -> None:
     swing = Series(BENCH, PLANT).swing(BENCH.profile)
     encoders = figures_from("encoders+model", swing.cycles, PLANT, problem.response.free)
     marked = figures_from("impact-marks", swing.cycles, PLANT, problem.response.free, mark=(-6.0, 4.5))
@@ -103,14 +103,14 @@ def test_other_sources_replace_what_they_tell(problem: LearningProblem) -> None:
     )
 
 
-def test_a_mark_is_projected_on_the_line_of_the_swing_plane(problem: LearningProblem) -> None:
+def test_strike_from_mark_matches_in_plane_error(problem: LearningProblem) -> None:
     swing = Series(BENCH, PLANT).swing(BENCH.profile)
     assert swing.delivery is not None
     toe, high = 1e3 * swing.delivery.strike_x, 1e3 * swing.delivery.strike_y
     assert strike_from_mark(toe, high, PLANT) == pytest.approx(swing.delivery.in_plane_error, abs=1e-4)
 
 
-def test_a_series_repeats_bit_for_bit_and_goes_on_after_a_stop() -> None:
+def test_series_repeats_bit_for_bit_and_continues_after_stop() -> None:
     first, second = Series(BENCH, PLANT), Series(BENCH, PLANT)
     assert first.swing(BENCH.profile).cycles.tobytes() == second.swing(BENCH.profile).cycles.tobytes()
     weak = Variation(flow=(0.3, 1.0, 1.0)).applied_to(PLANT)
@@ -121,7 +121,7 @@ def test_a_series_repeats_bit_for_bit_and_goes_on_after_a_stop() -> None:
     assert first.swing(BENCH.profile).cause is Cause.NONE
 
 
-def test_a_drawn_robot_is_the_same_for_its_seed_and_within_its_spread() -> None:
+def test_drawn_same_seed_repeats_variation_within_spread() -> None:
     assert drawn(7, PLANT) == drawn(7, PLANT)
     assert drawn(7, PLANT) != drawn(8, PLANT)
     for seed in range(20):

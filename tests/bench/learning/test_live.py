@@ -27,13 +27,13 @@ def record(ticks: list[int], swing: int) -> np.ndarray:
     return cycles
 
 
-def test_a_swing_begins_with_the_tick_in_which_it_was_accepted() -> None:
+def test_swung_cycles_start_at_accepted_swing_tick() -> None:
     cycles, missing = swung_cycles(record(list(range(50, 90)), 60), 20)
     assert cycles["tick"].tolist() == list(range(60, 80))
     assert not missing.any()
 
 
-def test_a_tick_that_is_missing_keeps_its_place() -> None:
+def test_swung_cycles_missing_tick_keeps_row() -> None:
     ticks = [t for t in range(50, 90) if t not in (65, 66)]
     cycles, missing = swung_cycles(record(ticks, 60), 20)
     assert np.flatnonzero(missing).tolist() == [5, 6]
@@ -41,24 +41,24 @@ def test_a_tick_that_is_missing_keeps_its_place() -> None:
     assert cycles["angle"][7, 0] == 67
 
 
-def test_a_record_that_ends_early_misses_its_end() -> None:
+def test_swung_cycles_short_record_marks_end_missing() -> None:
     _, missing = swung_cycles(record(list(range(50, 70)), 60), 20)
     assert np.flatnonzero(missing).tolist() == list(range(10, 20))
 
 
-def test_a_record_without_a_swing_is_refused() -> None:
+def test_swung_cycles_record_without_swing_raises_error() -> None:
     with pytest.raises(ValueError, match="no swing begins"):
         swung_cycles(record(list(range(10)), 99), 5)
 
 
-def test_only_the_bench_that_swings_the_profile_learns_it() -> None:
+def test_require_bench_other_profile_is_refused() -> None:
     status = FakeDesk().status()
     require_bench(status, PROFILE, "encoders+model")
     with pytest.raises(Refused, match="it swings driver-90mph"):
         require_bench({**status, "profile": "driver-90mph"}, PROFILE, "encoders+model")
 
 
-def test_a_launch_monitor_that_is_not_there_tells_nothing() -> None:
+def test_require_bench_absent_launch_monitor_is_refused() -> None:
     status = FakeDesk().status()
     with pytest.raises(Refused, match="launch monitor"):
         require_bench(status, PROFILE, "launch-monitor")

@@ -33,7 +33,7 @@ def written(path: Path, profile: Profile) -> Path:
     return path
 
 
-def test_swings_are_read_from_their_first_tick_with_their_profile_and_calibration(tmp_path: Path) -> None:
+def test_read_recorded_returns_first_tick_profile_and_calibration(tmp_path: Path) -> None:
     paths = [written(tmp_path / f"{n}.parquet", PROFILE) for n in range(2)]
     first, second = read_recorded(paths)
     assert np.array_equal(first.profile.valve, PROFILE.valve)
@@ -42,19 +42,19 @@ def test_swings_are_read_from_their_first_tick_with_their_profile_and_calibratio
     assert read_recorded([]) == []
 
 
-def test_a_swing_corrected_otherwise_is_refused_by_the_name_of_its_file(tmp_path: Path) -> None:
+def test_read_recorded_other_correction_error_names_file(tmp_path: Path) -> None:
     other = replace(PROFILE, valve=PROFILE.valve + 1e-3)
     paths = [written(tmp_path / "one.parquet", PROFILE), written(tmp_path / "two.parquet", other)]
     with pytest.raises(BenchError, match=r"two\.parquet.*with another correction"):
         read_recorded(paths)
 
 
-def test_a_record_without_a_whole_swing_is_refused() -> None:
+def test_from_first_tick_incomplete_swing_raises_error() -> None:
     with pytest.raises(BenchError, match="no complete swing"):
         from_first_tick(new_record(CYCLE, 100), PROFILE, "record")
 
 
-def test_swings_with_another_correction_are_not_alike() -> None:
+def test_require_alike_other_correction_or_profile_raises_error() -> None:
     require_alike(PROFILE, replace(PROFILE, text="the same"), "b")
     other = replace(PROFILE, valve=PROFILE.valve + 1e-3)
     with pytest.raises(BenchError, match="with another correction"):

@@ -60,7 +60,7 @@ def hear_shots(bench: BenchProcess, ended: threading.Event, into: list[ShotPubli
 
 
 @pytest.mark.release
-def test_club_data_come_from_the_launch_monitor_and_else_from_the_encoders(
+def test_learn_command_missing_launch_monitor_data_uses_encoders(
     tmp_path: Path,
 ) -> None:
     more = f"[launch_monitor]\nenabled = true\nport = {free_port()}\n[launch_monitor.window]\nlatest = 8.0\n"
@@ -90,7 +90,7 @@ def test_club_data_come_from_the_launch_monitor_and_else_from_the_encoders(
 
 
 @pytest.mark.release
-def test_a_mark_tells_where_the_ball_was_struck_and_a_wrong_one_is_asked_for_again(tmp_path: Path) -> None:
+def test_learn_command_invalid_impact_mark_prompts_again(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "marked-lesson")
     with running_bench(file):
         swings, said = learned_swings(file, "impact-marks", "400 2\nhigh on the toe\n3,-1.5\n\n")

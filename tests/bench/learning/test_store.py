@@ -30,7 +30,7 @@ def entry(value: float, **changes: object) -> Learned:
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
-def test_the_newest_that_holds_is_used_and_nothing_is_overwritten(tmp_path: Path) -> None:
+def test_learned_swings_newest_valid_is_found_and_rows_are_immutable(tmp_path: Path) -> None:
     with open_database(database_url("", tmp_path), NOW) as database:
         assert newest_that_holds(database, "b", PROFILE.name, HERE, simulated=True) is None
         assert [keep(database, entry(value)) for value in (0.1, 0.2)] == [1, 2]
@@ -64,15 +64,15 @@ def test_the_newest_that_holds_is_used_and_nothing_is_overwritten(tmp_path: Path
         ({"digest": "0"}, False),
     ],
 )
-def test_conditions(change: dict[str, float], holds: bool) -> None:
+def test_conditions_hold_for_tolerated_changes_only(change: dict[str, float], holds: bool) -> None:
     assert HERE.hold_for(replace(HERE, **change)) is holds  # type: ignore[arg-type]
 
 
-def test_a_profile_designed_anew_has_another_digest() -> None:
+def test_conditions_changed_profile_changes_digest() -> None:
     assert Conditions.of(replace(PROFILE, valve=PROFILE.valve + 1e-6), PLANT, 298.0).digest != HERE.digest
 
 
-def test_in_simulation_another_robot_is_another_condition() -> None:
+def test_conditions_other_simulated_robot_does_not_hold() -> None:
     worn = replace(PLANT, shoulder=replace(PLANT.shoulder, dead_volume=2 * PLANT.shoulder.dead_volume))
     nominal = Conditions.of(PROFILE, PLANT, 298.0, PLANT)
     assert not nominal.hold_for(Conditions.of(PROFILE, PLANT, 298.0, worn))
@@ -80,7 +80,7 @@ def test_in_simulation_another_robot_is_another_condition() -> None:
     assert nominal.hold_for(Conditions.of(PROFILE, PLANT, 298.0, weaker))
 
 
-def test_a_campaign_goes_on_with_what_it_began_with(tmp_path: Path) -> None:
+def test_newest_that_holds_until_date_ignores_later_versions(tmp_path: Path) -> None:
     with open_database(database_url("", tmp_path), NOW) as database:
         keep(database, entry(0.1))
         keep(database, entry(0.2, date=NOW + timedelta(hours=1)))
@@ -98,5 +98,5 @@ def test_a_campaign_goes_on_with_what_it_began_with(tmp_path: Path) -> None:
         ([[0.4, -1.2]], False),
     ],
 )
-def test_drift_is_what_scatter_does_not_explain(errors: list[list[float]], refresh: bool) -> None:
+def test_drifted_detects_mean_error_beyond_scatter(errors: list[list[float]], refresh: bool) -> None:
     assert drifted((0.5, 0.5), errors) is refresh

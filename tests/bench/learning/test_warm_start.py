@@ -52,7 +52,7 @@ def mean_of_first(problem: LearningProblem) -> float:
 
 
 @pytest.mark.release
-def test_the_first_swings_are_near_with_what_identification_left_over(
+def test_begun_on_left_over_correction_improves_first_swings(
     problem: LearningProblem, recorded: list[Recorded]
 ) -> None:
     scale = Tolerance().scale(problem.target)
@@ -65,12 +65,12 @@ def test_the_first_swings_are_near_with_what_identification_left_over(
     assert np.abs(expected).max() < 1.0
 
 
-def test_nothing_is_left_over_of_the_robot_itself(problem: LearningProblem, recorded: list[Recorded]) -> None:
+def test_left_over_true_robot_is_within_tolerance(problem: LearningProblem, recorded: list[Recorded]) -> None:
     off = left_over(BENCH, TRUTH, recorded) / Tolerance().scale(problem.target)
     assert np.abs(off).max() < 0.7
 
 
-def test_another_robot_than_the_recorded_one_is_refused(
+def test_begun_on_other_robot_than_recorded_raises_error(
     problem: LearningProblem, recorded: list[Recorded]
 ) -> None:
     other = Variation(head_mass=0.1).applied_to(PLANT)

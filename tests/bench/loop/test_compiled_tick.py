@@ -48,7 +48,7 @@ def read_into(records: Records, driver: SimDriver, tick: int) -> None:
     driver.read_record(1e-3 * tick, records.readings)
 
 
-def test_it_gives_the_bits_of_the_step(parameters: ControlParameters) -> None:
+def test_compiled_tick_matches_step_bit_for_bit(parameters: ControlParameters) -> None:
     one, other, driver, twin = Records(), Records(), SimDriver(), SimDriver()
     driver.open()
     twin.open()
@@ -62,7 +62,7 @@ def test_it_gives_the_bits_of_the_step(parameters: ControlParameters) -> None:
     assert one.cycle["state"][0] == State.ARMED
 
 
-def test_the_instants_are_those_of_the_loops_clock(parameters: ControlParameters) -> None:
+def test_compiled_tick_marks_use_monotonic_clock(parameters: ControlParameters) -> None:
     records = Records()
     tick = records.tick(parameters)
     tick(0.0, AT_DECIDE)
@@ -75,14 +75,16 @@ def test_the_instants_are_those_of_the_loops_clock(parameters: ControlParameters
 
 
 @pytest.mark.parametrize("wrong", ["type", "order"])
-def test_records_of_another_kind_are_refused(parameters: ControlParameters, wrong: str) -> None:
+def test_compiled_tick_wrong_array_type_or_order_is_refused(
+    parameters: ControlParameters, wrong: str
+) -> None:
     table: Any = parameters.angle
     table = table.astype(np.float32) if wrong == "type" else np.asfortranarray(table)
     with pytest.raises(ValueError, match="contiguous"):
         Records().tick(parameters._replace(angle=table))
 
 
-def test_a_state_of_two_records_is_refused(parameters: ControlParameters) -> None:
+def test_compiled_tick_state_of_two_records_is_refused(parameters: ControlParameters) -> None:
     records = Records()
     state = ControlState(*(np.concatenate([array, array]) for array in records.state))
     with pytest.raises(ValueError, match="one record"):

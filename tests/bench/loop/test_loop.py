@@ -142,7 +142,7 @@ def phase(loop: Loop) -> int:
     return int(control(loop)["phase"])
 
 
-def test_the_mock_goes_through_arming_a_swing_and_a_stop(holding: Loop, driver: Faulty) -> None:
+def test_loop_mock_driver_arms_swings_and_stops(holding: Loop, driver: Faulty) -> None:
     swing = holding.advance(1200, Request.SWING)
     assert {Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.RETURN} <= set(swing["phase"])
     assert control(holding)["cause"] == Cause.NONE
@@ -157,14 +157,14 @@ def test_the_mock_goes_through_arming_a_swing_and_a_stop(holding: Loop, driver: 
     assert driver.passive == 3
 
 
-def test_the_record_holds_what_the_driver_applied(holding: Loop, driver: Faulty) -> None:
+def test_cycle_record_holds_applied_valve_command(holding: Loop, driver: Faulty) -> None:
     driver.strongest = 0.01
     cycles = holding.advance(200, Request.SWING)
     assert np.abs(cycles["desired_valve"]).max() > 0.02
     assert np.abs(cycles["applied_valve"]).max() == 0.01
 
 
-def test_readings_that_fail_stop_the_robot_in_that_tick(holding: Loop, driver: Faulty) -> None:
+def test_cycle_failed_reading_triggers_open_loop_brake_in_same_tick(holding: Loop, driver: Faulty) -> None:
     holding.advance(150, Request.SWING)
     assert phase(holding) == Phase.BACKSWING
     driver.fail_read = DriverError("bus off")
@@ -183,7 +183,7 @@ def test_readings_that_fail_stop_the_robot_in_that_tick(holding: Loop, driver: F
     assert control(holding)["cause"] == Cause.EXCEPTION
 
 
-def test_failing_readings_at_standstill_forbid_to_arm(loop: Loop, driver: Faulty) -> None:
+def test_loop_failed_readings_at_standstill_refuse_arm_until_reset(loop: Loop, driver: Faulty) -> None:
     loop.advance(5)
     driver.fail_read = DriverError("bus off")
     loop.advance(1, Request.ARM)
@@ -198,7 +198,7 @@ def test_failing_readings_at_standstill_forbid_to_arm(loop: Loop, driver: Faulty
     assert control(loop)["answer"] == Answer.ACCEPTED
 
 
-def test_readings_that_fail_do_not_hide_why_the_robot_stands(holding: Loop, driver: Faulty) -> None:
+def test_loop_failed_readings_keep_first_cause(holding: Loop, driver: Faulty) -> None:
     driver.obeys = False
     for _ in range(40):
         holding.advance(100)
@@ -211,14 +211,16 @@ def test_readings_that_fail_do_not_hide_why_the_robot_stands(holding: Loop, driv
 
 
 @pytest.mark.parametrize("wrong", [type(None), (), "readings"])
-def test_readings_of_the_wrong_make_are_lost_readings(holding: Loop, driver: Faulty, wrong: object) -> None:
+def test_cycle_invalid_readings_type_triggers_open_loop_brake(
+    holding: Loop, driver: Faulty, wrong: object
+) -> None:
     driver.readings = wrong
     assert holding.advance(1)["reaction"][0] == Reaction.BLIND_BRAKE
     assert holding.cycle.read_error is not None
 
 
 @pytest.mark.parametrize("error", [DriverError("valve island gone"), OSError("no buffer space")])
-def test_a_command_that_cannot_be_sent_makes_passive_in_that_tick(
+def test_cycle_failed_write_makes_passive_in_same_tick(
     holding: Loop, driver: Faulty, error: Exception
 ) -> None:
     holding.advance(150, Request.SWING)
@@ -237,7 +239,7 @@ def test_a_command_that_cannot_be_sent_makes_passive_in_that_tick(
     assert not kept.cycles["supply_enable"][0]
 
 
-def test_after_an_exception_nothing_arms_without_a_reset(holding: Loop, driver: Faulty) -> None:
+def test_loop_exception_refuses_arm_until_reset(holding: Loop, driver: Faulty) -> None:
     driver.fail_write = DriverError("gone")
     with pytest.raises(DriverError):
         holding.advance(1)
@@ -252,7 +254,7 @@ def test_after_an_exception_nothing_arms_without_a_reset(holding: Loop, driver: 
     assert control(holding)["answer"] == Answer.ACCEPTED
 
 
-def test_the_first_cause_is_kept(holding: Loop, driver: Faulty) -> None:
+def test_loop_exception_after_emergency_stop_keeps_first_cause(holding: Loop, driver: Faulty) -> None:
     driver.emergency_stop_clear = False
     holding.advance(1)
     driver.fail_write = DriverError("gone")
@@ -262,7 +264,7 @@ def test_the_first_cause_is_kept(holding: Loop, driver: Faulty) -> None:
     assert control(holding)["latest_cause"] == Cause.EXCEPTION
 
 
-def test_numerics_that_fail_make_passive_too(
+def test_cycle_failed_step_makes_passive(
     holding: Loop, driver: Faulty, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
@@ -278,14 +280,14 @@ def test_numerics_that_fail_make_passive_too(
     assert len(kept.cycles) == 0  # nothing was decided, so nothing is told
 
 
-def test_an_interrupt_inside_a_tick_makes_passive(holding: Loop, driver: Faulty) -> None:
+def test_cycle_keyboard_interrupt_makes_passive(holding: Loop, driver: Faulty) -> None:
     driver.fail_read = KeyboardInterrupt()
     with pytest.raises(KeyboardInterrupt):
         holding.advance(1)
     assert driver.applied == PASSIVE
 
 
-def test_a_publisher_that_fails_lets_the_swing_complete(holding: Loop) -> None:
+def test_cycle_failed_publisher_lets_swing_complete(holding: Loop) -> None:
     calls = []
 
     def full(record: np.ndarray) -> None:
@@ -302,7 +304,7 @@ def test_a_publisher_that_fails_lets_the_swing_complete(holding: Loop) -> None:
     assert control(holding)["cause"] == Cause.NONE
 
 
-def test_records_in_memory_are_copies_and_bounded() -> None:
+def test_cycle_array_copies_records_and_is_bounded() -> None:
     kept, record = CycleArray(2), new_record(CYCLE)
     for tick in (3, 4):
         record["tick"] = tick
@@ -312,7 +314,7 @@ def test_records_in_memory_are_copies_and_bounded() -> None:
         kept(record)
 
 
-def test_a_stop_that_takes_too_long_is_left_to_the_passive_command(holding: Loop, driver: Faulty) -> None:
+def test_bring_to_rest_tick_limit_makes_passive(holding: Loop, driver: Faulty) -> None:
     holding.advance(150, Request.SWING)
     records = bring_to_rest(holding, 15)
     assert sum(map(len, records)) == 15
@@ -320,12 +322,12 @@ def test_a_stop_that_takes_too_long_is_left_to_the_passive_command(holding: Loop
     assert driver.applied == PASSIVE
 
 
-def test_ticks_are_multiplied_not_added() -> None:
+def test_free_clock_times_are_exact_multiples_of_period() -> None:
     clock = FreeClock(PERIOD)
     assert [clock.wait() for _ in range(5000)] == [k * PERIOD for k in range(5000)]
 
 
-def test_paced_time_slips_when_the_machine_stalls() -> None:
+def test_paced_clock_late_tick_counts_slip() -> None:
     wall, naps = [100.0], []
 
     def sleep(duration: float) -> None:
@@ -343,7 +345,7 @@ def test_paced_time_slips_when_the_machine_stalls() -> None:
     assert naps == pytest.approx([0.0005] * 4)
 
 
-def test_another_state_and_other_parameters_take_effect_in_the_next_tick(holding: Loop) -> None:
+def test_cycle_replaced_state_and_parameters_apply_in_next_tick(holding: Loop) -> None:
     cycle = holding.cycle
     parameters = cycle.parameters._replace(control=cycle.parameters.control.copy())
     parameters.control["read_only"] = True
@@ -372,7 +374,7 @@ class Guarded(Recording):
         raise DriverError("no frame")
 
 
-def test_a_record_is_taken_unless_the_reading_was_replaced(parameters: ControlParameters) -> None:
+def test_cycle_overridden_read_takes_precedence_over_read_record(parameters: ControlParameters) -> None:
     for kind, lost in ((Recording, False), (Guarded, True)):
         driver = kind()
         driver.open()
@@ -382,7 +384,7 @@ def test_a_record_is_taken_unless_the_reading_was_replaced(parameters: ControlPa
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="asks for the compiled tick")
-def test_ten_thousand_ticks_leave_no_memory_behind(parameters: ControlParameters, tmp_path: Path) -> None:
+def test_cycle_ten_thousand_ticks_do_not_leak_memory(parameters: ControlParameters, tmp_path: Path) -> None:
     """From the readings of the simulated robot to the ring, with the collector off, as the loop runs."""
     driver = SimDriver(PLANT)
     driver.open()

@@ -79,7 +79,7 @@ def assert_same(one: Bench, other: Bench) -> None:
     assert getattr(one.driver, "applied", None) == getattr(other.driver, "applied", None)
 
 
-def test_a_tick_is_one_call_with_the_bits_of_python(parameters: ControlParameters) -> None:
+def test_native_tick_is_single_call_and_matches_python_bits(parameters: ControlParameters) -> None:
     benches = [Bench(kind(), parameters) for kind in (SimDriver, PlainSim)]
     for bench in benches:
         bench.driver.open()
@@ -97,13 +97,13 @@ def test_a_tick_is_one_call_with_the_bits_of_python(parameters: ControlParameter
     assert np.all(np.diff(one.cycle.marks) >= 0)
 
 
-def test_faults_are_pythons(parameters: ControlParameters) -> None:
+def test_sim_driver_with_faults_has_no_native_calls(parameters: ControlParameters) -> None:
     driver = SimDriver(faults=(Fault("blind", "ball sensor", "off"),))
     assert driver.native_calls() == NativeCalls()
 
 
 @pytest.mark.parametrize("replaced", ["read", "read_record", "write"])
-def test_a_method_that_was_replaced_is_called(parameters: ControlParameters, replaced: str) -> None:
+def test_native_tick_overridden_driver_method_is_called(parameters: ControlParameters, replaced: str) -> None:
     called = []
 
     def note(self: SimDriver, *arguments: Any) -> Any:
@@ -116,7 +116,7 @@ def test_a_method_that_was_replaced_is_called(parameters: ControlParameters, rep
     assert len(called) >= 3
 
 
-def test_a_closed_driver_and_a_wrong_time_fail_as_in_python(parameters: ControlParameters) -> None:
+def test_native_tick_closed_driver_and_nan_time_raise_driver_error(parameters: ControlParameters) -> None:
     bench = Bench(SimDriver(), parameters)
     bench.driver.open()
     bench.run(0, 10)
@@ -128,7 +128,7 @@ def test_a_closed_driver_and_a_wrong_time_fail_as_in_python(parameters: ControlP
         bench.cycle.run_tick(11 * PERIOD)
 
 
-def test_a_publisher_without_room_fails_as_in_python(parameters: ControlParameters) -> None:
+def test_native_tick_full_publisher_sets_publish_error(parameters: ControlParameters) -> None:
     bench = Bench(SimDriver(), parameters, room=5)
     bench.driver.open()
     bench.run(0, 8)
@@ -139,7 +139,7 @@ def test_a_publisher_without_room_fails_as_in_python(parameters: ControlParamete
     assert len(later.cycles) == 0  # a publisher that failed is not asked again
 
 
-def test_the_ring_gets_every_record(parameters: ControlParameters, tmp_path: Path) -> None:
+def test_native_tick_ring_receives_every_record(parameters: ControlParameters, tmp_path: Path) -> None:
     bench = Bench(SimDriver(), parameters)
     ring = RingWriter(tmp_path / "ring", 64)
     bench.cycle.publish = ring
@@ -156,7 +156,7 @@ def test_the_ring_gets_every_record(parameters: ControlParameters, tmp_path: Pat
     reader.close()
 
 
-def test_surroundings_and_contacts_of_a_paced_plant(parameters: ControlParameters, tmp_path: Path) -> None:
+def test_native_tick_paced_plant_matches_python_bits(parameters: ControlParameters, tmp_path: Path) -> None:
     found = []
     benches = []
     for kind in (PacedPlantDriver, PlainPaced):
@@ -200,7 +200,9 @@ finite_or_not = st.floats(allow_nan=True, allow_infinity=True)
     valve=st.tuples(*[finite_or_not | st.floats(-1.5, 1.5)] * 3),
     bits=st.tuples(*[st.booleans()] * 6),
 )
-def test_a_device_limits_alike(valve: tuple[float, float, float], bits: tuple[bool, ...]) -> None:
+def test_limit_command_matches_device_limited(
+    valve: tuple[float, float, float], bits: tuple[bool, ...]
+) -> None:
     command = Command(valve, *bits)
     given_, applied, expected = (new_record(COMMAND) for _ in range(3))
     pack_command(command, given_)

@@ -62,7 +62,7 @@ def prepared(bench: RestingBench) -> Callable[[BenchStatus], bool]:
     return prepare
 
 
-def test_a_swing_refused_while_the_robot_sways_is_requested_again() -> None:
+def test_begin_swing_temporary_refusal_repeats_request() -> None:
     """Re-armed after a stopped swing it may still sway when its status says HOLD."""
     bench = RestingBench(Refusal.NOT_AT_ADDRESS, Refusal.STATE)
     tick = operator_of(bench).begin_swing(prepared(bench), ball=False)
@@ -70,7 +70,7 @@ def test_a_swing_refused_while_the_robot_sways_is_requested_again() -> None:
     assert tick == bench.state["tick"]
 
 
-def test_a_swing_refused_for_longer_than_the_time_out_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_begin_swing_refusal_beyond_timeout_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bench.network.bench_operator.READY", 0.2)
     bench = RestingBench(*[Refusal.NOT_AT_ADDRESS] * 1000)
     with pytest.raises(CommandRefused, match="does not rest"):
@@ -78,14 +78,14 @@ def test_a_swing_refused_for_longer_than_the_time_out_is_given_up(monkeypatch: p
 
 
 @pytest.mark.parametrize("refusal", [Refusal.READ_ONLY, Refusal.BLOCKED, Refusal.CORRECTION])
-def test_a_refusal_that_lasts_is_raised_at_once(refusal: Refusal) -> None:
+def test_begin_swing_permanent_refusal_is_raised_immediately(refusal: Refusal) -> None:
     bench = RestingBench(refusal)
     with pytest.raises(CommandRefused):
         operator_of(bench).begin_swing(prepared(bench), ball=False)
     assert bench.asked.count("swing") == 1
 
 
-def test_a_stopped_real_bench_is_left_to_a_person_without_a_lease() -> None:
+def test_rest_at_address_real_bench_releases_lease_for_person() -> None:
     bench = RestingBench()
     ways = iter(["SAFE", "SAFE", "HOMING", "ARMED", "ARMED", "ARMED"])
     still, todo = bench.status, list[str]()

@@ -34,7 +34,7 @@ def load(path: Path) -> x509.Certificate:
     return x509.load_pem_x509_certificate(path.read_bytes())
 
 
-def test_a_bench_and_two_people(run: Run, tmp_path: Path) -> None:
+def test_certificates_command_creates_bench_and_client_identities(run: Run, tmp_path: Path) -> None:
     folder = tmp_path / "certificates"
     assert run(folder, "bench1", "--address", "192.0.2.5", "--address", "bench.example")[0] == 0
     assert run(folder, "anna", "bob", "--days", "30")[0] == 0
@@ -58,7 +58,7 @@ def test_a_bench_and_two_people(run: Run, tmp_path: Path) -> None:
     assert listens.value.get_values_for_type(x509.DNSName) == ["bench.example"]
 
 
-def test_what_is_there_is_not_touched(run: Run, tmp_path: Path) -> None:
+def test_certificates_command_existing_name_is_refused_unchanged(run: Run, tmp_path: Path) -> None:
     run(tmp_path, "anna")
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     code, text = run(tmp_path, "anna")
@@ -68,20 +68,20 @@ def test_what_is_there_is_not_touched(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "../anna", "an na", AUTHORITY, "-x", "a" * 64])
-def test_names_that_are_none(name: str, run: Run, tmp_path: Path) -> None:
+def test_certificates_command_invalid_name_is_rejected(name: str, run: Run, tmp_path: Path) -> None:
     code, _ = run(tmp_path / "new", "--", name)
     assert code == ExitCode.BAD_INPUT
     assert not (tmp_path / "new").exists()
 
 
-def test_a_folder_that_cannot_be_made(run: Run, tmp_path: Path) -> None:
+def test_certificates_command_unusable_folder_exits_with_file_error(run: Run, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     code, text = run(tmp_path / "file", "anna")
     assert code == ExitCode.FILE
     assert "Traceback" not in text
 
 
-def test_an_authority_that_does_not_hold(run: Run, tmp_path: Path) -> None:
+def test_certificates_command_invalid_authority_is_rejected(run: Run, tmp_path: Path) -> None:
     run(tmp_path, "anna")
     (tmp_path / "authority.key").write_bytes((tmp_path / "anna.key").read_bytes())
     assert run(tmp_path, "bob")[0] == ExitCode.BAD_INPUT
@@ -92,7 +92,7 @@ def test_an_authority_that_does_not_hold(run: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "bob.pem").exists()
 
 
-def test_an_identity_is_read_as_written(tmp_path: Path) -> None:
+def test_read_identity_restores_written_identity(tmp_path: Path) -> None:
     made = make_authority(datetime.now(UTC))
     write_identity(tmp_path, "x", made)
     read = read_identity(tmp_path, "x")

@@ -52,7 +52,7 @@ class Supervisor:
         self._thread.join()
 
 
-def test_a_session_as_the_documentation_has_it(running: RunningPlane, bench: BenchClient) -> None:
+def test_bench_client_documented_session_completes_swing(running: RunningPlane, bench: BenchClient) -> None:
     with Supervisor(running), bench.lease("Ann"):
         bench.reset()
         bench.home()
@@ -65,7 +65,7 @@ def test_a_session_as_the_documentation_has_it(running: RunningPlane, bench: Ben
     assert running.service.requests == [Request.RESET, Request.HOME, Request.ARM, Request.SWING]
 
 
-def test_every_verb_is_a_method(running: RunningPlane, bench: BenchClient) -> None:
+def test_bench_client_has_method_for_each_verb(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
     for ask in (bench.reset, bench.access, bench.secure, bench.home, bench.arm, bench.tee, bench.disarm):
         assert ask().accepted
@@ -75,7 +75,9 @@ def test_every_verb_is_a_method(running: RunningPlane, bench: BenchClient) -> No
 
 
 @pytest.mark.parametrize("verb", ["reset", "home", "arm"])
-def test_a_robot_that_sways_is_waited_for(running: RunningPlane, bench: BenchClient, verb: str) -> None:
+def test_bench_client_moving_robot_retries_request(
+    running: RunningPlane, bench: BenchClient, verb: str
+) -> None:
     bench.take_lease("Ann")
     before = {"reset": State.ESTOP, "home": State.SAFE, "arm": State.READY}
     running.service.state, running.service.sways = before[verb], 3
@@ -83,21 +85,21 @@ def test_a_robot_that_sways_is_waited_for(running: RunningPlane, bench: BenchCli
     assert len(running.service.requests) == 4
 
 
-def test_arming_waits_for_chambers_that_vent(running: RunningPlane, bench: BenchClient) -> None:
+def test_arm_venting_chambers_retries_request(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
     running.service.state, running.service.sways, running.service.vents = State.READY, 2, 3
     assert bench.arm().accepted
     assert len(running.service.requests) == 6
 
 
-def test_a_swing_waits_for_its_air(running: RunningPlane, bench: BenchClient) -> None:
+def test_swing_filling_chambers_retries_request(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
     running.service.state, running.service.fills = State.ARMED, 3
     assert bench.swing().accepted
     assert running.service.requests == [Request.SWING] * 4
 
 
-def test_air_that_never_comes_is_refused_in_words(
+def test_swing_pressure_timeout_reports_reason_and_action(
     running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.take_lease("Ann")
@@ -108,14 +110,14 @@ def test_air_that_never_comes_is_refused_in_words(
     assert caught.value.action == "Wait, then retry."
 
 
-def test_homing_waits_for_chambers_that_vent(running: RunningPlane, bench: BenchClient) -> None:
+def test_home_venting_chambers_retries_request(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
     running.service.state, running.service.vents = State.SAFE, 2
     assert bench.home().accepted
     assert len(running.service.requests) == 3
 
 
-def test_arming_waits_for_a_robot_that_returns(running: RunningPlane, bench: BenchClient) -> None:
+def test_arm_recovering_robot_retries_request(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
     running.service.state = State.RECOVERING
     with pytest.raises(CommandRefused) as caught:
@@ -126,7 +128,7 @@ def test_arming_waits_for_a_robot_that_returns(running: RunningPlane, bench: Ben
     assert bench.arm(retry_timeout=5.0).accepted
 
 
-def test_a_second_swing_is_not_made_after_the_first(running: RunningPlane, bench: BenchClient) -> None:
+def test_swing_during_swing_is_refused_without_retry(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
     running.service.state = State.SWINGING
     with pytest.raises(CommandRefused):
@@ -134,7 +136,7 @@ def test_a_second_swing_is_not_made_after_the_first(running: RunningPlane, bench
     assert running.service.requests == [Request.SWING]
 
 
-def test_what_was_asked_before_a_stop_is_not_done_after_it(running: RunningPlane, bench: BenchClient) -> None:
+def test_arm_refused_after_stop_is_not_retried(running: RunningPlane, bench: BenchClient) -> None:
     bench.take_lease("Ann")
     running.service.state = State.READY
     running.service.refuse = Refusal.STOPPED
@@ -144,7 +146,7 @@ def test_what_was_asked_before_a_stop_is_not_done_after_it(running: RunningPlane
     assert running.service.requests == [Request.ARM]
 
 
-def test_chambers_that_never_empty_are_refused_in_words(
+def test_arm_venting_timeout_reports_reason_and_action(
     running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.take_lease("Ann")
@@ -155,7 +157,7 @@ def test_chambers_that_never_empty_are_refused_in_words(
     assert caught.value.action == "Wait, then retry."
 
 
-def test_a_robot_that_never_rests_is_refused_in_words(
+def test_reset_moving_robot_timeout_reports_reason_and_action(
     running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench.take_lease("Ann")
@@ -166,7 +168,7 @@ def test_a_robot_that_never_rests_is_refused_in_words(
     assert caught.value.action == "Wait until the robot rests, then retry."
 
 
-def test_a_refusal_says_state_reason_and_action(bench: BenchClient) -> None:
+def test_command_refused_reports_state_reason_and_expected_state(bench: BenchClient) -> None:
     bench.take_lease("Ann")
     with pytest.raises(CommandRefused) as caught:
         bench.swing()
@@ -178,7 +180,9 @@ def test_a_refusal_says_state_reason_and_action(bench: BenchClient) -> None:
     assert error.answer.state == "ESTOP"
 
 
-def test_a_second_holder_is_refused_in_words(running: RunningPlane, bench: BenchClient) -> None:
+def test_take_lease_second_holder_is_refused_with_holder_and_time(
+    running: RunningPlane, bench: BenchClient
+) -> None:
     held = bench.take_lease("Ann")
     with BenchClient.connect(running.configuration) as other, pytest.raises(CommandRefused) as caught:
         other.take_lease("Bob")
@@ -187,14 +191,14 @@ def test_a_second_holder_is_refused_in_words(running: RunningPlane, bench: Bench
     assert held.key not in repr(held)
 
 
-def test_what_needs_the_lease_is_not_sent_without(running: RunningPlane, bench: BenchClient) -> None:
+def test_bench_client_without_lease_sends_no_lease_command(running: RunningPlane, bench: BenchClient) -> None:
     for ask in (bench.arm, bench.release_lease, bench.renew_lease):
         with pytest.raises(Refused, match="golfbench lease take"):
             ask()
     assert running.plane.counts()["refused"] == 0
 
 
-def test_a_lease_is_renewed_while_its_block_lasts(running: RunningPlane, bench: BenchClient) -> None:
+def test_lease_block_renews_and_releases_lease(running: RunningPlane, bench: BenchClient) -> None:
     with bench.lease("Ann", 5.0) as held:
         first = running.plane.lease()
         assert first is not None
@@ -207,7 +211,9 @@ def test_a_lease_is_renewed_while_its_block_lasts(running: RunningPlane, bench: 
     assert running.plane.lease() is None
 
 
-def test_threads_share_a_client_in_order(running: RunningPlane, bench: BenchClient) -> None:
+def test_bench_client_concurrent_threads_keep_sequence_order(
+    running: RunningPlane, bench: BenchClient
+) -> None:
     bench.take_lease("Ann")
     refused: list[Exception] = []
 
@@ -229,7 +235,7 @@ def test_threads_share_a_client_in_order(running: RunningPlane, bench: BenchClie
     assert lease.sequence == 120
 
 
-def test_waiting_ends_when_the_bench_latches(running: RunningPlane, bench: BenchClient) -> None:
+def test_wait_for_latched_fault_is_refused(running: RunningPlane, bench: BenchClient) -> None:
     running.service.state = State.READY
     with Supervisor(running):
         late = threading.Timer(0.2, running.service.stop)
@@ -239,15 +245,13 @@ def test_waiting_ends_when_the_bench_latches(running: RunningPlane, bench: Bench
         late.join()
 
 
-def test_waiting_ends_with_its_time(bench: BenchClient, running: RunningPlane) -> None:
+def test_wait_for_timeout_is_refused(bench: BenchClient, running: RunningPlane) -> None:
     running.service.state = State.READY
     with pytest.raises(Refused, match=r"after 0\.2 s: found READY"):
         bench.wait_for("ARMED", timeout=0.2)
 
 
-def test_an_armed_bench_is_waited_for_until_the_robot_rests_at_its_address(
-    running: RunningPlane, bench: BenchClient
-) -> None:
+def test_wait_until_armed_returns_after_rest_at_address(running: RunningPlane, bench: BenchClient) -> None:
     running.service.state, running.service.armed_phase = State.ARMED, "RETURN"
     seen: list[str] = []
 
@@ -264,7 +268,7 @@ def test_an_armed_bench_is_waited_for_until_the_robot_rests_at_its_address(
 
 
 @pytest.mark.parametrize("state", [State.READY, State.FAULT, State.RECOVERING])
-def test_waiting_for_an_armed_bench_ends_when_it_no_longer_is(
+def test_wait_until_armed_disarmed_bench_is_refused(
     state: State, running: RunningPlane, bench: BenchClient
 ) -> None:
     running.service.state, running.service.armed_phase = State.ARMED, "RETURN"
@@ -278,19 +282,19 @@ def test_waiting_for_an_armed_bench_ends_when_it_no_longer_is(
     assert ("golfbench reset" in caught.value.action) == (state is State.FAULT)
 
 
-def test_no_bench_no_answer() -> None:
+def test_connect_without_bench_raises_no_answer() -> None:
     with pytest.raises(NoAnswer):
         BenchClient.connect(loopback_configuration())
 
 
-def test_a_bench_of_another_name_does_not_answer(running: RunningPlane) -> None:
+def test_status_other_bench_id_raises_no_answer(running: RunningPlane) -> None:
     c = running.configuration
     other = replace(c, bench=BenchSettings(id="bench2", data_dir=c.bench.data_dir))
     with BenchClient.connect(other) as bench, pytest.raises(NoAnswer, match="bench2"):
         bench.status()
 
 
-def test_a_hanging_bench_gives_no_answer_in_time(running: RunningPlane) -> None:
+def test_reset_hanging_bench_raises_no_answer_at_timeout(running: RunningPlane) -> None:
     running.service.free.clear()
     with BenchClient.connect(running.configuration, timeout=0.3) as bench:
         bench.take_lease("Ann")
@@ -299,7 +303,7 @@ def test_a_hanging_bench_gives_no_answer_in_time(running: RunningPlane) -> None:
         assert bench.stop().accepted
 
 
-def test_it_finds_the_bench_again_after_a_restart_but_its_lease_is_void() -> None:
+def test_bench_client_reconnects_after_restart_with_void_lease() -> None:
     configuration = loopback_configuration()
     with running_plane(FakeDesk(), configuration):
         bench = BenchClient.connect(configuration, timeout=0.5)
@@ -324,14 +328,14 @@ def _answers(bench: BenchClient) -> bool:
     return True
 
 
-def test_a_message_that_does_not_hold_comes_back_as_the_benchs_error(bench: BenchClient) -> None:
+def test_send_invalid_message_raises_bench_error(bench: BenchClient) -> None:
     with pytest.raises(BenchError, match="an unknown verb") as caught:
         bench.send("fly", encode_command(Verb.STATUS))
     assert caught.value.exit_code == ExitCode.BAD_INPUT
 
 
 @pytest.mark.parametrize("change", [{"version": 2}, {"state": None}], ids=["version", "without state"])
-def test_a_status_of_another_version_is_told(
+def test_status_incompatible_version_raises_error(
     change: dict[str, Any], running: RunningPlane, bench: BenchClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     status: dict[str, Any] = {**running.service.status(), **change}

@@ -46,18 +46,18 @@ def refused(verb: str, payload: bytes | str) -> BenchError:
 
 
 @pytest.mark.parametrize("verb", sorted(PLAIN))
-def test_what_ends_motion_or_looks_needs_no_lease(verb: Verb) -> None:
+def test_parse_command_plain_verb_rejects_key(verb: Verb) -> None:
     assert parse_command(verb, b'{"version": 1}') == Plain(verb)
     assert "an unknown key" in refused(verb, KEYED).found
 
 
 @pytest.mark.parametrize("verb", sorted(REQUESTS.keys() - PLAIN))
-def test_what_moves_needs_key_and_sequence(verb: Verb) -> None:
+def test_parse_command_motion_verb_requires_key_and_sequence(verb: Verb) -> None:
     assert parse_command(verb, KEYED.encode()) == Keyed(verb, KEY, 1)
     assert refused(verb, '{"version": 1}').found == "missing"
 
 
-def test_the_lease_is_asked_of_what_the_loop_asks_it_for() -> None:
+def test_requests_keyed_verbs_match_needs_lease() -> None:
     assert {REQUESTS[verb] for verb in REQUESTS.keys() - PLAIN} == NEEDS_LEASE
     assert set(REQUESTS.values()) | {Request.NONE, Request.STOP, Request.EMERGENCY_STOP} == set(Request)
 
@@ -68,7 +68,7 @@ def correct(**values: Any) -> bytes:
     )
 
 
-def test_a_correction_is_bounded_weights_for_one_profile() -> None:
+def test_parse_command_correct_returns_profile_and_weights() -> None:
     assert parse_command("correct", correct()) == Correct(KEY, 1, "0123456789abcdef", (0.5,))
     assert parse_command("correct", correct(weights=[])) == Correct(KEY, 1, "0123456789abcdef", ())
     most = correct(weights=[-1.2345678901234567] * MOST_WEIGHTS)
@@ -79,16 +79,16 @@ def test_a_correction_is_bounded_weights_for_one_profile() -> None:
 @pytest.mark.parametrize(
     "weights", [None, 1.0, "1", [1.6], [-1.6], ["1"], [True], [[1.0]], [0.0] * (MOST_WEIGHTS + 1)]
 )
-def test_weights_beyond_their_bounds_are_no_correction(weights: Any) -> None:
+def test_parse_command_correct_invalid_weights_are_rejected(weights: Any) -> None:
     assert refused("correct", correct(weights=weights)).location == "command correct: weights"
 
 
 @pytest.mark.parametrize("profile", [None, "", "0123456789ABCDEF", "0123456789abcde", 7])
-def test_a_correction_names_its_profile(profile: Any) -> None:
+def test_parse_command_correct_invalid_profile_is_rejected(profile: Any) -> None:
     assert refused("correct", correct(profile=profile)).location == "command correct: profile"
 
 
-def test_leases() -> None:
+def test_parse_command_lease_accepts_take_renew_release() -> None:
     take = encode_command(Verb.LEASE, action="take", holder="Ann")
     assert parse_command("lease", take) == TakeLease("Ann", 30.0)
     take = encode_command(Verb.LEASE, action="take", holder="Ann", seconds=60)
@@ -99,7 +99,7 @@ def test_leases() -> None:
     assert parse_command("lease", release) == ReleaseLease(KEY, 3)
 
 
-def test_an_unknown_verb_is_told_the_known_ones() -> None:
+def test_parse_command_unknown_verb_error_lists_known_verbs() -> None:
     for verb in ("fly", "", "STATUS", "status ", "*", "a/b", "status\n"):
         error = refused(verb, "{}")
         assert error.found == "an unknown verb"
@@ -135,7 +135,9 @@ def test_an_unknown_verb_is_told_the_known_ones() -> None:
         ("lease", b'{"version": 1, "action": "take"}', "command lease: holder", "missing"),
     ],
 )
-def test_what_does_not_hold_is_named(verb: str, payload: bytes, location: str, found: str) -> None:
+def test_parse_command_invalid_message_reports_location_and_value(
+    verb: str, payload: bytes, location: str, found: str
+) -> None:
     error = refused(verb, payload)
     assert error.location == location
     assert error.found.startswith(found)
@@ -144,24 +146,24 @@ def test_what_does_not_hold_is_named(verb: str, payload: bytes, location: str, f
 
 
 @pytest.mark.parametrize("sequence", ["0", "-1", "1.0", '"1"', "true", "null", "[1]", "9007199254740992"])
-def test_sequences_are_whole_and_positive(sequence: str) -> None:
+def test_parse_command_invalid_sequence_is_rejected(sequence: str) -> None:
     error = refused("arm", f'{{"version": 1, "key": "{KEY}", "sequence": {sequence}}}')
     assert (error.location, error.found) == ("command arm: sequence", sequence)
 
 
 @pytest.mark.parametrize("seconds", ["4.9", "601", "true", '"30"', "null", "-30", "1e308", "9" * 400])
-def test_leases_last_five_seconds_to_ten_minutes(seconds: str) -> None:
+def test_parse_command_lease_invalid_duration_is_rejected(seconds: str) -> None:
     payload = f'{{"version": 1, "action": "take", "holder": "Ann", "seconds": {seconds}}}'
     assert refused("lease", payload).location == "command lease: seconds"
 
 
 @pytest.mark.parametrize("holder", ['""', '" Ann"', '"A\\nB"', '"\\u001b[31m"', '"\\ud800"', "1", "null"])
-def test_holders_are_printable_names(holder: str) -> None:
+def test_parse_command_lease_invalid_holder_is_rejected(holder: str) -> None:
     payload = f'{{"version": 1, "action": "take", "holder": {holder}}}'
     assert refused("lease", payload).location == "command lease: holder"
 
 
-def test_an_error_never_repeats_a_key() -> None:
+def test_parse_command_error_omits_key() -> None:
     almost = KEY[:-1] + "!"
     error = refused("arm", json.dumps({"version": 1, "key": almost, "sequence": 1}))
     assert error.location == "command arm: key"
@@ -194,17 +196,17 @@ def parsed(verb: str, payload: bytes) -> Command | BenchError:
 
 
 @given(VERBS, st.binary())
-def test_any_bytes_are_a_command_or_an_error(verb: str, payload: bytes) -> None:
+def test_parse_command_any_bytes_return_command_or_bench_error(verb: str, payload: bytes) -> None:
     parsed(verb, payload)
 
 
 @given(VERBS, OBJECTS | JSON)
-def test_any_json_is_a_command_or_an_error(verb: str, message: Any) -> None:
+def test_parse_command_any_json_returns_command_or_bench_error(verb: str, message: Any) -> None:
     parsed(verb, json.dumps(message).encode())
 
 
 @given(st.sampled_from(sorted(Verb)), OBJECTS)
-def test_what_is_taken_has_the_form(verb: str, message: dict[str, Any]) -> None:
+def test_parse_command_accepted_message_matches_form(verb: str, message: dict[str, Any]) -> None:
     command = parsed(verb, json.dumps(message).encode())
     if not isinstance(command, BenchError):
         form = f"{verb} {message['action']}" if verb == "lease" else verb
@@ -224,12 +226,12 @@ def test_what_is_taken_has_the_form(verb: str, message: dict[str, Any]) -> None:
         st.dictionaries(st.text(), st.integers() | st.text()),
     )
 )
-def test_answers_come_back_as_they_were(answer: CommandAnswer) -> None:
+def test_parse_answer_restores_encoded_answer(answer: CommandAnswer) -> None:
     assert parse_answer(encode_answer(answer)) == answer
 
 
 @given(st.binary() | JSON.map(lambda value: json.dumps(value).encode()))
-def test_what_is_no_answer_is_told_so(payload: bytes) -> None:
+def test_parse_answer_invalid_payload_raises_error(payload: bytes) -> None:
     with pytest.raises(BenchError, match="answer of the bench"):
         parse_answer(payload)
     assert parse_error(payload).location == "answer of the bench"

@@ -120,7 +120,7 @@ def wait_until(holds: Callable[[], bool], timeout: float = 5.0) -> None:
 # What is asked and answered --------------------------------------------------------------------------
 
 
-def test_a_correction_takes_the_lease_and_comes_to_the_desk(bench: RunningPlane, asker: Asker) -> None:
+def test_correct_command_requires_lease_and_reaches_bench_service(bench: RunningPlane, asker: Asker) -> None:
     values: dict[str, Any] = {"profile": "0123456789abcdef", "weights": [0.5, -1.0]}
     assert not asker.ask("correct", key=new_key(), sequence=1, **values).accepted
     assert bench.service.corrections == []
@@ -131,7 +131,7 @@ def test_a_correction_takes_the_lease_and_comes_to_the_desk(bench: RunningPlane,
     assert asker.ask("status").content["correction"] == 1
 
 
-def test_a_whole_day_of_every_verb(bench: RunningPlane, asker: Asker) -> None:
+def test_command_plane_all_verbs_reach_bench_service(bench: RunningPlane, asker: Asker) -> None:
     key = asker.take()
     day = ["reset", "access", "secure", "home", "arm", "tee", "swing", "arm", "disarm"]
     states = ["SAFE", "ACCESS", "SAFE", "READY", "ARMED", "ARMED", "READY", "ARMED", "READY"]
@@ -147,7 +147,7 @@ def test_a_whole_day_of_every_verb(bench: RunningPlane, asker: Asker) -> None:
     assert bench.plane.lease() is None
 
 
-def test_the_status_carries_lease_and_counts_but_no_key(
+def test_status_command_reports_lease_and_counts_without_key(
     asker: Asker, another: Asker, clock: FakeClock
 ) -> None:
     key = asker.take("Ann", 40.0)
@@ -162,7 +162,7 @@ def test_the_status_carries_lease_and_counts_but_no_key(
     assert key not in json.dumps(answer)
 
 
-def test_a_refusal_of_the_bench_comes_with_state_and_reason(asker: Asker) -> None:
+def test_swing_command_refusal_reports_state_and_reason(asker: Asker) -> None:
     answer = asker.ask_keyed("swing", asker.take())
     assert answer == CommandAnswer(
         False, "ESTOP", "STATE", "POWER_UP", "not possible in this state", "Clear the cause, then reset."
@@ -177,7 +177,7 @@ def test_a_refusal_of_the_bench_comes_with_state_and_reason(asker: Asker) -> Non
         (State.ACCESS, "Close the guard, then end the access."),
     ],
 )
-def test_a_refusal_for_the_state_has_the_next_step_of_that_state(
+def test_swing_command_state_refusal_reports_next_action(
     bench: RunningPlane, asker: Asker, state: State, action: str
 ) -> None:
     key = asker.take()
@@ -186,20 +186,20 @@ def test_a_refusal_for_the_state_has_the_next_step_of_that_state(
     assert (answer.refusal, answer.state, answer.action) == ("STATE", state.name, action)
 
 
-def test_a_lease_that_lapses_soon_is_told(bench: RunningPlane, clock: FakeClock, asker: Asker) -> None:
+def test_lease_status_near_expiry_reports_lapsing(
+    bench: RunningPlane, clock: FakeClock, asker: Asker
+) -> None:
     asker.take("Ann", 30.0)
     for left, lapsing in ((30.0, False), (8.0, False), (7.0, True)):
         clock.now += bench.plane.lease_status()["seconds_left"] - left  # type: ignore[index]
         assert bench.plane.lease_status() == {"holder": "Ann", "seconds_left": left, "lapsing": lapsing}
 
 
-def test_an_emergency_stop_says_that_it_is_no_safety_function(asker: Asker) -> None:
+def test_estop_command_notes_no_safety_function(asker: Asker) -> None:
     assert "convenience, not a safety function" in asker.ask("estop").note
 
 
-def test_a_desk_that_fails_is_a_refusal_and_the_next_command_is_answered(
-    bench: RunningPlane, asker: Asker
-) -> None:
+def test_command_plane_service_error_answers_failed_and_continues(bench: RunningPlane, asker: Asker) -> None:
     key = asker.take()
     bench.service.error = OSError("the ring is gone")
     for answer in (asker.ask_keyed("reset", key), asker.ask("stop"), asker.ask("estop")):
@@ -213,7 +213,9 @@ def test_a_desk_that_fails_is_a_refusal_and_the_next_command_is_answered(
 # The lease -------------------------------------------------------------------------------------------
 
 
-def test_only_one_of_two_clients_holds_the_bench(bench: RunningPlane, asker: Asker, another: Asker) -> None:
+def test_lease_command_second_client_is_refused_until_release(
+    bench: RunningPlane, asker: Asker, another: Asker
+) -> None:
     key = asker.take("Ann")
     refusal = another.ask("lease", action="take", holder="Bob")
     assert refusal.refusal == "HELD"
@@ -226,14 +228,14 @@ def test_only_one_of_two_clients_holds_the_bench(bench: RunningPlane, asker: Ask
     assert another.take("Bob")
 
 
-def test_what_moves_is_refused_without_a_lease(bench: RunningPlane, asker: Asker) -> None:
+def test_command_plane_motion_verb_without_lease_is_refused(bench: RunningPlane, asker: Asker) -> None:
     for verb in ("home", "arm", "access", "secure", "swing", "tee", "reset"):
         answer = asker.ask_keyed(verb, new_key())
         assert (answer.accepted, answer.refusal) == (False, "NO_LEASE")
     assert bench.service.requests == []
 
 
-def test_a_lease_ends_unless_renewed(bench: RunningPlane, asker: Asker, clock: FakeClock) -> None:
+def test_lease_command_expires_unless_renewed(bench: RunningPlane, asker: Asker, clock: FakeClock) -> None:
     key = asker.take("Ann", 30.0)
     clock.now += 29.0
     renewed = asker.ask_keyed("lease", key, action="renew", seconds=20.0)
@@ -246,7 +248,7 @@ def test_a_lease_ends_unless_renewed(bench: RunningPlane, asker: Asker, clock: F
     assert bench.service.requests == [Request.RESET]
 
 
-def test_commands_repeated_or_out_of_order_are_not_done(bench: RunningPlane, asker: Asker) -> None:
+def test_command_plane_repeated_or_older_sequence_is_refused(bench: RunningPlane, asker: Asker) -> None:
     key = asker.take()
     assert asker.ask("reset", key=key, sequence=5).accepted
     for sequence in (5, 4, 1):
@@ -256,7 +258,7 @@ def test_commands_repeated_or_out_of_order_are_not_done(bench: RunningPlane, ask
     assert asker.ask("home", key=key, sequence=6).accepted
 
 
-def test_a_restart_voids_every_lease(asker: Asker, bench: RunningPlane) -> None:
+def test_command_plane_restart_voids_lease(asker: Asker, bench: RunningPlane) -> None:
     key = asker.take()
     bench.plane.close()
     with CommandPlane(bench.session, "bench1", bench.service):
@@ -267,7 +269,7 @@ def test_a_restart_voids_every_lease(asker: Asker, bench: RunningPlane) -> None:
 # Invalid messages ------------------------------------------------------------------------------------
 
 
-def test_what_does_not_hold_is_answered_with_an_error(asker: Asker) -> None:
+def test_command_plane_invalid_message_is_answered_with_error(asker: Asker) -> None:
     assert asker.error("fly", b"{}").expected.startswith("one of status, lease, home")
     assert asker.error("a/b", b"{}").found == "an unknown verb"
     assert asker.error("status", b"\xff").found == "a byte at 0 that is no UTF-8"
@@ -278,7 +280,7 @@ def test_what_does_not_hold_is_answered_with_an_error(asker: Asker) -> None:
     assert asker.ask("status").content["counts"]["malformed"] == 7
 
 
-def test_what_comes_beside_the_payload_counts_for_its_size(asker: Asker) -> None:
+def test_command_plane_attachment_counts_for_message_size(asker: Asker) -> None:
     large = asker.send("status", encode_command(Verb.STATUS), attachment=b"x" * LONGEST_MESSAGE)()
     assert isinstance(large, BenchError)
     assert large.expected == f"at most {LONGEST_MESSAGE} bytes"
@@ -287,16 +289,14 @@ def test_what_comes_beside_the_payload_counts_for_its_size(asker: Asker) -> None
 @pytest.mark.parametrize(
     "payload", [b"", b'{"version": 2}', b"x" * 100_000], ids=["empty", "version 2", "long"]
 )
-def test_a_stop_counts_also_when_its_message_does_not_hold(
-    payload: bytes, bench: RunningPlane, asker: Asker
-) -> None:
+def test_stop_command_invalid_message_still_stops(payload: bytes, bench: RunningPlane, asker: Asker) -> None:
     for number, verb in enumerate(("stop", "estop"), 1):
         asker.error(verb, payload)
         wait_until(lambda: len(bench.service.stops) == number)  # noqa: B023
         assert bench.service.stops[-1][0] == verb
 
 
-def test_a_stop_may_name_all_benches(bench: RunningPlane, asker: Asker) -> None:
+def test_estop_command_wildcard_bench_stops(bench: RunningPlane, asker: Asker) -> None:
     answer = asker.send("golfbench/*/command/estop", encode_command(Verb.ESTOP))()
     assert isinstance(answer, CommandAnswer)
     assert answer.state == "ESTOP"
@@ -306,7 +306,7 @@ def test_a_stop_may_name_all_benches(bench: RunningPlane, asker: Asker) -> None:
 # Floods ----------------------------------------------------------------------------------------------
 
 
-def test_stops_overtake_a_flood_of_requests(bench: RunningPlane, asker: Asker, another: Asker) -> None:
+def test_stop_command_overtakes_request_flood(bench: RunningPlane, asker: Asker, another: Asker) -> None:
     bench.service.free.clear()
     key = asker.take()
     flood = [
@@ -327,7 +327,7 @@ def test_stops_overtake_a_flood_of_requests(bench: RunningPlane, asker: Asker, a
     assert len(bench.service.requests) == QUEUE + 1
 
 
-def test_a_flood_of_stops_stops(bench: RunningPlane, asker: Asker, another: Asker) -> None:
+def test_stop_command_flood_is_accepted_completely(bench: RunningPlane, asker: Asker, another: Asker) -> None:
     flood = [asker.send("stop", encode_command(Verb.STOP)) for _ in range(20 * QUEUE)]
     assert another.ask("estop").accepted
     answers = [wait() for wait in flood]
@@ -335,7 +335,7 @@ def test_a_flood_of_stops_stops(bench: RunningPlane, asker: Asker, another: Aske
     assert {what for what, _ in bench.service.stops} == {"stop", "estop"}
 
 
-def test_a_request_that_waited_too_long_is_not_done(
+def test_command_plane_expired_request_is_refused(
     bench: RunningPlane, asker: Asker, clock: FakeClock
 ) -> None:
     bench.service.free.clear()
@@ -369,7 +369,7 @@ while True:
 
 
 @pytest.mark.live
-def test_it_ends_in_time_while_a_client_floods_and_is_stuck() -> None:
+def test_command_plane_close_stuck_flooding_client_ends_in_time() -> None:
     configuration = loopback_configuration()
     with running_plane(FakeDesk(), configuration) as running:
         command = [sys.executable, "-c", STUCK, configuration.network.endpoint]
@@ -392,7 +392,7 @@ def test_it_ends_in_time_while_a_client_floods_and_is_stuck() -> None:
 
 
 @pytest.mark.live
-def test_it_ends_in_time_although_the_desk_hangs() -> None:
+def test_command_plane_close_hanging_service_ends_in_time() -> None:
     with running_plane(FakeDesk(), loopback_configuration()) as running:
         running.service.free.clear()
         with open_client(running.configuration.network, "bench1") as session:
@@ -413,7 +413,7 @@ def test_it_ends_in_time_although_the_desk_hangs() -> None:
             assert running.service.requests == [Request.RESET]
 
 
-def test_nothing_is_left_declared() -> None:
+def test_command_plane_close_leaves_no_declaration_or_thread() -> None:
     configuration = loopback_configuration()
     before = threading.active_count()
     with open_daemon(configuration.network) as session, open_client(configuration.network, "bench1") as other:
@@ -426,7 +426,7 @@ def test_nothing_is_left_declared() -> None:
 # What is published -----------------------------------------------------------------------------------
 
 
-def test_the_state_is_told_on_change_and_five_times_a_second(
+def test_publish_state_sends_on_change_and_at_five_hertz(
     bench: RunningPlane, asker: Asker, clock: FakeClock
 ) -> None:
     heard: list[dict[str, Any]] = []
@@ -452,7 +452,7 @@ def test_the_state_is_told_on_change_and_five_times_a_second(
     subscriber.undeclare()
 
 
-def test_events_carry_name_time_and_content(bench: RunningPlane, asker: Asker) -> None:
+def test_publish_event_carries_name_time_and_content(bench: RunningPlane, asker: Asker) -> None:
     heard: list[dict[str, Any]] = []
     subscriber = asker.session.declare_subscriber(
         "golfbench/bench1/event", lambda sample: heard.append(json.loads(sample.payload.to_bytes()))

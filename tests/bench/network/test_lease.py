@@ -24,7 +24,7 @@ DURATIONS = st.floats(SHORTEST, LONGEST)
 NAMES = st.sampled_from(["Ann", "Bob", "Dr. Ó Súilleabháin", "x" * LONGEST_HOLDER])
 
 
-def test_a_second_holder_is_told_who_and_how_long_but_no_key() -> None:
+def test_lease_book_second_holder_refusal_omits_key() -> None:
     book = LeaseBook()
     lease = book.take("Ann", 30.0, now=100.0)
     with pytest.raises(LeaseRefused, match="Ann holds the bench for 12 s more") as refused:
@@ -33,14 +33,14 @@ def test_a_second_holder_is_told_who_and_how_long_but_no_key() -> None:
     assert lease.key not in repr(lease)
 
 
-def test_the_holder_of_the_same_name_is_no_holder_without_the_key() -> None:
+def test_lease_book_same_holder_without_key_is_refused() -> None:
     book = LeaseBook()
     book.take("Ann", 30.0, now=0.0)
     with pytest.raises(LeaseRefused, match="Ann holds"):
         book.take("Ann", 30.0, now=1.0)
 
 
-def test_no_two_leases_have_the_same_number() -> None:
+def test_lease_book_lease_numbers_are_unique() -> None:
     """However soon one follows the other, also of one holder."""
     book = LeaseBook()
     numbers = []
@@ -53,7 +53,7 @@ def test_no_two_leases_have_the_same_number() -> None:
     assert numbers == [1, 2, 3, 4]
 
 
-def test_it_ends_at_its_instant_not_before() -> None:
+def test_lease_book_lease_ends_at_expiry() -> None:
     book = LeaseBook()
     lease = book.take("Ann", 30.0, now=0.0)
     assert book.held(29.999) == lease
@@ -64,7 +64,7 @@ def test_it_ends_at_its_instant_not_before() -> None:
 
 
 @pytest.mark.parametrize("sequence", [-1, 0, 1, 6, 7])
-def test_a_command_that_is_repeated_or_overtaken_is_refused(sequence: int) -> None:
+def test_lease_book_repeated_or_older_sequence_is_refused(sequence: int) -> None:
     book = LeaseBook()
     key = book.take("Ann", 30.0, now=0.0).key
     book.use(key, 7, now=1.0)
@@ -73,14 +73,14 @@ def test_a_command_that_is_repeated_or_overtaken_is_refused(sequence: int) -> No
     assert book.use(key, 8, now=1.0).sequence == 8
 
 
-def test_a_new_book_voids_all() -> None:
+def test_lease_book_new_instance_refuses_old_key() -> None:
     key = LeaseBook().take("Ann", 30.0, now=0.0).key
     with pytest.raises(LeaseRefused, match="take it"):
         LeaseBook().use(key, 1, now=0.0)
 
 
 @pytest.mark.parametrize("seconds", [4.99, 600.01, -1.0, float("nan"), float("inf")])
-def test_durations_out_of_range_are_no_lease(seconds: float) -> None:
+def test_lease_book_invalid_duration_raises_error(seconds: float) -> None:
     book = LeaseBook()
     with pytest.raises(ValueError, match="no lease"):
         book.take("Ann", seconds, now=0.0)
@@ -93,19 +93,19 @@ def test_durations_out_of_range_are_no_lease(seconds: float) -> None:
 @pytest.mark.parametrize(
     "name", ["", " ", " Ann", "Ann ", "A\nB", "A\x1b[31m", "x" * 65, "\ud800", "A\u202eB"]
 )
-def test_names_that_would_disturb_a_log_or_terminal_are_none(name: str) -> None:
+def test_is_holder_unprintable_or_blank_name_is_rejected(name: str) -> None:
     assert not is_holder(name)
     with pytest.raises(ValueError, match="no lease"):
         LeaseBook().take(name, 30.0, now=0.0)
 
 
 @given(st.text())
-def test_a_name_is_taken_or_not_without_an_error(name: str) -> None:
+def test_lease_book_every_valid_holder_is_accepted(name: str) -> None:
     if is_holder(name):
         assert name in str(LeaseBook().take(name, 30.0, 0.0).holder)
 
 
-def test_keys_do_not_repeat() -> None:
+def test_new_key_returns_unique_keys() -> None:
     assert len({new_key() for _ in range(1000)}) == 1000
 
 

@@ -72,7 +72,7 @@ def web_viewer(file: Path) -> Iterator[tuple[int, str]]:
             viewer.communicate()
 
 
-def test_a_running_bench_with_a_viewer_is_seen_on_this_machine_only(tmp_path: Path) -> None:
+def test_bench_and_web_viewer_bind_loopback_only(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "listening")
     with running_bench(file) as bench, web_viewer(file) as (viewer, page):
         with urlopen(page, timeout=HURRY) as answer:  # noqa: S310 - the viewer's own page
@@ -88,7 +88,7 @@ def test_a_running_bench_with_a_viewer_is_seen_on_this_machine_only(tmp_path: Pa
 
 
 @pytest.mark.release
-def test_a_networked_bench_listens_at_one_more_place(tmp_path: Path) -> None:
+def test_networked_bench_adds_single_tls_listener(tmp_path: Path) -> None:
     folder, port = Folder(tmp_path / "certificates"), free_port()
     identity = folder.add("bench1")
     file = write_configuration(

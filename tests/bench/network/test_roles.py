@@ -83,13 +83,13 @@ def heard_by(network: NetworkSettings, publisher: zenoh.Session, *, longest: flo
 # Who may not connect ---------------------------------------------------------------------------------
 
 
-def test_a_certificate_of_another_authority_is_refused(bench: RunningPlane, tmp_path: Path) -> None:
+def test_tls_connect_certificate_of_other_authority_is_refused(bench: RunningPlane, tmp_path: Path) -> None:
     stranger = Folder(tmp_path / "other").add("bob")
     with denied():
         BenchClient.connect(client_of(bench.configuration.network.beyond, stranger))
 
 
-def test_another_authoritys_certificate_beside_the_benchs_authority_is_refused(
+def test_tls_connect_foreign_certificate_with_bench_authority_is_refused(
     bench: RunningPlane, folder: Folder, tmp_path: Path
 ) -> None:
     """The stranger trusts the bench, so that it is the bench that refuses."""
@@ -100,14 +100,16 @@ def test_another_authoritys_certificate_beside_the_benchs_authority_is_refused(
         BenchClient.connect(client_of(bench.configuration.network.beyond, stranger))
 
 
-def test_an_expired_certificate_is_refused(bench: RunningPlane, folder: Folder, come_as: Connect) -> None:
+def test_tls_connect_expired_certificate_is_refused(
+    bench: RunningPlane, folder: Folder, come_as: Connect
+) -> None:
     folder.add("bob", file="expired", days=1.0, ago=1.001)
     with denied():
         come_as("expired")
     assert come_as("bob").status()["state"]
 
 
-def test_without_a_certificate_nobody_connects(bench: RunningPlane, folder: Folder) -> None:
+def test_tls_connect_without_certificate_is_refused(bench: RunningPlane, folder: Folder) -> None:
     tls = {"root_ca_certificate": str(folder.path / "authority.pem")}
     for endpoint in (
         bench.configuration.network.beyond,
@@ -120,7 +122,7 @@ def test_without_a_certificate_nobody_connects(bench: RunningPlane, folder: Fold
             zenoh.open(configuration)
 
 
-def test_a_client_talks_to_no_false_bench(folder: Folder, tmp_path: Path) -> None:
+def test_bench_client_refuses_bench_with_wrong_certificate(folder: Folder, tmp_path: Path) -> None:
     """One with a certificate for another address, or of another authority, hears no commands."""
     false = bench_of(Folder(tmp_path / "other"))
     with running_plane(FakeDesk(), false), denied():
@@ -143,7 +145,7 @@ def bench_of_client(folder: Folder) -> NetworkSettings:
     )
 
 
-def test_a_certificate_that_expires_ends_the_connection(
+def test_tls_connection_ends_when_certificate_expires(
     bench: RunningPlane, folder: Folder, come_as: Connect
 ) -> None:
     folder.add("bob", file="brief", days=4.0 / 86400)
@@ -159,7 +161,9 @@ def test_a_certificate_that_expires_ends_the_connection(
 # Roles -----------------------------------------------------------------------------------------------
 
 
-def test_viewers_read(bench: RunningPlane, come_as: Connect, folder: Folder) -> None:
+def test_viewer_role_reads_status_schema_and_publications(
+    bench: RunningPlane, come_as: Connect, folder: Folder
+) -> None:
     viewer = come_as("anna")
     assert viewer.status()["version"]
     with open_client(viewer._network, "bench1") as session:
@@ -171,7 +175,7 @@ def test_viewers_read(bench: RunningPlane, come_as: Connect, folder: Folder) -> 
         assert heard_by(beyond, publisher, longest=10.0) == set(PUBLISHED)
 
 
-def test_viewers_do_not_command(bench: RunningPlane, come_as: Connect) -> None:
+def test_viewer_role_motion_and_lease_commands_are_denied(bench: RunningPlane, come_as: Connect) -> None:
     viewer = come_as("anna")
     for command in (viewer.disarm, lambda: viewer.take_lease("anna")):
         with denied():
@@ -184,7 +188,7 @@ def test_viewers_do_not_command(bench: RunningPlane, come_as: Connect) -> None:
     assert bench.service.requests == []
 
 
-def test_viewers_cannot_pose_as_the_bench(bench: RunningPlane, folder: Folder) -> None:
+def test_remote_client_publications_and_queryables_are_blocked(bench: RunningPlane, folder: Folder) -> None:
     network = bench.configuration.network
     for name in ("anna", "bob", "carl"):
         with open_client(client_of(network.beyond, str(folder.path / name)).network, "bench1") as impostor:
@@ -196,7 +200,7 @@ def test_viewers_cannot_pose_as_the_bench(bench: RunningPlane, folder: Folder) -
             assert false.try_recv() is None
 
 
-def test_operators_read_and_command(bench: RunningPlane, come_as: Connect, folder: Folder) -> None:
+def test_operator_role_reads_and_commands(bench: RunningPlane, come_as: Connect, folder: Folder) -> None:
     operator = come_as("bob")
     with operator.lease("bob"):
         operator.reset()
@@ -211,13 +215,15 @@ def test_operators_read_and_command(bench: RunningPlane, come_as: Connect, folde
 
 
 @pytest.mark.parametrize("name", ["anna", "bob", "carl"])
-def test_whoever_may_connect_may_stop(name: str, bench: RunningPlane, come_as: Connect) -> None:
+def test_connected_client_stop_and_estop_are_accepted(
+    name: str, bench: RunningPlane, come_as: Connect
+) -> None:
     client = come_as(name)
     assert client.stop().state == "FAULT"
     assert client.emergency_stop().state == "ESTOP"
 
 
-def test_who_has_no_role_may_do_no_more_than_stop(
+def test_client_without_role_is_denied_status_and_commands(
     bench: RunningPlane, come_as: Connect, folder: Folder
 ) -> None:
     client = come_as("carl")
@@ -230,13 +236,13 @@ def test_who_has_no_role_may_do_no_more_than_stop(
         assert heard_by(beyond, publisher, longest=0.5) == set()
 
 
-def test_on_this_machine_all_is_as_without_roles(bench: RunningPlane) -> None:
+def test_loopback_client_commands_without_role(bench: RunningPlane) -> None:
     with BenchClient.connect(bench.configuration) as here, here.lease("Ann"):
         here.reset()
     assert len(bench.service.requests) == 1
 
 
-def test_the_command_line_ends_with_75(
+def test_command_line_denied_command_exits_with_75(
     bench: RunningPlane, folder: Folder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "elsewhere.toml"
@@ -264,7 +270,7 @@ def test_the_command_line_ends_with_75(
 
 
 @pytest.mark.parametrize("lacking", ["authority.pem", "x.pem", "x.key"])
-def test_a_missing_or_wrong_file_is_told(lacking: str, tmp_path: Path) -> None:
+def test_network_identity_missing_or_invalid_file_raises_error(lacking: str, tmp_path: Path) -> None:
     folder = Folder(tmp_path / "c")
     identity = folder.add("x")
     client = client_of(f"tls/127.0.0.1:{free_port()}", identity).network
@@ -283,7 +289,7 @@ def test_a_missing_or_wrong_file_is_told(lacking: str, tmp_path: Path) -> None:
                 assert lacking in caught.value.found
 
 
-def test_a_bench_listens_for_its_own_processes_on_the_loopback(folder: Folder) -> None:
+def test_open_daemon_tls_endpoint_without_loopback_raises_error(folder: Folder) -> None:
     network = NetworkSettings(f"tls/127.0.0.1:{free_port()}", identity=str(folder.path / "bob"))
     with pytest.raises(BenchError, match=r"network\.beyond"):
         open_daemon(network)

@@ -119,7 +119,7 @@ def denied(command: Callable[[], object]) -> bool:
     return False
 
 
-def test_the_example_gives_the_roles_that_a_bench_gives() -> None:
+def test_router_example_matches_bench_access_control() -> None:
     shipped = json.loads(zenoh.Config.from_file(str(EXAMPLE)).get_json("access_control"))
     wanted = access_control(viewers=("anna",), operators=("bob",), benches=("bench1",))
     for part in ("rules", "subjects", "policies"):
@@ -129,7 +129,7 @@ def test_the_example_gives_the_roles_that_a_bench_gives() -> None:
 
 
 @pytest.mark.live
-def test_roles_hold_through_a_router(
+def test_router_enforces_viewer_and_operator_roles(
     router: Router, bench: RunningPlane, folder: Folder, endpoint: str
 ) -> None:
     router.start()
@@ -152,7 +152,7 @@ def test_roles_hold_through_a_router(
 
 
 @pytest.mark.live
-def test_what_the_bench_tells_goes_through_a_router(
+def test_router_forwards_bench_publications_only(
     router: Router, bench: RunningPlane, folder: Folder, endpoint: str
 ) -> None:
     """Also what a client of the daemon tells, as the publisher is one; and nothing else."""
@@ -191,7 +191,7 @@ def note_key(keys: set[str], sample: zenoh.Sample) -> None:
 
 
 @pytest.mark.live
-def test_a_bench_runs_without_its_router_and_finds_it_again(
+def test_bench_runs_without_router_and_reconnects(
     router: Router, bench: RunningPlane, folder: Folder, endpoint: str
 ) -> None:
     assert answers(bench.configuration)
@@ -206,7 +206,7 @@ def test_a_bench_runs_without_its_router_and_finds_it_again(
 
 
 @pytest.mark.live
-def test_a_router_without_a_bench_is_no_answer(router: Router, folder: Folder, endpoint: str) -> None:
+def test_router_without_bench_gives_no_answer(router: Router, folder: Folder, endpoint: str) -> None:
     router.start()
     with BenchClient.connect(client_of(endpoint, str(folder.path / "bob"))) as client:
         began = time.monotonic()
@@ -214,7 +214,7 @@ def test_a_router_without_a_bench_is_no_answer(router: Router, folder: Folder, e
         assert time.monotonic() - began < HURRY
 
 
-def test_a_router_on_the_loopback_needs_no_certificates(tmp_path: Path) -> None:
+def test_router_on_loopback_needs_no_certificates(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     file = tmp_path / "router.json5"
     file.write_text(

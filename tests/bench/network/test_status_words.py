@@ -13,7 +13,7 @@ def link(**changes: Any) -> LaunchMonitorStatus:
     return cast(LaunchMonitorStatus, {**NO_LAUNCH_MONITOR, **changes})
 
 
-def test_launch_monitor_text_of_connected_monitors_is_their_names() -> None:
+def test_launch_monitor_text_connected_monitors_lists_names() -> None:
     names = [
         MonitorStatus(address="::1", device=name, silent_s=0.0, ready=None, ball_detected=None)
         for name in ("radar", "")
@@ -26,9 +26,7 @@ def test_launch_monitor_text_of_connected_monitors_is_their_names() -> None:
 @pytest.mark.parametrize(
     ("seen", "text"), [(None, "not seen so far"), (0.5, "seen within 1 min"), (61.0, "seen within 2 min")]
 )
-def test_launch_monitor_text_of_a_connection_per_shot_is_when_it_was_seen(
-    seen: float | None, text: str
-) -> None:
+def test_launch_monitor_text_connection_per_shot_shows_last_seen(seen: float | None, text: str) -> None:
     status = link(presence="per_shot", seen_s=seen)
     assert launch_monitor_text(status) == f"connects per shot, {text}"
     assert absent_monitor_text(status).endswith(text)

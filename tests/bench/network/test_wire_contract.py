@@ -71,7 +71,7 @@ def session(bench: RunningPlane) -> Iterator[zenoh.Session]:
         yield session
 
 
-def test_all_schemas_are_valid_json_schemas() -> None:
+def test_wire_contract_schemas_are_valid_json_schemas() -> None:
     schemas = [row["schema"] for row in CONTRACT["published"] if "schema" in row]
     schemas += [form[part] for form in CONTRACT["commands"]["forms"] for part in ("request", "answer")]
     assert len(schemas) == 5 + 2 * len(FORMS)
@@ -79,13 +79,13 @@ def test_all_schemas_are_valid_json_schemas() -> None:
         Draft202012Validator.check_schema(schema)
 
 
-def test_a_bench_serves_its_contract(bench: RunningPlane, session: zenoh.Session) -> None:
+def test_bench_serves_wire_contract(bench: RunningPlane, session: zenoh.Session) -> None:
     (reply,) = session.get("golfbench/bench1/schema", timeout=5.0)
     assert reply.ok is not None
     assert json.loads(reply.ok.payload.to_bytes()) == json.loads(json.dumps(CONTRACT))
 
 
-def test_columns_are_those_of_the_wire() -> None:
+def test_wire_contract_columns_match_wire_schema() -> None:
     described = CONTRACT["telemetry"]["columns"]
     assert [(c["name"], c["type"]) for c in described] == [(f.name, str(f.type)) for f in wire_schema()]
     assert [c["unit"] for c in described] == [f.metadata[b"unit"].decode() for f in arrow_schema()]
@@ -97,7 +97,7 @@ def test_columns_are_those_of_the_wire() -> None:
     assert {c["enumeration"] for c in described if "enumeration" in c} <= CONTRACT["enumerations"].keys()
 
 
-def test_status_and_lease_answers_are_as_described(bench: RunningPlane) -> None:
+def test_wire_contract_status_and_lease_answers_match_schema(bench: RunningPlane) -> None:
     with BenchClient.connect(bench.configuration) as client:
         for form in ("status", "stop", "estop", "disarm"):
             answer = client.send(Verb(form), encode_command(Verb(form)))
@@ -114,12 +114,14 @@ def test_status_and_lease_answers_are_as_described(bench: RunningPlane) -> None:
         assert json.loads(refused)["accepted"] is False
 
 
-def test_an_error_is_as_described() -> None:
+def test_wire_contract_error_matches_schema() -> None:
     error = encode_error(BenchError("a", "b", "c", "d"))
     assert problems(CONTRACT["commands"]["error"], error) == []
 
 
-def test_published_states_and_events_are_as_described(bench: RunningPlane, session: zenoh.Session) -> None:
+def test_wire_contract_published_states_and_events_match_schema(
+    bench: RunningPlane, session: zenoh.Session
+) -> None:
     channel: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(1000)
     subscriber = session.declare_subscriber("golfbench/bench1/*", channel)
     names = {"state": "ESTOP", "phase": "STANDING", "reaction": "NONE", "cause": "POWER_UP"}
@@ -159,7 +161,7 @@ SHOT = Shot(1, 1, 1, "driver", "a", ShotStatus.VALID, club_speed_mps=42.0, time_
         message_of(SettledOutcome(MatchOutcome.NO_SWING, "", LAUNCH, "late", None)),
     ],
 )
-def test_shots_have_always_all_their_keys(message: ShotPublication) -> None:
+def test_wire_contract_shot_messages_have_all_keys(message: ShotPublication) -> None:
     schema = PUBLISHED["shot"]["schema"]
     assert problems(schema, message) == []
     assert list(message) == list(schema["properties"]) == schema["required"]
@@ -170,12 +172,12 @@ def test_shots_have_always_all_their_keys(message: ShotPublication) -> None:
     read_shot_message(json.dumps(message).encode())
 
 
-def test_a_key_that_shots_do_not_have_is_a_mistake() -> None:
+def test_shot_publication_unknown_key_raises_error() -> None:
     with pytest.raises(KeyError, match="colour"):
         shot_publication(colour="red")
 
 
-def test_statistics_of_the_loop_are_as_described() -> None:
+def test_wire_contract_loop_statistics_match_schema() -> None:
     figures = summary(new_timing(1_000_000))
     message = {"version": LOOP_VERSION, "time": 1.0, "seconds": 1.0, "batches": 1, "lost": 0, **figures}
     schema = PUBLISHED["loop"]["schema"]
@@ -185,7 +187,7 @@ def test_statistics_of_the_loop_are_as_described() -> None:
     assert figures["segments"]["tick"].keys() == segment["properties"].keys()
 
 
-def test_the_state_of_a_campaign_is_as_described() -> None:
+def test_wire_contract_campaign_message_matches_schema() -> None:
     configuration = load_configuration(Path("shipped"))
     plan = load_plan(Path("clubs"), configuration)
     facts = {"driver": "canopen"}
@@ -204,7 +206,7 @@ def test_the_state_of_a_campaign_is_as_described() -> None:
     assert schema["properties"]["state"]["enum"] == published
 
 
-def test_telemetry_is_as_described() -> None:
+def test_wire_contract_telemetry_batch_metadata_matches() -> None:
     import pyarrow as pa
 
     message = encode_batch(np.zeros(2, CYCLE), 1, 0, 1.5)
@@ -225,7 +227,7 @@ VALUES: dict[str, list[Any]] = {
 
 
 @given(st.sampled_from(list(FORMS)), st.data())
-def test_a_command_is_taken_exactly_where_its_schema_takes_it(form: str, data: st.DataObject) -> None:
+def test_parse_command_accepts_same_messages_as_form_schema(form: str, data: st.DataObject) -> None:
     verb, _, action = form.partition(" ")
     needed, allowed = FORMS[form]
     names = [name for name in (*needed, *allowed) if name != "action"]

@@ -20,7 +20,7 @@ from bench.network.zenoh_session import LONGEST_MESSAGE, NoAnswer, open_client, 
 from tests.bench.fake_bench_service import loopback_configuration
 
 
-def test_a_port_in_use_is_told_with_its_action() -> None:
+def test_open_daemon_port_in_use_reports_location_and_action() -> None:
     network = loopback_configuration().network
     with open_daemon(network), pytest.raises(BenchError) as caught:
         open_daemon(network)
@@ -29,7 +29,7 @@ def test_a_port_in_use_is_told_with_its_action() -> None:
     assert "golfbench status" in caught.value.action
 
 
-def test_nobody_there_is_no_answer_at_once() -> None:
+def test_open_client_without_daemon_raises_no_answer_promptly() -> None:
     began = time.monotonic()
     with pytest.raises(NoAnswer, match="denied or not running") as caught:
         open_client(loopback_configuration().network, "bench1")
@@ -37,7 +37,7 @@ def test_nobody_there_is_no_answer_at_once() -> None:
     assert time.monotonic() - began < 2.0
 
 
-def test_nothing_listens_beyond_the_loopback() -> None:
+def test_zenoh_session_binds_loopback_only() -> None:
     network = loopback_configuration().network
     with open_daemon(network), open_client(network, "bench1"):
         bound = [c.laddr.ip for c in psutil.Process().net_connections("inet") if c.laddr]
@@ -45,7 +45,7 @@ def test_nothing_listens_beyond_the_loopback() -> None:
     assert all(ipaddress.ip_address(address).is_loopback for address in bound)
 
 
-def test_one_client_hears_another_through_the_daemon() -> None:
+def test_zenoh_clients_exchange_messages_through_daemon() -> None:
     network = loopback_configuration().network
     heard: list[bytes] = []
     with (
@@ -61,7 +61,7 @@ def test_one_client_hears_another_through_the_daemon() -> None:
     assert set(heard) == {b"cycles"}
 
 
-def test_what_is_longer_than_the_transport_takes_never_arrives() -> None:
+def test_zenoh_session_message_beyond_size_limit_is_dropped() -> None:
     network = loopback_configuration().network
     arrived: list[int] = []
     with open_daemon(network) as daemon, open_client(network, "bench1") as client:
@@ -84,7 +84,7 @@ def configured(folder: Path, **network: str) -> NetworkSettings:
     "endpoint",
     ["tcp/127.0.0.1:7451", "tcp/127.1.2.3:1", "tcp/[::1]:65535", "tls/bench.example:7452", "tls/[::]:7452"],
 )
-def test_endpoints_of_this_machine_and_secure_ones_hold(endpoint: str, tmp_path: Path) -> None:
+def test_network_endpoint_loopback_tcp_or_tls_is_accepted(endpoint: str, tmp_path: Path) -> None:
     assert configured(tmp_path, endpoint=endpoint, identity="bob").endpoint == endpoint
 
 
@@ -115,7 +115,7 @@ NO_ENDPOINT = [
 
 @pytest.mark.parametrize("key", ["endpoint", "beyond", "router"])
 @pytest.mark.parametrize("endpoint", [*BEYOND_IN_THE_CLEAR, *NO_ENDPOINT])
-def test_other_endpoints_do_not_hold(endpoint: str, key: str, tmp_path: Path) -> None:
+def test_network_endpoint_insecure_or_malformed_is_rejected(endpoint: str, key: str, tmp_path: Path) -> None:
     with pytest.raises(ExceptionGroup) as caught:
         configured(tmp_path, identity="bench1", **{key: endpoint})
     (fault,) = caught.value.exceptions
@@ -127,7 +127,7 @@ def test_other_endpoints_do_not_hold(endpoint: str, key: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("key", "endpoint"), [("endpoint", ""), ("beyond", "tcp/127.0.0.1:7451")])
-def test_only_the_endpoint_must_be_given_and_only_it_may_be_without_tls(
+def test_network_settings_empty_endpoint_or_tcp_beyond_is_rejected(
     key: str, endpoint: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ExceptionGroup, match="is not a valid configuration"):
@@ -135,7 +135,7 @@ def test_only_the_endpoint_must_be_given_and_only_it_may_be_without_tls(
 
 
 @pytest.mark.parametrize("key", ["endpoint", "beyond", "router"])
-def test_tls_needs_a_certificate(key: str, tmp_path: Path) -> None:
+def test_network_tls_endpoint_without_identity_is_rejected(key: str, tmp_path: Path) -> None:
     with pytest.raises(ExceptionGroup) as caught:
         configured(tmp_path, **{key: "tls/192.0.2.5:7452"})
     (fault,) = caught.value.exceptions
@@ -145,7 +145,7 @@ def test_tls_needs_a_certificate(key: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "anna*", "anna bob", "**"])
-def test_roles_are_of_names(name: str, tmp_path: Path) -> None:
+def test_network_operators_invalid_name_is_rejected(name: str, tmp_path: Path) -> None:
     path = tmp_path / "bench.toml"
     path.write_text(f'base = "shipped"\n[network]\noperators = ["bob", "{name}"]\n')
     with pytest.raises(ExceptionGroup) as caught:
@@ -191,9 +191,7 @@ leave(3) if sys.argv[3] == "golfbench" else sys.exit(3)
 @pytest.mark.live
 @pytest.mark.parametrize("kind", ["client", "feed"])
 @pytest.mark.parametrize("program", ["golfbench", "python"])
-def test_a_client_closes_in_time_and_exits_with_its_code_although_the_bench_stands_still(
-    kind: str, program: str
-) -> None:
+def test_bench_client_close_stopped_daemon_ends_in_time_with_exit_code(kind: str, program: str) -> None:
     endpoint = loopback_configuration().network.endpoint
     with _started(_DAEMON, endpoint) as daemon, _started(_CLIENT, endpoint, kind, program) as client:
         daemon.send_signal(signal.SIGSTOP)

@@ -27,7 +27,7 @@ CASES = range(60)
 
 
 @pytest.mark.live
-def test_a_cluster_gives_the_results_of_one_process() -> None:
+def test_cluster_sweep_matches_in_process_results() -> None:
     alone = sweep(Draws(), CASES, InProcess())
     with running_cluster(2) as (address, _), connected(address) as engine:
         assert engine.slots() == 2
@@ -40,7 +40,7 @@ def test_a_cluster_gives_the_results_of_one_process() -> None:
 @pytest.mark.release
 @pytest.mark.live
 @pytest.mark.timeout(300)
-def test_workers_that_are_killed_cost_no_result_and_double_none(tmp_path: Path) -> None:
+def test_cluster_sweep_killed_workers_lose_or_repeat_no_result(tmp_path: Path) -> None:
     alone = sweep(Draws(), CASES, InProcess())
     store = SweepStore(tmp_path / "results.jsonl", "d", as_dict, as_float)
     with (
@@ -57,7 +57,7 @@ def test_workers_that_are_killed_cost_no_result_and_double_none(tmp_path: Path) 
 @pytest.mark.live
 @pytest.mark.release
 @pytest.mark.timeout(300)
-def test_a_lost_scheduler_ends_the_sweep_and_another_one_goes_on(tmp_path: Path) -> None:
+def test_cluster_sweep_lost_scheduler_ends_and_resumes_from_store(tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
     store = SweepStore(path, "d", as_dict, as_float)
     with running_cluster(1) as (address, cluster), connected(address) as engine:
@@ -80,7 +80,7 @@ def test_a_lost_scheduler_ends_the_sweep_and_another_one_goes_on(tmp_path: Path)
 
 @pytest.mark.release
 @pytest.mark.live
-def test_the_clusters_links_are_encrypted_with_our_certificates(tmp_path: Path) -> None:
+def test_cluster_with_identity_requires_matching_certificate(tmp_path: Path) -> None:
     now = datetime.now(UTC)
     authority = make_authority(now)
     write_identity(tmp_path, "authority", authority)
@@ -103,42 +103,42 @@ def test_the_clusters_links_are_encrypted_with_our_certificates(tmp_path: Path) 
 
 @pytest.mark.release
 @pytest.mark.live
-def test_a_cluster_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cluster_sweep_without_workers_raises_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_engine, "CONNECT_TIMEOUT", 2.0)
     with running_cluster(0) as (address, _), connected(address) as engine:
         with pytest.raises(BenchError, match="found no workers"):
             sweep(Draws(), CASES, engine)
 
 
-def test_a_worker_refuses_other_code() -> None:
+def test_shared_study_other_code_digest_is_refused() -> None:
     with pytest.raises(Refused, match=r"found code .*, expected code 0123"):
         _ = SharedStudy("bench.simulation.sweep", "0123", b"never read").function
     with pytest.raises(Refused, match="expected code 0123"):
         _ = SharedStudy("not.there", "0123", b"never read").function
 
 
-def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connected_without_scheduler_raises_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_engine, "CONNECT_TIMEOUT", 0.5)
     with pytest.raises(BenchError, match="scheduler that answers"), connected("tcp://127.0.0.1:9"):
         pass
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:8786", "http://127.0.0.1:1", "tcp://"])
-def test_an_address_of_another_kind_is_told(address: str) -> None:
+def test_sweep_engine_invalid_address_raises_error(address: str) -> None:
     configuration = load_configuration()
     with pytest.raises(BenchError, match="expected tcp://HOST:PORT"):
         with sweep_engine(configuration, 0, address, 9):
             pass
 
 
-def test_beyond_this_machine_a_cluster_needs_a_certificate() -> None:
+def test_cluster_command_remote_host_without_certificate_is_rejected() -> None:
     command = [sys.executable, "-m", "bench", "cluster", "--host", "192.0.2.1"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert run.returncode == ExitCode.BAD_INPUT
     assert "without a certificate" in run.stderr
 
 
-def test_both_sides_are_encrypted(tmp_path: Path) -> None:
+def test_security_of_requires_tls_for_each_role(tmp_path: Path) -> None:
     now = datetime.now(UTC)
     authority = make_authority(now)
     write_identity(tmp_path, "authority", authority)
@@ -149,7 +149,7 @@ def test_both_sides_are_encrypted(tmp_path: Path) -> None:
         assert security.get_tls_config_for_role(role)["cert"] == f"{tmp_path}/lab.pem"
 
 
-def test_a_job_script_for_slurm_starts_workers_of_this_installation() -> None:
+def test_slurm_job_script_starts_workers_of_same_python() -> None:
     jobqueue = pytest.importorskip("dask_jobqueue")
     script = jobqueue.slurm.SLURMJob(
         "tcp://10.0.0.1:8786", cores=1, memory="2 GB", walltime="02:00:00", name="golfbench"

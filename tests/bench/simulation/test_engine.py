@@ -34,7 +34,7 @@ def bench_on(profile: Profile) -> LockstepEngine:
     return LockstepEngine(stepper, name=profile.name)
 
 
-def test_the_same_instant_swings_the_same(profile: Profile) -> None:
+def test_lockstep_engine_go_back_and_copy_repeat_swing_exactly(profile: Profile) -> None:
     bench = bench_on(profile)
     assert bench.arm()
     assert bench.resting()
@@ -54,7 +54,7 @@ def test_the_same_instant_swings_the_same(profile: Profile) -> None:
     assert len(set(records)) == 1
 
 
-def test_a_robot_without_air_is_refused_and_brought_to_rest(profile: Profile) -> None:
+def test_lockstep_engine_low_supply_arm_is_refused_at_rest(profile: Profile) -> None:
     airless = replace(PLANT, supply=replace(PLANT.supply, pressure=1.5e5))
     stepper = Lockstep(build_plant(airless), build_controller(PLANT, profile), profile.angle[0])
     bench = LockstepEngine(stepper, name="without air")
@@ -66,7 +66,7 @@ def test_a_robot_without_air_is_refused_and_brought_to_rest(profile: Profile) ->
     assert not stepper.command["valve"].any()
 
 
-def test_a_request_to_stop_ends_arming_at_rest(profile: Profile) -> None:
+def test_lockstep_engine_stop_request_ends_arming_at_rest(profile: Profile) -> None:
     stepper = Lockstep(build_plant(PLANT), build_controller(PLANT, profile), profile.angle[0])
     bench = LockstepEngine(stepper, stop=lambda: stepper.tick > 200)
     assert not bench.arm()

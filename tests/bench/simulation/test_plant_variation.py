@@ -11,7 +11,7 @@ from sim.plant import PlantParameters
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_centres_of_healthy_valves_lie_around_the_known_ones(seed: int) -> None:
+def test_healthy_plant_valve_centres_vary_around_given_centre(seed: int) -> None:
     plant = PlantParameters()
     beside = replace(plant.wrist, valve=replace(plant.wrist.valve, centre=-0.03))
     drawn = healthy_plant(replace(plant, wrist=beside), seed)

@@ -24,7 +24,7 @@ def _steady(swings: int) -> np.ndarray:
     return np.full((swings, len(KINDS), 3), 0.5)
 
 
-def test_margins_growing_residual_is_near_before_its_limit() -> None:
+def test_margins_growing_residual_is_near_before_limit() -> None:
     shares = _steady(120)
     shares[:, KINDS.index("flow"), 2] += 0.003 * np.arange(120)
     worst, *others = margins(shares)
@@ -34,7 +34,7 @@ def test_margins_growing_residual_is_near_before_its_limit() -> None:
     assert not any(one.near or one.growth for one in others)
 
 
-def test_margins_trend_of_few_swings_is_not_continued_far() -> None:
+def test_margins_trend_of_few_swings_is_not_extrapolated_to_limit() -> None:
     shares = _steady(10)
     shares[:, KINDS.index("velocity"), 2] += 0.005 * np.arange(10)  # as a robot that warms up
     worst = margins(shares)[0]
@@ -48,7 +48,7 @@ def test_margins_scattering_residual_has_no_trend() -> None:
     assert not any(one.near for one in margins(shares))
 
 
-def test_margins_residual_beside_its_limit_is_near_after_one_swing() -> None:
+def test_margins_residual_close_to_limit_is_near_after_one_swing() -> None:
     shares = _steady(1)
     shares[0, 0, 0] = 0.95
     assert [one.near for one in margins(shares)] == [True] + 14 * [False]
@@ -60,7 +60,7 @@ def _worn(plant: PlantParameters, band: float) -> PlantParameters:
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="a swing takes a minute without compilation")
-def test_wear_command_worn_valve_names_its_joint_before_a_swing_is_stopped(
+def test_wear_command_worn_valve_names_joint_before_swing_stops(
     configuration: Configuration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = find_profile(configuration.swing.profile)

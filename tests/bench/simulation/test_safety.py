@@ -18,7 +18,7 @@ LIMITS = SafetyLimits(min_frame_distance=0.1, access_pressure=1.2e5)
 SAFE = RunEnd(LIGHT, True, 0.3, 1.0, 0.001, 1.0e5)
 
 
-def test_an_end_within_all_limits_is_safe() -> None:
+def test_unsafe_reasons_within_limits_is_empty() -> None:
     assert unsafe_reasons(SAFE, LIMITS) == []
     assert unsafe_reasons(RunEnd(LIGHT), LIMITS) == []  # nothing else was observed
 
@@ -34,7 +34,7 @@ def test_an_end_within_all_limits_is_safe() -> None:
         ("lowest_clearance", nan, "into the ground"),
     ],
 )
-def test_each_load_beyond_its_limit_is_unsafe(load: str, value: float, reason: str) -> None:
+def test_unsafe_reasons_load_beyond_limit_or_nan_is_reported(load: str, value: float, reason: str) -> None:
     changed: dict[str, Any] = {load: value}
     (found,) = unsafe_reasons(SAFE._replace(loads=replace(LIGHT, **changed)), LIMITS)
     assert reason in found
@@ -55,13 +55,15 @@ def test_each_load_beyond_its_limit_is_unsafe(load: str, value: float, reason: s
         ("armed_again", True, "armed again"),
     ],
 )
-def test_each_observation_beyond_its_limit_is_unsafe(name: str, value: object, reason: str) -> None:
+def test_unsafe_reasons_observation_beyond_limit_or_nan_is_reported(
+    name: str, value: object, reason: str
+) -> None:
     changed: dict[str, Any] = {name: value}
     (found,) = unsafe_reasons(SAFE._replace(**changed), LIMITS)
     assert reason in found
 
 
-def test_a_site_may_allow_a_divot() -> None:
+def test_unsafe_reasons_divot_allowance_extends_ground_limit() -> None:
     deep = replace(LIGHT, lowest_clearance=-0.016)
     assert unsafe_reasons(SAFE._replace(loads=replace(deep, divot=0.012)), LIMITS) == []
     (found,) = unsafe_reasons(SAFE._replace(loads=replace(deep, divot=0.010)), LIMITS)
@@ -71,7 +73,7 @@ def test_a_site_may_allow_a_divot() -> None:
     assert loads_of(initial_state(build_plant(plant), np.array([0.4, 4.0, 6.0])), plant).divot == 0.012
 
 
-def test_loads_are_shares_of_the_ratings() -> None:
+def test_loads_of_returns_shares_of_ratings() -> None:
     plant = PlantParameters()
     state = initial_state(build_plant(plant), np.array([0.4, 4.0, 6.0]))
     reset_peaks(state)
@@ -90,7 +92,7 @@ def test_loads_are_shares_of_the_ratings() -> None:
     assert loads_of(state, plant).stop_share == 0.0
 
 
-def test_an_absorber_may_be_rated_for_more_than_its_spring_takes() -> None:
+def test_loads_of_uses_shock_absorber_rating_above_spring_energy() -> None:
     plant = PlantParameters()
     stop = plant.wrist.stop
     assert stop.rating == stop.rated > stop.energy

@@ -38,7 +38,7 @@ def series() -> StoppedAtTheAddress:
     return StoppedAtTheAddress(bench, c.plant)
 
 
-def test_a_robot_that_is_stopped_at_its_address_is_armed_again(series: StoppedAtTheAddress) -> None:
+def test_series_stop_at_address_arms_again(series: StoppedAtTheAddress) -> None:
     series.stops = ADDRESS_TRIES - 1
     made = series.swing(series.bench.profile)
     assert series.stops == 0
@@ -46,13 +46,13 @@ def test_a_robot_that_is_stopped_at_its_address_is_armed_again(series: StoppedAt
     assert made.delivery is not None
 
 
-def test_one_that_is_stopped_there_each_time_is_given_up(series: StoppedAtTheAddress) -> None:
+def test_series_repeated_stop_at_address_is_refused(series: StoppedAtTheAddress) -> None:
     series.stops = ADDRESS_TRIES
     with pytest.raises(Refused, match="does not come to rest"):
         series.swing(series.bench.profile)
 
 
-def test_a_robot_as_known_has_the_limits_of_known_robots(series: StoppedAtTheAddress) -> None:
+def test_bench_as_known_checks_model_from_first_row(series: StoppedAtTheAddress) -> None:
     c, file = load_configuration(shipped_configuration()), find_profile("default")
     limited = series.bench._replace(envelope=c.for_profile(series.bench.profile, file).envelope)
     rows = [int(one.controller().model["first_row"][0]) for one in (limited, limited._replace(as_known=True))]

@@ -84,7 +84,9 @@ class ControlC:
         return self.wish_is_made()
 
 
-def test_a_swing_strikes_the_ball_and_comes_back(series: list[SwingResult], profile: Profile) -> None:
+def test_simulate_swings_ball_gives_valid_shot_with_flight(
+    series: list[SwingResult], profile: Profile
+) -> None:
     result = series[0]
     assert (result.status, result.reason, result.cause) == (ShotStatus.VALID, "", Cause.NONE)
     assert result.delivery is not None
@@ -100,7 +102,7 @@ def test_a_swing_strikes_the_ball_and_comes_back(series: list[SwingResult], prof
     assert result.loads.lowest_clearance > 0
 
 
-def test_a_record_runs_from_hold_to_hold_with_time_from_zero(series: list[SwingResult]) -> None:
+def test_simulate_swings_record_spans_hold_to_hold_from_time_zero(series: list[SwingResult]) -> None:
     for result in series:
         cycles = result.cycles
         assert 0.0 <= cycles["time"][0] < 1e-3
@@ -118,7 +120,7 @@ def test_a_record_runs_from_hold_to_hold_with_time_from_zero(series: list[SwingR
     assert not first.cycles["ball_present"][after]
 
 
-def test_balls_differ_and_a_missing_ball_is_said_to_be_missing(series: list[SwingResult]) -> None:
+def test_simulate_swings_soft_ball_is_slower_and_missing_ball_fails(series: list[SwingResult]) -> None:
     assert [r.status for r in series] == [
         ShotStatus.VALID,
         ShotStatus.VALID,
@@ -136,7 +138,7 @@ def test_balls_differ_and_a_missing_ball_is_said_to_be_missing(series: list[Swin
     assert again.launch.speed == pytest.approx(normal.launch.speed, rel=0.03)
 
 
-def test_the_python_cycle_gives_the_same(
+def test_simulate_swings_driver_loop_matches_lockstep(
     robot: SimulatedBench, series: list[SwingResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bench.simulation.simulated_bench, "Lockstep", DriverLoop)
@@ -151,7 +153,7 @@ def test_the_python_cycle_gives_the_same(
         assert one.loads.stop_energy == pytest.approx(other.loads.stop_energy)
 
 
-def test_results_come_one_by_one(robot: SimulatedBench) -> None:
+def test_simulate_swings_yields_results_lazily(robot: SimulatedBench) -> None:
     teed = []
 
     def balls() -> Iterator[Ball]:
@@ -166,11 +168,13 @@ def test_results_come_one_by_one(robot: SimulatedBench) -> None:
     swings.close()  # type: ignore[attr-defined]
 
 
-def test_one_swing_is_the_first_of_a_series(robot: SimulatedBench, series: list[SwingResult]) -> None:
+def test_simulate_swing_equals_first_swing_of_series(
+    robot: SimulatedBench, series: list[SwingResult]
+) -> None:
     assert simulate_swing(robot).cycles.tobytes() == series[0].cycles.tobytes()
 
 
-def test_a_swing_is_stored_with_all_it_was_made_with(
+def test_simulated_bench_metadata_stores_configuration_and_versions(
     robot: SimulatedBench, series: list[SwingResult], tmp_path: Path
 ) -> None:
     path = tmp_path / "swing.parquet"
@@ -184,7 +188,7 @@ def test_a_swing_is_stored_with_all_it_was_made_with(
     assert {"golfbench", "numpy", "numba", "python"} <= set(metadata["versions"])
 
 
-def test_a_swing_becomes_a_row_of_the_shot_table(series: list[SwingResult]) -> None:
+def test_swing_result_shot_fills_shot_table_row(series: list[SwingResult]) -> None:
     now = datetime(2020, 1, 2, tzinfo=UTC)
     record = series[1].shot(2, block=1, position=2, time_utc=now)
     assert (record.shot.shot, record.shot.position, record.shot.ball, record.shot.club) == (
@@ -200,7 +204,7 @@ def test_a_swing_becomes_a_row_of_the_shot_table(series: list[SwingResult]) -> N
     assert (missed.status, missed.ball, missed.carry_m) == (ShotStatus.FAILED, "", None)
 
 
-def test_a_swing_that_trips_is_the_last(robot: SimulatedBench) -> None:
+def test_simulate_swings_envelope_trip_ends_series(robot: SimulatedBench) -> None:
     lame = replace(robot, envelope=EnvelopeSettings(max_speed=(6.0, 6.0, 48.0)))
     results = list(simulate_swings(lame, [Ball()] * 3))
     assert len(results) == 1
@@ -211,7 +215,7 @@ def test_a_swing_that_trips_is_the_last(robot: SimulatedBench) -> None:
     assert not result.cycles["supply_enable"][-1]
 
 
-def test_a_ball_that_stays_in_the_air_is_no_valid_shot(
+def test_simulate_swing_failed_flight_gives_failed_shot(
     robot: SimulatedBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
@@ -225,7 +229,7 @@ def test_a_ball_that_stays_in_the_air_is_no_valid_shot(
 
 
 @pytest.mark.usefixtures("steppers")
-def test_an_address_out_of_reach_is_refused(robot: SimulatedBench) -> None:
+def test_simulate_swing_unreachable_address_is_refused(robot: SimulatedBench) -> None:
     beyond = replace(robot.profile, angle=robot.profile.angle + [0.0, 0.0, 0.6])
     with pytest.raises(Refused, match=r"arming with profile") as refused:
         simulate_swing(replace(robot, profile=beyond))
@@ -233,7 +237,7 @@ def test_an_address_out_of_reach_is_refused(robot: SimulatedBench) -> None:
     assert "hold at address" in refused.value.expected
 
 
-def test_an_open_emergency_stop_circuit_refuses_to_arm(
+def test_simulate_swing_open_emergency_stop_circuit_is_refused(
     robot: SimulatedBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Pressed(Lockstep):
@@ -247,7 +251,7 @@ def test_an_open_emergency_stop_circuit_refuses_to_arm(
 
 
 @pytest.mark.parametrize("seconds", [-1.5, 0.2, 0.7, 1.2, 1.4, 1.7, 2.5])
-def test_control_c_in_a_swing_stops_it_and_leaves_a_whole_record(
+def test_simulate_swings_interrupt_stops_swing_and_keeps_record(
     robot: SimulatedBench,
     series: list[SwingResult],
     steppers: list[Any],
@@ -288,7 +292,7 @@ def test_control_c_in_a_swing_stops_it_and_leaves_a_whole_record(
     assert stored.tobytes() == result.cycles.tobytes()
 
 
-def test_control_c_ends_the_program_with_130(
+def test_command_line_interrupt_exits_with_130(
     robot: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def swing(*_: object) -> None:
@@ -303,7 +307,7 @@ def test_control_c_ends_the_program_with_130(
     assert not list(tmp_path.glob("*.partial"))
 
 
-def test_nothing_begins_when_control_c_came_before(robot: SimulatedBench) -> None:
+def test_simulate_swings_interrupt_before_start_makes_no_swing(robot: SimulatedBench) -> None:
     assert list(simulate_swings(robot, [Ball()], stop=lambda: True)) == []
     with pytest.raises(KeyboardInterrupt):
         simulate_swing(robot, stop=lambda: True)

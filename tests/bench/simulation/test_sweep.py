@@ -47,7 +47,7 @@ class Timed:
             yield BatchDone(batch.number, list(batch.cases), self.cost * len(batch.cases))
 
 
-def test_results_come_in_the_order_of_the_cases_with_any_number_of_processes() -> None:
+def test_sweep_results_keep_case_order_for_each_engine() -> None:
     cases = [5, 3, 9, 1, 12, 4]
     alone = sweep(Draws(), cases, InProcess())
     walk = Draws().prepared()
@@ -55,7 +55,7 @@ def test_results_come_in_the_order_of_the_cases_with_any_number_of_processes() -
     assert sweep(Draws(), cases, LocalProcesses(2)) == alone
 
 
-def test_batches_take_the_time_they_should_and_get_smaller_at_the_end() -> None:
+def test_sweep_batches_match_batch_time_and_shrink_at_end() -> None:
     engine = Timed(0.1)
     assert sweep(Draws(), range(1000), engine) == list(range(1000))
     sizes = [len(batch.cases) for batch in engine.batches]
@@ -65,13 +65,13 @@ def test_batches_take_the_time_they_should_and_get_smaller_at_the_end() -> None:
     assert sizes[1:] == sorted(sizes[1:], reverse=True)
 
 
-def test_a_batch_has_cases_of_one_group() -> None:
+def test_sweep_batch_has_cases_of_one_group() -> None:
     engine = Timed(0.001)
     assert sweep(Draws(), range(40), engine, group=lambda case: case % 3) == list(range(40))
     assert all(len({case % 3 for case in batch.cases}) == 1 for batch in engine.batches)
 
 
-def test_a_sweep_that_was_ended_goes_on_and_runs_nothing_twice(tmp_path: Path) -> None:
+def test_sweep_resumed_from_store_runs_no_case_twice(tmp_path: Path) -> None:
     path, engine, done = tmp_path / "results.jsonl", Timed(10.0), list[int]()
     store = SweepStore(path, "d", as_dict, as_float)
     sweep(Draws(), range(10), engine, store=store, progress=done.append, stop=lambda: len(done) > 4)
@@ -86,14 +86,14 @@ def test_a_sweep_that_was_ended_goes_on_and_runs_nothing_twice(tmp_path: Path) -
     assert done[5:] == [4, 5, 6, 7, 8, 9, 10]
 
 
-def test_a_store_of_other_inputs_is_not_used(tmp_path: Path) -> None:
+def test_sweep_store_other_digest_is_ignored(tmp_path: Path) -> None:
     path = tmp_path / "results.jsonl"
     SweepStore(path, "one", as_dict, as_float).add({"1": 1.0})
     assert SweepStore(path, "one", as_dict, as_float).results == {"1": 1.0}
     assert not SweepStore(path, "another", as_dict, as_float).results
 
 
-def test_cases_of_a_process_that_dies_are_run_again_once(tmp_path: Path) -> None:
+def test_sweep_dead_process_cases_run_again_once(tmp_path: Path) -> None:
     deadly = tmp_path / "deadly"
     deadly.touch()
     store = SweepStore(tmp_path / "results.jsonl", "d", as_dict, as_float)
@@ -104,19 +104,19 @@ def test_cases_of_a_process_that_dies_are_run_again_once(tmp_path: Path) -> None
     assert len(lines) == 1 + 20 + 1
 
 
-def test_processes_that_die_again_and_again_end_the_sweep() -> None:
+def test_sweep_repeatedly_dying_processes_raise_error() -> None:
     with pytest.raises(BenchError, match="died 3 times in a row"):
         sweep(Deadly(), range(4), LocalProcesses(2))
 
 
 @pytest.mark.parametrize("engine", [InProcess(), LocalProcesses(2)], ids=["in process", "processes"])
-def test_what_a_case_raises_ends_the_sweep(engine: InProcess | LocalProcesses) -> None:
+def test_sweep_case_exception_ends_sweep(engine: InProcess | LocalProcesses) -> None:
     with pytest.raises(Refused, match="found 3"):
         sweep(Draws(refused=3), range(6), engine)
 
 
 @pytest.mark.parametrize("engine", [InProcess(), LocalProcesses(2)], ids=["in process", "processes"])
-def test_cases_run_with_one_blas_thread(
+def test_sweep_cases_run_with_one_blas_thread(
     engine: InProcess | LocalProcesses, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "3")
@@ -127,14 +127,14 @@ def test_cases_run_with_one_blas_thread(
     assert os.environ["OPENBLAS_NUM_THREADS"] == "3"
 
 
-def test_processes_started_meanwhile_get_one_blas_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_blas_thread_in_children_sets_and_restores_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     with one_blas_thread_in_children():
         assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
     assert "OPENBLAS_NUM_THREADS" not in os.environ
 
 
-def test_one_case_or_one_process_needs_no_other_process() -> None:
+def test_local_engine_one_case_or_process_runs_in_process() -> None:
     assert isinstance(local_engine(4, cases=1), InProcess)
     assert isinstance(local_engine(1, cases=9), InProcess)
     assert isinstance(local_engine(2, cases=9), LocalProcesses)

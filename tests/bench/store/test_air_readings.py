@@ -14,7 +14,7 @@ NOON = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
 HOUR = timedelta(hours=1)
 
 
-def test_the_last_reading_added_at_a_bench_counts_for_a_time(tmp_path: Path) -> None:
+def test_newest_reading_returns_last_added_until_expiry(tmp_path: Path) -> None:
     cold, warm = AirReading(NOON, Air(285.0, 1.0e5, 0.4), "Ann"), AirReading(NOON + HOUR, Air(), "station 3")
     with open_database(database_url("", tmp_path)) as database:
         assert newest_reading(database, "bench1", NOON) is None
@@ -26,7 +26,7 @@ def test_the_last_reading_added_at_a_bench_counts_for_a_time(tmp_path: Path) -> 
         assert newest_reading(database, "bench2", NOON) is None
 
 
-def test_a_reading_after_the_clock_was_set_back_counts(tmp_path: Path) -> None:
+def test_newest_reading_clock_set_back_returns_last_added(tmp_path: Path) -> None:
     before, after = AirReading(NOON, Air(285.0, 1.0e5, 0.4), "Ann"), AirReading(NOON - HOUR, Air(), "Ann")
     with open_database(database_url("", tmp_path)) as database:
         add_reading(database, "bench1", before)

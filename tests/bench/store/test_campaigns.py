@@ -112,12 +112,12 @@ def _round_trip(url: Any) -> None:
         assert (entry, standing.reason, counts) == (ENTRY, "lunch", Counter(valid=3))
 
 
-def test_everything_comes_back_from_sqlite(tmp_path: Path) -> None:
+def test_campaign_store_sqlite_restores_all_entries(tmp_path: Path) -> None:
     _round_trip(database_url("", tmp_path))
 
 
 @pytest.mark.requires("postgres")
-def test_everything_comes_back_from_postgresql(postgres: str, tmp_path: Path) -> None:
+def test_campaign_store_postgresql_restores_all_entries(postgres: str, tmp_path: Path) -> None:
     _round_trip(database_url(postgres, tmp_path))
 
 
@@ -164,7 +164,7 @@ with open_database(make_url(url)) as engine:
 
 @pytest.mark.live
 @pytest.mark.requires("postgres")
-def test_four_benches_share_a_server_that_restarts_while_one_of_them_is_killed(
+def test_campaign_store_server_restart_and_killed_bench_lose_no_shot(
     server: PostgresServer, tmp_path: Path
 ) -> None:
     count, names = 60, [f"bench{k}" for k in range(4)]
@@ -213,7 +213,9 @@ def test_four_benches_share_a_server_that_restarts_while_one_of_them_is_killed(
 
 @pytest.mark.live
 @pytest.mark.requires("postgres")
-def test_a_writer_that_holds_a_server_is_waited_for(postgres: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_campaign_store_locked_server_write_times_out_then_succeeds(
+    postgres: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(database, "BUSY_TIMEOUT", 0.05)
     with _store(make_url(postgres)) as store, _store(make_url(postgres)) as other:
         store.begin(ENTRY)
@@ -268,7 +270,9 @@ class LostAnswer(Exception):
 
 
 @pytest.mark.parametrize("loss", ["before", "after"])
-def test_a_lost_commit_is_repeated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loss: Loss) -> None:
+def test_campaign_store_lost_commit_is_stored_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loss: Loss
+) -> None:
     commit, losses = Connection.commit, list[Loss]()
 
     def lossy(self: Connection) -> None:
@@ -292,7 +296,7 @@ def test_a_lost_commit_is_repeated_once(tmp_path: Path, monkeypatch: pytest.Monk
 @pytest.mark.live
 @pytest.mark.requires("postgres")
 @pytest.mark.parametrize("loss", ["before", "after"])
-def test_a_commit_that_a_server_made_without_an_answer_is_stored_once(
+def test_campaign_store_server_connection_loss_stores_commit_once(
     server: PostgresServer, tmp_path: Path, loss: Loss
 ) -> None:
     with LossyProxy(tmp_path, server.folder) as proxy, _store(make_url(proxy.url)) as store:
@@ -301,7 +305,7 @@ def test_a_commit_that_a_server_made_without_an_answer_is_stored_once(
         assert (proxy.before, proxy.after) == (0, 0)
 
 
-def test_a_shot_that_is_excluded_by_hand_does_not_count_as_valid(tmp_path: Path) -> None:
+def test_campaign_store_manual_exclusion_changes_shot_counts(tmp_path: Path) -> None:
     with _store(database_url("", tmp_path)) as store:
         store.begin(ENTRY)
         failed = StoredShot(replace(SHOT, shot=4, status=ShotStatus.FAILED, reason="no ball"))
@@ -312,7 +316,7 @@ def test_a_shot_that_is_excluded_by_hand_does_not_count_as_valid(tmp_path: Path)
         assert {status: counts[status] for status in ShotStatus} == {"valid": 1, "excluded": 2, "failed": 1}
 
 
-def test_a_batch_is_whole_or_not_there(tmp_path: Path) -> None:
+def test_campaign_store_conflicting_batch_is_rolled_back(tmp_path: Path) -> None:
     with _store(database_url("", tmp_path)) as store:
         store.begin(ENTRY)
         store.add(ENTRY, _shots(1, 3), hits={Hit("club", "driver"): 3})
@@ -322,7 +326,7 @@ def test_a_batch_is_whole_or_not_there(tmp_path: Path) -> None:
         assert store.hits(ENTRY.id)[Hit("club", "driver")] == 3
 
 
-def test_an_id_is_given_once(tmp_path: Path) -> None:
+def test_campaign_store_duplicate_or_unknown_id_is_refused(tmp_path: Path) -> None:
     with _store(database_url("", tmp_path)) as store:
         store.begin(ENTRY)
         with pytest.raises(Refused, match="the id exists already"):
@@ -331,7 +335,7 @@ def test_an_id_is_given_once(tmp_path: Path) -> None:
             store.entry("other")
 
 
-def test_a_real_benchs_hits_add_up_over_its_campaigns(tmp_path: Path) -> None:
+def test_campaign_store_real_bench_hits_sum_over_campaigns(tmp_path: Path) -> None:
     real = replace(ENTRY, simulated=False)
     with _store(database_url("", tmp_path)) as store:
         for number in (1, 2):
@@ -341,14 +345,14 @@ def test_a_real_benchs_hits_add_up_over_its_campaigns(tmp_path: Path) -> None:
         assert store.hits("bench1") == {Hit("ball", "tour", 3): 10}
 
 
-def test_the_campaign_begun_last_is_first_although_the_clock_jumped_back(tmp_path: Path) -> None:
+def test_campaign_store_entries_order_ignores_clock_set_back(tmp_path: Path) -> None:
     with _store(database_url("", tmp_path)) as store:
         for name, hours in (("a", 0), ("b", -30), ("c", -20)):
             store.begin(replace(ENTRY, id=name, date=NOW + timedelta(hours=hours)))
         assert [entry.id for entry, _, _ in store.entries()] == ["c", "b", "a"]
 
 
-def test_the_club_mounted_last_is_known_although_the_clock_jumped_back(tmp_path: Path) -> None:
+def test_last_answered_clock_set_back_returns_latest_club(tmp_path: Path) -> None:
     """An old campaign that is resumed may mount a club after a newer one did."""
     first, second = (replace(ENTRY, id=name, simulated=False) for name in ("old", "new"))
     with _store(database_url("", tmp_path)) as store:
@@ -368,7 +372,7 @@ def test_the_club_mounted_last_is_known_although_the_clock_jumped_back(tmp_path:
         )
 
 
-def test_runs_notes_and_shots_set_aside_come_back(tmp_path: Path) -> None:
+def test_campaign_store_restores_runs_notes_and_set_aside_shots(tmp_path: Path) -> None:
     with _store(database_url("", tmp_path)) as store:
         store.begin(ENTRY)
         store.begin_run(ENTRY.id, "Ann", NOW, {"numpy": "2"}, {"driver": "sim"})
@@ -405,7 +409,7 @@ def _locked(folder: Path, kind: str) -> Iterator[sqlite3.Connection]:
 
 @pytest.mark.live
 @pytest.mark.parametrize("kind", ["immediate", "exclusive"])
-def test_a_locked_database_is_waited_for_as_long_as_one_wants(
+def test_campaign_store_locked_database_waits_while_callback_allows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     monkeypatch.setattr(database, "BUSY_TIMEOUT", 0.05)
@@ -441,6 +445,6 @@ def open_later(url: Any) -> Iterator[CampaignStore]:
         engine.dispose()
 
 
-def test_the_table_of_shots_has_every_column_of_the_export() -> None:
+def test_shots_table_has_every_export_column() -> None:
     columns = set(SHOTS.columns.keys())
     assert columns == {*COLUMNS} | {"campaign", "file", "bytes", "set_aside"}

@@ -43,7 +43,7 @@ ROW: dict[str, Any] = {
 }
 
 
-def test_an_empty_url_is_sqlite_in_the_data_folder(tmp_path: Path) -> None:
+def test_database_url_empty_creates_sqlite_in_data_folder(tmp_path: Path) -> None:
     url = database_url("", tmp_path / "new" / "folder")
     assert not is_there(url)
     with open_database(url, NOW):
@@ -52,7 +52,7 @@ def test_an_empty_url_is_sqlite_in_the_data_folder(tmp_path: Path) -> None:
     assert is_there(url)
 
 
-def test_sqlite_is_set_up_for_several_processes(tmp_path: Path) -> None:
+def test_open_database_sqlite_sets_multiprocess_pragmas(tmp_path: Path) -> None:
     with open_database(database_url("", tmp_path), NOW) as database, database.connect() as connection:
         assert connection.scalar(text("PRAGMA journal_mode")) == "wal"
         assert connection.scalar(text("PRAGMA foreign_keys")) == 1
@@ -60,7 +60,7 @@ def test_sqlite_is_set_up_for_several_processes(tmp_path: Path) -> None:
         assert connection.scalar(text("PRAGMA busy_timeout")) == 1000 * module.BUSY_TIMEOUT
 
 
-def test_the_tables_are_made_once_and_their_version_is_kept(tmp_path: Path) -> None:
+def test_open_database_second_open_keeps_schema_version(tmp_path: Path) -> None:
     url = database_url("", tmp_path)
     for _ in range(2):
         with open_database(url, NOW) as database, database.connect() as connection:
@@ -74,7 +74,7 @@ def _open_and_add(folder: Path, number: int) -> None:
 
 
 @pytest.mark.live
-def test_processes_that_open_a_new_database_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
+def test_open_database_concurrent_first_open_keeps_every_row(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
     processes = [context.Process(target=_open_and_add, args=(tmp_path, number)) for number in range(3)]
     for process in processes:
@@ -88,7 +88,7 @@ def test_processes_that_open_a_new_database_at_once_do_not_disturb_each_other(tm
 
 
 @pytest.mark.parametrize("version", [SCHEMA_VERSION - 1, SCHEMA_VERSION + 1, -1])
-def test_a_database_of_another_golfbench_is_refused_untouched(tmp_path: Path, version: int) -> None:
+def test_open_database_other_schema_version_is_refused_unchanged(tmp_path: Path, version: int) -> None:
     url = database_url("", tmp_path)
     with open_database(url, NOW) as database, database.begin() as connection:
         connection.execute(SchemaVersionRow.__table__.update().values(version=version))  # type: ignore[attr-defined]
@@ -105,7 +105,7 @@ def test_a_database_of_another_golfbench_is_refused_untouched(tmp_path: Path, ve
     ("content", "found"),
     [(b"no database at all, but long enough to have a header" * 20, "not a database"), (None, "tables cats")],
 )
-def test_what_is_no_database_of_golfbench_is_told(tmp_path: Path, content: bytes | None, found: str) -> None:
+def test_open_database_foreign_file_is_refused(tmp_path: Path, content: bytes | None, found: str) -> None:
     file = tmp_path / "golfbench.sqlite"
     if content is None:
         with closing(sqlite3.connect(file)) as plain:
@@ -119,7 +119,7 @@ def test_what_is_no_database_of_golfbench_is_told(tmp_path: Path, content: bytes
 
 
 @pytest.mark.live
-def test_a_locked_database_is_told_after_the_busy_timeout(
+def test_open_database_locked_raises_after_busy_timeout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "BUSY_TIMEOUT", 0.05)
@@ -137,7 +137,7 @@ def test_a_locked_database_is_told_after_the_busy_timeout(
 
 
 @pytest.mark.parametrize("statement", ["UPDATE calibrations SET note = 'better'", "DELETE FROM calibrations"])
-def test_the_database_itself_refuses_to_change_a_calibration(tmp_path: Path, statement: str) -> None:
+def test_calibration_table_update_or_delete_is_refused(tmp_path: Path, statement: str) -> None:
     with open_database(database_url("", tmp_path), NOW) as database:
         with database.begin() as connection:
             connection.execute(insert(CalibrationRow).values(ROW))
@@ -145,7 +145,7 @@ def test_the_database_itself_refuses_to_change_a_calibration(tmp_path: Path, sta
             connection.execute(text(statement))
 
 
-def test_a_version_is_given_once(tmp_path: Path) -> None:
+def test_calibration_table_duplicate_version_is_refused(tmp_path: Path) -> None:
     with open_database(database_url("", tmp_path), NOW) as database:
         for already_there in (False, True):
             with pytest.raises(IntegrityError) if already_there else nullcontext(), database.begin() as one:
@@ -161,14 +161,14 @@ def archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_database_in_an_archive_is_read_and_nothing_is_written_beside_it(archive: Path) -> None:
+def test_read_only_database_read_writes_no_file(archive: Path) -> None:
     before = {path.name: path.stat().st_mtime_ns for path in archive.iterdir()}
     with open_database(database_url("", archive), NOW) as database, database.connect() as connection:
         assert connection.scalar(select(CalibrationRow.by)) == "me"
         assert {path.name: path.stat().st_mtime_ns for path in archive.iterdir()} == before
 
 
-def test_database_in_an_archive_is_not_changed(archive: Path) -> None:
+def test_read_only_database_write_is_refused(archive: Path) -> None:
     with (
         pytest.raises(BenchError, match="attempt to write a readonly database"),
         open_database(database_url("", archive), NOW) as database,
@@ -177,9 +177,7 @@ def test_database_in_an_archive_is_not_changed(archive: Path) -> None:
         connection.execute(insert(CalibrationRow).values(ROW | {"version": 2}))
 
 
-def test_database_in_an_archive_shows_the_changes_in_its_log(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_read_only_database_reads_changes_from_wal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_database(database_url("", tmp_path), NOW) as database, database.begin() as connection:
         connection.execute(insert(CalibrationRow).values(ROW))
         connection.commit()
@@ -192,7 +190,7 @@ def test_database_in_an_archive_shows_the_changes_in_its_log(
         assert connection.scalar(select(CalibrationRow.by)) == "me"
 
 
-def test_times_come_back_in_utc_whatever_zone_they_had(tmp_path: Path) -> None:
+def test_database_time_returns_in_utc_and_naive_is_refused(tmp_path: Path) -> None:
     summer = timezone(timedelta(hours=2))
     with open_database(database_url("", tmp_path), NOW) as database:
         with database.begin() as connection:
@@ -207,7 +205,7 @@ def test_times_come_back_in_utc_whatever_zone_they_had(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("url", ["", "sqlite:///{}/other.sqlite"])
-def test_a_database_by_url(tmp_path: Path, url: str) -> None:
+def test_open_database_by_url_creates_every_table(tmp_path: Path, url: str) -> None:
     with open_database(database_url(url.format(tmp_path), tmp_path), NOW) as database:
         assert set(Row.metadata.tables) <= set(_tables(database))
 
@@ -218,13 +216,13 @@ def _tables(database: Any) -> list[str]:
 
 
 @pytest.mark.parametrize("url", ["nonsense://x", "data/golfbench", "sqlite://", "sqlite:///:memory:", "://"])
-def test_a_wrong_url_is_refused(tmp_path: Path, url: str) -> None:
+def test_database_url_invalid_is_refused(tmp_path: Path, url: str) -> None:
     with pytest.raises(BenchError) as refusal:
         database_url(url, tmp_path)
     assert refusal.value.location == "bench.database"
 
 
-def test_a_missing_driver_is_named_and_no_password_shown(
+def test_open_database_missing_driver_names_package_and_hides_password(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def missing(*_: object, **__: object) -> None:

@@ -49,7 +49,7 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
         child.kill()
 
 
-def test_it_gets_its_plan_and_tells_that_it_is_ready(start: Start) -> None:
+def test_child_start_receives_plan_and_reports_ready(start: Start) -> None:
     child = start("send_event('ready', plan=plan); sys.stdin.read(); time.sleep(60)", {"rate": 1000})
     assert child.wait_until_ready(30.0)["plan"] == {"rate": 1000}
     assert child.alive
@@ -58,7 +58,7 @@ def test_it_gets_its_plan_and_tells_that_it_is_ready(start: Start) -> None:
     assert child.ending == "was killed by SIGTERM"
 
 
-def test_starting_never_waits_for_a_child_that_is_slow_to_read(start: Start) -> None:
+def test_child_start_slow_reader_returns_at_once(start: Start) -> None:
     begin = time.monotonic()
     child = start(
         "send_event('ready', size=len(plan))", bytes(1 << 22), before="import time; time.sleep(3)\n"
@@ -67,7 +67,7 @@ def test_starting_never_waits_for_a_child_that_is_slow_to_read(start: Start) -> 
     assert child.wait_until_ready(30.0)["size"] == 1 << 22
 
 
-def test_lines_that_are_no_events_are_passed_over(start: Start) -> None:
+def test_child_output_without_event_is_ignored(start: Start) -> None:
     body = "print('warning'); print('[1]'); print('{}', flush=True); "
     body += "send_event('ready'); send_event('more', a=1)"
     child = start(body)
@@ -77,7 +77,7 @@ def test_lines_that_are_no_events_are_passed_over(start: Start) -> None:
     assert child.take_events() == []
 
 
-def test_why_it_failed_is_told_with_its_own_exit_code(start: Start) -> None:
+def test_child_failed_event_raises_with_exit_code(start: Start) -> None:
     child = start("send_event('failed', location='p', found='f', expected='e', action='c', exit_code=2)")
     with pytest.raises(NotStarted, match=r"p: found f, expected e. c") as caught:
         child.wait_until_ready(30.0)
@@ -88,17 +88,17 @@ def test_why_it_failed_is_told_with_its_own_exit_code(start: Start) -> None:
     ("body", "ending"),
     [("sys.exit(3)", "ended with exit code 3"), ("send_event('', a=1); 1 / 0", "exit code 1")],
 )
-def test_a_child_that_ends_instead_is_no_bench(start: Start, body: str, ending: str) -> None:
+def test_child_exit_before_ready_raises_not_started(start: Start, body: str, ending: str) -> None:
     with pytest.raises(NotStarted, match=ending):
         start(body).wait_until_ready(30.0)
 
 
-def test_one_that_does_not_become_ready_is_not_waited_for_for_ever(start: Start) -> None:
+def test_child_not_ready_raises_after_timeout(start: Start) -> None:
     with pytest.raises(NotStarted, match=r"not ready after 0\.3 s"):
         start("time.sleep(60)").wait_until_ready(0.3)
 
 
-def test_wait_until_ready_of_a_child_that_compiles_begins_its_timeout_again(
+def test_child_compiling_event_restarts_ready_timeout(
     start: Start, capsys: pytest.CaptureFixture[str]
 ) -> None:
     body = "for n in range(8): send_event('compiling', text=f'{n} functions'); time.sleep(0.5)\n"
@@ -106,7 +106,7 @@ def test_wait_until_ready_of_a_child_that_compiles_begins_its_timeout_again(
     assert "7 functions" in capsys.readouterr().err
 
 
-def test_a_stubborn_one_is_killed(start: Start) -> None:
+def test_child_ignoring_sigterm_is_killed(start: Start) -> None:
     child = start(
         "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); send_event('ready'); time.sleep(60)"
     )
@@ -115,7 +115,7 @@ def test_a_stubborn_one_is_killed(start: Start) -> None:
     assert child.ending == "was killed by SIGKILL"
 
 
-def test_a_stopped_child_counts_as_alive(start: Start) -> None:
+def test_child_stopped_by_sigstop_counts_as_alive(start: Start) -> None:
     child = start("send_event('ready'); time.sleep(60)")
     child.wait_until_ready(30.0)
     child.process.send_signal(signal.SIGSTOP)
@@ -129,7 +129,7 @@ def await_import(child: Child) -> None:
     assert select.select([child.process.stdout], [], [], 10.0)[0]
 
 
-def test_what_the_parent_gets_alike_does_not_end_a_child_that_still_imports(start: Start) -> None:
+def test_child_signals_for_parent_during_import_are_ignored(start: Start) -> None:
     slow = "import os, time\nos.write(1, b'importing\\n')\ntime.sleep(0.5)\n"
     listen = "from bench.supervisor.child_process import Parent\nParent().listen()\nsend_event('ready')\n"
     child = start(listen + "time.sleep(60)", before=slow)
@@ -142,14 +142,14 @@ def test_what_the_parent_gets_alike_does_not_end_a_child_that_still_imports(star
     assert child.alive
 
 
-def test_a_child_that_still_imports_ends_at_once_by_sigterm(start: Start) -> None:
+def test_child_sigterm_during_import_terminates_at_once(start: Start) -> None:
     child = start("", before="import os, time\nos.write(1, b'importing\\n')\ntime.sleep(60)\n")
     await_import(child)
     child.end(10.0)
     assert child.ending == "was killed by SIGTERM"
 
 
-def test_the_starting_process_keeps_its_own_signals(start: Start) -> None:
+def test_child_start_keeps_parent_signal_mask(start: Start) -> None:
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     start("")
     assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before

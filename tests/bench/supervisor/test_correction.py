@@ -57,7 +57,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     bench.close()
 
 
-def test_what_is_ordered_is_swung_from_the_tick_it_was_taken_in(bench: Bench) -> None:
+def test_correction_reader_order_at_rest_applies_and_reports_tick(bench: Bench) -> None:
     assert bench.loop.take(1, resting=True) is None
     weights = np.random.default_rng(1).uniform(-1, 1, BASIS.size)
     bench.order(1, weights.tolist())
@@ -74,7 +74,7 @@ def test_what_is_ordered_is_swung_from_the_tick_it_was_taken_in(bench: Bench) ->
     assert bench.loop.take(8, resting=True) is None
 
 
-def test_an_order_that_comes_in_a_swing_is_answered_and_forgotten(bench: Bench) -> None:
+def test_correction_reader_order_in_motion_is_answered_and_dropped(bench: Bench) -> None:
     bench.order(1, [0.5] * BASIS.size)
     assert bench.loop.take(3, resting=False) is None
     assert bench.told["asked"] == 1
@@ -82,13 +82,13 @@ def test_an_order_that_comes_in_a_swing_is_answered_and_forgotten(bench: Bench) 
     assert bench.loop.take(4, resting=True) is None
 
 
-def test_weights_for_another_profile_are_not_taken(bench: Bench) -> None:
+def test_correction_reader_wrong_weight_count_is_refused(bench: Bench) -> None:
     bench.order(1, [0.5] * (BASIS.size - 1))
     assert bench.loop.take(3, resting=True) is None
     assert (bench.told["asked"], bench.told["order"]["number"]) == (1, 0)
 
 
-def test_no_weights_are_the_profile_as_designed(bench: Bench) -> None:
+def test_correction_reader_empty_weights_restores_profile(bench: Bench) -> None:
     bench.order(1, [0.5] * BASIS.size)
     bench.loop.take(3, resting=True)
     bench.order(2, [])

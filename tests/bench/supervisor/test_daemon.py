@@ -45,7 +45,7 @@ def wait_for_records(bench: BenchProcess, count: int) -> list[Path]:
     return bench.records
 
 
-def test_from_power_up_to_a_stored_swing_and_an_end_in_order(tmp_path: Path) -> None:
+def test_daemon_power_up_to_shutdown_stores_one_swing(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "whole")
     with running_bench(file) as bench:
         status = bench.client.status()
@@ -82,7 +82,7 @@ def test_from_power_up_to_a_stored_swing_and_an_end_in_order(tmp_path: Path) -> 
         assert bench.records == [record]
 
 
-def test_a_closed_terminal_lets_the_swing_end_and_the_bench_with_it(tmp_path: Path) -> None:
+def test_daemon_sighup_in_swing_completes_swing_and_exits(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "hangup")
     with running_bench(file) as bench, bench.client.lease("test"):
         bench.make_ready()
@@ -101,7 +101,7 @@ def test_a_closed_terminal_lets_the_swing_end_and_the_bench_with_it(tmp_path: Pa
         assert bench.cause == "POWER_UP"  # not after an unclean shutdown
 
 
-def test_a_learned_correction_is_swung_and_recorded_but_never_taken_in_a_swing(tmp_path: Path) -> None:
+def test_daemon_correction_applies_at_rest_and_is_refused_in_swing(tmp_path: Path) -> None:
     profile = load_profile(find_profile("default"))
     basis, digest = basis_of(profile), digest_of(profile)
     weights = (0.2 * np.random.default_rng(2).uniform(-1, 1, basis.size)).tolist()
@@ -136,7 +136,7 @@ def test_a_learned_correction_is_swung_and_recorded_but_never_taken_in_a_swing(t
         assert all(not difference.ticks for difference in replay.differences())
 
 
-def test_a_running_bench_learns_its_swing_and_keeps_what_it_learned(tmp_path: Path) -> None:
+def test_learn_command_running_bench_stores_result_and_swings(tmp_path: Path) -> None:
     """Two swings are no lesson: that they were made, seen and stored is what is asked here."""
     file = write_configuration(tmp_path, "learner")
     with running_bench(file) as bench:
@@ -159,7 +159,7 @@ def test_a_running_bench_learns_its_swing_and_keeps_what_it_learned(tmp_path: Pa
         assert bench.client.status()["lease"] is None
 
 
-def test_network_stops_need_no_lease_and_a_lost_lease_disarms(tmp_path: Path) -> None:
+def test_daemon_network_stop_needs_no_lease_and_lost_lease_disarms(tmp_path: Path) -> None:
     with running_bench(write_configuration(tmp_path, "stops")) as bench:
         with bench.client.lease("test"):
             bench.make_ready()
@@ -181,7 +181,7 @@ def test_network_stops_need_no_lease_and_a_lost_lease_disarms(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("name", "number"), [("recorder", signal.SIGKILL), ("publisher", signal.SIGSTOP)])
-def test_a_swing_completes_without_its_support_and_nothing_is_armed_after(
+def test_daemon_support_lost_in_swing_completes_swing_and_blocks_arming(
     tmp_path: Path, name: str, number: signal.Signals
 ) -> None:
     with running_bench(write_configuration(tmp_path, name)) as bench, bench.client.lease("test"):
@@ -205,7 +205,7 @@ def test_a_swing_completes_without_its_support_and_nothing_is_armed_after(
 
 
 @pytest.mark.parametrize("name", ["loop", "supervisor"])
-def test_who_was_killed_comes_back_in_estop_and_says_so(tmp_path: Path, name: str) -> None:
+def test_daemon_restart_after_kill_reports_estop_and_last_stop(tmp_path: Path, name: str) -> None:
     file = write_configuration(tmp_path, "killed")
     with running_bench(file) as bench:
         with bench.client.lease("test"):
@@ -228,7 +228,7 @@ def test_who_was_killed_comes_back_in_estop_and_says_so(tmp_path: Path, name: st
         assert bench.end() == 0
 
 
-def test_a_silent_supervisor_stops_the_swing(tmp_path: Path) -> None:
+def test_loop_frozen_supervisor_latches_fault(tmp_path: Path) -> None:
     with running_bench(write_configuration(tmp_path, "frozen")) as bench, bench.client.lease("test"):
         bench.make_ready()
         bench.take_address()
@@ -240,7 +240,7 @@ def test_a_silent_supervisor_stops_the_swing(tmp_path: Path) -> None:
         assert stopped["cause"] == Cause.SUPERVISOR
 
 
-def test_with_an_expired_calibration_nothing_is_armed(tmp_path: Path) -> None:
+def test_daemon_expired_calibration_blocks_arming(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "expired")
     bench_settings = load_configuration(file).bench
     then = datetime.now(UTC) - timedelta(days=2)
@@ -261,7 +261,7 @@ def test_with_an_expired_calibration_nothing_is_armed(tmp_path: Path) -> None:
         assert bench.client.status()["state"] == "READY"
 
 
-def test_an_observing_bench_moves_nothing(tmp_path: Path) -> None:
+def test_daemon_read_only_refuses_reset(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "read")
     with running_bench(file, "--read-only") as bench, bench.client.lease("test"):
         with pytest.raises(CommandRefused, match="observe only"):

@@ -37,12 +37,12 @@ def cycle(state: State, **values: object) -> Any:
         (State.ARMED, State.ARMED, {"lease_held": True}, Cause.NONE),
     ],
 )
-def test_disarmed_for_a_change_of_state_names_the_cause(
+def test_disarmed_for_state_change_names_cause(
     before: State, after: State, values: dict[str, object], cause: Cause
 ) -> None:
     assert disarmed_for(cycle(after, **values), before, series=True) is cause
 
 
-def test_disarmed_for_the_venting_after_a_single_swing_names_none() -> None:
+def test_disarmed_for_venting_after_single_swing_names_no_cause() -> None:
     vents = cycle(State.READY, lease_held=False)
     assert disarmed_for(vents, State.RECOVERING, series=False) is Cause.NONE

@@ -16,7 +16,7 @@ R, A, S = State.READY, State.ARMED, State.SWINGING
 @pytest.mark.parametrize(
     ("states", "times"), [([R, R], 0), ([R, A, A], 1), ([A, A], 1), ([R, A, S, A, R, A], 3), ([S, S, R], 0)]
 )
-def test_each_arming_counts_once(states: list[State], times: int) -> None:
+def test_arming_monitor_each_arming_counts_once(states: list[State], times: int) -> None:
     cycles = np.zeros(len(states), [("state", "u1")])
     cycles["state"] = states
     each = ArmingMonitor()
@@ -27,13 +27,13 @@ def test_each_arming_counts_once(states: list[State], times: int) -> None:
         assert any([watch.take(cycles[start:end]) for start, end in edges]) is (times > 0)
 
 
-def test_a_monitor_is_present_while_no_ball_is_struck() -> None:
+def test_shot_presence_without_struck_ball_is_present() -> None:
     presence = ShotPresence()
     assert presence.is_present(None, 1e6)
     assert presence.is_present(10.0, 1e6)
 
 
-def test_a_monitor_that_leaves_balls_unanswered_is_absent_until_it_is_seen() -> None:
+def test_shot_presence_unanswered_ball_is_absent_until_monitor_seen() -> None:
     presence = ShotPresence()
     for impact in (100.0, 110.0, 215.0):
         presence.note_struck(impact)
@@ -44,7 +44,7 @@ def test_a_monitor_that_leaves_balls_unanswered_is_absent_until_it_is_seen() -> 
     assert presence.is_present(221.0, 1e6)
 
 
-def test_an_answered_ball_starts_the_time_again() -> None:
+def test_shot_presence_answered_ball_restarts_timeout() -> None:
     presence = ShotPresence()
     presence.note_struck(100.0)
     assert presence.is_present(101.0, 105.0)

@@ -64,7 +64,7 @@ def loop(link: LoopLink, tmp_path: Path) -> Iterator[AnsweringLoop]:
     made.close()
 
 
-def test_a_request_that_was_refused_is_not_done_later(link: LoopLink, loop: AnsweringLoop) -> None:
+def test_loop_link_refused_request_is_not_executed_later(link: LoopLink, loop: AnsweringLoop) -> None:
     reply = link.request(Request.SWING)  # the loop stands still
     assert not reply.accepted
     assert reply.refusal is Refusal.LOOP_SILENT
@@ -73,7 +73,7 @@ def test_a_request_that_was_refused_is_not_done_later(link: LoopLink, loop: Answ
     assert loop.done == []
 
 
-def test_the_next_request_is_answered(link: LoopLink, loop: AnsweringLoop) -> None:
+def test_loop_link_request_after_refusal_is_accepted(link: LoopLink, loop: AnsweringLoop) -> None:
     link.request(Request.SWING)
     over = threading.Event()
 
@@ -92,7 +92,7 @@ def test_the_next_request_is_answered(link: LoopLink, loop: AnsweringLoop) -> No
     assert loop.done == [Request.ARM]
 
 
-def test_an_answer_counts_although_the_supervisor_stood_still(
+def test_loop_link_answer_after_supervisor_stall_is_accepted(
     link: LoopLink, loop: AnsweringLoop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [0.0]

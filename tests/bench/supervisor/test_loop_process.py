@@ -29,16 +29,16 @@ BEFORE = ThreadUsage(page_faults=7, preemptions=3, waited=5 * MS)
         (BEFORE._replace(preemptions=4), MS // 10, Stall.MACHINE),  # a short one does not explain 4 ms
     ],
 )
-def test_a_late_tick_says_why(after: ThreadUsage, work: int, stall: Stall) -> None:
+def test_stall_between_late_tick_names_stall(after: ThreadUsage, work: int, stall: Stall) -> None:
     assert stall_between(BEFORE, after, 4 * MS, work, MS) is stall
 
 
-def test_without_times_of_the_kernel_a_preemption_explains() -> None:
+def test_stall_between_without_wait_time_names_preemption() -> None:
     before = ThreadUsage(page_faults=7, preemptions=3)
     assert stall_between(before, before._replace(preemptions=4), 4 * MS, 0, MS) is Stall.PREEMPTION
 
 
-def test_page_faults_of_this_thread_are_counted() -> None:
+def test_usage_reader_counts_page_faults_of_thread() -> None:
     with UsageReader() as reader, mmap.mmap(-1, 64 * mmap.PAGESIZE) as fresh:
         before = reader.read()
         for page in range(64):
@@ -69,7 +69,7 @@ def warming(busy: int) -> Any:
     return loop
 
 
-def test_a_machine_that_is_busy_at_the_start_is_measured_again() -> None:
+def test_warm_up_busy_at_start_repeats_measurement() -> None:
     loop = warming(busy=3 * WARM_UP)
     loop._warm_up(None)
     assert loop.cycle.state.control["is_warmed_up"]
@@ -77,7 +77,7 @@ def test_a_machine_that_is_busy_at_the_start_is_measured_again() -> None:
     assert loop.tick_ns == 200_000
 
 
-def test_ticks_that_are_always_too_long_are_refused() -> None:
+def test_warm_up_ticks_over_budget_are_refused() -> None:
     loop = warming(busy=1_000_000)
     with pytest.raises(Refused, match=r"loop\.rate"):
         loop._warm_up(None)

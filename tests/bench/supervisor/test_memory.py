@@ -57,7 +57,7 @@ MAX_LOCKED, MAX_BENCH = 200 * MEBIBYTE, 560 * MEBIBYTE
 
 
 @pytest.mark.parametrize("module", ALLOWED)
-def test_process_imports_only_its_heavy_packages(module: str) -> None:
+def test_process_imports_only_allowed_heavy_packages(module: str) -> None:
     code = f"import sys, {module}; print(*sys.modules)"
     loaded = subprocess.run(
         [sys.executable, "-c", code], cwd=TOP, capture_output=True, text=True, check=True
@@ -90,7 +90,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BenchProcess]:
 
 @pytest.mark.live
 @pytest.mark.paced
-def test_running_processes_map_only_their_libraries(bench: BenchProcess) -> None:
+def test_running_process_maps_only_allowed_libraries(bench: BenchProcess) -> None:
     assert not _libraries(bench.pid("recorder")) & {"zenoh"}
     assert not _libraries(bench.pid("publisher")) & {"llvmlite", "numba", "pandas", "scipy"}
     assert not _libraries(bench.pid("loop")) & {"pandas", "pyarrow", "zenoh"}
@@ -98,7 +98,7 @@ def test_running_processes_map_only_their_libraries(bench: BenchProcess) -> None
 
 @pytest.mark.live
 @pytest.mark.paced
-def test_bench_that_is_ready_fits_its_memory(bench: BenchProcess) -> None:
+def test_ready_bench_stays_within_memory_limits(bench: BenchProcess) -> None:
     names = ("supervisor", *bench.client.status()["processes"])
     held = {name: _rollup(bench.pid(name)) for name in names}
     assert held["loop"]["Locked"] < MAX_LOCKED

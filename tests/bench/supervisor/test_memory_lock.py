@@ -51,7 +51,7 @@ def _in_a_process(code: str) -> Any:
     return printed_json(textwrap.dedent(program) + textwrap.dedent(code))
 
 
-def test_mappings_are_read_and_sorted(tmp_path: Path) -> None:
+def test_memory_mappings_reads_and_classifies_smaps(tmp_path: Path) -> None:
     file = tmp_path / "smaps"
     file.write_text(SMAPS)
     compiler, reserve, heap, guard, kernel = memory_mappings(file)
@@ -71,7 +71,7 @@ def test_mappings_are_read_and_sorted(tmp_path: Path) -> None:
     ]
 
 
-def test_dropped_library_still_works() -> None:
+def test_drop_preparations_library_still_computes() -> None:
     found = _in_a_process("""
         a = np.random.default_rng(1).normal(size=(90, 90))
         before = np.linalg.inv(a), resident("openblas")
@@ -85,7 +85,7 @@ def test_dropped_library_still_works() -> None:
 
 
 @pytest.mark.live
-def test_locked_memory_has_what_ticks_use_and_nothing_else() -> None:
+def test_lock_memory_locks_used_pages_and_skips_reserve() -> None:
     found = _in_a_process("""
         reserve = mmap.mmap(-1, 64 << 20, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         used = mmap.mmap(-1, 8 << 20)

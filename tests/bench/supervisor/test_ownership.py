@@ -113,18 +113,18 @@ def free(memory: Path) -> bool:
 # The folder ------------------------------------------------------------------------------------------
 
 
-def test_the_folder_is_in_memory_at_one_place_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bench_folder_ignores_runtime_directory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/x")  # a service's own, where nobody else would look
     assert bench_folder("a") == MEMORY / "golfbench-a" == Path("/dev/shm/golfbench-a")  # noqa: S108
 
 
 @pytest.mark.parametrize("bench_id", ["", "..", "a/b", "a\0", "a" * 64, "a\n"])
-def test_an_id_that_is_no_name_is_refused(bench_id: str, memory: Path) -> None:
+def test_take_bench_invalid_id_is_refused(bench_id: str, memory: Path) -> None:
     with pytest.raises(BenchError, match=r"bench\.id"):
         take_bench(bench_id, memory)
 
 
-def test_the_bench_is_a_folder_for_us_alone_while_it_is_taken(memory: Path) -> None:
+def test_take_bench_folder_is_private_and_removed_on_leave(memory: Path) -> None:
     with take_bench("a", memory) as bench:
         assert bench.folder == bench_folder("a", memory)
         assert bench.folder.stat().st_mode & 0o777 == 0o700
@@ -135,17 +135,17 @@ def test_the_bench_is_a_folder_for_us_alone_while_it_is_taken(memory: Path) -> N
     bench.leave()
 
 
-def test_two_benches_do_not_meet(memory: Path) -> None:
+def test_take_bench_two_ids_use_separate_folders(memory: Path) -> None:
     with take_bench("a", memory) as one, take_bench("b", memory) as other:
         assert one.folder != other.folder
 
 
-def test_a_missing_place_is_named(tmp_path: Path) -> None:
+def test_take_bench_missing_parent_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NoBenchFolder, match="no parent folder"):
         take_bench("a", tmp_path / "missing")
 
 
-def test_a_place_that_is_no_folder_is_named(tmp_path: Path) -> None:
+def test_take_bench_parent_not_directory_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(NoBenchFolder, match="Not a directory"):
         take_bench("a", tmp_path / "file")
@@ -154,7 +154,7 @@ def test_a_place_that_is_no_folder_is_named(tmp_path: Path) -> None:
 # Not ours --------------------------------------------------------------------------------------------
 
 
-def test_a_symbolic_link_is_refused(memory: Path, tmp_path: Path) -> None:
+def test_take_bench_symbolic_link_is_refused(memory: Path, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
     (elsewhere / "precious").touch()
@@ -164,20 +164,20 @@ def test_a_symbolic_link_is_refused(memory: Path, tmp_path: Path) -> None:
     assert os.listdir(elsewhere) == ["precious"]
 
 
-def test_a_file_in_its_place_is_refused(memory: Path) -> None:
+def test_take_bench_file_in_place_of_folder_is_refused(memory: Path) -> None:
     bench_folder("a", memory).touch()
     with pytest.raises(Refused, match="golfbench-a: found a file"):
         take_bench("a", memory)
 
 
-def test_a_folder_open_to_others_is_refused(memory: Path) -> None:
+def test_take_bench_folder_open_to_others_is_refused(memory: Path) -> None:
     bench_folder("a", memory).mkdir()
     bench_folder("a", memory).chmod(0o770)
     with pytest.raises(Refused, match=r"open to others \(mode 0770\)"):
         take_bench("a", memory)
 
 
-def test_another_users_folder_is_refused(memory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_take_bench_folder_of_other_user_is_refused(memory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench_folder("a", memory).mkdir(mode=0o700)
     owner, stranger = os.geteuid(), 54321
     monkeypatch.setattr(os, "geteuid", lambda: stranger)
@@ -187,7 +187,7 @@ def test_another_users_folder_is_refused(memory: Path, monkeypatch: pytest.Monke
         take_bench("a", memory)
 
 
-def test_an_owner_file_that_is_a_link_is_not_followed(memory: Path, tmp_path: Path) -> None:
+def test_take_bench_owner_symbolic_link_is_not_followed(memory: Path, tmp_path: Path) -> None:
     bench_folder("a", memory).mkdir(mode=0o700)
     (tmp_path / "precious").write_text("text")
     (bench_folder("a", memory) / "owner").symlink_to(tmp_path / "precious")
@@ -200,7 +200,7 @@ def test_an_owner_file_that_is_a_link_is_not_followed(memory: Path, tmp_path: Pa
 
 
 @pytest.mark.live
-def test_a_second_daemon_is_refused_with_the_firsts_pid(start: Start, memory: Path) -> None:
+def test_take_bench_second_daemon_is_refused_with_first_pid(start: Start, memory: Path) -> None:
     daemon = start(DAEMON)
     assert line(daemon) == "taken"
     with pytest.raises(Refused, match=f"bench a: found it run by process {daemon.pid}.*kill {daemon.pid}"):
@@ -212,7 +212,7 @@ def test_a_second_daemon_is_refused_with_the_firsts_pid(start: Start, memory: Pa
 
 
 @pytest.mark.live
-def test_a_killed_daemon_leaves_the_bench_free(start: Start, memory: Path) -> None:
+def test_take_bench_after_killed_daemon_succeeds(start: Start, memory: Path) -> None:
     daemon = start(DAEMON)
     assert line(daemon) == "taken"
     daemon.kill()
@@ -222,7 +222,7 @@ def test_a_killed_daemon_leaves_the_bench_free(start: Start, memory: Path) -> No
 
 
 @pytest.mark.live
-def test_a_daemon_not_yet_buried_by_its_parent_counts_as_dead(start: Start, memory: Path) -> None:
+def test_take_bench_zombie_daemon_counts_as_dead(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP)
     loop = int(line(supervisor))
     assert line(supervisor) == "adopted"
@@ -236,14 +236,14 @@ def test_a_daemon_not_yet_buried_by_its_parent_counts_as_dead(start: Start, memo
 
 
 @pytest.mark.parametrize("content", [b"", b"garbage", b"[]", b"[1, 2]", b'["a", [1, 2], 3]', b"\xff" * 600])
-def test_a_lock_whose_owner_cannot_be_read_is_still_respected(content: bytes, memory: Path) -> None:
+def test_take_bench_locked_unreadable_owner_is_refused(content: bytes, memory: Path) -> None:
     with take_bench("a", memory) as bench:
         (bench.folder / "owner").write_bytes(content)
         with pytest.raises(Refused, match="owner locked by an unnamed process"):
             take_bench("a", memory)
 
 
-def test_what_a_dead_owner_wrote_is_no_hindrance(memory: Path) -> None:
+def test_take_bench_garbage_from_dead_owner_succeeds(memory: Path) -> None:
     bench_folder("a", memory).mkdir(mode=0o700)
     (bench_folder("a", memory) / "owner").write_bytes(b"garbage")
     assert free(memory)
@@ -253,7 +253,7 @@ def test_what_a_dead_owner_wrote_is_no_hindrance(memory: Path) -> None:
 
 
 @pytest.mark.live
-def test_the_loop_keeps_the_bench_when_its_supervisor_is_killed(start: Start, memory: Path) -> None:
+def test_ownership_supervisor_killed_loop_keeps_bench(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP, "note")
     loop = int(line(supervisor))
     assert line(supervisor) == "adopted"
@@ -272,7 +272,7 @@ def test_the_loop_keeps_the_bench_when_its_supervisor_is_killed(start: Start, me
 
 
 @pytest.mark.live
-def test_a_killed_supervisor_and_a_killed_loop_leave_the_bench_free(start: Start, memory: Path) -> None:
+def test_ownership_supervisor_and_loop_killed_frees_bench(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP, "note")
     loop = int(line(supervisor))
     assert line(supervisor) == "adopted"
@@ -284,7 +284,7 @@ def test_a_killed_supervisor_and_a_killed_loop_leave_the_bench_free(start: Start
 
 
 @pytest.mark.live
-def test_a_killed_loop_leaves_the_bench_to_its_supervisor(start: Start, memory: Path) -> None:
+def test_ownership_loop_killed_supervisor_keeps_bench(start: Start, memory: Path) -> None:
     supervisor = start(SUPERVISOR, LOOP, "note")
     loop = int(line(supervisor))
     assert line(supervisor) == "adopted"
@@ -297,7 +297,7 @@ def test_a_killed_loop_leaves_the_bench_to_its_supervisor(start: Start, memory: 
 
 
 @pytest.mark.live
-def test_supervisor_and_loop_leave_in_any_order(start: Start, memory: Path) -> None:
+def test_ownership_leave_in_any_order_removes_folder(start: Start, memory: Path) -> None:
     for _ in range(3):  # both see their input end at the same time
         supervisor = start(SUPERVISOR, LOOP, "note")
         line(supervisor)
@@ -306,7 +306,7 @@ def test_supervisor_and_loop_leave_in_any_order(start: Start, memory: Path) -> N
         assert not bench_folder("a", memory).exists()
 
 
-def test_a_loop_that_leaves_does_not_give_the_supervisors_bench_away(memory: Path) -> None:
+def test_adopt_loop_leaves_supervisor_keeps_bench(memory: Path) -> None:
     with take_bench("a", memory) as bench:
         loop = adopt(os.dup(bench.descriptor))
         assert loop.owner == bench.owner
@@ -316,7 +316,7 @@ def test_a_loop_that_leaves_does_not_give_the_supervisors_bench_away(memory: Pat
             take_bench("a", memory)
 
 
-def test_only_the_locked_file_can_be_adopted(memory: Path, tmp_path: Path) -> None:
+def test_adopt_unlocked_descriptor_is_refused(memory: Path, tmp_path: Path) -> None:
     with take_bench("a", memory) as bench:
         unlocked = os.open(bench.folder / "owner", os.O_RDONLY)
         elsewhere = os.open(tmp_path, os.O_RDONLY)
@@ -328,7 +328,7 @@ def test_only_the_locked_file_can_be_adopted(memory: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.live
-def test_many_who_start_at_once_are_one_daemon(start: Start, memory: Path) -> None:
+def test_take_bench_concurrent_starts_have_one_owner(start: Start, memory: Path) -> None:
     program = """
 import sys, time
 from pathlib import Path

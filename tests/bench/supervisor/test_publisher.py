@@ -193,7 +193,7 @@ def day(make_day: MakeDay) -> MakeDay:
     return lambda ticks, **more: make_day([(State.READY, ticks)], start=time.monotonic() - 1, **more)
 
 
-def test_every_cycle_arrives_once_and_bit_for_bit(bench: Bench, day: MakeDay) -> None:
+def test_publisher_sends_each_cycle_once_bit_exact(bench: Bench, day: MakeDay) -> None:
     bench.listen()
     telemetry = bench.subscribe("telemetry")
     publisher = bench.start()
@@ -215,7 +215,7 @@ def test_every_cycle_arrives_once_and_bit_for_bit(bench: Bench, day: MakeDay) ->
     assert bench.heartbeat()["done"] == len(batches)
 
 
-def test_messages_carry_source_time_and_encoding(bench: Bench, day: MakeDay) -> None:
+def test_publisher_messages_carry_source_time_and_encoding(bench: Bench, day: MakeDay) -> None:
     bench.listen()
     telemetry, loop = bench.subscribe("telemetry"), bench.subscribe("loop")
     bench.start()
@@ -231,7 +231,7 @@ def test_messages_carry_source_time_and_encoding(bench: Bench, day: MakeDay) -> 
         assert abs(sample.timestamp.get_time().timestamp() - time.time()) < HURRY
 
 
-def test_the_loops_statistics_are_those_of_the_last_second(bench: Bench) -> None:
+def test_loop_message_counts_only_last_second(bench: Bench) -> None:
     bench.listen()
     loop = bench.subscribe("loop")
     marks = np.arange(7) * 10_000
@@ -249,7 +249,7 @@ def test_the_loops_statistics_are_those_of_the_last_second(bench: Bench) -> None
     assert json.loads(loop.recv().payload.to_bytes())["ticks"] == 0
 
 
-def test_nobody_needs_to_listen_and_who_comes_late_understands(bench: Bench, day: MakeDay) -> None:
+def test_publisher_late_subscriber_receives_later_cycles(bench: Bench, day: MakeDay) -> None:
     bench.listen()
     bench.start()
     cycles = day(2000)
@@ -263,7 +263,7 @@ def test_nobody_needs_to_listen_and_who_comes_late_understands(bench: Bench, day
     assert batches[0].sequence > 1
 
 
-def test_a_stopped_subscriber_costs_neither_memory_nor_others(bench: Bench, day: MakeDay) -> None:
+def test_publisher_stopped_subscriber_bounds_memory_and_counts_loss(bench: Bench, day: MakeDay) -> None:
     daemon = psutil.Process(bench.run_program(DAEMON).pid)
     telemetry = bench.subscribe("telemetry")
     stopped = bench.run_program(SUBSCRIBER)
@@ -286,7 +286,7 @@ def test_a_stopped_subscriber_costs_neither_memory_nor_others(bench: Bench, day:
     stopped.send_signal(signal.SIGCONT)
 
 
-def test_what_the_ring_lost_is_counted(tmp_path: Path, day: MakeDay) -> None:
+def test_publisher_ring_overrun_counts_lost_cycles(tmp_path: Path, day: MakeDay) -> None:
     bench = Bench(tmp_path, capacity=256)
     try:
         bench.listen()
@@ -309,7 +309,7 @@ def test_what_the_ring_lost_is_counted(tmp_path: Path, day: MakeDay) -> None:
         bench.close()
 
 
-def test_what_passes_before_its_session_is_open_is_no_loss(
+def test_publisher_cycles_before_open_session_count_no_loss(
     tmp_path: Path, day: MakeDay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = Bench(tmp_path, capacity=256)
@@ -330,7 +330,7 @@ def test_what_passes_before_its_session_is_open_is_no_loss(
         bench.close()
 
 
-def test_the_times_of_cycles_that_waited_are_theirs(tmp_path: Path, make_day: MakeDay) -> None:
+def test_publisher_delayed_cycles_keep_source_time(tmp_path: Path, make_day: MakeDay) -> None:
     bench = Bench(tmp_path)
     try:
         bench.listen()
@@ -347,7 +347,7 @@ def test_the_times_of_cycles_that_waited_are_theirs(tmp_path: Path, make_day: Ma
         bench.close()
 
 
-def test_without_a_daemon_it_says_so(bench: Bench) -> None:
+def test_publisher_without_daemon_reports_failed_and_exits(bench: Bench) -> None:
     publisher = bench.start_anyhow()
     told = event(publisher)
     assert (told["event"], told["exit_code"]) == ("failed", 75)
@@ -355,7 +355,7 @@ def test_without_a_daemon_it_says_so(bench: Bench) -> None:
     assert publisher.wait(HURRY) == 75
 
 
-def test_a_lost_connection_is_told_and_comes_back(bench: Bench, day: MakeDay) -> None:
+def test_publisher_lost_connection_reports_fault_and_recovers(bench: Bench, day: MakeDay) -> None:
     bench.listen()
     publisher = bench.start()
     bench.sessions.pop().close()
@@ -369,7 +369,7 @@ def test_a_lost_connection_is_told_and_comes_back(bench: Bench, day: MakeDay) ->
     assert len(joined(batches_up_to(telemetry, 50))) > 0
 
 
-def test_it_ends_soon_even_when_the_daemon_takes_nothing(bench: Bench, day: MakeDay) -> None:
+def test_publisher_stalled_daemon_terminates_promptly(bench: Bench, day: MakeDay) -> None:
     daemon = bench.run_program(DAEMON)
     stuck = bench.run_program(SUBSCRIBER)
     publisher = bench.start()
@@ -385,7 +385,7 @@ def test_it_ends_soon_even_when_the_daemon_takes_nothing(bench: Bench, day: Make
         process.send_signal(signal.SIGCONT)
 
 
-def test_with_its_supervisor_gone_it_ends(bench: Bench) -> None:
+def test_publisher_supervisor_killed_ends(bench: Bench) -> None:
     bench.listen()
     program = (
         "import subprocess, sys\nc = subprocess.Popen([sys.executable, '-m', 'bench.supervisor.publisher'])"

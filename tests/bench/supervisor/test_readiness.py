@@ -84,13 +84,13 @@ def codes(configuration: Configuration, **options: Any) -> list[Block]:
     return [block["code"] for block in assess_bench(configuration, NOW, running=True, **options).blocks(NOW)]
 
 
-def test_assess_shipped_bench_nothing_blocks(configuration: Configuration) -> None:
+def test_assess_shipped_bench_has_no_blocks(configuration: Configuration) -> None:
     found = assess_bench(configuration, NOW, running=True)
     assert (found.blocks(NOW), found.warnings) == ([], ())
     assert found.limits.endswith("default.limits.toml")
 
 
-def test_assess_bench_without_chamber_sensors_warns_of_what_is_found_late(
+def test_assess_bench_without_chamber_sensors_warns(
     configuration: Configuration,
 ) -> None:
     blind = replace(configuration, plant=replace(configuration.plant, pressure_sensors=False))
@@ -98,9 +98,7 @@ def test_assess_bench_without_chamber_sensors_warns_of_what_is_found_late(
     assert HALF_BLIND not in assess_bench(configuration, NOW, running=True).warnings
 
 
-def test_assess_ball_calibrated_off_the_profile_blocks(
-    configuration: Configuration, calibrate: Calibrate
-) -> None:
+def test_assess_ball_off_profile_blocks(configuration: Configuration, calibrate: Calibrate) -> None:
     calibrate(MISSED)
     found = assess_bench(configuration, NOW, running=True)
     (block,) = found.blocks(NOW)
@@ -152,7 +150,7 @@ Machine = Callable[[str], Configuration]
 
 
 @pytest.mark.parametrize("check", ["", 'check = "off"\n', 'off_reason = " "\n'])
-def test_assess_machine_whose_check_is_off_without_reason_blocks(machine: Machine, check: str) -> None:
+def test_assess_machine_check_off_without_reason_blocks(machine: Machine, check: str) -> None:
     c = machine(f"[envelope.model]\n{check}")
     (block,) = assess_bench(c, NOW, running=True).blocks(NOW)
     assert block["code"] == Block.CONFIGURATION
@@ -161,20 +159,20 @@ def test_assess_machine_whose_check_is_off_without_reason_blocks(machine: Machin
     assert assess_bench(c, NOW).faults == []  # a simulation of it is watched, or need not be
 
 
-def test_assess_machine_with_the_check_on_or_a_reason_arms(machine: Machine) -> None:
+def test_assess_machine_check_on_or_reason_has_no_blocks(machine: Machine) -> None:
     found = assess_bench(machine(f'{UNWATCHED}check = "always"\n'), NOW, running=True)
     assert (found.blocks(NOW), found.warnings) == ([], (HALF_BLIND,))  # it has no chamber sensors
     assert found.limits.endswith("default.limits.toml")
     assert codes(machine(UNWATCHED)) == []
 
 
-def test_assess_machine_without_chamber_sensors_blocks_without_a_reason(machine: Machine) -> None:
+def test_assess_machine_without_chamber_sensors_or_reason_blocks(machine: Machine) -> None:
     (block,) = assess_bench(machine('[envelope.model]\ncheck = "always"\n'), NOW, running=True).blocks(NOW)
     assert block["found"] == "a chamber without a sensor"
     assert "envelope.model.off_reason" in block["expected"]
 
 
-def test_assess_stale_limits_block_a_machine_and_warn_a_simulated_bench(
+def test_assess_stale_limits_block_machine_and_warn_simulated_bench(
     machine: Machine, configuration: Configuration
 ) -> None:
     stiffer = "[plant.wrist.friction]\ncoulomb = 49.0\n"
@@ -190,7 +188,7 @@ def test_assess_stale_limits_block_a_machine_and_warn_a_simulated_bench(
     assert "wrist.friction.coulomb 45, here 49" in found.warnings[0]
 
 
-def test_assess_standard_error_of_no_value_blocks(configuration: Configuration) -> None:
+def test_assess_standard_error_of_unknown_value_blocks(configuration: Configuration) -> None:
     model = replace(configuration.envelope.model, standard_errors={"shoulder.aera_a": 1e-6})
     c = replace(configuration, envelope=replace(configuration.envelope, model=model))
     (block,) = assess_bench(c, NOW, running=True).blocks(NOW)
@@ -206,14 +204,14 @@ def test_assess_expired_and_future_calibrations_block(
     assert codes(configuration) == [Block.CALIBRATION_EXPIRED, Block.CALIBRATION_AHEAD]
 
 
-def test_assess_contradiction_with_a_calibration_blocks(
+def test_assess_configuration_contradicting_calibration_blocks(
     configuration: Configuration, calibrate: Calibrate
 ) -> None:
     calibrate(BallPosition(0.25, -1.75, 5e-4))
     assert Block.CONFIGURATION in codes(configuration)
 
 
-def test_assess_fault_of_a_phase_on_a_plant_of_its_own_clock_blocks(tmp_path: Path) -> None:
+def test_assess_phase_fault_with_canopen_driver_blocks(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(
         f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path}"\n[driver]\nname = "canopen"\n'
@@ -224,7 +222,7 @@ def test_assess_fault_of_a_phase_on_a_plant_of_its_own_clock_blocks(tmp_path: Pa
     assert codes(load_configuration(file)) == [Block.CONFIGURATION]
 
 
-def test_assess_other_rate_warns_a_running_bench_and_refuses_lock_step(configuration: Configuration) -> None:
+def test_assess_other_rate_warns_running_bench_and_refuses_lock_step(configuration: Configuration) -> None:
     c = replace(configuration, loop=replace(configuration.loop, rate=2000.0))
     c = replace(c, plant=replace(c.plant, tick=0.0005))
     assert codes(c) == []
@@ -233,7 +231,7 @@ def test_assess_other_rate_warns_a_running_bench_and_refuses_lock_step(configura
     assert fault.location.endswith("default.toml: period_s")
 
 
-def test_assess_club_that_differs_in_its_face_only_does_not_block(configuration: Configuration) -> None:
+def test_assess_club_other_loft_passes_and_other_mass_blocks(configuration: Configuration) -> None:
     driver = configuration.clubs["driver"]
     lofted = replace(driver, name="lofted", loft=driver.loft + 0.02)
     heavy = replace(driver, name="heavy", head_mass=driver.head_mass + 0.05)
@@ -242,7 +240,7 @@ def test_assess_club_that_differs_in_its_face_only_does_not_block(configuration:
     assert codes(c, club="heavy") == [Block.SWING]
 
 
-def test_assess_calibrations_within_tolerance_keep_the_limits(
+def test_assess_calibrations_within_tolerance_keep_limits(
     configuration: Configuration, calibrate: Calibrate
 ) -> None:
     calibrate(BallPosition(0.2503, -1.5602, 5e-4))
@@ -257,7 +255,7 @@ def test_assess_calibrations_within_tolerance_keep_the_limits(
     assert "made for another plant (robot.club.loft" in warning
 
 
-def test_assess_tee_is_calibrated_for_the_mounted_clubs_site_only(tmp_path: Path) -> None:
+def test_assess_tee_calibration_applies_to_mounted_club_only(tmp_path: Path) -> None:
     c = load_configuration(Path("bag"))
     c = replace(c, bench=replace(c.bench, data_dir=tmp_path))
     with open_database(database_url("", tmp_path), NOW) as database:
@@ -301,7 +299,7 @@ def start(configuration: Configuration) -> Callable[[], tuple[Daemon, AcceptingL
 Start = Callable[[], tuple[Daemon, AcceptingLink]]
 
 
-def test_daemon_ball_off_the_profile_is_not_armed(start: Start, calibrate: Calibrate) -> None:
+def test_daemon_ball_off_profile_refuses_arming(start: Start, calibrate: Calibrate) -> None:
     calibrate(MISSED)
     daemon, link = start()
     reply = daemon.request(Request.ARM)
@@ -311,9 +309,7 @@ def test_daemon_ball_off_the_profile_is_not_armed(start: Start, calibrate: Calib
     assert daemon.request(Request.HOME).accepted
 
 
-def test_daemon_calibration_taken_while_it_runs_counts_at_the_next_arming(
-    start: Start, calibrate: Calibrate
-) -> None:
+def test_daemon_new_calibration_applies_at_next_arming(start: Start, calibrate: Calibrate) -> None:
     calibrate(MET, hours=-2.0)
     daemon, link = start()
     assert daemon.request(Request.ARM).accepted
@@ -326,7 +322,7 @@ def test_daemon_calibration_taken_while_it_runs_counts_at_the_next_arming(
     assert link.asked == [Request.ARM, Request.ARM]
 
 
-def test_daemon_renewed_calibration_arms_without_a_restart(start: Start, calibrate: Calibrate) -> None:
+def test_daemon_renewed_calibration_arms_without_restart(start: Start, calibrate: Calibrate) -> None:
     calibrate(MET, hours=-48.0, days=1.0)
     daemon, _ = start()
     assert [b["code"] for b in daemon.request(Request.ARM).blocks] == [Block.CALIBRATION_EXPIRED]
@@ -334,7 +330,7 @@ def test_daemon_renewed_calibration_arms_without_a_restart(start: Start, calibra
     assert daemon.request(Request.ARM).accepted
 
 
-def test_daemon_calibrations_that_cannot_be_read_block(
+def test_daemon_unreadable_calibrations_block_arming(
     start: Start, calibrate: Calibrate, configuration: Configuration
 ) -> None:
     calibrate(MET)
@@ -358,7 +354,7 @@ def blocked_status() -> Any:
     return status
 
 
-def test_status_and_page_report_what_blocks_arming() -> None:
+def test_status_and_page_report_arming_blocks() -> None:
     console = Console(width=80, file=StringIO())
     console.print(status_table(blocked_status(), 0.0))
     shown = " ".join(console.file.getvalue().split())  # type: ignore[attr-defined]
@@ -369,7 +365,7 @@ def test_status_and_page_report_what_blocks_arming() -> None:
     assert "arming" not in " ".join(state_view(FakeDesk(State.READY).status())["warnings"])
 
 
-def test_refused_arming_raises_the_parts_of_its_block() -> None:
+def test_command_refused_blocked_arming_carries_block_parts() -> None:
     content = {"arming_blocks": blocked_status()["arming_blocks"]}
     answer = CommandAnswer(False, "READY", Refusal.BLOCKED.name, content=content)
     error = CommandRefused("b", Verb.ARM, answer)
@@ -416,21 +412,23 @@ Run = Callable[..., tuple[int, str, str]]
     ],
     ids=" ".join,
 )
-def test_command_with_a_missed_ball_refuses(command: list[str], golfbench: Run, calibrate: Calibrate) -> None:
+def test_command_ball_off_profile_is_refused(
+    command: list[str], golfbench: Run, calibrate: Calibrate
+) -> None:
     calibrate(MISSED)
     code, out, errors = golfbench(*command)
     assert (code, "107.7 mm off" in errors) == (ExitCode.BAD_INPUT, True), errors
     assert "holds" not in out
 
 
-def test_check_uncalibrated_machine_ends_in_the_whole_verdict(golfbench: Run) -> None:
+def test_check_uncalibrated_machine_counts_all_blocks(golfbench: Run) -> None:
     code, out, errors = golfbench("check", more=MACHINE + UNWATCHED)
     assert code == ExitCode.REFUSED
     assert out.splitlines()[-1].startswith("Arming blocked for 5 reasons")
     assert errors.count("never calibrated") == 5
 
 
-def test_check_with_warnings_counts_them_in_its_verdict(golfbench: Run) -> None:
+def test_check_with_warnings_reports_count(golfbench: Run) -> None:
     code, out, _ = golfbench("check", more='[envelope.model]\ncheck = "off"\n')
     assert (code, out.splitlines()[-1]) == (0, "Nothing blocks arming; 1 warning, see above.")
     code, out, _ = golfbench("check")

@@ -70,7 +70,7 @@ def tried() -> dict[str, Any]:
     return found
 
 
-def test_what_is_said_to_be_held_is_in_force(tried: dict[str, Any]) -> None:
+def test_real_time_held_settings_are_in_force(tried: dict[str, Any]) -> None:
     inside, settings = tried["inside"], tried["granted"]["settings"]
     in_force = {
         "scheduling": inside["scheduler"] == [os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 7],
@@ -88,15 +88,15 @@ def test_what_is_said_to_be_held_is_in_force(tried: dict[str, Any]) -> None:
     assert in_force["garbage collector"]
 
 
-def test_children_do_not_run_in_real_time(tried: dict[str, Any]) -> None:
+def test_real_time_forked_child_has_normal_scheduling(tried: dict[str, Any]) -> None:
     assert tried["child"] == os.SCHED_OTHER
 
 
-def test_everything_is_restored(tried: dict[str, Any]) -> None:
+def test_real_time_exit_restores_settings(tried: dict[str, Any]) -> None:
     assert tried["after"] == tried["before"]
 
 
-def test_the_settings_travel_as_json_and_say_why_they_are_not_held(tried: dict[str, Any]) -> None:
+def test_real_time_json_gives_reason_for_each_setting_not_held(tried: dict[str, Any]) -> None:
     granted = tried["granted"]
     assert granted["mode"] == "prefer"
     assert granted["held"] == all(s["held"] for s in granted["settings"].values() if s["required"])
@@ -106,7 +106,7 @@ def test_the_settings_travel_as_json_and_say_why_they_are_not_held(tried: dict[s
         assert bool(setting["reason"]) == bool(setting["action"]) == (not setting["held"])
 
 
-def test_off_asks_nothing() -> None:
+def test_real_time_off_changes_nothing() -> None:
     found = _in_a_process("""
         before = look()
         with real_time("off", priority=7, cpu=0) as granted:
@@ -120,7 +120,7 @@ def test_off_asks_nothing() -> None:
     assert found["granted"]["settings"]["scheduling"]["granted"] == "OTHER 0"
 
 
-def test_prefer_without_privileges_runs_and_tells() -> None:
+def test_real_time_prefer_without_privileges_reports_not_held() -> None:
     found = _in_a_process(
         """
         with real_time("prefer", priority=7) as granted:
@@ -135,7 +135,7 @@ def test_prefer_without_privileges_runs_and_tells() -> None:
     assert found["settings"]["scheduling"]["granted"] == "OTHER 0"
 
 
-def test_require_without_privileges_names_each_setting_and_its_action_and_leaves_nothing_behind() -> None:
+def test_real_time_require_without_privileges_names_missing_settings() -> None:
     found = _in_a_process(
         """
         before = look()
@@ -156,7 +156,7 @@ def test_require_without_privileges_names_each_setting_and_its_action_and_leaves
 
 
 @pytest.mark.parametrize("cpu", [1023, 10**9, 2**70])
-def test_a_core_that_does_not_exist_is_refused(cpu: int) -> None:
+def test_real_time_missing_core_is_refused(cpu: int) -> None:
     text = _in_a_process(f"""
         try:
             with real_time("require", priority=7, cpu={cpu}):
@@ -183,7 +183,7 @@ class _Calls:
         monkeypatch.setattr(module, "locked_memory", lambda: (80 << 20, 100 << 20, False))
 
 
-def test_a_call_that_succeeds_without_effect_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_real_time_call_without_effect_is_not_held(monkeypatch: pytest.MonkeyPatch) -> None:
     _Calls(monkeypatch)
     with real_time("prefer", priority=7, cpu=1) as granted:
         pass
@@ -195,12 +195,12 @@ def test_a_call_that_succeeds_without_effect_is_not_believed(monkeypatch: pytest
     assert all(name in str(refused.value) for name in required)
 
 
-def test_off_lacks_nothing() -> None:
+def test_real_time_off_lacks_no_setting() -> None:
     setting = Setting("scheduling", "nothing", "OTHER 0", False, "not asked", "", True)
     assert RealTime("off", (setting,)).lacking == ()
     assert RealTime("prefer", (setting,)).lacking == (setting,)
 
 
-def test_actions_name_user_service_and_container() -> None:
+def test_limit_action_names_user_service_and_container() -> None:
     action: Mapping[str, bool] = dict.fromkeys(("@golfbench - rtprio 80", "LimitRTPRIO=80", "SYS_NICE"), True)
     assert all(part in limit_action("rtprio", "80") for part in action)

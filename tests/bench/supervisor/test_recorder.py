@@ -65,7 +65,7 @@ def stored_cycles(path: Path) -> tuple[bytes, dict[str, Any]]:
     return since(cycles, -metadata["begin"]).tobytes(), metadata
 
 
-def test_a_swing_becomes_one_whole_file(bench: Bench, day: MakeDay) -> None:
+def test_recorder_swing_stores_one_complete_record(bench: Bench, day: MakeDay) -> None:
     cycles = day(SWING)
     bench.start()
     bench.snapshot(301)
@@ -99,9 +99,7 @@ def test_a_swing_becomes_one_whole_file(bench: Bench, day: MakeDay) -> None:
     assert bench.heartbeat()["condition"] == Condition.ENDING
 
 
-def test_the_time_of_a_record_is_right_although_its_cycles_waited_in_the_ring(
-    bench: Bench, make_day: MakeDay
-) -> None:
+def test_recorder_cycles_waiting_in_ring_keep_record_time(bench: Bench, make_day: MakeDay) -> None:
     cycles = make_day([*SWING, (S.READY, 6000)])  # on a virtual clock: the newest is of now
     bench.write(cycles)
     recorder = Recorder(bench.plan(wall=False), 50.0)
@@ -117,7 +115,7 @@ def test_the_time_of_a_record_is_right_although_its_cycles_waited_in_the_ring(
     assert found == pytest.approx(utc - (cycles["time"][-1] - first), abs=1e-3)
 
 
-def test_a_record_holds_the_profile_as_it_was_swung(bench: Bench, day: MakeDay) -> None:
+def test_recorder_record_holds_corrected_profile(bench: Bench, day: MakeDay) -> None:
     profile = load_profile(find_profile("default"))
     basis = basis_of(profile)
     weights = np.random.default_rng(3).uniform(-1, 1, basis.size)
@@ -137,7 +135,7 @@ def test_a_record_holds_the_profile_as_it_was_swung(bench: Bench, day: MakeDay) 
     assert swung.name == "default"
 
 
-def test_a_correction_taken_after_the_swing_is_none_of_its(bench: Bench, day: MakeDay) -> None:
+def test_recorder_correction_after_swing_is_not_recorded(bench: Bench, day: MakeDay) -> None:
     bench.start()
     cycles = day(SWING)
     bench.write(cycles[:1150])
@@ -148,7 +146,7 @@ def test_a_correction_taken_after_the_swing_is_none_of_its(bench: Bench, day: Ma
     assert "correction" not in stored_cycles(bench.files()[0])[1]["profile"]
 
 
-def test_sigterm_waits_for_the_swing_under_way(bench: Bench, day: MakeDay) -> None:
+def test_recorder_sigterm_in_swing_stores_whole_swing(bench: Bench, day: MakeDay) -> None:
     cycles = day(SWING)
     bench.start()
     bench.write(cycles[:900])
@@ -163,7 +161,7 @@ def test_sigterm_waits_for_the_swing_under_way(bench: Bench, day: MakeDay) -> No
     assert data == cycles[300 - 128 : 1200 + 256].tobytes()
 
 
-def test_a_loop_that_dies_in_a_swing_leaves_its_record(bench: Bench, day: MakeDay) -> None:
+def test_recorder_loop_silent_in_swing_stores_partial_record(bench: Bench, day: MakeDay) -> None:
     bench.start(silence=0.2)
     bench.write(day(SWING)[:900])
     assert bench.event()["event"] == "stored"
@@ -173,9 +171,7 @@ def test_a_loop_that_dies_in_a_swing_leaves_its_record(bench: Bench, day: MakeDa
     assert not metadata["complete"]
 
 
-def test_a_recorder_started_anew_takes_the_swing_from_the_ring_and_repeats_none(
-    bench: Bench, day: MakeDay
-) -> None:
+def test_recorder_restart_in_second_swing_stores_each_once(bench: Bench, day: MakeDay) -> None:
     both = day([*SWING, *SWING])
     bench.start()
     bench.write(both[: len(both) // 2 + 900])
@@ -193,9 +189,7 @@ def test_a_recorder_started_anew_takes_the_swing_from_the_ring_and_repeats_none(
 
 
 @pytest.mark.parametrize("reached", ["renamed", "not yet renamed"])
-def test_killed_between_file_and_heartbeat_it_stores_each_swing_once(
-    bench: Bench, day: MakeDay, reached: str
-) -> None:
+def test_recorder_killed_before_heartbeat_stores_swing_once(bench: Bench, day: MakeDay, reached: str) -> None:
     cycles = day(SWING)
     bench.start()
     bench.write(cycles)
@@ -215,7 +209,7 @@ def test_killed_between_file_and_heartbeat_it_stores_each_swing_once(
     assert bench.heartbeat()["done"] == 1
 
 
-def test_killed_while_a_second_swing_waits_it_stores_each_once(
+def test_recorder_killed_with_waiting_swing_stores_each_once(
     bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
 ) -> None:
     """The first is stored, the second is still in memory."""
@@ -234,7 +228,7 @@ def test_killed_while_a_second_swing_waits_it_stores_each_once(
     ]
 
 
-def test_a_recorder_started_anew_before_a_swing_has_its_whole_lead(bench: Bench, day: MakeDay) -> None:
+def test_recorder_restart_before_swing_keeps_lead(bench: Bench, day: MakeDay) -> None:
     cycles = day(SWING)
     bench.start()
     bench.write(cycles[:290])
@@ -246,7 +240,7 @@ def test_a_recorder_started_anew_before_a_swing_has_its_whole_lead(bench: Bench,
     assert stored_cycles(bench.files()[0])[0] == cycles[300 - 128 : 1200 + 256].tobytes()
 
 
-def test_killed_at_any_instant_it_leaves_whole_files_or_none(bench: Bench, day: MakeDay) -> None:
+def test_recorder_killed_at_random_leaves_complete_records(bench: Bench, day: MakeDay) -> None:
     """Killed while it stores; the one after it removes what is half written and stores what is missing."""
     choice = random.Random(3)
     once = day(SWING)
@@ -269,7 +263,7 @@ def test_killed_at_any_instant_it_leaves_whole_files_or_none(bench: Bench, day: 
     assert swings == {172 + 128 + 900 + 256 + k * len(once) for k in range(kills)}
 
 
-def test_stopped_for_a_while_it_loses_nothing_that_the_ring_holds(bench: Bench, day: MakeDay) -> None:
+def test_recorder_short_stall_loses_no_cycles(bench: Bench, day: MakeDay) -> None:
     cycles = day(SWING)
     bench.start()
     bench.write(cycles[:100])
@@ -283,7 +277,7 @@ def test_stopped_for_a_while_it_loses_nothing_that_the_ring_holds(bench: Bench, 
     assert bench.heartbeat()["lost"] == 0
 
 
-def test_stopped_for_longer_it_says_what_is_missing(tmp_path: Path, day: MakeDay) -> None:
+def test_recorder_long_stall_counts_lost_cycles(tmp_path: Path, day: MakeDay) -> None:
     bench = Bench(tmp_path, capacity=512)
     try:
         cycles = day(SWING)
@@ -307,7 +301,7 @@ def test_stopped_for_longer_it_says_what_is_missing(tmp_path: Path, day: MakeDay
         bench.close()
 
 
-def test_a_full_disk_is_told_and_the_record_kept_until_there_is_room(bench: Bench, day: MakeDay) -> None:
+def test_recorder_write_failure_reports_fault_and_retries(bench: Bench, day: MakeDay) -> None:
     cycles = day(SWING)
     bench.start()
     assert bench.recorder is not None
@@ -326,7 +320,7 @@ def test_a_full_disk_is_told_and_the_record_kept_until_there_is_room(bench: Benc
     bench.wait_for(lambda: bench.heartbeat()["condition"] == Condition.WORKING)
 
 
-def test_a_folder_that_cannot_be_made_is_told_before_anything_moves(bench: Bench) -> None:
+def test_recorder_data_path_is_file_reports_fault_and_recovers(bench: Bench) -> None:
     bench.data.write_text("a file, no folder")
     bench.start()
     assert "Not a directory" in (text := bench.event()["text"]) or "exists" in text
@@ -335,7 +329,7 @@ def test_a_folder_that_cannot_be_made_is_told_before_anything_moves(bench: Bench
     assert bench.event() == {"event": "recovered"}
 
 
-def test_what_could_not_be_stored_to_the_end_is_told(bench: Bench, day: MakeDay) -> None:
+def test_recorder_end_with_unstored_swing_reports_waiting(bench: Bench, day: MakeDay) -> None:
     bench.start()
     assert bench.recorder is not None
     resource.prlimit(bench.recorder.pid, resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
@@ -346,7 +340,7 @@ def test_what_could_not_be_stored_to_the_end_is_told(bench: Bench, day: MakeDay)
     assert bench.files() == []
 
 
-def test_with_its_supervisor_gone_it_records_the_loop_to_its_end(bench: Bench, day: MakeDay) -> None:
+def test_recorder_supervisor_killed_records_until_loop_ends(bench: Bench, day: MakeDay) -> None:
     cycles = day([*ONCE[:2], (S.FAULT, 600)], cause=(650, Cause.SUPERVISOR))
     program = f"import subprocess, sys\nc = subprocess.Popen([sys.executable, *{RECORDER}])"
     supervisor = subprocess.Popen(
@@ -370,7 +364,7 @@ def test_with_its_supervisor_gone_it_records_the_loop_to_its_end(bench: Bench, d
     assert metadata["outcome"]["cause"] == "SUPERVISOR"
 
 
-def test_without_a_ring_it_says_why_it_cannot_work(bench: Bench, tmp_path: Path) -> None:
+def test_recorder_missing_ring_reports_failed(bench: Bench, tmp_path: Path) -> None:
     bench.start_anyhow(ring=tmp_path / "absent")
     told = bench.event()
     assert (told["event"], told["exit_code"]) == ("failed", 69)
@@ -402,7 +396,7 @@ def small_disk(bench: Bench) -> Iterator[Callable[[int], None]]:
     subprocess.run(["umount", str(bench.data)], check=True)
 
 
-def test_a_disk_that_fills_up_has_whole_files_and_what_does_not_fit_waits(
+def test_recorder_full_disk_keeps_stored_record_and_retries(
     bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
 ) -> None:
     """A swing takes over half of the disk."""
@@ -424,7 +418,7 @@ def test_a_disk_that_fills_up_has_whole_files_and_what_does_not_fit_waits(
     assert stored_cycles(second)[0] == both[1600 + 300 - 128 : 1600 + 1200 + 256].tobytes()
 
 
-def test_killed_on_a_full_disk_it_leaves_no_rest(
+def test_recorder_killed_on_full_disk_leaves_no_partial_file(
     bench: Bench, day: MakeDay, small_disk: Callable[[int], None]
 ) -> None:
     both = day([*SWING, *SWING])
@@ -449,7 +443,7 @@ AS_ANYBODY = (
 )
 
 
-def test_a_folder_that_becomes_read_only_is_told_and_the_record_kept(tmp_path: Path, day: MakeDay) -> None:
+def test_recorder_folder_turned_read_only_keeps_record_until_writable(tmp_path: Path, day: MakeDay) -> None:
     bench = Bench(tmp_path, program=AS_ANYBODY)
     try:
         bench.start()
@@ -471,7 +465,7 @@ def test_a_folder_that_becomes_read_only_is_told_and_the_record_kept(tmp_path: P
         bench.close()
 
 
-def test_a_folder_that_is_read_only_from_the_start_is_told_before_anything_moves(tmp_path: Path) -> None:
+def test_recorder_read_only_folder_reports_fault_at_start(tmp_path: Path) -> None:
     bench = Bench(tmp_path, program=AS_ANYBODY)
     try:
         (bench.data / "swings" / "b1").mkdir(parents=True)

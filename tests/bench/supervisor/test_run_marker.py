@@ -25,18 +25,18 @@ def reread(folder: Path) -> RunMarker:
     return marker
 
 
-def test_the_first_run_remembers_nothing(tmp_path: Path) -> None:
+def test_run_marker_first_run_has_no_last_stop(tmp_path: Path) -> None:
     first = run(tmp_path, clean=True)
     assert (first.was_killed, first.last_stop) == (False, None)
 
 
-def test_a_run_that_ended_in_order_is_no_restart(tmp_path: Path) -> None:
+def test_run_marker_clean_end_reports_no_kill(tmp_path: Path) -> None:
     run(tmp_path, clean=True, stop={"cause": "GUARD"})
     after = reread(tmp_path)
     assert (after.was_killed, after.last_stop) == (False, {"cause": "GUARD"})
 
 
-def test_a_killed_supervisor_is_remembered(tmp_path: Path) -> None:
+def test_run_marker_unclean_end_reports_restart(tmp_path: Path) -> None:
     run(tmp_path, clean=False)
     after = reread(tmp_path)
     assert after.was_killed
@@ -46,7 +46,7 @@ def test_a_killed_supervisor_is_remembered(tmp_path: Path) -> None:
     assert (after.last_stop["state"], after.last_stop["phase"]) == ("SWINGING", "TOP")
 
 
-def test_what_killed_a_run_is_remembered_also_by_the_run_after_next(tmp_path: Path) -> None:
+def test_run_marker_fatal_stop_is_kept_across_runs(tmp_path: Path) -> None:
     stop = {"cause": "RESTART", "text": "the loop killed by SIGKILL in phase DOWNSWING"}
     run(tmp_path, clean=False, stop=stop, fatal=True)
     after = run(tmp_path, clean=True)
@@ -55,7 +55,7 @@ def test_what_killed_a_run_is_remembered_also_by_the_run_after_next(tmp_path: Pa
 
 
 @pytest.mark.parametrize("garbage", ["", "{", "[]", "\0" * 100, '{"running": {"a": 1}}'])
-def test_garbage_on_the_disk_stops_nobody(tmp_path: Path, garbage: str) -> None:
+def test_run_marker_invalid_file_is_replaced(tmp_path: Path, garbage: str) -> None:
     (tmp_path / "state").mkdir()
     (tmp_path / "state" / "b1.json").write_text(garbage)
     reread(tmp_path)
@@ -63,7 +63,7 @@ def test_garbage_on_the_disk_stops_nobody(tmp_path: Path, garbage: str) -> None:
     assert json.loads((tmp_path / "state" / "b1.json").read_text())["running"] is False
 
 
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_run_marker_unusable_state_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file")
     with pytest.raises(BenchError, match="state"):
         RunMarker(tmp_path, "b1")

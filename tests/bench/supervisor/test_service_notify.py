@@ -18,7 +18,7 @@ def service_manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[
         yield listener, name
 
 
-def test_messages_are_those_of_the_protocol(service_manager: tuple[socket.socket, str]) -> None:
+def test_service_notifier_messages_follow_protocol(service_manager: tuple[socket.socket, str]) -> None:
     listener, name = service_manager
     notifier = ServiceNotifier.of_environment({"NOTIFY_SOCKET": name})
     assert notifier.ready("state ESTOP")
@@ -33,7 +33,7 @@ def test_messages_are_those_of_the_protocol(service_manager: tuple[socket.socket
     notifier.close()
 
 
-def test_a_status_stays_one_line_of_utf8_within_systemds_limit(
+def test_service_notifier_status_is_one_bounded_utf8_line(
     service_manager: tuple[socket.socket, str],
 ) -> None:
     listener, name = service_manager
@@ -50,20 +50,20 @@ def test_a_status_stays_one_line_of_utf8_within_systemds_limit(
 
 
 @pytest.mark.parametrize("address", [None, "", "relative/path", "vsock:2:1234"])
-def test_without_a_socket_nothing_is_sent(address: str | None) -> None:
+def test_service_notifier_without_socket_sends_nothing(address: str | None) -> None:
     notifier = ServiceNotifier(address)
     assert not notifier.ready("state ESTOP")
     notifier.close()
 
 
 @pytest.mark.parametrize("name", ["/nonexistent/notify", "/" + "x" * 200, "@nobody-listens-here"])
-def test_a_socket_that_is_gone_does_no_harm(name: str) -> None:
+def test_service_notifier_missing_socket_returns_false(name: str) -> None:
     notifier = ServiceNotifier(name)
     assert not notifier.alive()
     notifier.close()
 
 
-def test_a_service_manager_that_does_not_read_never_delays_us(
+def test_service_notifier_full_queue_does_not_block(
     service_manager: tuple[socket.socket, str],
 ) -> None:
     listener, name = service_manager
@@ -89,5 +89,5 @@ def test_a_service_manager_that_does_not_read_never_delays_us(
         ({}, None),
     ],
 )
-def test_watchdog_interval(environment: dict[str, str], interval: float | None) -> None:
+def test_watchdog_interval_reads_environment(environment: dict[str, str], interval: float | None) -> None:
     assert watchdog_interval(environment, 42) == interval

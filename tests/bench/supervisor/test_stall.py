@@ -23,19 +23,19 @@ def note(cycles: np.ndarray, cause: Cause = Cause.SHOULDER_ENCODER) -> str:
     return stall_note(cycles, cause, LOST_TIME, PERIOD)
 
 
-def test_a_loop_that_stood_still_is_named_with_its_time() -> None:
+def test_stall_note_loop_stall_names_duration() -> None:
     cycles = records()
     cycles["measured_step"][-1], cycles["encoder_age"][-1] = 0.0083, 0.009
     assert "the loop stood still for 8.3 ms" in note(cycles)
 
 
-def test_all_encoders_at_once_are_no_cable_of_one() -> None:
+def test_stall_note_all_encoders_lost_names_all_three() -> None:
     cycles = records()
     cycles["encoder_age"][-5:] += np.linspace(0.001, 0.005, 5)[:, None]
     assert "all three encoders were lost at once" in note(cycles)
 
 
-def test_an_encoder_that_jumps_after_a_stall_is_not_blamed() -> None:
+def test_stall_note_jump_after_stall_names_stall() -> None:
     cycles = records()
     assert note(cycles, Cause.ARM_JUMP) == ""
     cycles["encoder_age"][-3, 1] = 0.004
@@ -46,7 +46,7 @@ def test_an_encoder_that_jumps_after_a_stall_is_not_blamed() -> None:
     assert "the loop stood still for 6.0 ms" in note(cycles, Cause.ARM_JUMP)
 
 
-def test_stall_note_names_the_fault_of_the_device_before_cables() -> None:
+def test_stall_note_device_fault_takes_precedence() -> None:
     cycles = records()
     cycles["encoder_valid"][-5:, 0] = 0
     fault = "node 1 has left the operational state: another master has commanded it"
@@ -55,7 +55,7 @@ def test_stall_note_names_the_fault_of_the_device_before_cables() -> None:
     assert stall_note(cycles, Cause.GUARD, LOST_TIME, PERIOD, fault) == ""
 
 
-def test_refusal_names_the_fault_of_the_device_before_cables() -> None:
+def test_refusal_words_device_fault_takes_precedence() -> None:
     fault = "another master has commanded node 1"
     assert refusal_words(Refusal.READINGS, fault) == ("an encoder yields no valid readings", fault)
     assert refusal_words(Refusal.READINGS, "") == REFUSAL_WORDS[Refusal.READINGS]
@@ -63,31 +63,31 @@ def test_refusal_names_the_fault_of_the_device_before_cables() -> None:
 
 
 @pytest.mark.parametrize("lost", [0, 2])
-def test_one_encoder_alone_is_looked_for_at_its_cable(lost: int) -> None:
+def test_stall_note_one_encoder_lost_is_empty(lost: int) -> None:
     cycles = records()
     cycles["encoder_valid"][-5:, lost] = 0
     assert note(cycles, Cause(Cause.SHOULDER_ENCODER + lost)) == ""
 
 
-def test_other_causes_keep_their_own_text() -> None:
+def test_stall_note_other_cause_is_empty() -> None:
     cycles = records()
     cycles["measured_step"][-1] = 0.0083
     assert note(cycles, Cause.WRIST_FOLLOWING) == ""
     assert cause_text(Cause.GUARD, "") == CAUSE_TEXT[Cause.GUARD]
 
 
-def test_the_stall_replaces_the_action_and_keeps_the_cause() -> None:
+def test_cause_text_stall_note_replaces_action() -> None:
     text = cause_text(Cause.SHOULDER_ENCODER, "the loop stood still")
     assert text == "shoulder encoder R1 without a valid reading: the loop stood still"
 
 
-def test_a_supervisor_that_stood_still_is_named_with_its_time() -> None:
+def test_supervisor_note_stall_names_duration() -> None:
     found = supervisor_note(Cause.SUPERVISOR, 0.62, 0.5)
     assert "the supervisor stood still for 0.6 s" in found
     text = cause_text(Cause.SUPERVISOR, found)
     assert text.startswith("no heartbeat from the supervisor: the supervisor stood still")
 
 
-def test_a_supervisor_in_step_explains_nothing() -> None:
+def test_supervisor_note_without_stall_is_empty() -> None:
     assert not supervisor_note(Cause.SUPERVISOR, 0.02, 0.5)
     assert not supervisor_note(Cause.GUARD, 0.62, 0.5)

@@ -58,11 +58,11 @@ def put(orders: Orders) -> Put:
     return put
 
 
-def test_what_stands_there_at_the_start_is_no_request(put: Put) -> None:
+def test_orders_request_before_start_is_ignored(put: Put) -> None:
     assert put(100.0)["request"] == 0
 
 
-def test_a_request_is_put_once_with_its_number(put: Put, supervisor: Supervisor) -> None:
+def test_orders_request_is_put_once_with_number(put: Put, supervisor: Supervisor) -> None:
     put(100.0)
     supervisor.say(request=Request.RESET, request_number=4)
     seen = put(100.001)
@@ -70,13 +70,13 @@ def test_a_request_is_put_once_with_its_number(put: Put, supervisor: Supervisor)
     assert put(100.002)["request"] == 0
 
 
-def test_stops_go_before_a_request_and_none_is_lost(put: Put, supervisor: Supervisor) -> None:
+def test_orders_stops_precede_request_and_none_is_lost(put: Put, supervisor: Supervisor) -> None:
     supervisor.say(request=Request.SWING, request_number=4, stop_count=3, emergency_stop_count=2)
     found = [int(put(100.0 + 0.001 * k)["request"]) for k in range(4)]
     assert found == [Request.EMERGENCY_STOP, Request.STOP, Request.SWING, 0]
 
 
-def test_a_silent_supervisor_grants_nothing(put: Put, supervisor: Supervisor) -> None:
+def test_orders_silent_supervisor_drops_lease_and_support(put: Put, supervisor: Supervisor) -> None:
     supervisor.say(heartbeat=8, lease=1, support_ready=True)
     alive = put(100.0)
     assert alive["supervisor_alive"]
@@ -89,7 +89,7 @@ def test_a_silent_supervisor_grants_nothing(put: Put, supervisor: Supervisor) ->
     assert put(101.0)["supervisor_alive"]
 
 
-def test_the_order_to_end_is_seen(put: Put, orders: Orders, supervisor: Supervisor) -> None:
+def test_orders_shutdown_is_read(put: Put, orders: Orders, supervisor: Supervisor) -> None:
     put(100.0)
     assert not orders.shutdown
     supervisor.say(shutdown=True)
@@ -97,9 +97,7 @@ def test_the_order_to_end_is_seen(put: Put, orders: Orders, supervisor: Supervis
     assert orders.shutdown
 
 
-def test_a_supervisor_given_up_grants_nothing_whatever_stands_there(
-    put: Put, orders: Orders, supervisor: Supervisor
-) -> None:
+def test_orders_supervisor_declared_dead_stays_dead(put: Put, orders: Orders, supervisor: Supervisor) -> None:
     supervisor.say(heartbeat=8, lease=1)
     assert put(100.0)["supervisor_alive"]
     orders.declare_supervisor_dead()
@@ -113,7 +111,9 @@ def test_a_supervisor_given_up_grants_nothing_whatever_stands_there(
 # A lease that is handed over ---------------------------------------------------------------------------
 
 
-def test_a_lease_handed_over_between_ticks_is_not_held_for_one_tick(put: Put, supervisor: Supervisor) -> None:
+def test_orders_lease_handover_between_ticks_drops_lease_for_one_tick(
+    put: Put, supervisor: Supervisor
+) -> None:
     supervisor.say(heartbeat=8, lease=1)
     assert put(100.0)["lease_held"]
     supervisor.say(heartbeat=9, lease=0)
@@ -121,7 +121,7 @@ def test_a_lease_handed_over_between_ticks_is_not_held_for_one_tick(put: Put, su
     assert [bool(put(100.001 + 0.001 * k)["lease_held"]) for k in range(3)] == [False, True, True]
 
 
-def test_a_lease_that_ends_and_one_that_begins_are_seen_as_such(put: Put, supervisor: Supervisor) -> None:
+def test_orders_lease_follows_grant_and_release(put: Put, supervisor: Supervisor) -> None:
     assert not put(100.0)["lease_held"]
     supervisor.say(heartbeat=8, lease=1)
     assert put(100.001)["lease_held"]
@@ -131,7 +131,7 @@ def test_a_lease_that_ends_and_one_that_begins_are_seen_as_such(put: Put, superv
     assert put(100.003)["lease_held"]
 
 
-def test_a_lease_handed_over_while_the_supervisor_was_silent_is_noticed(
+def test_orders_lease_handover_while_silent_drops_lease_for_one_tick(
     put: Put, supervisor: Supervisor
 ) -> None:
     supervisor.say(heartbeat=8, lease=1)
@@ -141,7 +141,7 @@ def test_a_lease_handed_over_while_the_supervisor_was_silent_is_noticed(
     assert [bool(put(101.0 + 0.001 * k)["lease_held"]) for k in range(2)] == [False, True]
 
 
-def test_a_request_of_the_new_holder_waits_for_the_next_tick(put: Put, supervisor: Supervisor) -> None:
+def test_orders_request_of_new_holder_waits_one_tick(put: Put, supervisor: Supervisor) -> None:
     supervisor.say(heartbeat=8, lease=1)
     put(100.0)
     supervisor.say(lease=2, request=Request.SWING, request_number=4, request_lease=2)
@@ -153,9 +153,7 @@ def test_a_request_of_the_new_holder_waits_for_the_next_tick(put: Put, superviso
     ]
 
 
-def test_a_request_that_the_holder_before_left_waiting_is_not_made_under_the_new_lease(
-    put: Put, supervisor: Supervisor
-) -> None:
+def test_orders_request_of_old_holder_is_put_without_lease(put: Put, supervisor: Supervisor) -> None:
     """The loop stood still for longer than the holder waited for the answer."""
     supervisor.say(heartbeat=8, lease=1)
     put(100.0)
@@ -169,7 +167,7 @@ def test_a_request_that_the_holder_before_left_waiting_is_not_made_under_the_new
     ]
 
 
-def test_a_stop_does_not_wait_for_a_lease_handed_over(put: Put, supervisor: Supervisor) -> None:
+def test_orders_stop_at_lease_handover_is_immediate(put: Put, supervisor: Supervisor) -> None:
     supervisor.say(heartbeat=8, lease=1)
     put(100.0)
     supervisor.say(lease=2, stop_count=3, request=Request.SWING, request_number=4, request_lease=2)

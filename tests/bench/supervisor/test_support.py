@@ -63,7 +63,7 @@ def is_starting(supporter: ManagedProcess) -> bool:
 Beat = Callable[[float, Condition], None]
 
 
-def test_it_can_be_relied_on_once_its_heart_says_so(supporter: ManagedProcess, beat: Beat) -> None:
+def test_managed_process_follows_heartbeat_condition(supporter: ManagedProcess, beat: Beat) -> None:
     supporter.turn(0.0)
     assert not is_ready(supporter)
     assert supporter.note == "starting"
@@ -77,7 +77,7 @@ def test_it_can_be_relied_on_once_its_heart_says_so(supporter: ManagedProcess, b
     assert supporter.note == "fault"
 
 
-def test_a_silent_one_cannot_be_relied_on_and_in_the_end_is_replaced(
+def test_managed_process_silent_is_reported_and_replaced(
     supporter: ManagedProcess, beat: Beat, nursery: Nursery
 ) -> None:
     supporter.turn(0.0)
@@ -94,7 +94,7 @@ def test_a_silent_one_cannot_be_relied_on_and_in_the_end_is_replaced(
     assert [child.alive for child in nursery.children] == [False, True]
 
 
-def test_a_dead_one_is_started_anew_after_a_pause_and_its_old_beats_do_not_count(
+def test_managed_process_dead_restarts_after_pause(
     supporter: ManagedProcess, beat: Beat, nursery: Nursery
 ) -> None:
     supporter.turn(0.0)
@@ -114,7 +114,7 @@ def test_a_dead_one_is_started_anew_after_a_pause_and_its_old_beats_do_not_count
     assert is_ready(supporter)
 
 
-def test_an_ending_bench_starts_none_anew(supporter: ManagedProcess, nursery: Nursery) -> None:
+def test_managed_process_stop_restarting_starts_no_child(supporter: ManagedProcess, nursery: Nursery) -> None:
     supporter.turn(0.0)
     supporter.stop_restarting()
     nursery.children[0].process.kill()
@@ -124,7 +124,7 @@ def test_an_ending_bench_starts_none_anew(supporter: ManagedProcess, nursery: Nu
     assert len(nursery.children) == 1
 
 
-def test_ending_does_not_wait_for_one_that_ends(supporter: ManagedProcess) -> None:
+def test_managed_process_end_returns_promptly(supporter: ManagedProcess) -> None:
     supporter.turn(0.0)
     begin = time.monotonic()
     supporter.end()

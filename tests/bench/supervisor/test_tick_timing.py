@@ -63,7 +63,7 @@ def random_ticks(n: int, seed: int = 0) -> NDArray[np.int64]:
     return np.random.default_rng(seed).lognormal(10.0, 2.0, (n, 8)).astype(np.int64)
 
 
-def test_the_buckets_leave_no_gap_and_are_fine_enough() -> None:
+def test_bucket_edges_are_contiguous_and_fine() -> None:
     edges = upper_edges()
     assert len(edges) == BUCKETS
     inner = edges[:-1].astype(float)
@@ -75,18 +75,18 @@ def test_the_buckets_leave_no_gap_and_are_fine_enough() -> None:
 
 
 @given(durations)
-def test_a_duration_lies_in_its_bucket(duration: int) -> None:
+def test_bucket_matches_edge_search(duration: int) -> None:
     edges = upper_edges()
     assert bucket(duration) == np.searchsorted(edges, duration, side="right")
 
 
-def test_odd_durations_have_a_bucket() -> None:
+def test_bucket_extreme_durations_are_clamped() -> None:
     assert bucket(-5) == 0
     assert bucket(2**62) == BUCKETS - 1
 
 
 @given(st.lists(durations, min_size=1, max_size=200), st.sampled_from([0.01, 0.5, 0.9, 0.99, 0.999, 1.0]))
-def test_percentiles_agree_with_numpy(values: list[int], share: float) -> None:
+def test_percentile_agrees_with_numpy(values: list[int], share: float) -> None:
     count = np.zeros(BUCKETS, np.int64)
     np.add.at(count, [bucket(value) for value in values], 1)
     exact = int(np.quantile(values, share, method="inverted_cdf"))
@@ -98,12 +98,12 @@ def test_percentiles_agree_with_numpy(values: list[int], share: float) -> None:
         assert found in (256, np.iinfo(np.int64).max)
 
 
-def test_the_percentile_of_nothing_is_an_error() -> None:
+def test_percentile_without_durations_raises() -> None:
     with pytest.raises(ValueError, match="no durations"):
         percentile(np.zeros(BUCKETS, np.int64), 0.5)
 
 
-def test_each_segment_has_its_own_histogram() -> None:
+def test_summary_each_segment_matches_numpy_percentiles() -> None:
     ticks = random_ticks(3000)
     found = summary(timing_of(ticks))
     columns = dict(zip(SEGMENTS[:-1], ticks.T, strict=True)) | {"tick": ticks[:, 1:].sum(axis=1)}
@@ -119,7 +119,7 @@ def test_each_segment_has_its_own_histogram() -> None:
             assert exact <= figures[key] <= exact * (1 + 1 / 16) + 0.256, (name, key)
 
 
-def test_two_snapshots_tell_what_happened_in_between() -> None:
+def test_summary_two_snapshots_counts_difference() -> None:
     first, second = random_ticks(500, seed=1), random_ticks(400, seed=2) // 8
     record = timing_of(first)
     before = record.copy()
@@ -133,7 +133,7 @@ def test_two_snapshots_tell_what_happened_in_between() -> None:
         assert exact <= latency[key] <= exact * (1 + 1 / 16) + 0.256
 
 
-def test_a_stall_returns_its_delay_and_is_counted_by_why() -> None:
+def test_tick_timing_stall_returns_delay_and_counts_kind() -> None:
     record = new_timing(PERIOD)
     timing = TickTiming(record)
     assert timing.note(stamps_of([0] * 6, PERIOD), PERIOD, PERIOD + 5) == 0
@@ -152,7 +152,7 @@ def test_a_stall_returns_its_delay_and_is_counted_by_why() -> None:
     assert record["page_faults"][0] == 4
 
 
-def test_nothing_counted_gives_no_figures() -> None:
+def test_summary_without_ticks_has_no_figures() -> None:
     record = new_timing(PERIOD)
     found = json.loads(json.dumps(summary(record, record.copy()), allow_nan=False))
     assert (found["ticks"], found["skipped"], found["late"], found["period_us"]) == (0, 0, 0, 1000.0)
@@ -160,7 +160,7 @@ def test_nothing_counted_gives_no_figures() -> None:
 
 
 @given(st.lists(st.integers(0, 20), max_size=30))
-def test_grid_points_without_a_tick_are_counted(gaps: list[int]) -> None:
+def test_tick_timing_skipped_grid_points_are_counted(gaps: list[int]) -> None:
     record = new_timing(PERIOD)
     timing, due = TickTiming(record), 7 * PERIOD
     for gap in (0, *gaps):
@@ -170,7 +170,7 @@ def test_grid_points_without_a_tick_are_counted(gaps: list[int]) -> None:
     assert record["due"][0] == due
 
 
-def test_late_is_later_than_its_bound() -> None:
+def test_tick_timing_late_counts_above_bound_only() -> None:
     record = new_timing(PERIOD)
     timing = TickTiming(record)
     for latency, late in ((LATE, 0), (LATE + 1, 1)):
@@ -179,7 +179,7 @@ def test_late_is_later_than_its_bound() -> None:
 
 
 @pytest.mark.live
-def test_plain_python_counts_the_same() -> None:
+def test_tick_timing_without_jit_counts_equally() -> None:
     program = (
         "import numpy as np, sys; sys.path.insert(0, 'tests/bench/supervisor')\n"
         "from test_tick_timing import *\n"
@@ -201,7 +201,7 @@ def test_plain_python_counts_the_same() -> None:
 
 
 @pytest.mark.live
-def test_another_process_reads_what_the_loop_counts(tmp_path: Path) -> None:
+def test_timing_reader_in_other_process_reads_counts(tmp_path: Path) -> None:
     path = tmp_path / "timing"
     with create_timing(path, PERIOD) as timing, TimingReader(path) as reader:
         assert reader.snapshot()["ticks"][0] == 0
@@ -220,7 +220,7 @@ def test_another_process_reads_what_the_loop_counts(tmp_path: Path) -> None:
         assert path.stat().st_mode & 0o777 == 0o600
 
 
-def test_reading_changes_nothing_and_a_snapshot_stays_as_it_is(tmp_path: Path) -> None:
+def test_timing_reader_snapshot_is_constant_and_read_only(tmp_path: Path) -> None:
     path = tmp_path / "timing"
     with create_timing(path, PERIOD) as timing, TimingReader(path) as reader:
         snapshot = reader.snapshot()
@@ -230,7 +230,7 @@ def test_reading_changes_nothing_and_a_snapshot_stays_as_it_is(tmp_path: Path) -
             snapshot["ticks"] = 1
 
 
-def test_both_sides_close_twice(tmp_path: Path) -> None:
+def test_tick_timing_second_close_is_harmless(tmp_path: Path) -> None:
     timing = create_timing(tmp_path / "timing", PERIOD)
     reader = TimingReader(tmp_path / "timing")
     for side in (timing, reader, timing, reader):
@@ -238,14 +238,14 @@ def test_both_sides_close_twice(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"x" * 100, bytes(TIMING.itemsize), b"\xff" * TIMING.itemsize])
-def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_timing_reader_foreign_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "timing"
     path.write_bytes(content)
     with pytest.raises(SharedMemoryError, match=r"timing: found .* expected the loop's timing"):
         TimingReader(path)
 
 
-def test_no_file_no_folder_and_a_second_writer_are_refused(tmp_path: Path) -> None:
+def test_timing_file_missing_or_existing_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SharedMemoryError, match="No such file"):
         TimingReader(tmp_path / "timing")
     with pytest.raises(SharedMemoryError, match="No such file"):
@@ -264,7 +264,7 @@ def stamps(n: int = 200, **segments: int) -> NDArray[np.int64]:
     return ticks
 
 
-def test_ticks_within_their_budget_pass() -> None:
+def test_check_budget_short_ticks_pass() -> None:
     check_budget(stamps(decide=795_000), PERIOD)
 
 
@@ -272,7 +272,7 @@ def test_ticks_within_their_budget_pass() -> None:
     ("segment", "action"),
     [("read", "driver's read"), ("decide", "NUMBA_DISABLE_JIT"), ("publish", "in memory")],
 )
-def test_too_long_a_tick_is_refused_with_its_costliest_segment(segment: str, action: str) -> None:
+def test_check_budget_long_tick_names_longest_segment(segment: str, action: str) -> None:
     with pytest.raises(Refused) as refused:
         check_budget(stamps(**{segment: 796_000}), PERIOD)
     text = str(refused.value)
@@ -283,14 +283,14 @@ def test_too_long_a_tick_is_refused_with_its_costliest_segment(segment: str, act
     assert "at most 998 Hz" in text
 
 
-def test_the_same_tick_passes_at_the_rate_the_refusal_names() -> None:
+def test_check_budget_suggested_rate_passes() -> None:
     ticks = stamps(write=3_000_000)
     with pytest.raises(Refused, match="266 Hz"):
         check_budget(ticks, PERIOD)
     check_budget(ticks, int(1e9 / 266))
 
 
-def test_a_stalled_machine_is_not_held_against_the_configuration() -> None:
+def test_check_budget_rare_stalls_pass_and_frequent_are_refused() -> None:
     ticks = stamps(n=200)
     ticks[::11, -1] += 8_000_000
     check_budget(ticks, PERIOD)
@@ -299,6 +299,6 @@ def test_a_stalled_machine_is_not_held_against_the_configuration() -> None:
         check_budget(ticks, PERIOD)
 
 
-def test_the_budget_of_nothing_is_an_error() -> None:
+def test_check_budget_without_ticks_raises() -> None:
     with pytest.raises(ValueError, match="no ticks"):
         check_budget(np.zeros((0, 7), np.int64), PERIOD)

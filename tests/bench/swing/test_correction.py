@@ -15,7 +15,7 @@ from bench.swing.profile import load_profile
 PROFILE = load_profile(find_profile("default"))
 
 
-def test_a_correction_is_smooth_and_leaves_address_and_backswing() -> None:
+def test_correction_is_smooth_and_zero_in_early_swing() -> None:
     basis = basis_of(PROFILE)
     point = np.random.default_rng(1).uniform(-1, 1, basis.size)
     correction = basis.correction(point)
@@ -29,7 +29,7 @@ def test_a_correction_is_smooth_and_leaves_address_and_backswing() -> None:
     assert np.allclose(slope, mean, atol=0.01 * np.abs(slope).max())
 
 
-def test_openings_stay_within_the_valves_range() -> None:
+def test_correction_applied_valve_commands_stay_within_range() -> None:
     n = len(PROFILE.angle)
     zero = np.zeros((n, 3))
     corrected = Correction(zero + 0.1, zero, zero + 5.0).applied_to(PROFILE)
@@ -38,7 +38,7 @@ def test_openings_stay_within_the_valves_range() -> None:
     assert corrected.delivery == PROFILE.delivery
 
 
-def test_a_correction_of_another_profile_is_refused() -> None:
+def test_correction_of_other_profile_is_refused() -> None:
     short = replace(PROFILE, angle=PROFILE.angle[:-5])
     zero = np.zeros_like(PROFILE.angle)
     with pytest.raises(BenchError, match="Learn it again"):

@@ -26,7 +26,7 @@ FROM_REST = [golfer for golfer in GOLFERS.values() if not golfer.as_hunt]
 
 
 @pytest.mark.parametrize("golfer", FROM_REST, ids=lambda golfer: golfer.name)
-def test_faster_golfer_turns_faster_from_rest_and_not_further(plant: PlantParameters, golfer: Golfer) -> None:
+def test_human_downswing_time_scales_with_head_speed(plant: PlantParameters, golfer: Golfer) -> None:
     human, senior = human_downswing(plant, golfer), human_downswing(plant, GOLFERS["senior"])
     assert human.head_speed == golfer.head_speed
     reached = np.hypot(*(np.diff(human.head[-2:], axis=0)[0] / np.diff(human.time[-2:])))
@@ -39,7 +39,7 @@ def test_faster_golfer_turns_faster_from_rest_and_not_further(plant: PlantParame
 
 
 @pytest.mark.parametrize("golfer", FROM_REST, ids=lambda golfer: golfer.name)
-def test_model_lies_within_what_was_measured(plant: PlantParameters, golfer: Golfer) -> None:
+def test_human_downswing_lies_within_measured_ranges(plant: PlantParameters, golfer: Golfer) -> None:
     """Of two persons: tops of the shoulder, ranges of the arm, wrist cocked until 100 ms before the ball."""
     human = human_downswing(plant, golfer)
     degrees = np.degrees(human.angle)
@@ -50,14 +50,14 @@ def test_model_lies_within_what_was_measured(plant: PlantParameters, golfer: Gol
     assert cocked[human.time[: len(cocked)] <= 0.6 * human.time[-1]].max() <= 246.0
 
 
-def test_head_that_does_not_come_to_the_ball_is_refused(plant: PlantParameters) -> None:
+def test_human_downswing_unreachable_ball_is_refused(plant: PlantParameters) -> None:
     far = replace(plant, site=replace(plant.site, ball_x=2.5))
     with pytest.raises(BenchError, match=r"golfer senior: .*x = 2.5 m"):
         human_downswing(far, GOLFERS["senior"])
 
 
 @pytest.mark.parametrize("golfer", GOLFERS.values(), ids=GOLFERS)
-def test_a_golfers_demand_stays_in_the_robots_ranges(plant: PlantParameters, golfer: Golfer) -> None:
+def test_demand_like_stays_within_robot_ranges(plant: PlantParameters, golfer: Golfer) -> None:
     human = human_downswing(plant, golfer)
     demand = demand_like(plant, golfer, human, SwingDemand())
     assert demand.head_speed == golfer.head_speed
@@ -83,7 +83,7 @@ def test_a_golfers_demand_stays_in_the_robots_ranges(plant: PlantParameters, gol
         assert slower.downswing_time == pytest.approx((longer - TEMPO, SLOWER * longer))
 
 
-def test_robot_with_room_behind_hunts_top_begins_there_in_a_run_up() -> None:
+def test_demand_like_room_behind_top_adds_run_up() -> None:
     plant, golfer = load_configuration(Path("golfers")).plant, GOLFERS["two-handicap"]
     human = human_downswing(plant, golfer)
     demand = demand_like(plant, golfer, human, SwingDemand())
@@ -100,14 +100,14 @@ def test_robot_with_room_behind_hunts_top_begins_there_in_a_run_up() -> None:
     assert human.angle[0, 2] >= plant.wrist.lower
 
 
-def test_a_golfers_arms_are_not_those_of_the_robot_beside(plant: PlantParameters) -> None:
+def test_human_downswing_other_right_arm_keeps_angles(plant: PlantParameters) -> None:
     longer = replace(plant, robot=replace(plant.robot, l56=0.24, stroke=0.33))
     own, beside = (human_downswing(p, GOLFERS["two-handicap"]) for p in (plant, longer))
     # The rod's mass has moved, and the free wrist feels it: a little.
     assert beside.angle[:9] == pytest.approx(own.angle[:9], abs=1e-3)
 
 
-def test_what_gave_way_is_told_with_both_figures(slow_swing: Profile) -> None:
+def test_gave_way_lists_demanded_and_reached_figures(slow_swing: Profile) -> None:
     # The slow swing takes 0.5 s from the top to the ball.
     delivery = {"head_speed_mps": 48.6, "attack_angle_deg": 2.0}
     swing = replace(slow_swing, delivery=delivery)
@@ -122,12 +122,12 @@ def test_what_gave_way_is_told_with_both_figures(slow_swing: Profile) -> None:
     ]
 
 
-def test_hunts_functions_are_taken_as_given(plant: PlantParameters) -> None:
+def test_human_downswing_of_hunt_keeps_shoulder_speed(plant: PlantParameters) -> None:
     human = human_downswing(plant, GOLFERS["two-handicap"])
     assert np.diff(human.angle[:, 0]) == pytest.approx(11.8028 * 2.5e-4)
 
 
-def test_the_wrist_is_free(plant: PlantParameters) -> None:
+def test_free_wrist_effort_is_zero(plant: PlantParameters) -> None:
     step, n = 1e-5, 4000
     angle, speed = np.zeros((n, 3)), np.zeros((n, 3))
     angle[:, 0], angle[:, 1] = -1.0 + 8.0 * step * np.arange(n), 3.9
@@ -140,7 +140,7 @@ def test_the_wrist_is_free(plant: PlantParameters) -> None:
     assert np.ptp(angle[:, 2]) > 0.01
 
 
-def test_a_wrist_at_its_stop_stays(plant: PlantParameters) -> None:
+def test_free_wrist_at_end_stop_stays(plant: PlantParameters) -> None:
     angle, speed = np.full((50, 3), 5.2), np.zeros((50, 3))
     angle[:, 0], angle[:, 1] = -1.0, 3.9
     speed[0, 2] = -5.0

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from bench.swing.hunt import BACKSWING_DURATION, SWING_DURATION, right_arm_length, shoulder_turn, step
 
 
-def test_step_is_the_cubic() -> None:
+def test_step_is_cubic() -> None:
     assert step([-1.0, 0.0, 0.5, 1.0, 2.0], 0.0, 0.0, 1.0, 1.0) == pytest.approx([0, 0, 0.5, 1, 1])
     assert step(0.25, 0.0, 0.0, 1.0, 1.0) == pytest.approx(0.25**2 * (3 - 2 * 0.25))
     # not the tanh which the thesis equates with it
@@ -28,12 +28,12 @@ def test_step_rises_monotonically_with_flat_ends(t0: float, width: float, h0: fl
     assert ends == pytest.approx([h0, h1], abs=1e-8)
 
 
-def test_step_refuses_an_empty_ramp() -> None:
+def test_step_empty_ramp_is_refused() -> None:
     with pytest.raises(ValueError, match="t0 must lie before t1"):
         step(0.0, 1.0, 0.0, 1.0, 1.0)
 
 
-def test_values_at_the_junctions() -> None:
+def test_hunt_functions_match_values_at_junctions() -> None:
     top = BACKSWING_DURATION
     assert shoulder_turn([0, top, SWING_DURATION]) == pytest.approx([0, 1.810354, 1.810354 - 1.96752676])
     assert right_arm_length([0, 0.2, top, SWING_DURATION]) == pytest.approx(
@@ -41,13 +41,13 @@ def test_values_at_the_junctions() -> None:
     )
 
 
-def test_the_whole_swing_is_continuous() -> None:
+def test_hunt_functions_are_continuous() -> None:
     time = np.arange(0.0, SWING_DURATION, 1e-3)
     assert np.abs(np.diff(shoulder_turn(time))).max() < 0.012
     assert np.abs(np.diff(right_arm_length(time))).max() < 0.002
 
 
-def test_time_outside_the_swing_is_refused() -> None:
+def test_hunt_functions_time_outside_swing_is_refused() -> None:
     with pytest.raises(ValueError, match="outside the swing"):
         shoulder_turn(0.9)
     with pytest.raises(ValueError, match="outside the swing"):

@@ -79,7 +79,9 @@ def bits(profile: Profile) -> list[bytes]:
 
 
 @pytest.mark.parametrize("form", ["path", "one_file"])
-def test_a_saved_profile_is_loaded_again(form: str, short: Profile, request: pytest.FixtureRequest) -> None:
+def test_load_profile_returns_saved_profile(
+    form: str, short: Profile, request: pytest.FixtureRequest
+) -> None:
     found = load_profile(request.getfixturevalue(form))
     for name in (
         "name",
@@ -100,21 +102,21 @@ def test_a_saved_profile_is_loaded_again(form: str, short: Profile, request: pyt
     np.testing.assert_allclose(found.blind_brake, short.blind_brake, rtol=0, atol=5.1e-5)
 
 
-def test_saving_what_was_loaded_changes_nothing(path: Path, tmp_path: Path) -> None:
+def test_save_profile_of_loaded_profile_changes_nothing(path: Path, tmp_path: Path) -> None:
     save_profile(tmp_path / "again.toml", load_profile(path))
     found, wanted = (tmp_path / "again.toml").read_text(), path.read_text()
     assert found.replace("again.parquet", "short.parquet") == wanted
     assert (tmp_path / "again.parquet").read_bytes() == path.with_suffix(".parquet").read_bytes()
 
 
-def test_a_pair_and_one_file_hold_the_same_bits(path: Path, one_file: Path, short: Profile) -> None:
+def test_load_profile_pair_and_one_file_hold_same_bits(path: Path, one_file: Path, short: Profile) -> None:
     pair, whole = load_profile(path), load_profile(one_file)
     assert bits(pair) == bits(whole) == bits(as_written(short))
     assert profile_text(pair) == one_file.read_text()
 
 
 @pytest.mark.parametrize("name", profile_names())
-def test_the_shipped_profiles_say_the_same_as_text(name: str, tmp_path: Path) -> None:
+def test_profile_text_of_shipped_profile_keeps_bits(name: str, tmp_path: Path) -> None:
     shipped = load_profile(find_profile(name))
     (tmp_path / "text.toml").write_text(profile_text(shipped))
     assert bits(load_profile(tmp_path / "text.toml")) == bits(shipped)
@@ -125,9 +127,7 @@ def test_the_shipped_profiles_say_the_same_as_text(name: str, tmp_path: Path) ->
     rows=st.lists(st.tuples(*[st.floats(-100, 100)] * 12), min_size=1, max_size=40),
     spacing=st.integers(1, 50),
 )
-def test_any_table_comes_back_bit_for_bit_with_the_sign_of_zero(
-    rows: list[tuple[float, ...]], spacing: int
-) -> None:
+def test_encode_table_round_trip_is_bit_exact(rows: list[tuple[float, ...]], spacing: int) -> None:
     values = np.array(rows)
     tables = {
         "angle": np.round(values[:, :3] / 10, 6),
@@ -143,7 +143,7 @@ def test_any_table_comes_back_bit_for_bit_with_the_sign_of_zero(
     }
 
 
-def test_a_changed_table_is_refused_with_both_digests(path: Path) -> None:
+def test_load_profile_changed_table_names_both_digests(path: Path) -> None:
     table = path.with_suffix(".parquet")
     wanted = re.search(r'table_sha256 = "(\w+)"', path.read_text())
     assert wanted is not None
@@ -159,7 +159,7 @@ def test_a_changed_table_is_refused_with_both_digests(path: Path) -> None:
     assert "Copy both files" in raised.value.action
 
 
-def test_a_missing_or_foreign_table_is_refused(path: Path) -> None:
+def test_load_profile_missing_or_foreign_table_is_refused(path: Path) -> None:
     table, text = path.with_suffix(".parquet"), path.read_text()
 
     def refused(content: bytes) -> BenchError:
@@ -192,12 +192,12 @@ def test_a_missing_or_foreign_table_is_refused(path: Path) -> None:
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=st.text(st.characters(codec="utf-8"), max_size=40))
-def test_any_text_comes_back(text: str, short: Profile, tmp_path: Path) -> None:
+def test_save_profile_any_text_is_kept(text: str, short: Profile, tmp_path: Path) -> None:
     save_profile(tmp_path / "text.toml", replace(short, text=text))
     assert load_profile(tmp_path / "text.toml").text == text
 
 
-def test_phases_begin_where_they_say(short: Profile) -> None:
+def test_phase_of_matches_phase_starts(short: Profile) -> None:
     assert [short.phase_of(k) for k in (0, 1, 11, 24, 49)] == [
         Phase.HOLD,
         Phase.BACKSWING,
@@ -212,7 +212,7 @@ AIR = (6.1e5, 5.9e5, 5.6e5, 6.4e5, 5.5e5, 6.5e5)
 
 
 @pytest.mark.parametrize("save", [save_profile, lambda path, profile: path.write_text(profile_text(profile))])
-def test_planned_pressures_come_back(
+def test_save_profile_keeps_planned_pressures(
     save: Callable[[Path, Profile], object], short: Profile, tmp_path: Path
 ) -> None:
     planned = replace(short, air=AIR, air_supply=8e5)
@@ -222,13 +222,13 @@ def test_planned_pressures_come_back(
     assert digest_of(found) == digest_of(as_written(planned)) != digest_of(as_written(short))
 
 
-def test_a_designed_swing_plans_its_air_for_the_shipped_plant() -> None:
+def test_shipped_profile_air_matches_planned_air() -> None:
     profile, plant = load_profile(find_profile("default")), PlantParameters()
     assert profile.air == pytest.approx(planned_air(plant, profile.angle[0]), rel=1e-6)
     assert profile.air_supply == plant.supply.pressure
 
 
-def test_a_profile_without_planned_pressures_has_none(tmp_path: Path) -> None:
+def test_save_profile_without_planned_pressures_omits_address(tmp_path: Path) -> None:
     planned = load_profile(find_profile("default"))
     file = tmp_path / "free.toml"
     save_profile(file, replace(planned, air=(), air_supply=0.0))
@@ -263,7 +263,7 @@ GOOD_ADDRESS = {"supply_pressure_pa": "8e5", "chamber_pressures_pa": f"{list(AIR
         ),
     ],
 )
-def test_bad_planned_pressures_are_refused(
+def test_load_profile_invalid_planned_pressures_are_refused(
     change: dict[str, str | None], location: str, expected: str, one_file: Path
 ) -> None:
     table = "\n".join(
@@ -314,7 +314,7 @@ ROW = r"angle_rad = \[\n  \[[^\]]*\]"
         ('sha256 = "5e1f"\n', "", "followed.sha256", "nothing", "this key"),
     ],
 )
-def test_each_bad_profile_is_refused_with_its_place(
+def test_load_profile_invalid_key_names_location(
     pattern: str, text: str, location: str, found: str, expected: str, one_file: Path
 ) -> None:
     good = one_file.read_text()
@@ -329,7 +329,7 @@ def test_each_bad_profile_is_refused_with_its_place(
     assert raised.value.action
 
 
-def test_a_missing_file_and_no_toml_are_refused(tmp_path: Path) -> None:
+def test_load_profile_missing_file_or_invalid_toml_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match=r"none\.toml: found no such file, expected a swing profile"):
         load_profile(tmp_path / "none.toml")
     (tmp_path / "bad.toml").write_text("angle_rad = [[1,\n2")

@@ -33,7 +33,7 @@ SWING = thesis_swing()
 ROBOT = thesis_robot()
 
 
-def test_sample_counts_and_times() -> None:
+def test_thesis_swing_has_sample_counts_and_times() -> None:
     for table in (SWING.shoulder, SWING.right_arm):
         assert table.value.shape == table.time.shape == (69 + 17,)
         assert np.array_equal(np.flatnonzero(table.time >= TOP), np.arange(69, 86))
@@ -43,7 +43,7 @@ def test_sample_counts_and_times() -> None:
     assert SWING.end == pytest.approx(0.846)
 
 
-def test_junction_values() -> None:
+def test_thesis_swing_matches_junction_values() -> None:
     assert SWING.shoulder.value[[0, 68, 69, 85]] == pytest.approx(
         [0.0, -1.79452, -1.72372, 0.16428], abs=1e-9
     )
@@ -59,7 +59,7 @@ def test_colon_counts_as_matlab_does() -> None:
     assert colon(0.4 - 3, 0.2, 3.0)[-1] == pytest.approx(3.0)
 
 
-def test_joint_reference_keeps_the_tables() -> None:
+def test_joint_reference_matches_tables() -> None:
     t = SWING.shoulder.time
     q = joint_reference(SWING, ROBOT, t)
     assert q.shape == (86, 3)
@@ -71,12 +71,12 @@ def test_joint_reference_keeps_the_tables() -> None:
     assert right_arm_length(ROBOT, q[0, 1]) == pytest.approx(ROBOT.l23, abs=1e-3)
 
 
-def test_after_the_last_sample_the_value_is_held() -> None:
+def test_joint_reference_after_last_sample_holds_value() -> None:
     held = joint_reference(SWING, ROBOT, [0.846, 0.9])
     assert held[1] == pytest.approx(held[0])
 
 
-def test_following_the_tables_exactly() -> None:
+def test_joint_reference_downswing_spline_has_known_effort_and_speed() -> None:
     """A spline through the downswing's samples: what the reference asks of actuators and of the club.
 
     "About 380 N m, 1.3 kN, 165 N m" were calculated elsewhere with an unrecorded differentiation; a
@@ -114,7 +114,7 @@ def experiment() -> ThesisExperiment:
     return run()
 
 
-def test_what_came_out(experiment: ThesisExperiment) -> None:
+def test_thesis_experiment_summary_matches_known_figures(experiment: ThesisExperiment) -> None:
     """As found. The thesis: 0.68 + 0.19 s, about 3 cm, the wrist worst in error and saturation, stable."""
     s = experiment.summary
     assert s.stable
@@ -127,18 +127,18 @@ def test_what_came_out(experiment: ThesisExperiment) -> None:
     assert s.rod_range == pytest.approx((-0.0698, 0.2465), abs=0.0005)
 
 
-def test_saturation_is_recorded(experiment: ThesisExperiment) -> None:
+def test_thesis_experiment_records_saturation(experiment: ThesisExperiment) -> None:
     assert np.array_equal(experiment.saturated, np.abs(experiment.demand) > LIMIT)
     assert experiment.saturated[:, 2].any()
 
 
-def test_without_friction_it_is_unstable_as_the_thesis_says() -> None:
+def test_thesis_experiment_without_friction_is_unstable() -> None:
     summary = run(0.0).summary
     assert not summary.stable
     assert summary.contact_time is None
 
 
-def test_actuators_without_limits_never_saturate() -> None:
+def test_thesis_experiment_without_limits_never_saturates() -> None:
     assert max(others().unlimited.saturated) == 0.0
 
 
@@ -160,18 +160,18 @@ def least_damping(friction: float) -> float:
     return smallest
 
 
-def test_friction_is_the_smallest_that_is_quiet() -> None:
+def test_thesis_friction_is_smallest_with_quarter_decay() -> None:
     assert least_damping(FRICTION) >= QUARTER_DECAY > least_damping(FRICTION - 0.5)
 
 
-def test_the_table_names_thesis_and_findings(experiment: ThesisExperiment) -> None:
+def test_statements_report_found_values(experiment: ThesisExperiment) -> None:
     rows = {row.what: row for row in statements(experiment, others())}
     assert rows["error in y at the ball"].found == "+4.4 cm"
     assert rows["largest error"].found.startswith("wrist")
     assert rows["stable without friction"].found == "no"
 
 
-def test_a_swing_that_never_reaches_the_ball_is_reported(tmp_path: Path) -> None:
+def test_as_record_without_contact_reports_ball_not_reached(tmp_path: Path) -> None:
     stuck = run(80.0)
     assert stuck.summary.contact_time is None
     record = as_record(stuck, others())

@@ -43,7 +43,7 @@ def subscribed(bench: FakeBench, heard: Heard) -> None:
     heard.messages.clear()
 
 
-def test_everything_comes_in_order_and_nothing_is_lost(make_day: MakeDay) -> None:
+def test_feed_delivers_cycles_in_order_without_loss(make_day: MakeDay) -> None:
     network = loopback()
     with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
         heard = Heard(feed)
@@ -58,7 +58,7 @@ def test_everything_comes_in_order_and_nothing_is_lost(make_day: MakeDay) -> Non
         assert all(0 <= arrived.age < HURRY for arrived in heard.batches)
 
 
-def test_losses_are_counted_on_the_network_and_in_the_ring(make_day: MakeDay) -> None:
+def test_feed_counts_losses_of_network_and_ring(make_day: MakeDay) -> None:
     network, day = loopback(), make_day([(State.READY, 60)])
     with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
         heard = Heard(feed)
@@ -73,7 +73,7 @@ def test_losses_are_counted_on_the_network_and_in_the_ring(make_day: MakeDay) ->
         assert feed.account.lost_cycles == 5
 
 
-def test_a_slow_viewer_loses_the_oldest_and_keeps_its_memory(make_day: MakeDay) -> None:
+def test_feed_slow_viewer_drops_oldest_batches(make_day: MakeDay) -> None:
     network, day = loopback(), make_day([(State.READY, 20)])
     with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
         heard = Heard(feed)
@@ -89,7 +89,7 @@ def test_a_slow_viewer_loses_the_oldest_and_keeps_its_memory(make_day: MakeDay) 
         assert feed.account.batches + feed.account.lost_batches == newest
 
 
-def test_a_bench_that_starts_anew_is_heard_again_by_itself(make_day: MakeDay) -> None:
+def test_feed_bench_restart_resumes_and_counts_restart(make_day: MakeDay) -> None:
     network, day = loopback(), make_day([(State.READY, 40)])
     with fake_bench(network) as bench:
         feed = Feed.connect(network, BENCH, time.time)
@@ -111,7 +111,7 @@ def test_a_bench_that_starts_anew_is_heard_again_by_itself(make_day: MakeDay) ->
         feed.close()
 
 
-def test_what_is_not_understood_is_counted_and_told(make_day: MakeDay) -> None:
+def test_feed_invalid_messages_are_counted(make_day: MakeDay) -> None:
     network = loopback()
     with fake_bench(network) as bench, Feed.connect(network, BENCH, time.time) as feed:
         heard = Heard(feed)
@@ -125,6 +125,6 @@ def test_what_is_not_understood_is_counted_and_told(make_day: MakeDay) -> None:
         assert feed.fault
 
 
-def test_nobody_there_is_told() -> None:
+def test_feed_without_bench_raises_no_answer() -> None:
     with pytest.raises(NoAnswer):
         Feed.connect(loopback(), BENCH, time.time)

@@ -44,7 +44,7 @@ def three(
     return Recording(path)
 
 
-def test_signals_are_the_cycles_at_full_rate(three: Recording, make_records: Records) -> None:
+def test_recording_signals_equal_cycles_at_full_rate(three: Recording, make_records: Records) -> None:
     cycles = np.concatenate([record.cycles for record in make_records(3)])
     for entity, field in (("actual", "angle"), ("reference", "reference_angle")):
         time, rows = three.read(f"/signals/angle_deg/{entity}", "Scalars:scalars")
@@ -56,7 +56,7 @@ def test_signals_are_the_cycles_at_full_rate(three: Recording, make_records: Rec
     assert np.array_equal(np.array(pressures)[:, :6], cycles["chamber_pressure"] / 1e5)
 
 
-def test_the_signals_of_one_shot_are_shown_where_it_swings(make_records: Records) -> None:
+def test_layout_for_one_shot_selects_swing_span(make_records: Records) -> None:
     record = make_records(1)[0]
     lead = np.tile(record.cycles[:1], 9000)  # on its way to the address
     lead["phase"] = Phase.RETURN
@@ -76,7 +76,7 @@ def test_the_signals_of_one_shot_are_shown_where_it_swings(make_records: Records
     assert swing_span(replace(record, cycles=lead[:0])) == (0.0, 1.0)
 
 
-def test_swings_follow_one_another_in_time(three: Recording, make_records: Records) -> None:
+def test_recording_swings_are_ordered_in_time(three: Recording, make_records: Records) -> None:
     time, _ = three.read("/signals/head_speed_mps", "Scalars:scalars")
     assert np.all(np.diff(time) > 0)
     swings = time.reshape(3, -1)
@@ -86,7 +86,7 @@ def test_swings_follow_one_another_in_time(three: Recording, make_records: Recor
         assert following > start + 1.1 + record.flight.total_time
 
 
-def test_phases_change_when_the_cycles_do(three: Recording, make_records: Records) -> None:
+def test_recording_phase_changes_match_cycles(three: Recording, make_records: Records) -> None:
     time, states = three.read("/signals/phase", "StateChange:state")
     first = make_records(1)[0].cycles
     changes = np.concatenate([[0], np.flatnonzero(np.diff(first["phase"].astype(int))) + 1])
@@ -96,7 +96,7 @@ def test_phases_change_when_the_cycles_do(three: Recording, make_records: Record
     ]
 
 
-def test_the_club_moves_as_the_kinematics_say(
+def test_recording_club_follows_kinematics(
     three: Recording, make_records: Records, robot: RobotParameters
 ) -> None:
     time, rows = three.read("/scene/robot/club", "Transform3D:translation")
@@ -108,7 +108,7 @@ def test_the_club_moves_as_the_kinematics_say(
     assert set(quick) <= set(ticks)
 
 
-def test_the_ball_rests_on_its_tee_and_flies_its_flight(three: Recording, make_records: Records) -> None:
+def test_recording_ball_rests_on_tee_and_follows_flight(three: Recording, make_records: Records) -> None:
     record = make_records(1)[0]
     assert record.flight is not None
     time, rows = three.read("/range/ball", "Points3D:positions")
@@ -122,14 +122,14 @@ def test_the_ball_rests_on_its_tee_and_flies_its_flight(three: Recording, make_r
     assert near[0][0][1] == pytest.approx((1.57 - 1.514) * sin(radians(53)) + RADIUS * sin(radians(15.0)))
 
 
-def test_every_shot_says_its_figures(three: Recording) -> None:
+def test_recording_shot_text_shows_figures(three: Recording) -> None:
     _, texts = three.read("/shot", "TextDocument:text")
     joined = "\n".join(text[0] for text in texts)
     assert "Shot 3: Pro V" in joined
     assert "216.8 yd" in joined
 
 
-def test_a_shot_without_ball_is_shown_too(
+def test_recording_shot_without_ball_is_shown(
     tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     missed = make_records(4)[3]
@@ -141,7 +141,7 @@ def test_a_shot_without_ball_is_shown_too(
     assert "no ball seen on the tee" in texts[0][0]
 
 
-def test_hardware_without_pressure_sensors_shows_gaps_not_zeros(
+def test_recording_without_pressure_sensors_shows_gaps(
     tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     record = make_records(1)[0]
@@ -152,7 +152,7 @@ def test_hardware_without_pressure_sensors_shows_gaps_not_zeros(
     assert np.isnan(np.array(rows)[:, :6]).all()
 
 
-def test_a_golfer_meets_the_ball_when_the_robot_does(
+def test_recording_golfer_meets_ball_with_robot(
     tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     record, golfer = make_records(1)[0], golfer_swing()
@@ -177,7 +177,7 @@ def test_a_golfer_meets_the_ball_when_the_robot_does(
     assert speeds[-2][0] == pytest.approx(golfer.head_speed, rel=0.02)
 
 
-def test_the_golf_frame_is_that_of_the_bench(robot: RobotParameters) -> None:
+def test_plane_to_golf_places_ball_above_origin(robot: RobotParameters) -> None:
     axes, origin = plane_to_golf(robot, SITE)
     assert np.allclose(axes @ axes.T, np.eye(3))
     assert np.linalg.det(axes) == pytest.approx(1)
@@ -187,7 +187,7 @@ def test_the_golf_frame_is_that_of_the_bench(robot: RobotParameters) -> None:
     assert ball_at_rest(robot, SITE, RADIUS)[0] > 0  # ahead of the face
 
 
-def test_the_right_arm_points_from_wrist_to_shoulder(plant: PlantParameters) -> None:
+def test_body_poses_right_arm_points_from_wrist_to_shoulder(plant: PlantParameters) -> None:
     q = np.random.default_rng(2).uniform([-1, 3.3, 4.8], [2, 4.6, 6.3], (50, 3))
     poses = body_poses(plant, q)
     points = joint_positions(plant.robot, q)
@@ -198,7 +198,9 @@ def test_the_right_arm_points_from_wrist_to_shoulder(plant: PlantParameters) -> 
     assert np.allclose(tip, points[:, 3])
 
 
-def test_a_full_disk_is_told(tmp_path: Path, make_records: Records, plant: PlantParameters) -> None:
+def test_write_recording_write_failure_leaves_no_file(
+    tmp_path: Path, make_records: Records, plant: PlantParameters
+) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
     try:
@@ -209,7 +211,7 @@ def test_a_full_disk_is_told(tmp_path: Path, make_records: Records, plant: Plant
     assert os.listdir(tmp_path) == []
 
 
-def test_no_shots_and_no_folder_are_refused(
+def test_write_recording_without_shots_or_folder_is_refused(
     tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     with pytest.raises(ValueError, match="at least one shot"):
@@ -218,7 +220,7 @@ def test_no_shots_and_no_folder_are_refused(
         write_recording(tmp_path / "absent" / "x.rrd", make_records(1), plant)
 
 
-def test_only_the_record_counts_not_when_it_began(
+def test_recording_time_is_relative_to_record_start(
     tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     record = make_records(1)[0]
@@ -229,7 +231,7 @@ def test_only_the_record_counts_not_when_it_began(
     assert time[0] == pytest.approx(1.186, abs=2e-3)
 
 
-def test_the_robot_is_drawn_once_and_then_only_moved(three: Recording, plant: PlantParameters) -> None:
+def test_recording_meshes_are_static_and_poses_move(three: Recording, plant: PlantParameters) -> None:
     drawing = draw(plant)
     moving = {f"/scene/robot/{body.name}/drawn" for body in (*drawing.moving, *drawing.fixed_in_plane)}
     fixed = {f"/scene/{body.name}" for body in drawing.fixed}
@@ -239,7 +241,7 @@ def test_the_robot_is_drawn_once_and_then_only_moved(three: Recording, plant: Pl
         assert len(time) > 100
 
 
-def test_another_robot_is_another_mesh(plant: PlantParameters) -> None:
+def test_draw_other_arm_length_changes_mesh(plant: PlantParameters) -> None:
     longer = replace(plant, robot=replace(plant.robot, l23=0.70))
     length = [
         next(body for body in draw(one).moving if body.name == "left_arm").parts[0].solid

@@ -36,7 +36,7 @@ def cycles(first_tick: int, count: int, start: float) -> np.ndarray:
     return made
 
 
-def test_it_begins_at_zero_and_keeps_exact_steps() -> None:
+def test_view_clock_starts_at_zero_and_keeps_exact_steps() -> None:
     clock = ViewClock()
     first = clock.location(cycles(500, 20, 1000.0), 5000.0)
     assert not first.hole
@@ -48,14 +48,14 @@ def test_it_begins_at_zero_and_keeps_exact_steps() -> None:
     assert clock.of_loop(1001.0) == 1.0
 
 
-def test_the_calendar_of_a_place_is_that_of_its_tick() -> None:
+def test_view_clock_utc_matches_tick() -> None:
     clock = ViewClock()
     placed = clock.location(cycles(1, 11, 7.0), 5000.0)
     assert clock.utc(placed.time)[-1] == pytest.approx(5000.0)
     assert clock.utc(placed.time)[0] == pytest.approx(5000.0 - 10 / 1024)
 
 
-def test_missing_cycles_are_a_hole_of_their_length() -> None:
+def test_view_clock_missing_cycles_leave_hole() -> None:
     clock = ViewClock()
     clock.location(cycles(1, 20, 0.0), 5000.0)
     later = clock.location(cycles(1025, 20, 1.0), 5001.0)
@@ -63,7 +63,7 @@ def test_missing_cycles_are_a_hole_of_their_length() -> None:
     assert later.time[0] == 1.0
 
 
-def test_another_loop_goes_on_after_the_calendars_gap() -> None:
+def test_view_clock_new_loop_continues_after_calendar_gap() -> None:
     clock = ViewClock()
     clock.location(cycles(9000, 20, 300.0), 5000.0)
     anew = clock.location(cycles(1, 20, 0.0), 5008.0)
@@ -72,7 +72,7 @@ def test_another_loop_goes_on_after_the_calendars_gap() -> None:
     assert np.allclose(np.diff(anew.time), 1 / 1024)
 
 
-def test_time_never_runs_backwards_whatever_the_calendar_says() -> None:
+def test_view_clock_earlier_calendar_never_runs_backwards() -> None:
     clock = ViewClock()
     end = clock.location(cycles(9000, 20, 300.0), 5000.0).time[-1]
     anew = clock.location(cycles(1, 20, 0.0), 4000.0)
@@ -131,7 +131,7 @@ def watched(tmp_path: Path, plant: PlantParameters) -> Iterator[Watched]:
         stream.disconnect()
 
 
-def test_what_is_shown_is_what_the_record_holds(
+def test_live_view_shows_values_of_record(
     watched: Watched, make_swing: Callable[[int], Cycles], tmp_path: Path
 ) -> None:
     write_swing(tmp_path / "1.parquet", make_swing(1), {})
@@ -154,7 +154,7 @@ def test_what_is_shown_is_what_the_record_holds(
     assert np.allclose(changes, cycles["time"][known] - cycles["time"][0], atol=1e-9)
 
 
-def test_the_status_is_renewed_although_the_clock_was_set_back(
+def test_live_view_clock_set_back_still_renews_status(
     watched: Watched, make_swing: Callable[[int], Cycles]
 ) -> None:
     cycles = make_swing(1)
@@ -167,7 +167,7 @@ def test_the_status_is_renewed_although_the_clock_was_set_back(
     assert "SILENT: no telemetry for 30 s" in watched.view._text(watched.view._heard + 30.0)
 
 
-def test_the_swing_is_followed_by_its_figures_and_its_flight(
+def test_live_view_swing_shows_figures_and_flight(
     watched: Watched, make_swing: Callable[[int], Cycles]
 ) -> None:
     cycles = make_swing(1)
@@ -186,7 +186,7 @@ def test_the_swing_is_followed_by_its_figures_and_its_flight(
     assert max(recording.last(entity) for entity in recording.entities - recording.static) < 2.11
 
 
-def test_the_ball_is_shown_on_its_way_as_time_goes(
+def test_live_view_ball_follows_flight_in_time(
     watched: Watched, make_swing: Callable[[int], Cycles], plant: PlantParameters
 ) -> None:
     cycles = make_swing(1)
@@ -208,9 +208,7 @@ def test_the_ball_is_shown_on_its_way_as_time_goes(
 
 
 @pytest.mark.release
-def test_the_memory_of_shots_does_not_grow_with_their_cycles(
-    watched: Watched, make_swing: Callable[[int], Cycles]
-) -> None:
+def test_live_view_shot_memory_excludes_cycles(watched: Watched, make_swing: Callable[[int], Cycles]) -> None:
     swing = make_swing(1)
 
     def send(shots: int) -> None:
@@ -232,7 +230,7 @@ def test_the_memory_of_shots_does_not_grow_with_their_cycles(
     assert (after - before) / 8 < swing.nbytes / 10  # 25 kB; with the cycles all of them
 
 
-def test_age_is_measured_to_the_subscriber_and_to_rerun(
+def test_live_view_measures_age_to_subscriber_and_rerun(
     watched: Watched, make_day: Callable[..., Cycles]
 ) -> None:
     watched.send(make_day([(State.READY, 200)]))
@@ -243,7 +241,9 @@ def test_age_is_measured_to_the_subscriber_and_to_rerun(
     assert 0 < shown < HURRY
 
 
-def test_the_panel_tells_state_losses_and_ages(watched: Watched, make_day: Callable[..., Cycles]) -> None:
+def test_live_view_panel_shows_state_losses_and_timing(
+    watched: Watched, make_day: Callable[..., Cycles]
+) -> None:
     day = make_day([(State.READY, 60)])
     watched.send(day[:20])
     watched.bench.sequence += 4
@@ -274,7 +274,7 @@ def test_the_panel_tells_state_losses_and_ages(watched: Watched, make_day: Calla
     assert "SILENT: no telemetry for 30 s" in watched.view._text(time.monotonic() + 30.0)
 
 
-def test_events_and_shots_of_the_bench_are_shown(
+def test_live_view_shows_events_and_shots(
     watched: Watched, make_records: Callable[[int], list[ShotRecord]], make_day: Callable[..., Cycles]
 ) -> None:
     watched.send(make_day([(State.READY, 40)]))
@@ -299,7 +299,7 @@ def test_events_and_shots_of_the_bench_are_shown(
     assert "no ball seen on the tee" in texts[-1][0]
 
 
-def test_what_the_launch_monitor_says_is_shown_when_it_comes_where_the_ball_flew(
+def test_live_view_launch_monitor_shot_is_shown_at_impact(
     watched: Watched, make_swing: Callable[[int], Cycles], make_records: Callable[[int], list[ShotRecord]]
 ) -> None:
     bench, view = watched.bench, watched.view
@@ -326,7 +326,7 @@ def test_what_the_launch_monitor_says_is_shown_when_it_comes_where_the_ball_flew
     assert [line[0] for line in lines] == ["launch monitor: other: launch without a swing"]
 
 
-def test_a_hole_breaks_the_lines_and_a_new_loop_goes_on(
+def test_live_view_new_loop_breaks_lines_and_continues(
     watched: Watched, make_day: Callable[..., Cycles]
 ) -> None:
     watched.send(make_day([(State.READY, 40)], first_tick=9000, start=400.0))
@@ -341,7 +341,7 @@ def test_a_hole_breaks_the_lines_and_a_new_loop_goes_on(
     assert watched.view._feed.account.restarts == 1
 
 
-def test_words_of_events_and_loop() -> None:
+def test_event_text_and_loop_rows_format_messages() -> None:
     assert event_text({"event": "change", "state": "READY", "cause": "NONE", "phase": "STANDING"}) == (
         "READY, phase STANDING"
     )

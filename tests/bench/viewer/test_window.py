@@ -40,7 +40,7 @@ def listening(pid: int) -> list[str]:
 
 
 @pytest.mark.live
-def test_the_web_viewer_listens_on_the_loopback_only() -> None:
+def test_rerun_window_web_listens_on_loopback_only() -> None:
     with RerunWindow("web", "100MB") as window:
         stream = rr.RecordingStream("golfbench")
         stream.set_sinks(rr.GrpcSink(window.url), default_blueprint=live_blueprint())
@@ -62,7 +62,7 @@ def test_the_web_viewer_listens_on_the_loopback_only() -> None:
 
 
 @pytest.mark.live
-def test_who_comes_late_gets_the_scene_though_the_oldest_data_are_gone(tmp_path: Path) -> None:
+def test_rerun_window_late_viewer_receives_static_scene(tmp_path: Path) -> None:
     file, rows = tmp_path / "late.rrd", 20_000
     plant = PlantParameters()
     with RerunWindow("web", "10MB") as window:
@@ -108,7 +108,7 @@ def wait_for_end_of(file: Path, last: float) -> Recording:
 
 
 @pytest.mark.live
-def test_usage_statistics_are_off_and_it_is_verified(tmp_path: Path) -> None:
+def test_quiet_environment_turns_analytics_off(tmp_path: Path) -> None:
     quiet = quiet_environment(tmp_path, {**os.environ, "FORCE_RERUN_ANALYTICS": "1"})
     assert "FORCE_RERUN_ANALYTICS" not in quiet
     assert {quiet[name] for name in ("ALL_PROXY", "https_proxy", "HTTP_PROXY")} == {"http://127.0.0.1:9"}
@@ -122,9 +122,7 @@ def test_usage_statistics_are_off_and_it_is_verified(tmp_path: Path) -> None:
     assert Path(settings["data_dir_path"]).is_relative_to(tmp_path)
 
 
-def test_without_switched_off_statistics_nothing_starts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rerun_window_analytics_enabled_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = tmp_path / "rerun"
     settings = '{"analytics_enabled": true}'
     folder = '"$XDG_CONFIG_HOME/rerun"'
@@ -136,7 +134,7 @@ def test_without_switched_off_statistics_nothing_starts(
 
 
 @pytest.mark.live
-def test_recording_itself_sends_nothing_and_listens_nowhere(tmp_path: Path) -> None:
+def test_recording_stream_opens_no_connection(tmp_path: Path) -> None:
     code = (
         "import rerun as rr, psutil, sys\n"
         "s = rr.RecordingStream('golfbench'); s.set_sinks(rr.FileSink(sys.argv[1]))\n"
@@ -157,7 +155,7 @@ def test_recording_itself_sends_nothing_and_listens_nowhere(tmp_path: Path) -> N
 
 
 @pytest.mark.live
-def test_a_viewer_that_dies_at_once_is_told_with_its_last_words(
+def test_rerun_window_dead_viewer_reports_last_output(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program = tmp_path / "rerun"
@@ -169,7 +167,7 @@ def test_a_viewer_that_dies_at_once_is_told_with_its_last_words(
         RerunWindow("web", "10MB")
 
 
-def test_a_window_needs_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rerun_window_without_display_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(BenchError, match="--web"):
@@ -177,7 +175,7 @@ def test_a_window_needs_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.live
-def test_a_viewer_that_was_closed_is_noticed() -> None:
+def test_rerun_window_closed_viewer_is_not_alive() -> None:
     with RerunWindow("web", "10MB") as window:
         assert window.alive
         os.kill(window.pid, signal.SIGTERM)

@@ -47,22 +47,22 @@ def both(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1", "fe80::1"])  # noqa: S104
-def test_an_address_for_others_needs_tls(host: str) -> None:
+def test_checked_address_non_loopback_needs_tls(host: str) -> None:
     with pytest.raises(Refused, match="without TLS"):
         checked_address(PageAddress(host))
 
 
-def test_a_token_does_not_replace_tls(tmp_path: Path) -> None:
+def test_checked_address_tokens_without_tls_are_refused(tmp_path: Path) -> None:
     with pytest.raises(Refused, match="readable on the network"):
         checked_address(PageAddress("192.0.2.1", tokens=both(tmp_path)))
 
 
-def test_a_name_is_no_address() -> None:
+def test_checked_address_host_name_is_refused() -> None:
     with pytest.raises(BenchError, match="an IP address"):
         checked_address(PageAddress("localhost"))
 
 
-def test_a_clients_certificate_does_not_serve(tmp_path: Path) -> None:
+def test_checked_address_missing_identity_is_refused(tmp_path: Path) -> None:
     folder = Folder(tmp_path / "certificates")
     identity = folder.add("bench1")
     assert "127.0.0.1:8600" in checked_address(PageAddress("0.0.0.0", identity=identity))  # noqa: S104
@@ -70,13 +70,13 @@ def test_a_clients_certificate_does_not_serve(tmp_path: Path) -> None:
         checked_address(PageAddress(identity=str(tmp_path / "none")))
 
 
-def test_the_pages_own_names() -> None:
+def test_checked_address_lists_loopback_names() -> None:
     assert checked_address(PageAddress(port=81)) == ("127.0.0.1:81", "[::1]:81", "localhost:81")
     assert "localhost" in checked_address(PageAddress(port=80))
     assert "[::1]:81" in checked_address(PageAddress("::1", 81))
 
 
-def test_an_address_in_use_is_said(running: RunningPlane, page: RunningPage) -> None:
+def test_page_server_address_in_use_is_refused(running: RunningPlane, page: RunningPage) -> None:
     with pytest.raises(AssertionError, match="in use"), running_page(running.configuration, page.address):
         pass
 
@@ -84,7 +84,7 @@ def test_an_address_in_use_is_said(running: RunningPlane, page: RunningPage) -> 
 # Tokens ----------------------------------------------------------------------------------------------
 
 
-def test_tokens_are_read(tmp_path: Path) -> None:
+def test_read_tokens_returns_roles(tmp_path: Path) -> None:
     assert read_tokens(both(tmp_path)) == {OPERATOR: PageRole.OPERATOR, VIEWER: PageRole.VIEWER}
 
 
@@ -97,17 +97,17 @@ def test_tokens_are_read(tmp_path: Path) -> None:
         ("# nothing\n", 0o600, "no token"),
     ],
 )
-def test_invalid_tokens_are_refused(tmp_path: Path, text: str, mode: int, found: str) -> None:
+def test_read_tokens_invalid_file_is_refused(tmp_path: Path, text: str, mode: int, found: str) -> None:
     with pytest.raises(BenchError, match=found):
         read_tokens(token_file(tmp_path, text, mode))
 
 
-def test_a_missing_file_of_tokens_is_said(tmp_path: Path) -> None:
+def test_read_tokens_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="no such file"):
         read_tokens(tmp_path / "none")
 
 
-def test_sessions_end_and_are_bounded() -> None:
+def test_page_access_sessions_expire_and_are_bounded() -> None:
     now = [0.0]
     access = PageAccess(tokens={OPERATOR: PageRole.OPERATOR}, clock=lambda: now[0])
     assert access.role("", "") is None
@@ -121,7 +121,7 @@ def test_sessions_end_and_are_bounded() -> None:
     assert access.role("", sessions[-1]) is PageRole.OPERATOR
 
 
-def test_roles_by_certificate() -> None:
+def test_page_access_certificate_name_gives_role() -> None:
     access = PageAccess(["vera"], ["otto"], closed=True)
     assert [access.role(name, "") for name in ("vera", "otto", "nora", "")] == [
         PageRole.VIEWER,
@@ -131,7 +131,7 @@ def test_roles_by_certificate() -> None:
     ]
 
 
-def test_a_token_opens_a_session(
+def test_page_sign_in_token_opens_session_with_role(
     running: RunningPlane, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page_service, "_GUESS_TIME", 0.01)
@@ -169,7 +169,7 @@ def client_context(folder: Folder, identity: str) -> ssl.SSLContext:
     return context
 
 
-def test_a_certificate_gives_the_role(running: RunningPlane, tmp_path: Path) -> None:
+def test_page_client_certificate_gives_role(running: RunningPlane, tmp_path: Path) -> None:
     folder = Folder(tmp_path / "certificates")
     stranger = Folder(tmp_path / "strange")
     network = replace(running.configuration.network, viewers=("vera",), operators=("otto",))
@@ -220,7 +220,7 @@ def paths() -> dict[str, str]:
     return {route.path: "POST" if route.methods == {"POST"} else "GET" for route in routes}
 
 
-def test_every_path_needs_its_role(running: RunningPlane, tmp_path: Path) -> None:
+def test_page_every_path_requires_role(running: RunningPlane, tmp_path: Path) -> None:
     address = PageAddress(port=free_port(), tokens=both(tmp_path))
     with running_page(running.configuration, address) as page:
         cookie = page.post("/api/sign-in", {"token": VIEWER}).headers["set-cookie"].partition(";")[0]
@@ -242,7 +242,7 @@ def test_every_path_needs_its_role(running: RunningPlane, tmp_path: Path) -> Non
         assert running.plane.lease() is None
 
 
-def test_a_command_with_a_viewers_certificate_moves_nothing(running: RunningPlane, tmp_path: Path) -> None:
+def test_page_command_with_viewer_certificate_is_refused(running: RunningPlane, tmp_path: Path) -> None:
     folder = Folder(tmp_path / "certificates")
     network = replace(running.configuration.network, viewers=("vera",), operators=("otto",))
     address = PageAddress(port=free_port(), identity=folder.add("bench1"))

@@ -165,7 +165,7 @@ def nothing_moves(running: RunningPlane, page: RunningPage) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("name", ATTACKS)
-def test_is_refused(page: RunningPage, running: RunningPlane, name: str) -> None:
+def test_page_forged_request_is_refused(page: RunningPage, running: RunningPlane, name: str) -> None:
     attack = ATTACKS[name]
     given = page.own() if attack.method == "POST" else {}
     headers = {n: v for n, v in (given | attack.headers).items() if v is not None}
@@ -182,7 +182,7 @@ def raw(page: RunningPage, text: bytes) -> socket.socket:
     return one
 
 
-def test_a_hundred_slow_readers_slow_nothing(page: RunningPage, running: RunningPlane) -> None:
+def test_page_hundred_slow_readers_leave_stop_available(page: RunningPage, running: RunningPlane) -> None:
     head = f"GET /api/stream HTTP/1.1\r\nHost: {page.host}\r\n\r\n".encode()
     with ExitStack() as stack:
         readers = [stack.enter_context(raw(page, head)) for _ in range(100)]
@@ -202,7 +202,7 @@ def test_a_hundred_slow_readers_slow_nothing(page: RunningPage, running: Running
         time.sleep(0.1)
 
 
-def test_a_head_that_does_not_end_is_cut_off(page: RunningPage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_request_filter_endless_head_is_cut_off(page: RunningPage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(request_filter, "HEAD_TIME", 0.2)
     for text in (b"", b"GET / HTTP/1.1\r\nHost: "):
         with raw(page, text) as one:
@@ -212,7 +212,7 @@ def test_a_head_that_does_not_end_is_cut_off(page: RunningPage, monkeypatch: pyt
                 pass
 
 
-def test_a_body_that_does_not_end_is_cut_off(page: RunningPage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_request_filter_unfinished_body_times_out(page: RunningPage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(request_filter, "BODY_TIME", 0.2)
     head = "".join(f"{name}: {value}\r\n" for name, value in page.own().items())
     text = f"POST /api/command/arm HTTP/1.1\r\nHost: {page.host}\r\n{head}Content-Length: 100\r\n\r\n{{"
@@ -220,14 +220,14 @@ def test_a_body_that_does_not_end_is_cut_off(page: RunningPage, monkeypatch: pyt
         assert one.recv(12).split()[1] == b"408"
 
 
-def test_an_endless_body_in_chunks_is_refused(page: RunningPage) -> None:
+def test_request_filter_oversized_chunked_body_is_refused(page: RunningPage) -> None:
     head = "".join(f"{name}: {value}\r\n" for name, value in page.own().items())
     text = f"POST /api/command/arm HTTP/1.1\r\nHost: {page.host}\r\n{head}Transfer-Encoding: chunked\r\n\r\n"
     with raw(page, text.encode() + (b"1000\r\n" + b" " * 0x1000 + b"\r\n") * 2) as one:
         assert one.recv(12).split()[1] == b"413"
 
 
-def test_a_name_with_line_breaks_makes_no_event_of_its_own(page: RunningPage) -> None:
+def test_event_text_line_breaks_make_no_extra_event(page: RunningPage) -> None:
     from bench.web.broadcaster import event_text
 
     text = event_text("state", {"club": "x\n\nevent: you\ndata: {}\n\n"}).decode()

@@ -81,7 +81,9 @@ def page(service: FakeDesk, silence: list[Callable[[], None]]) -> Iterator[Runni
         yield stack.enter_context(running_page(running.configuration))
 
 
-def test_an_operator_clicks_and_a_viewer_looks_on(browser: Any, page: RunningPage, service: FakeDesk) -> None:
+def test_page_lease_holder_commands_and_any_tab_stops(
+    browser: Any, page: RunningPage, service: FakeDesk
+) -> None:
     with open_tab(browser, page.url) as tab, open_tab(browser, page.url) as other:
         tab.text("#state-word").to_have_text("ESTOP")
         tab.text("#action").to_have_text("Reset to begin.")
@@ -112,7 +114,7 @@ def test_an_operator_clicks_and_a_viewer_looks_on(browser: Any, page: RunningPag
         tab.text("#lease").to_have_text("Lease: not held")
 
 
-def test_a_lost_bench_is_said_within_two_seconds(
+def test_page_silent_bench_is_shown_as_stale(
     browser: Any, page: RunningPage, silence: list[Callable[[], None]]
 ) -> None:
     with open_tab(browser, page.url) as tab:
@@ -127,7 +129,7 @@ def test_a_lost_bench_is_said_within_two_seconds(
         assert took < 10.0, f"{took:.1f} s"  # 2 s by its own clock; a busy browser paints late
 
 
-def test_a_lost_lease_is_said_and_nothing_is_taken_again(
+def test_page_lost_lease_is_shown_and_not_retaken(
     browser: Any, page: RunningPage, service: FakeDesk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page_commands, "LEASE", SHORTEST)
@@ -142,7 +144,7 @@ def test_a_lost_lease_is_said_and_nothing_is_taken_again(
     assert service.requests == []
 
 
-def test_it_is_readable_in_both_themes_and_on_a_phone(browser: Any, page: RunningPage) -> None:
+def test_page_is_readable_in_both_themes_on_phone(browser: Any, page: RunningPage) -> None:
     phone: dict[str, Any] = {"viewport": {"width": 360, "height": 740}, "bypass_csp": True}
     for theme in ("light", "dark"):
         with open_tab(browser, page.url, color_scheme=theme, **phone) as tab:
@@ -158,7 +160,7 @@ def test_it_is_readable_in_both_themes_and_on_a_phone(browser: Any, page: Runnin
 
 
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (768, 1024)])
-def test_first_screen_has_state_stop_last_swing_and_curves(
+def test_page_first_screen_has_state_stop_last_swing_and_curves(
     browser: Any, configuration: Configuration, width: int, height: int
 ) -> None:
     records = configuration.bench.data_dir / "swings" / configuration.bench.id
@@ -177,7 +179,7 @@ def test_first_screen_has_state_stop_last_swing_and_curves(
 
 
 @pytest.mark.release
-def test_a_swing_by_clicks_on_a_running_bench(browser: Any, tmp_path: Path) -> None:
+def test_page_running_bench_swings_by_clicks(browser: Any, tmp_path: Path) -> None:
     file, port = write_configuration(tmp_path, "page"), free_port()
     with running_bench(file) as bench, command_beside(file, "page", "--port", str(port)) as process:
         while not listens(port):

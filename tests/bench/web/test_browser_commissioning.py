@@ -29,7 +29,7 @@ WRONG = '[faults.vents]\nsignal = "vents"\nkind = "stuck"\nvalue = 1.0\n'
 
 
 @pytest.mark.release
-def test_a_wrong_machine_is_named_repaired_and_measured(browser: Any, tmp_path: Path) -> None:
+def test_commissioning_page_faulty_machine_is_repaired_and_measured(browser: Any, tmp_path: Path) -> None:
     tokens, file, port = write_day(tmp_path), write_configuration(tmp_path, "first"), free_port()
     robots = tmp_path / "data" / "robots"
     robots.mkdir()

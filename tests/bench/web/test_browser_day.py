@@ -41,7 +41,7 @@ pytestmark = [
 ]
 
 
-def test_a_day_at_the_page(browser: Any, tmp_path: Path) -> None:
+def test_page_full_day_completes_campaign_and_recovers(browser: Any, tmp_path: Path) -> None:
     tokens, file, port = write_day(tmp_path), write_configuration(tmp_path, "day"), free_port()
     url = f"http://127.0.0.1:{port}/"
     with ExitStack() as stack, running_bench(file) as bench:

@@ -255,7 +255,7 @@ def _answering(body: str) -> Callable[[Any], None]:
     return lambda route: route.fulfill(status=200, content_type="application/json", body=body)
 
 
-def test_script_in_every_name_stays_text(browser: Any, page: RunningPage) -> None:
+def test_page_script_in_every_name_stays_text(browser: Any, page: RunningPage) -> None:
     with open_tab(browser, page.url) as tab:
         dialogs: list[str] = []
         tab.page.on("dialog", lambda dialog: dialogs.append(dialog.message))

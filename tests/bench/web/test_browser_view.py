@@ -18,7 +18,7 @@ OPENS = 300_000.0
 """ms for the viewer to start: it compiles."""
 
 
-def test_the_viewer_opens_in_a_tab_of_its_own_and_ends(browser: Any, tmp_path: Path) -> None:
+def test_page_viewer_opens_in_new_tab_and_closes(browser: Any, tmp_path: Path) -> None:
     file, port = write_configuration(tmp_path, "view"), free_port()
     with running_bench(file), command_beside(file, "page", "--port", str(port)) as process:
         while not listens(port):

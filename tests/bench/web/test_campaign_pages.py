@@ -87,14 +87,14 @@ def change(page: RunningPage, path: str, seen: float | None = None, **content: A
     return answer.status, answer.content
 
 
-def test_campaigns_and_records_are_listed(page: RunningPage) -> None:
+def test_archive_lists_campaigns_and_records(page: RunningPage) -> None:
     found = page.ask("GET", "/api/archive").content
     listed = [(one["id"], one["state"], one["report"]) for one in found["campaigns"]]
     assert listed == [(ENDED, "finished", True), (OPEN, "waiting", False)]
     assert [one["name"] for one in found["records"]] == [RECORD, SHOT]
 
 
-def test_archive_search_keeps_what_its_text_names(page: RunningPage) -> None:
+def test_archive_search_filters_by_text(page: RunningPage) -> None:
     def found(text: str) -> tuple[list[str], list[str]]:
         answer = page.ask("GET", f"/api/archive/{text}").content
         return [one["id"] for one in answer["campaigns"]], [one["name"] for one in answer["records"]]
@@ -105,7 +105,7 @@ def test_archive_search_keeps_what_its_text_names(page: RunningPage) -> None:
     assert found("nothing-of-it") == ([], [])
 
 
-def test_record_is_shown_as_the_last_swing_is(page: RunningPage) -> None:
+def test_swing_path_shows_listed_records_only(page: RunningPage) -> None:
     assert page.ask("GET", f"/api/swing/{SHOT}").status == 200
     found = page.ask("GET", f"/api/swing/{RECORD}")
     assert found.status == 200
@@ -128,7 +128,7 @@ def test_wear_takes_listed_records_only(page: RunningPage) -> None:
         assert page.post("/api/wear", {"number": "12345678", "records": [name]}).status == 404
 
 
-def test_landing_points_wait_for_the_end(page: RunningPage) -> None:
+def test_campaign_landing_points_are_hidden_until_end(page: RunningPage) -> None:
     unfinished = page.ask("GET", f"/api/campaign/{OPEN}").content
     assert unfinished["landing"] is None
     assert unfinished["prompt"]["places"] == ["1. tour 1", "2. range 2"]
@@ -140,7 +140,7 @@ def test_landing_points_wait_for_the_end(page: RunningPage) -> None:
     assert page.ask("GET", "/api/campaign/none").status == 409
 
 
-def test_a_report_runs_no_script(page: RunningPage) -> None:
+def test_report_runs_no_script(page: RunningPage) -> None:
     answer = page.ask("GET", f"/report/{ENDED}")
     assert answer.status == 200
     policy = answer.headers["content-security-policy"]
@@ -149,7 +149,7 @@ def test_a_report_runs_no_script(page: RunningPage) -> None:
     assert "default-src 'none'" in policy
 
 
-def test_a_record_is_downloaded_whole(page: RunningPage) -> None:
+def test_record_download_is_complete(page: RunningPage) -> None:
     answer = page.ask("GET", f"/record/{RECORD}")
     assert answer.status == 200
     assert answer.body == (RECORDS / "swing.parquet").read_bytes()
@@ -171,14 +171,14 @@ def test_a_record_is_downloaded_whole(page: RunningPage) -> None:
         "/report/%2e%2e",
     ],
 )
-def test_no_other_file_is_served(page: RunningPage, path: str) -> None:
+def test_record_and_report_paths_outside_archive_are_refused(page: RunningPage, path: str) -> None:
     answer = page.ask("GET", path)
     assert answer.status == 404
     assert b"secret" not in answer.body
     assert b"root" not in answer.body
 
 
-def test_a_runner_gets_requests(page: RunningPage, configuration: Configuration) -> None:
+def test_campaign_requests_reach_runner(page: RunningPage, configuration: Configuration) -> None:
     archive, settings = CampaignArchive(configuration), configuration.bench
     assert change(page, f"{OPEN}/pause")[0] == 409  # no runner
     with runner_lock(settings.data_dir, OPEN):
@@ -194,7 +194,7 @@ def test_a_runner_gets_requests(page: RunningPage, configuration: Configuration)
     assert change(page, f"{ENDED}/stop")[0] == 409
 
 
-def test_an_answer_is_to_the_prompt_on_the_screen(page: RunningPage, configuration: Configuration) -> None:
+def test_campaign_answer_requires_shown_prompt(page: RunningPage, configuration: Configuration) -> None:
     assert change(page, f"{OPEN}/answer", prompt=2)[0] == 409
     assert change(page, f"{OPEN}/answer", prompt=1, balls=3)[0] == 409
     assert change(page, f"{OPEN}/answer", prompt=1, balls=1.5)[0] == 400
@@ -205,7 +205,7 @@ def test_an_answer_is_to_the_prompt_on_the_screen(page: RunningPage, configurati
         assert store.prompts(OPEN)[0].by == "Ann"
 
 
-def test_a_shot_is_marked(page: RunningPage, configuration: Configuration) -> None:
+def test_campaign_mark_stores_note(page: RunningPage, configuration: Configuration) -> None:
     status, content = change(page, f"{OPEN}/mark", shot=3, comment=SCRIPT)
     assert status == 200, content
     assert change(page, f"{OPEN}/mark", shot=3, comment="x" * 201)[0] == 400
@@ -217,7 +217,7 @@ def test_a_shot_is_marked(page: RunningPage, configuration: Configuration) -> No
         assert [(note.shot, note.by, note.text) for note in store.notes(OPEN)] == [(3, "Ann", SCRIPT)]
 
 
-def test_running_campaigns_are_published_when_they_change(configuration: Configuration) -> None:
+def test_running_campaigns_publish_on_change_only(configuration: Configuration) -> None:
     running = RunningCampaigns(CampaignArchive(configuration))
     message = {"campaign": OPEN, "shots": 1, "state": "running", "reason": ""}
     shown = running.changed([message])
@@ -230,7 +230,7 @@ def test_running_campaigns_are_published_when_they_change(configuration: Configu
     assert running.changed([]) == []
 
 
-def test_a_bench_without_a_database_has_no_campaigns(tmp_path: Path) -> None:
+def test_campaign_archive_without_database_is_empty(tmp_path: Path) -> None:
     given = loopback_configuration()
     archive = CampaignArchive(replace(given, bench=replace(given.bench, data_dir=tmp_path)))
     assert archive.listed() == []
@@ -240,7 +240,7 @@ def test_a_bench_without_a_database_has_no_campaigns(tmp_path: Path) -> None:
 # The last swing --------------------------------------------------------------------------------------
 
 
-def test_a_record_becomes_figures_and_curves() -> None:
+def test_swing_view_has_figures_and_curves() -> None:
     view = swing_view(RECORDS / "swing.parquet")
     json.dumps(view, allow_nan=False)
     assert 40.0 < view["figures"]["club_speed_mps"] < 50.0
@@ -259,9 +259,7 @@ def test_a_record_becomes_figures_and_curves() -> None:
     assert stopped["reason"]
 
 
-def test_a_swing_is_shown_from_the_ring_before_its_record_is_stored(
-    tmp_path: Path, configuration: Configuration
-) -> None:
+def test_swing_view_from_ring_matches_stored_record(tmp_path: Path, configuration: Configuration) -> None:
     cycles, metadata = read_swing(RECORDS / "swing.parquet")
     plant, around = plant_of(metadata, "swing")
     begun = int(np.argmax(cycles["state"] == State.SWINGING))
@@ -307,7 +305,9 @@ def test_a_swing_is_shown_from_the_ring_before_its_record_is_stored(
     assert not shown[0][1]["stored"]
 
 
-def test_running_swing_takes_no_waiting_record_away(tmp_path: Path, configuration: Configuration) -> None:
+def test_swing_reader_running_swing_keeps_waiting_record(
+    tmp_path: Path, configuration: Configuration
+) -> None:
     shown: list[Any] = []
     reader = SwingReader(lambda topic, view: shown.append(view), configuration.plant)
     reader.offer(RECORDS / "swing.parquet")
@@ -321,12 +321,12 @@ def test_running_swing_takes_no_waiting_record_away(tmp_path: Path, configuratio
     assert shown[0]["stored"]
 
 
-def test_the_newest_record_is_shown_at_the_start(page: RunningPage) -> None:
+def test_page_start_shows_newest_record(page: RunningPage) -> None:
     with page.stream() as following:
         assert following("swing")["name"] == RECORD
 
 
-def test_a_record_that_cannot_be_read_is_passed_over(tmp_path: Path, configuration: Configuration) -> None:
+def test_swing_reader_damaged_record_is_skipped(tmp_path: Path, configuration: Configuration) -> None:
     shown: list[tuple[str, Any]] = []
     reader = SwingReader(lambda topic, view: shown.append((topic, view)), configuration.plant)
     reader.start()

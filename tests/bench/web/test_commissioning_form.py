@@ -70,7 +70,7 @@ def asked(page: RunningPage, path: str, **content: Any) -> tuple[int, Any]:
 # What is shown ---------------------------------------------------------------------------------------
 
 
-def test_steps_findings_and_faults_are_shown(tmp_path: Path) -> None:
+def test_commissioning_store_shows_steps_notes_and_faults(tmp_path: Path) -> None:
     shelf = CommissioningStore(tmp_path, "bench1")
     assert shelf.view()["commissionings"] == []
     assert [one["title"] for one in shelf.view()["steps"]] == [step.title for step in ALL_STEPS]
@@ -85,14 +85,14 @@ def test_steps_findings_and_faults_are_shown(tmp_path: Path) -> None:
         assert shelf.view()["commissionings"][0]["process"] == os.getpid()
 
 
-def test_a_state_that_cannot_be_read_says_why(tmp_path: Path) -> None:
+def test_commissioning_store_unreadable_state_gives_reason(tmp_path: Path) -> None:
     folder = stored(tmp_path, "first-day")
     (folder / "commissioning.json").write_text("{")
     (one,) = CommissioningStore(tmp_path, "bench1").view()["commissionings"]
     assert "Begin again in another folder" in one["unreadable"]
 
 
-def test_only_listed_names_are_taken(tmp_path: Path) -> None:
+def test_commissioning_store_unlisted_names_are_refused(tmp_path: Path) -> None:
     folder = stored(tmp_path, "first-day")
     robots = tmp_path / "robots"
     robots.mkdir()
@@ -117,7 +117,7 @@ def test_only_listed_names_are_taken(tmp_path: Path) -> None:
         assert shelf.file("first-day", kind) is None
 
 
-def test_changes_reach_the_page(page: RunningPage, configuration: Configuration) -> None:
+def test_commissioning_change_reaches_page(page: RunningPage, configuration: Configuration) -> None:
     with page.stream() as following:
         assert following("commissioning")["commissionings"] == []
         stored(configuration.bench.data_dir, "first-day")
@@ -126,7 +126,7 @@ def test_changes_reach_the_page(page: RunningPage, configuration: Configuration)
         assert found[0]["done"] == 1
 
 
-def test_the_report_can_run_nothing(page: RunningPage, configuration: Configuration) -> None:
+def test_commissioning_report_runs_no_script(page: RunningPage, configuration: Configuration) -> None:
     folder = stored(configuration.bench.data_dir, "first-day")
     answer = page.ask("GET", "/commissioning/first-day/report")
     assert answer.status == 200
@@ -144,7 +144,7 @@ def test_the_report_can_run_nothing(page: RunningPage, configuration: Configurat
 # What is started -------------------------------------------------------------------------------------
 
 
-def test_a_commissioning_is_checked_started_and_resumed_as_at_the_command_line(
+def test_commissioning_page_check_and_start_run_command(
     page: RunningPage, program: NotingProgram, configuration: Configuration
 ) -> None:
     robots = configuration.bench.data_dir / "robots"
@@ -177,7 +177,9 @@ def test_a_commissioning_is_checked_started_and_resumed_as_at_the_command_line(
     )
 
 
-def test_the_end_without_a_learned_swing_is_no_fault(page: RunningPage, program: NotingProgram) -> None:
+def test_commissioning_page_end_without_learned_swing_is_no_fault(
+    page: RunningPage, program: NotingProgram
+) -> None:
     program.note("refuse")
     program.note("end")
     with page.stream() as following:
@@ -187,7 +189,7 @@ def test_the_end_without_a_learned_swing_is_no_fault(page: RunningPage, program:
         assert said["text"] == ""
 
 
-def test_a_commissioning_is_stopped_also_by_a_later_page(
+def test_commissioning_page_stops_process_of_earlier_page(
     page: RunningPage, configuration: Configuration
 ) -> None:
     folder = stored(configuration.bench.data_dir, "first-day")
@@ -220,7 +222,7 @@ def test_a_commissioning_is_stopped_also_by_a_later_page(
         {},
     ],
 )
-def test_what_is_not_listed_starts_nothing(
+def test_commissioning_page_invalid_request_starts_nothing(
     page: RunningPage, program: NotingProgram, content: dict[str, Any]
 ) -> None:
     for path in ("check", "start"):
@@ -230,7 +232,7 @@ def test_what_is_not_listed_starts_nothing(
     assert program.asked == []
 
 
-def test_it_needs_the_operators_role(
+def test_commissioning_page_requires_operator_role(
     configuration: Configuration, program: NotingProgram, tmp_path: Path
 ) -> None:
     stored(configuration.bench.data_dir, "first-day")

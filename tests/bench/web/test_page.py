@@ -32,7 +32,7 @@ def begin(running: RunningPlane) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_files_are_served_with_strict_headers(page: RunningPage, name: str) -> None:
+def test_static_files_have_strict_headers(page: RunningPage, name: str) -> None:
     answer = page.ask("GET", f"/static/{name}")
     assert answer.status == 200
     policy = answer.headers["content-security-policy"]
@@ -42,7 +42,7 @@ def test_files_are_served_with_strict_headers(page: RunningPage, name: str) -> N
     assert answer.headers["x-content-type-options"] == "nosniff"
 
 
-def test_the_page_loads_nothing_from_elsewhere_and_is_light(page: RunningPage) -> None:
+def test_page_loads_only_local_files_and_is_small(page: RunningPage) -> None:
     index = page.ask("GET", "/").body.decode()
     assert "<script>" not in index
     assert "style=" not in index
@@ -64,7 +64,7 @@ def test_the_page_loads_nothing_from_elsewhere_and_is_light(page: RunningPage) -
     assert len(seen) > 8
 
 
-def test_swing_is_read_while_it_runs_and_once_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_swing_is_read_while_running_and_once_after(monkeypatch: pytest.MonkeyPatch) -> None:
     service, offered = FakeDesk(State.ARMED), list[bool]()
     monkeypatch.setattr(SwingReader, "offer_ring", lambda _, ring, *, running: offered.append(running))
     with running_plane(service, loopback_configuration()) as running, publishing(running):
@@ -79,7 +79,7 @@ def test_swing_is_read_while_it_runs_and_once_after_it(monkeypatch: pytest.Monke
     assert offered.count(False) == 1
 
 
-def test_state_role_and_silence_arrive_at_once(page: RunningPage, running: RunningPlane) -> None:
+def test_stream_sends_state_role_and_silence_at_once(page: RunningPage, running: RunningPlane) -> None:
     with page.stream() as following:
         assert following("you") == {"role": "operator", "sign_in": False, "bench": "bench1"}
         state = following("state")
@@ -89,7 +89,7 @@ def test_state_role_and_silence_arrive_at_once(page: RunningPage, running: Runni
         assert following("link")["silent_s"] < HURRY
 
 
-def test_a_change_of_state_reaches_the_page(page: RunningPage, running: RunningPlane) -> None:
+def test_stream_sends_change_of_state(page: RunningPage, running: RunningPlane) -> None:
     with page.stream() as following:
         following("state")
         running.service.state = State.READY
@@ -97,7 +97,7 @@ def test_a_change_of_state_reaches_the_page(page: RunningPage, running: RunningP
             pass
 
 
-def test_a_session_of_an_operator(page: RunningPage, running: RunningPlane) -> None:
+def test_page_operator_session_sends_commands_until_release(page: RunningPage, running: RunningPlane) -> None:
     ticket = page.take_lease()
     for name in ("reset", "home", "arm", "tee", "swing"):
         answer = page.command(name, ticket)
@@ -110,7 +110,7 @@ def test_a_session_of_an_operator(page: RunningPage, running: RunningPlane) -> N
     assert page.command("home", ticket).status == 409
 
 
-def test_a_refusal_comes_in_the_operators_words(page: RunningPage) -> None:
+def test_page_refusal_uses_operator_words(page: RunningPage) -> None:
     ticket = page.take_lease()
     answer = page.command("arm", ticket)
     assert answer.status == 409
@@ -119,7 +119,7 @@ def test_a_refusal_comes_in_the_operators_words(page: RunningPage) -> None:
     page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
 
 
-def test_a_lease_belongs_to_the_tab_that_took_it(page: RunningPage, running: RunningPlane) -> None:
+def test_page_lease_belongs_to_one_tab(page: RunningPage, running: RunningPlane) -> None:
     ticket = page.take_lease("Ann")
     for other in ("", "guessed", ticket[:-1], ticket + "x"):
         assert page.command("reset", other).status == 409
@@ -130,14 +130,14 @@ def test_a_lease_belongs_to_the_tab_that_took_it(page: RunningPage, running: Run
     page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
 
 
-def test_stop_needs_no_lease_no_number_and_no_valid_body(page: RunningPage, running: RunningPlane) -> None:
+def test_page_stop_needs_no_lease_number_or_valid_body(page: RunningPage, running: RunningPlane) -> None:
     for name, body in (("stop", b"{}"), ("stop", b""), ("estop", b"\xff{[")):
         answer = page.ask("POST", f"/api/stop/{name}", body, page.own())
         assert answer.status == 200, answer.body
     assert [what for what, _ in running.service.stops] == ["stop", "stop", "estop"]
 
 
-def test_a_stop_overtakes_a_command_that_waits(running: RunningPlane, page: RunningPage) -> None:
+def test_page_stop_overtakes_waiting_command(running: RunningPlane, page: RunningPage) -> None:
     ticket = page.take_lease()
     running.service.free.clear()
     connection = page.connection()
@@ -158,9 +158,7 @@ def test_a_stop_overtakes_a_command_that_waits(running: RunningPlane, page: Runn
     page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
 
 
-def test_a_command_is_taken_once_and_from_a_fresh_screen_only(
-    page: RunningPage, running: RunningPlane
-) -> None:
+def test_page_command_repeated_or_stale_is_refused(page: RunningPage, running: RunningPlane) -> None:
     ticket = page.take_lease()
     content = {"number": "the-same-click", "seen": time.monotonic()}
     assert page.post("/api/command/reset", content, golfbench_ticket=ticket).status == 200
@@ -175,14 +173,14 @@ def test_a_command_is_taken_once_and_from_a_fresh_screen_only(
     page.post("/api/lease", {"action": "release"}, golfbench_ticket=ticket)
 
 
-def test_the_script_says_so_within_two_seconds(page: RunningPage) -> None:
+def test_stream_script_shows_silence_within_two_seconds(page: RunningPage) -> None:
     script = page.ask("GET", "/static/stream.js").body.decode()
     silent, look = (float(re.findall(rf"const {name} = ([0-9.]+)", script)[0]) for name in ("SILENT", "LOOK"))
     assert silent + 1e-3 * look + HEARTBEAT <= 2.0  # silence begins after the last state
 
 
 @pytest.mark.slow
-def test_a_silent_bench_is_said_within_two_seconds() -> None:
+def test_stream_silent_bench_reports_silence() -> None:
     with (
         running_plane(FakeDesk(), loopback_configuration()) as running,
         publishing(running) as speaking,
@@ -195,7 +193,7 @@ def test_a_silent_bench_is_said_within_two_seconds() -> None:
         assert max(s for s in silences if s is not None) > 1.5
 
 
-def test_the_page_waits_for_a_bench_that_starts_later() -> None:
+def test_page_started_before_bench_connects_later() -> None:
     configuration = loopback_configuration()
     with running_page(configuration) as page:
         with page.stream() as following:
@@ -209,7 +207,7 @@ def test_the_page_waits_for_a_bench_that_starts_later() -> None:
             assert page.post("/api/stop/stop", {}).status == 200
 
 
-def test_small_answers_are_not_held_back(page: RunningPage) -> None:
+def test_page_small_answers_are_sent_without_delay(page: RunningPage) -> None:
     """Nagle's algorithm keeps a body until the peer acknowledges the head: 40 ms for each file."""
     connection = page.connection()
     try:

@@ -69,7 +69,7 @@ def said_of(*errors: BenchError) -> str:
     return "\n".join(["campaign x", *(json.dumps(error.record()) for error in errors), ""])
 
 
-def test_the_words_of_a_refused_command_are_kept() -> None:
+def test_fault_of_refused_command_keeps_message() -> None:
     one = Refused("bench b", "held", "free", "Wait.")
     fault = fault_of("golfbench campaign", 1, said_of(one))
     assert fault.record() == one.record()
@@ -87,9 +87,7 @@ def test_the_words_of_a_refused_command_are_kept() -> None:
     assert len(fault_of("x", 70, "y" * 10_000).found) < 3000
 
 
-def test_commands_are_bounded_in_number_and_time(
-    program: NotingProgram, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_command_line_bounds_number_and_time(program: NotingProgram, monkeypatch: pytest.MonkeyPatch) -> None:
     golfbench = CommandLine(program.command)
     for _ in range(MAX_COMMANDS):
         golfbench._free.acquire()
@@ -104,7 +102,7 @@ def test_commands_are_bounded_in_number_and_time(
         golfbench.output("campaign", "air")
 
 
-def test_a_page_that_ends_ends_its_commands(configuration: Configuration, program: NotingProgram) -> None:
+def test_command_line_close_ends_commands(configuration: Configuration, program: NotingProgram) -> None:
     golfbench = CommandLine(program.command)
     from concurrent.futures import ThreadPoolExecutor
 
@@ -119,7 +117,7 @@ def test_a_page_that_ends_ends_its_commands(configuration: Configuration, progra
 # Plans -----------------------------------------------------------------------------------------------
 
 
-def test_plans_are_the_shipped_ones_and_those_of_the_bench(tmp_path: Path) -> None:
+def test_plan_catalogue_lists_shipped_and_local_plans(tmp_path: Path) -> None:
     folder = tmp_path / "plans"
     folder.mkdir()
     (folder / "mine.toml").write_text(f'# About mine\n[campaign]\ntitle = "Mine {SCRIPT}"\n')
@@ -161,7 +159,7 @@ _FORM: dict[str, Any] = {
 }
 
 
-def test_new_plan_is_written_as_at_the_command_line(
+def test_new_plan_is_written_by_command(
     page: RunningPage, program: NotingProgram, configuration: Configuration
 ) -> None:
     names = page.ask("GET", "/api/names").content
@@ -198,7 +196,7 @@ def test_new_plan_invalid_form_reaches_no_program(
     assert program.asked == []
 
 
-def test_a_plan_is_checked_and_started_as_at_the_command_line(
+def test_plan_page_check_and_start_run_command(
     page: RunningPage, program: NotingProgram, configuration: Configuration
 ) -> None:
     assert "two-balls" in [one["name"] for one in page.ask("GET", "/api/plans").content]
@@ -223,7 +221,7 @@ def test_a_plan_is_checked_and_started_as_at_the_command_line(
         assert text == "bench b: held by Ann; expected a free bench. Wait."
 
 
-def test_a_runner_outlives_its_page(tmp_path: Path, program: NotingProgram) -> None:
+def test_background_command_outlives_page(tmp_path: Path, program: NotingProgram) -> None:
     log, said = tmp_path / "data" / "runner.log", list[Any]()
     runner = BackgroundCommand(
         CommandLine(program.command), log, lambda topic, content: said.append(content), "runner"
@@ -242,7 +240,7 @@ def test_a_runner_outlives_its_page(tmp_path: Path, program: NotingProgram) -> N
     assert "exit code -9" in said[-1]["text"]
 
 
-def test_a_suspended_campaign_ends_with_its_reason(tmp_path: Path) -> None:
+def test_background_command_suspended_campaign_reports_reason(tmp_path: Path) -> None:
     said = list[Any]()
     record = {"campaign": "x", "state": "suspended", "reason": "bench b: no answer", "shots": 2, "valid": 2}
     words = json.dumps(record, indent=2)
@@ -256,7 +254,7 @@ def test_a_suspended_campaign_ends_with_its_reason(tmp_path: Path) -> None:
     assert said[-1]["text"] == "Suspended: bench b: no answer; 2 shots, 2 valid."
 
 
-def test_a_page_without_a_place_for_the_log_starts_nothing(tmp_path: Path, program: NotingProgram) -> None:
+def test_background_command_without_log_folder_starts_nothing(tmp_path: Path, program: NotingProgram) -> None:
     (tmp_path / "data").write_text("no folder")
     runner = BackgroundCommand(
         CommandLine(program.command), tmp_path / "data" / "log", lambda *_: None, "runner"
@@ -271,7 +269,7 @@ def test_a_page_without_a_place_for_the_log_starts_nothing(tmp_path: Path, progr
 BALL: dict[str, Any] = {"x": 0.1, "y": -1.5, "uncertainty-mm": 2, "method": "tape", "note": "", "days": None}
 
 
-def test_values_are_shown_and_entered(page: RunningPage, program: NotingProgram) -> None:
+def test_values_page_shows_and_enters_values(page: RunningPage, program: NotingProgram) -> None:
     shown = page.ask("GET", "/api/values").content
     assert [one["kind"] for one in shown["entries"]] == ["encoders", "ball", "club", "valves", "inputs"]
     assert shown["air"] is None
@@ -286,7 +284,7 @@ def test_values_are_shown_and_entered(page: RunningPage, program: NotingProgram)
     assert content["action"] == "Measure again."
 
 
-def test_forms_become_arguments() -> None:
+def test_form_arguments_match_command_options() -> None:
     valves = {"centre": [0.01, -0.02, 0], "dead-band": [0.03, 0.03, 0.03], "uncertainty": 1e-3}
     more = {"method": "", "note": "--config=/etc/passwd", "days": 30}
     found = form_arguments(FORMS["valves"], valves | more, "--help")
@@ -331,12 +329,12 @@ def test_forms_become_arguments() -> None:
         {"days": True},
     ],
 )
-def test_what_is_no_value_is_refused(wrong: dict[str, Any]) -> None:
+def test_form_arguments_invalid_value_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidBody):
         form_arguments(FORMS["ball"], BALL | wrong, "Ann")
 
 
-def test_three_values_are_three_numbers() -> None:
+def test_form_arguments_invalid_triple_is_refused() -> None:
     form = {"method": "", "note": "", "uncertainty-deg": 1}
     for pose in ([1, 2], [1, 2, "3"], 1, {"a": 1}, [1, 2, float("nan")]):
         with pytest.raises(InvalidBody):
@@ -348,7 +346,7 @@ def test_three_values_are_three_numbers() -> None:
 # The viewer ------------------------------------------------------------------------------------------
 
 
-def test_the_viewer_is_opened_by_its_link_only_and_ends_with_the_page(
+def test_viewer_path_opens_from_same_origin_only_and_closes(
     page: RunningPage, program: NotingProgram
 ) -> None:
     own = {"sec-fetch-site": "same-origin"}
@@ -369,7 +367,7 @@ def test_the_viewer_is_opened_by_its_link_only_and_ends_with_the_page(
     assert (answer.status, answer.content["action"]) == (409, "Install it.")
 
 
-def test_a_viewer_that_says_nothing_is_ended(program: NotingProgram, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_viewer_process_without_url_is_ended(program: NotingProgram, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(command_line, "START", 0.2)
     silent = CommandLine((sys.executable, "-S", "-c", "import time; time.sleep(600)"))
     viewer = ViewerProcess(silent, lambda *_: None)
@@ -393,7 +391,7 @@ CHANGING = (
 )
 
 
-def test_what_starts_a_program_needs_the_operators_role(
+def test_page_programs_require_operator_role(
     configuration: Configuration, program: NotingProgram, tmp_path: Path
 ) -> None:
     tokens = tmp_path / "tokens"

@@ -23,14 +23,14 @@ from bench.web.bench_link import accepted_commands, state_view
 from tests.bench.fake_bench_service import FakeDesk
 
 
-def test_everything_has_words() -> None:
+def test_status_words_cover_every_state_phase_and_reaction() -> None:
     assert set(STATE_WORDS) == set(COMMANDS) == set(State)
     assert set(PHASE_WORDS) == set(Phase)
     assert set(REACTION_WORDS) == set(Reaction)
 
 
 @pytest.mark.parametrize("state", State)
-def test_each_state_is_shown(state: State) -> None:
+def test_state_view_shows_every_state_and_cause(state: State) -> None:
     status = FakeDesk(state).status() | {"lease": None}
     for cause, (text, action) in CAUSE_WORDS.items():
         status["cause"] = CauseStatus(name=cause.name, text=text, action=action)
@@ -40,7 +40,7 @@ def test_each_state_is_shown(state: State) -> None:
     assert not {"stop", "estop"} & set(accepted_commands(state))
 
 
-def test_what_needs_attention_is_named() -> None:
+def test_state_view_warnings_list_faults_and_read_only() -> None:
     status = FakeDesk().status()
     status["read_only"], status["support_ready"] = True, False
     status["air_faults"], status["drift"] = ["vent 1 does not follow"], ["speed has drifted"]
@@ -55,7 +55,7 @@ def test_what_needs_attention_is_named() -> None:
     ]
 
 
-def test_a_launch_monitor_that_is_not_present_is_a_warning() -> None:
+def test_state_view_absent_launch_monitor_warns() -> None:
     status = FakeDesk().status() | {"launch_monitor": {**NO_LAUNCH_MONITOR, "note": "not listening"}}
     warnings = state_view(status)["warnings"]
     assert "no launch monitor is connected" in warnings
@@ -63,7 +63,7 @@ def test_a_launch_monitor_that_is_not_present_is_a_warning() -> None:
 
 
 @pytest.mark.parametrize("state", State)
-def test_nothing_is_called_vented_before_it_is(state: State) -> None:
+def test_state_view_unvented_bench_is_not_called_vented(state: State) -> None:
     status = FakeDesk(state).status() | {"vented": False}
     view = state_view(status)
     assert not re.search("(?<!not )vented", view["words"].lower())
@@ -75,18 +75,18 @@ def test_nothing_is_called_vented_before_it_is(state: State) -> None:
         assert state_view(status | {"vented": True})["words"] == STATE_WORDS[state][0]
 
 
-def test_only_a_vented_ready_bench_is_green() -> None:
+def test_state_view_ready_tone_requires_ready_state() -> None:
     assert state_view(FakeDesk(State.READY).status())["tone"] == "ready"
     assert state_view(FakeDesk(State.SAFE).status())["tone"] == "rest"
 
 
-def test_a_venting_that_is_over_is_not_told() -> None:
+def test_state_view_finished_venting_is_not_shown() -> None:
     status = FakeDesk(State.READY).status() | {"reaction": "VENT"}
     assert state_view(status)["reaction"] == ""
     assert state_view(status | {"vented": False})["reaction"] == "vents"
 
 
-def test_a_missing_ball_is_told_before_the_swing() -> None:
+def test_state_view_missing_ball_is_shown_before_swing() -> None:
     status = FakeDesk(State.ARMED).status()
     assert state_view(status)["next"].startswith(NO_BALL)
     assert NO_BALL not in state_view(status | {"ball_present": True})["next"]

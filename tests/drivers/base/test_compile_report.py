@@ -22,7 +22,7 @@ def _times(*times: float) -> Iterator[float]:
     yield from times
 
 
-def test_compile_progress_of_a_long_compilation_is_reported_at_its_begin_and_in_short_intervals(
+def test_compile_progress_long_compilation_reports_periodically(
     heard: list[str],
 ) -> None:
     times = _times(100.0, 100.5, 101.5, 103.0, 104.1)
@@ -36,7 +36,7 @@ def test_compile_progress_of_a_long_compilation_is_reported_at_its_begin_and_in_
     ]
 
 
-def test_compile_progress_of_less_than_a_second_is_not_reported(heard: list[str]) -> None:
+def test_compile_progress_below_1_s_reports_nothing(heard: list[str]) -> None:
     times = _times(100.0, 100.9)
     progress = CompileProgress(lambda: next(times))
     progress.note()

@@ -84,7 +84,7 @@ def run(copy: Path) -> tuple[int, int]:
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
-def test_a_changed_enum_in_a_file_without_compiled_functions_is_compiled_again(copy: Path) -> None:
+def test_compiled_changed_enum_recompiles(copy: Path) -> None:
     assert run(copy) == (8, 1)
     assert run(copy) == (8, 1)
     (kept,) = (copy / "cache").rglob("*.nbc")
@@ -96,7 +96,7 @@ def test_a_changed_enum_in_a_file_without_compiled_functions_is_compiled_again(c
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
-def test_machine_code_that_cannot_be_read_is_compiled_again(copy: Path, suffix: str) -> None:
+def test_compiled_unreadable_cache_recompiles(copy: Path, suffix: str) -> None:
     assert run(copy) == (8, 1)
     (kept,) = (copy / "cache").rglob(f"*.{suffix}")
     for broken in (kept.read_bytes()[:-20], kept.read_bytes().replace(b"numba", b"gonea"), b""):
@@ -105,7 +105,7 @@ def test_machine_code_that_cannot_be_read_is_compiled_again(copy: Path, suffix: 
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
-def test_native_function_is_compiled_again_where_its_code_is_old_or_unreadable(copy: Path) -> None:
+def test_compiled_call_old_or_unreadable_cache_recompiles(copy: Path) -> None:
     (copy / "bench/control/native_example.py").write_text(NATIVE)
     (copy / "bench/control/other_example.py").write_text(OTHER)
     assert printed(copy, CALL) == "108\n"

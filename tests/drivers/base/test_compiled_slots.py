@@ -47,7 +47,7 @@ def fetch(slots: MappedSlots, into: np.ndarray) -> bool:
 
 
 @pytest.mark.parametrize("start", [0, 1, 77, 2**32 + 5])
-def test_the_checksum_is_that_of_zlib(start: int) -> None:
+def test_copy_words_checksum_equals_zlib_crc32(start: int) -> None:
     data = np.random.default_rng(start).integers(0, 256, 696, np.uint8)
     copy = np.zeros_like(data)
     found = copy_words(data.ctypes.data, copy.ctypes.data, len(data), start)
@@ -55,7 +55,7 @@ def test_the_checksum_is_that_of_zlib(start: int) -> None:
     assert copy.tobytes() == data.tobytes()
 
 
-def test_both_write_the_same_file(tmp_path: Path) -> None:
+def test_put_record_writes_same_bytes_as_python(tmp_path: Path) -> None:
     one, other = create(tmp_path / "compiled"), create(tmp_path / "python")
     one.put(value(1).tobytes())
     other.put(value(1).tobytes())
@@ -70,7 +70,7 @@ def test_both_write_the_same_file(tmp_path: Path) -> None:
         slots.close()
 
 
-def test_the_first_record_and_a_closed_file_are_pythons(slots: MappedSlots) -> None:
+def test_put_record_first_or_closed_declines(slots: MappedSlots) -> None:
     assert not put(slots, 1)  # a writer before this one may have died
     assert slots.head == 0
     slots.put(value(1).tobytes())
@@ -82,7 +82,7 @@ def test_the_first_record_and_a_closed_file_are_pythons(slots: MappedSlots) -> N
     assert put_native.address
 
 
-def test_the_newest_whole_record_is_read_once(slots: MappedSlots, tmp_path: Path) -> None:
+def test_fetch_record_reads_newest_record_once(slots: MappedSlots, tmp_path: Path) -> None:
     reader = MappedSlots.open(tmp_path / "slots", "record", VALUE, writable=False)
     into = value(99)
     assert fetch(reader, into)
@@ -99,7 +99,7 @@ def test_the_newest_whole_record_is_read_once(slots: MappedSlots, tmp_path: Path
 
 
 @pytest.mark.parametrize("spoiled", ["number", "check", "record"])
-def test_a_torn_record_leaves_the_one_before(slots: MappedSlots, tmp_path: Path, spoiled: str) -> None:
+def test_fetch_record_torn_record_keeps_previous(slots: MappedSlots, tmp_path: Path, spoiled: str) -> None:
     reader = MappedSlots.open(tmp_path / "slots", "record", VALUE, writable=False)
     into = np.zeros(1, VALUE)
     slots.put(value(1).tobytes())

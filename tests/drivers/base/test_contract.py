@@ -43,7 +43,7 @@ commands = st.builds(Command, triple, *(switch,) * 5)
 
 
 @given(readings)
-def test_readings_survive_the_record(value: Readings) -> None:
+def test_pack_readings_round_trip_preserves_values(value: Readings) -> None:
     record = new_record(READINGS)
     pack_readings(value, record)
     back = unpack_readings(record)
@@ -52,19 +52,19 @@ def test_readings_survive_the_record(value: Readings) -> None:
 
 
 @given(commands)
-def test_commands_survive_the_record(value: Command) -> None:
+def test_pack_command_round_trip_preserves_values(value: Command) -> None:
     record = new_record(COMMAND)
     pack_command(value, record)
     assert unpack_command(record) == value
     assert repr(unpack_command(record)) == repr(value)
 
 
-def test_records_have_the_names_of_the_values() -> None:
+def test_record_dtypes_match_field_names() -> None:
     assert READINGS.names == Readings._fields
     assert COMMAND.names == Command._fields
 
 
-def test_an_absent_channel_stays_absent() -> None:
+def test_pack_readings_absent_channel_stays_absent() -> None:
     record = new_record(READINGS)
     value = Readings(
         0.0,
@@ -87,7 +87,7 @@ def test_an_absent_channel_stays_absent() -> None:
     assert all(map(math.isnan, back.chamber_pressure))
 
 
-def test_a_wrong_value_is_refused() -> None:
+def test_pack_wrong_value_raises() -> None:
     record = new_record(READINGS)
     with pytest.raises((TypeError, ValueError, OverflowError)):
         pack_readings(Readings(*("x",) * 12), record)  # type: ignore[arg-type]
@@ -95,7 +95,7 @@ def test_a_wrong_value_is_refused() -> None:
         pack_command(Command(valve=(0.0, 0.0)), new_record(COMMAND))  # type: ignore[arg-type]
 
 
-def test_the_passive_command_is_the_record_without_energy() -> None:
+def test_passive_command_has_no_energy() -> None:
     assert Command() == PASSIVE
     assert PASSIVE.valve == (0.0, 0.0, 0.0)
     assert PASSIVE.guard_lock
@@ -103,7 +103,7 @@ def test_the_passive_command_is_the_record_without_energy() -> None:
 
 
 @given(commands)
-def test_a_device_applies_openings_within_its_stroke(command: Command) -> None:
+def test_device_limited_clips_valves_or_returns_passive(command: Command) -> None:
     applied = device_limited(command)
     if all(map(math.isfinite, command.valve)):
         assert applied.valve == tuple(np.clip(command.valve, -1.0, 1.0).tolist())

@@ -57,7 +57,7 @@ def has_compiled_function(tree: ast.Module) -> bool:
     )
 
 
-def test_the_graph_has_every_file_that_compiled_functions_import() -> None:
+def test_compiled_sources_contain_all_imported_files() -> None:
     trees = parsed()
     reached = set[str]()
     waiting = [module for module, (_, tree) in trees.items() if has_compiled_function(tree)]
@@ -87,7 +87,7 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_digest_covers_every_file_of_the_graph_and_no_other(copy: Path) -> None:
+def test_source_digest_covers_only_compiled_sources(copy: Path) -> None:
     digest = source_digest(copy)
     assert digest == source_digest() == source_digest(copy)
     sources = compiled_sources(copy)
@@ -101,7 +101,7 @@ def test_the_digest_covers_every_file_of_the_graph_and_no_other(copy: Path) -> N
     assert source_digest(copy) == digest
 
 
-def test_change_renews_the_modules_that_import_it_and_no_others(copy: Path) -> None:
+def test_module_digests_change_only_for_importing_modules(copy: Path) -> None:
     digests = module_digests(copy)
     assert digests == module_digests()
     changed = copy / "bench/control/law/pid.py"
@@ -112,7 +112,7 @@ def test_change_renews_the_modules_that_import_it_and_no_others(copy: Path) -> N
     assert not renewed & {"sim.kane", "sim.dynamics", "sim.flight", "bench.control.envelope", "sim.driver"}
 
 
-def test_no_compiled_function_calls_an_argument() -> None:
+def test_compiled_functions_call_no_argument() -> None:
     """Its machine code would contain a function that its module does not import."""
     found = []
     for path, tree in parsed().values():
@@ -124,7 +124,7 @@ def test_no_compiled_function_calls_an_argument() -> None:
     assert found == []
 
 
-def test_the_digest_covers_the_paths(tmp_path: Path) -> None:
+def test_source_digest_depends_on_paths(tmp_path: Path) -> None:
     source = "from drivers.base.compiled import compiled\n\n@compiled\ndef f(): ...\n"
     for package in PACKAGES:
         (tmp_path / package).mkdir()
@@ -148,7 +148,7 @@ def test_the_digest_covers_the_paths(tmp_path: Path) -> None:
         "if TYPE_CHECKING:\n    from sim.constants import A",
     ],
 )
-def test_every_form_of_import_is_followed(tmp_path: Path, line: str) -> None:
+def test_compiled_sources_follow_every_import_form(tmp_path: Path, line: str) -> None:
     for package in PACKAGES:
         (tmp_path / package).mkdir()
     (tmp_path / "sim/constants.py").write_text("from bench.enums import B\n")
@@ -169,7 +169,7 @@ def version(module: Path, number: int, last_used: float) -> Path:
     return folder
 
 
-def test_the_last_used_versions_are_kept(tmp_path: Path) -> None:
+def test_prune_versions_keeps_last_used(tmp_path: Path) -> None:
     folders = [version(tmp_path, number, 1e9 + 10.0 * number) for number in range(5)]
     other = tmp_path / "notes"
     other.mkdir()
@@ -179,7 +179,7 @@ def test_the_last_used_versions_are_kept(tmp_path: Path) -> None:
     assert sorted(tmp_path.iterdir()) == sorted([folders[1], folders[4], other])
 
 
-def test_neither_fails_where_nothing_can_be_written(tmp_path: Path) -> None:
+def test_prune_and_mark_unwritable_path_do_not_raise(tmp_path: Path) -> None:
     prune_versions(tmp_path / "absent", kept=0)
     (tmp_path / "file").touch()
     mark_in_use(tmp_path / "file" / "0123456789abcdef")

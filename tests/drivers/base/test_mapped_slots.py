@@ -56,7 +56,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return path.read_bytes()
 
 
-def test_the_last_records_are_there_by_number(slots: MappedSlots, reader: MappedSlots) -> None:
+def test_mapped_slots_fetch_returns_last_records_by_number(slots: MappedSlots, reader: MappedSlots) -> None:
     for number in range(1, 11):
         slots.put(data_of(number))
         assert reader.head == number
@@ -65,17 +65,17 @@ def test_the_last_records_are_there_by_number(slots: MappedSlots, reader: Mapped
             assert reader.fetch(other) == (data_of(other) if other in there else None)
 
 
-def test_a_reader_cannot_write(reader: MappedSlots) -> None:
+def test_mapped_slots_read_only_put_raises(reader: MappedSlots) -> None:
     with pytest.raises(TypeError, match="read-only"):
         reader.put(data_of(1))
 
 
-def test_the_file_is_its_owners_alone(slots: MappedSlots, path: Path) -> None:
+def test_mapped_slots_file_is_private_and_allocated(slots: MappedSlots, path: Path) -> None:
     assert path.stat().st_mode & 0o777 == 0o600
     assert path.stat().st_blocks * 512 >= path.stat().st_size, "memory is reserved: no SIGBUS later"
 
 
-def test_slots_do_not_share_cache_lines(path: Path) -> None:
+def test_mapped_slots_fill_whole_cache_lines(path: Path) -> None:
     for size in (1, 8, 32, 33, 100):
         file = path.with_name(str(size))
         MappedSlots.create(file, KIND, np.dtype([("a", "u1", (size,))]), 2).close()
@@ -110,9 +110,7 @@ STORES = 5
 
 @pytest.mark.parametrize("stores", range(STORES + 1))
 @pytest.mark.parametrize("before", range(SLOTS + 3))
-def test_a_writer_that_dies_at_any_store_spoils_nothing_but_the_oldest(
-    stores: int, before: int, path: Path
-) -> None:
+def test_mapped_slots_writer_death_spoils_only_oldest(stores: int, before: int, path: Path) -> None:
     slots = MappedSlots.create(path, KIND, VALUE, SLOTS)
     for number in range(1, before + 1):
         slots.put(data_of(number))
@@ -145,7 +143,7 @@ def test_a_writer_that_dies_at_any_store_spoils_nothing_but_the_oldest(
 
 @given(location=st.integers(0, VALUE.itemsize + 4 * 8), bit=st.integers(0, 7))
 @SAME_FOLDER
-def test_any_flipped_bit_of_a_slot_is_seen(location: int, bit: int, slots: MappedSlots) -> None:
+def test_mapped_slots_flipped_bit_is_detected(location: int, bit: int, slots: MappedSlots) -> None:
     slots.put(data_of(7))
     number = slots.head
     at = 128 + number % SLOTS * 64 + location
@@ -158,14 +156,14 @@ def test_any_flipped_bit_of_a_slot_is_seen(location: int, bit: int, slots: Mappe
     assert slots.fetch(number) == data_of(7)
 
 
-def test_a_mixture_of_two_records_is_seen_even_between_right_numbers(slots: MappedSlots) -> None:
+def test_mapped_slots_mixed_record_is_detected(slots: MappedSlots) -> None:
     slots.put(data_of(1))
     start = 128 + 64 + 16
     slots._memory[start : start + 8] = data_of(2)[:8]  # as if these bytes were seen before their number
     assert slots.fetch(1) is None
 
 
-def test_an_older_record_under_a_newer_number_is_seen(slots: MappedSlots) -> None:
+def test_mapped_slots_old_record_with_new_number_is_detected(slots: MappedSlots) -> None:
     slots.put(data_of(1))
     slots._words[(128 + 64) >> 3] = slots._words[((128 + 64) >> 3) + slots._end] = 1 + SLOTS
     assert slots.fetch(1 + SLOTS) is None
@@ -186,32 +184,34 @@ def refused(path: Path) -> str:
 
 @given(content=st.binary(max_size=1000))
 @SAME_FOLDER
-def test_garbage_is_refused(content: bytes, path: Path) -> None:
+def test_mapped_slots_garbage_file_is_refused(content: bytes, path: Path) -> None:
     path.write_bytes(content)
     refused(path)
 
 
 @given(data=st.data())
 @SAME_FOLDER
-def test_a_file_cut_short_is_refused(data: st.DataObject, whole: bytes, path: Path) -> None:
+def test_mapped_slots_truncated_file_is_refused(data: st.DataObject, whole: bytes, path: Path) -> None:
     path.write_bytes(whole[: data.draw(st.integers(0, len(whole) - 1))])
     assert "bytes" in refused(path)
 
 
 @pytest.mark.parametrize("longer", [1, 64, mmap.PAGESIZE])
-def test_a_file_too_long_is_refused(longer: int, whole: bytes, path: Path) -> None:
+def test_mapped_slots_oversized_file_is_refused(longer: int, whole: bytes, path: Path) -> None:
     path.write_bytes(whole + bytes(longer))
     assert f"found {len(whole) + longer} bytes with 4 slots, expected {len(whole)} bytes" in refused(path)
 
 
-def test_a_file_of_zeros_is_refused(whole: bytes, path: Path) -> None:
+def test_mapped_slots_zero_file_is_refused(whole: bytes, path: Path) -> None:
     path.write_bytes(bytes(len(whole)))
     assert "begin with" in refused(path)
 
 
 @given(location=st.integers(0, 55), value=st.integers(0, 255))
 @SAME_FOLDER
-def test_a_header_with_any_wrong_byte_is_refused(location: int, value: int, whole: bytes, path: Path) -> None:
+def test_mapped_slots_wrong_header_byte_is_refused(
+    location: int, value: int, whole: bytes, path: Path
+) -> None:
     content = bytearray(whole)
     if content[location] == value:
         return
@@ -222,7 +222,7 @@ def test_a_header_with_any_wrong_byte_is_refused(location: int, value: int, whol
 
 @given(slots=st.integers(0, 2**64 - 1))
 @SAME_FOLDER
-def test_any_other_number_of_slots_is_refused(slots: int, whole: bytes, path: Path) -> None:
+def test_mapped_slots_wrong_slot_count_is_refused(slots: int, whole: bytes, path: Path) -> None:
     if slots != SLOTS:
         path.write_bytes(whole[:24] + slots.to_bytes(8, "little") + whole[32:])
         assert f"{slots} slots" in refused(path)
@@ -230,9 +230,7 @@ def test_any_other_number_of_slots_is_refused(slots: int, whole: bytes, path: Pa
 
 @given(content=st.binary(min_size=8, max_size=512))
 @SAME_FOLDER
-def test_any_content_behind_a_good_header_is_read_without_harm(
-    content: bytes, whole: bytes, path: Path
-) -> None:
+def test_mapped_slots_arbitrary_content_reads_safely(content: bytes, whole: bytes, path: Path) -> None:
     path.write_bytes((whole[:64] + content)[: len(whole)].ljust(len(whole), b"\xff"))
     reader = opened(path)
     for number in (0, 1, reader.head, max(0, reader.head - 1), 2**64 - 1):
@@ -241,7 +239,7 @@ def test_any_content_behind_a_good_header_is_read_without_harm(
     reader.close()
 
 
-def test_every_refusal_tells_what_is_different(whole: bytes, path: Path) -> None:
+def test_mapped_slots_refusal_names_difference(whole: bytes, path: Path) -> None:
     path.write_bytes(whole[:8] + b"\2" + whole[9:])
     assert "layout version 2, expected version 1" in refused(path)
     path.write_bytes(whole)
@@ -257,7 +255,7 @@ def test_every_refusal_tells_what_is_different(whole: bytes, path: Path) -> None
             opened(path, other)
 
 
-def test_what_is_no_regular_file_is_refused(path: Path, tmp_path: Path, whole: bytes) -> None:
+def test_mapped_slots_irregular_file_is_refused(path: Path, tmp_path: Path, whole: bytes) -> None:
     (tmp_path / "target").write_bytes(whole)
     path.symlink_to(tmp_path / "target")
     assert "symbolic links" in refused(path)
@@ -269,14 +267,14 @@ def test_what_is_no_regular_file_is_refused(path: Path, tmp_path: Path, whole: b
     assert "no regular file" in refused(path)
 
 
-def test_a_full_memory_is_told_before_it_is_used(path: Path) -> None:
+def test_mapped_slots_create_without_space_raises(path: Path) -> None:
     huge = np.dtype([("bytes", "u1", (2**30,))])
     with pytest.raises(SharedMemoryError, match="bytes left"):
         MappedSlots.create(path, KIND, huge, 2**30)
     assert list(path.parent.iterdir()) == []
 
 
-def test_refused_files_leave_no_descriptor_open(path: Path) -> None:
+def test_mapped_slots_refused_file_closes_descriptor(path: Path) -> None:
     path.write_bytes(b"garbage")
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(10):

@@ -38,13 +38,15 @@ def reader(writer: SharedRecord, path: Path) -> Iterator[SharedRecord]:
     record.close()
 
 
-def test_nothing_written_yet_is_version_0_and_leaves_the_value_alone(reader: SharedRecord) -> None:
+def test_shared_record_unwritten_read_returns_version_0(reader: SharedRecord) -> None:
     into = value_of(7)
     assert reader.read(into) == 0
     assert into == value_of(7)
 
 
-def test_a_reader_gets_the_newest_value_and_its_version(writer: SharedRecord, reader: SharedRecord) -> None:
+def test_shared_record_read_returns_newest_value_and_version(
+    writer: SharedRecord, reader: SharedRecord
+) -> None:
     into = np.zeros(1, VALUE)
     for number in range(1, 12):
         writer.write(value_of(number))
@@ -56,21 +58,21 @@ def test_a_reader_gets_the_newest_value_and_its_version(writer: SharedRecord, re
     assert into == value_of(11)
 
 
-def test_records_of_uncompiled_code_do_as_well(writer: SharedRecord, reader: SharedRecord) -> None:
+def test_shared_record_accepts_recarray(writer: SharedRecord, reader: SharedRecord) -> None:
     into = np.zeros(1, VALUE).view(np.recarray)
     writer.write(value_of(5).view(np.recarray))
     assert reader.read(into) == 1
     assert into == value_of(5)
 
 
-def test_the_reader_may_have_made_the_file(writer: SharedRecord, reader: SharedRecord) -> None:
+def test_shared_record_opener_writes_and_creator_reads(writer: SharedRecord, reader: SharedRecord) -> None:
     into = np.zeros(1, VALUE)
     reader.write(value_of(3))
     assert writer.read(into) == 1
     assert into == value_of(3)
 
 
-def test_a_writer_that_follows_another_counts_on(writer: SharedRecord, path: Path) -> None:
+def test_shared_record_next_writer_continues_version(writer: SharedRecord, path: Path) -> None:
     writer.write(value_of(1))
     writer.close()
     follower = SharedRecord.open(path, VALUE)
@@ -80,36 +82,36 @@ def test_a_writer_that_follows_another_counts_on(writer: SharedRecord, path: Pat
     follower.close()
 
 
-def test_a_value_of_another_size_is_refused(writer: SharedRecord, reader: SharedRecord) -> None:
+def test_shared_record_wrong_size_is_refused(writer: SharedRecord, reader: SharedRecord) -> None:
     with pytest.raises(ValueError, match="8 bytes"):
         writer.write(np.zeros(1))
     assert reader.read(np.zeros(1, VALUE)) == 0
 
 
-def test_a_name_is_given_once(writer: SharedRecord, path: Path) -> None:
+def test_shared_record_create_existing_name_is_refused(writer: SharedRecord, path: Path) -> None:
     with pytest.raises(SharedMemoryError, match="supervision: found a file of that name, expected none"):
         SharedRecord.create(path, VALUE)
     assert [file.name for file in path.parent.iterdir()] == ["supervision"]
 
 
-def test_a_reader_of_other_code_is_refused(writer: SharedRecord, path: Path) -> None:
+def test_shared_record_open_other_dtype_is_refused(writer: SharedRecord, path: Path) -> None:
     other = np.dtype([("number", "i8"), ("words", "f8", (5,)), ("switch", "?")], align=True)
     assert other.itemsize == VALUE.itemsize
     with pytest.raises(SharedMemoryError, match="records of other code"):
         SharedRecord.open(path, other)
 
 
-def test_a_missing_file_is_named(path: Path) -> None:
+def test_shared_record_open_missing_file_names_path(path: Path) -> None:
     with pytest.raises(SharedMemoryError, match="supervision: found no such file"):
         SharedRecord.open(path, VALUE)
 
 
-def test_a_missing_folder_is_named(path: Path) -> None:
+def test_shared_record_create_missing_folder_raises(path: Path) -> None:
     with pytest.raises(SharedMemoryError, match="found No such file or directory, expected a folder"):
         SharedRecord.create(path / "deeper", VALUE)
 
 
-def test_closing_twice_is_allowed_and_leaves_the_file(writer: SharedRecord, path: Path) -> None:
+def test_shared_record_close_twice_keeps_file(writer: SharedRecord, path: Path) -> None:
     writer.close()
     writer.close()
     assert path.exists()

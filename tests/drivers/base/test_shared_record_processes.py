@@ -152,7 +152,7 @@ def in_the_middle_of_a_write(check: Check) -> bool:
 
 
 @pytest.mark.parametrize("record", [WORDS, LARGE], indirect=True)
-def test_at_full_speed_nothing_is_torn(record: tuple[Writers, Check]) -> None:
+def test_shared_record_full_speed_reads_no_torn_record(record: tuple[Writers, Check]) -> None:
     _, check = record
     versions, deadline = set(), time.monotonic() + SECONDS / 2
     while time.monotonic() < deadline:
@@ -161,7 +161,7 @@ def test_at_full_speed_nothing_is_torn(record: tuple[Writers, Check]) -> None:
 
 
 @pytest.mark.parametrize("record", [LARGE], indirect=True)
-def test_a_writer_stopped_in_the_middle_of_a_write_holds_nobody(record: tuple[Writers, Check]) -> None:
+def test_shared_record_writer_stopped_mid_write_reader_continues(record: tuple[Writers, Check]) -> None:
     writers, check = record
     rounds = middles = 0
     for pause in pauses():
@@ -178,7 +178,7 @@ def test_a_writer_stopped_in_the_middle_of_a_write_holds_nobody(record: tuple[Wr
 
 
 @pytest.mark.parametrize("record", [LARGE], indirect=True)
-def test_a_writer_killed_in_the_middle_of_a_write_is_followed_by_another(
+def test_shared_record_writer_killed_mid_write_next_writer_continues(
     record: tuple[Writers, Check], tmp_path: Path
 ) -> None:
     writers, check = record

@@ -30,7 +30,7 @@ def described() -> Database:
     return database(SETTINGS)
 
 
-def test_every_frame_of_a_start_up_and_of_ticks_is_described(described: Database) -> None:
+def test_dbc_describes_every_frame_on_bus(described: Database) -> None:
     driver, wire = make()
     seen: dict[int, set[int]] = {}
 
@@ -53,7 +53,7 @@ def test_every_frame_of_a_start_up_and_of_ticks_is_described(described: Database
         assert one.identifier in seen, one.name
 
 
-def test_every_signal_has_its_limits(described: Database) -> None:
+def test_dbc_signals_have_limits(described: Database) -> None:
     for message in described.messages:
         for signal in message.signals:
             assert signal.minimum is not None, signal.name
@@ -66,7 +66,7 @@ def test_every_signal_has_its_limits(described: Database) -> None:
     assert (position.minimum, position.maximum) == (0, 2**32 - 1)
 
 
-def test_the_command_means_what_the_driver_was_told(described: Database) -> None:
+def test_dbc_command_decodes_to_driver_command(described: Database) -> None:
     driver, wire = make()
     driver.open()
     driver.read(0.0)
@@ -81,7 +81,7 @@ def test_the_command_means_what_the_driver_was_told(described: Database) -> None
     assert [decoded[name] for name in switches] == [1, 0, 1, 0, 1]
 
 
-def test_what_nodes_send_means_what_the_driver_reads(described: Database) -> None:
+def test_dbc_node_frames_decode_to_driver_readings(described: Database) -> None:
     driver, wire = make()
     heard: dict[int, bytes] = {}
 
@@ -113,7 +113,7 @@ def test_what_nodes_send_means_what_the_driver_reads(described: Database) -> Non
     assert str(values["HEARTBEAT_10.state"]) == "operational"
 
 
-def test_other_wiring_and_numbers_are_described_as_well() -> None:
+def test_dbc_follows_settings_of_valve_node() -> None:
     node = replace(SETTINGS.valve_node, node=40, supply_pressure=0, chamber_pressures=(3, 0, 0, 0, 0, 9))
     found = database(replace(SETTINGS, valve_node=node))
     assert found.get_message_by_name("COMMAND").frame_id == 0x228
@@ -125,7 +125,7 @@ def test_other_wiring_and_numbers_are_described_as_well() -> None:
         found.get_message_by_name("PRESSURES_2")
 
 
-def test_the_command_line_writes_it(tmp_path: Path) -> None:
+def test_nodes_command_writes_dbc_file(tmp_path: Path) -> None:
     file = tmp_path / "bench.dbc"
     result = CliRunner().invoke(app, ["--config", "shipped", "nodes", "--dbc", str(file)], obj=Session())
     assert result.exit_code == 0, result.output

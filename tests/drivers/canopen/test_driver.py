@@ -51,15 +51,13 @@ def emergency(code: int) -> bytes:
 # A tick ----------------------------------------------------------------------------------------------
 
 
-def test_a_sample_bears_the_time_at_which_its_sync_was_on_the_wire(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_encoder_time_includes_sync_transmit_delay(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench.wire, "sync_time", lambda sent: sent + 120e-6)
     sent = bench.run(3).time
     assert bench.run(1).encoder_time == pytest.approx([sent + PERIOD + 120e-6] * 3)
 
 
-def test_a_tick_is_one_sync_three_positions_and_one_command(bench: Bench) -> None:
+def test_tick_exchanges_sync_positions_and_command(bench: Bench) -> None:
     bench.run(1)
     bench.wire.sent.clear()
     before = bench.driver.counters.positions
@@ -68,7 +66,7 @@ def test_a_tick_is_one_sync_three_positions_and_one_command(bench: Bench) -> Non
     assert bench.driver.counters.positions == before + 3
 
 
-def test_a_sample_bears_the_time_of_its_sync(bench: Bench) -> None:
+def test_encoder_time_equals_sync_time(bench: Bench) -> None:
     readings = bench.run(5)
     assert readings.encoder_time == (readings.time,) * 3
     assert readings.encoder_age == (0.0, 0.0, 0.0)
@@ -76,7 +74,7 @@ def test_a_sample_bears_the_time_of_its_sync(bench: Bench) -> None:
     assert readings.encoder_count == bench.wire.nodes.readings.encoder_count
 
 
-def test_what_comes_before_the_sync_counts_into_the_samples_time(bench: Bench) -> None:
+def test_encoder_age_includes_time_for_queued_frames(bench: Bench) -> None:
     bench.run(5)  # the shut-off valve has opened: no input changes and sends a frame of its own
     bench.wire.frame_time = 1e-5
     for _ in range(7):
@@ -85,7 +83,7 @@ def test_what_comes_before_the_sync_counts_into_the_samples_time(bench: Bench) -
     assert readings.encoder_age == pytest.approx((-8e-5,) * 3, abs=1e-9)  # the eighth look finds nothing
 
 
-def test_openings_become_volts_and_switches_bits(bench: Bench) -> None:
+def test_command_valves_become_volts_and_switches_bits(bench: Bench) -> None:
     bench.run(1, Command((1.0, -1.0, 0.0), supply_enable=True, exhaust_closed=True, tee=True))
     a, b, c, outputs = bench.wire.commands[-1]
     assert (a, b, c) == pytest.approx((10.0, 0.0, 5.0), abs=2e-4)
@@ -94,7 +92,7 @@ def test_openings_become_volts_and_switches_bits(bench: Bench) -> None:
     assert bench.wire.commands[-1][3] == 0b01100
 
 
-def test_the_passive_command_is_the_centre_and_no_energy(bench: Bench) -> None:
+def test_make_passive_centres_spools_and_clears_outputs(bench: Bench) -> None:
     bench.run(3)
     bench.driver.make_passive()
     *volts, outputs = bench.wire.commands[-1]
@@ -103,14 +101,14 @@ def test_the_passive_command_is_the_centre_and_no_energy(bench: Bench) -> None:
     assert bench.wire.in_force == PASSIVE
 
 
-def test_inputs_and_pressures_are_known_from_the_first_tick_on(bench: Bench) -> None:
+def test_first_tick_has_inputs_and_pressures(bench: Bench) -> None:
     readings = bench.run(1, PASSIVE)
     assert readings.emergency_stop_clear
     assert readings.chamber_pressure == pytest.approx((101325,) * 6, abs=60)
     assert bench.driver.counters.pressures == 0
 
 
-def test_interlocks_come_on_change_and_pressures_at_their_pace(bench: Bench) -> None:
+def test_interlocks_update_on_change_and_pressures_periodically(bench: Bench) -> None:
     bench.run(20, PASSIVE)
     assert bench.readings[-1].supply_pressure == pytest.approx(101325, abs=60)
     assert bench.readings[-1].emergency_stop_clear
@@ -122,7 +120,7 @@ def test_interlocks_come_on_change_and_pressures_at_their_pace(bench: Bench) -> 
     assert bench.driver.counters.pressures == 4  # two frames every ten ticks
 
 
-def test_the_bench_tells_that_it_lives_three_times_in_the_watchdogs_time(bench: Bench) -> None:
+def test_master_heartbeat_is_sent_within_watchdog_time(bench: Bench) -> None:
     bench.wire.sent.clear()
     bench.run(100)
     beats = [data for identifier, data in bench.wire.sent if identifier == 0x700 + SETTINGS.master]
@@ -130,7 +128,7 @@ def test_the_bench_tells_that_it_lives_three_times_in_the_watchdogs_time(bench: 
     assert 12 <= len(beats) <= 17
 
 
-def test_every_frame_is_counted_in_one_class(bench: Bench) -> None:
+def test_counters_count_every_frame_once(bench: Bench) -> None:
     bench.run(200)
     assert bench.driver.counters.frames == bench.counted()
     assert bench.driver.counters.foreign == 0
@@ -139,7 +137,7 @@ def test_every_frame_is_counted_in_one_class(bench: Bench) -> None:
 # Samples that go wrong -------------------------------------------------------------------------------
 
 
-def test_a_missing_sample_keeps_the_last_one_which_ages(bench: Bench) -> None:
+def test_missing_position_keeps_last_count_and_ages(bench: Bench) -> None:
     bench.run(5)
     good = bench.readings[-1]
     bench.wire.meddle = lambda identifier, data: [] if identifier == 0x282 else [(identifier, data)]
@@ -152,7 +150,7 @@ def test_a_missing_sample_keeps_the_last_one_which_ages(bench: Bench) -> None:
     assert bench.driver.operational
 
 
-def test_waiting_for_a_missing_sample_ends_at_its_time(bench: Bench) -> None:
+def test_missing_position_wait_ends_at_sync_timeout(bench: Bench) -> None:
     bench.run(1)
     bench.wire.meddle = lambda identifier, data: []
     before = bench.wire.now
@@ -174,7 +172,7 @@ def hold_back(bench: Bench) -> list[tuple[int, bytes]]:
     return held
 
 
-def test_a_late_sample_bears_the_time_of_the_sync_before(bench: Bench) -> None:
+def test_late_position_keeps_previous_sync_time(bench: Bench) -> None:
     bench.run(5)
     held = hold_back(bench)
     bench.run(1)
@@ -187,7 +185,7 @@ def test_a_late_sample_bears_the_time_of_the_sync_before(bench: Bench) -> None:
     assert bench.driver.counters.missing == 0
 
 
-def test_an_answer_later_than_the_next_sync_is_not_taken_for_one_to_that(bench: Bench) -> None:
+def test_late_positions_are_not_taken_for_current_sync(bench: Bench) -> None:
     bench.run(5)
     held = hold_back(bench)
     bench.run(3)  # a node that stands still, then answers all SYNCs at once
@@ -200,7 +198,7 @@ def test_an_answer_later_than_the_next_sync_is_not_taken_for_one_to_that(bench: 
     assert (bench.driver.counters.late, bench.driver.counters.duplicates) == (3, 0)
 
 
-def test_after_a_lost_answer_the_next_one_is_left_out_as_it_may_be_the_lost_one(bench: Bench) -> None:
+def test_lost_positions_next_answer_is_skipped(bench: Bench) -> None:
     bench.run(5)
     bench.wire.meddle = lambda identifier, data: [] if identifier == 0x282 else [(identifier, data)]
     bench.run(3)
@@ -210,7 +208,7 @@ def test_after_a_lost_answer_the_next_one_is_left_out_as_it_may_be_the_lost_one(
     assert bench.driver.counters.missing == 4
 
 
-def test_a_second_answer_to_one_sync_is_not_believed(bench: Bench) -> None:
+def test_duplicate_position_is_ignored_and_counted(bench: Bench) -> None:
     bench.run(5)
     count = bench.readings[-1].encoder_count[0]
     bench.wire.put(0x281, struct.pack("<I", 7))
@@ -220,7 +218,7 @@ def test_a_second_answer_to_one_sync_is_not_believed(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"abc", b"abcdefgh"])
-def test_a_position_of_another_length_is_none(bench: Bench, data: bytes) -> None:
+def test_position_wrong_length_is_ignored(bench: Bench, data: bytes) -> None:
     bench.run(2)
     bench.wire.meddle = lambda identifier, sent: [(identifier, data if identifier == 0x281 else sent)]
     readings = bench.run(1)
@@ -229,7 +227,7 @@ def test_a_position_of_another_length_is_none(bench: Bench, data: bytes) -> None
 
 
 @pytest.mark.parametrize("identifier", [0x18A, 0x28A, 0x38A, 0x701, 0x81, 0x8A])
-def test_other_frames_of_a_wrong_length_change_nothing(bench: Bench, identifier: int) -> None:
+def test_other_frame_wrong_length_is_ignored(bench: Bench, identifier: int) -> None:
     bench.run(2)
     before = bench.readings[-1]
     for data in (b"", b"\xff" * 5):
@@ -241,13 +239,13 @@ def test_other_frames_of_a_wrong_length_change_nothing(bench: Bench, identifier:
     assert after.supply_pressure == pytest.approx(before.supply_pressure, rel=0.01, nan_ok=True)
 
 
-def test_a_count_outside_the_range_is_passed_on_for_the_bench_to_judge(bench: Bench) -> None:
+def test_position_out_of_range_is_passed_on(bench: Bench) -> None:
     bench.run(2)
     bench.wire.meddle = lambda identifier, data: [(identifier, b"\xff" * 4 if identifier == 0x281 else data)]
     assert bench.run(1).encoder_count[0] == 0xFFFFFFFF
 
 
-def test_pressures_that_come_no_more_are_invalid(bench: Bench) -> None:
+def test_lost_pressures_become_invalid(bench: Bench) -> None:
     bench.run(20)
     assert math.isfinite(bench.readings[-1].supply_pressure)
     bench.wire.meddle = lambda identifier, data: [] if identifier in (0x28A, 0x38A) else [(identifier, data)]
@@ -260,7 +258,7 @@ def test_pressures_that_come_no_more_are_invalid(bench: Bench) -> None:
 # Encoders that tell of errors ------------------------------------------------------------------------
 
 
-def test_an_encoders_error_makes_its_channel_invalid_until_it_is_over(bench: Bench) -> None:
+def test_encoder_emergency_invalidates_channel_until_cleared(bench: Bench) -> None:
     bench.run(2)
     bench.wire.nodes.plant.state["encoder_valid"] = (1, 0, 1)
     assert bench.run(3).encoder_valid == (True, False, True)
@@ -270,7 +268,7 @@ def test_an_encoders_error_makes_its_channel_invalid_until_it_is_over(bench: Ben
     assert bench.driver.counters.emergencies == 2
 
 
-def test_an_error_from_before_the_start_makes_the_channel_invalid_until_it_is_over(bench: Bench) -> None:
+def test_encoder_error_before_open_invalidates_channel_until_cleared(bench: Bench) -> None:
     bench.driver.close()
     bench.wire.nodes.encoders[1].set_health(False)
     bench.driver.open()
@@ -335,7 +333,7 @@ FAULTS: dict[str, tuple[Callable[[Bench], None], str, int]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
-def test_fault_is_latched_named_and_ends_with_opening_anew(
+def test_driver_fault_is_latched_until_reopened(
     bench: Bench, fault: tuple[Callable[[Bench], None], str, int]
 ) -> None:
     bring, reason, longest = fault
@@ -364,7 +362,7 @@ def test_fault_is_latched_named_and_ends_with_opening_anew(
     assert bench.wire.in_force == MOVING
 
 
-def test_the_nodes_watchdog_strikes_when_commands_stop(bench: Bench) -> None:
+def test_valve_node_watchdog_commands_stop_falls_back(bench: Bench) -> None:
     bench.run(30)
     assert bench.wire.in_force == MOVING
     start = bench.wire.now
@@ -374,7 +372,7 @@ def test_the_nodes_watchdog_strikes_when_commands_stop(bench: Bench) -> None:
     assert bench.wire.now - start == pytest.approx(bench.driver.watchdog, abs=2 * PERIOD)
 
 
-def test_a_full_queue_for_a_moment_is_counted_and_forgotten(bench: Bench) -> None:
+def test_full_send_queue_short_counts_without_fault(bench: Bench) -> None:
     bench.run(10)
     bench.wire.refuse = OSError(errno.ENOBUFS, "No buffer space available")
     readings = bench.run(4)
@@ -386,7 +384,7 @@ def test_a_full_queue_for_a_moment_is_counted_and_forgotten(bench: Bench) -> Non
     assert bench.driver.counters.no_room == 8  # SYNCs and commands
 
 
-def test_overruns_and_error_passive_are_counted_only(bench: Bench) -> None:
+def test_error_frames_overrun_and_passive_only_count(bench: Bench) -> None:
     for reason in (0x01, 0x02, 0x10, 0x20, 0x04):
         bench.wire.put(0x20000004, bytes([0, reason, 0, 0, 0, 0, 0, 0]))
     bench.run(2)
@@ -395,7 +393,7 @@ def test_overruns_and_error_passive_are_counted_only(bench: Bench) -> None:
     assert bench.driver.operational
 
 
-def test_a_babbling_node_does_not_hold_the_tick(bench: Bench) -> None:
+def test_babbling_node_does_not_block_tick(bench: Bench) -> None:
     bench.run(2)
     bench.wire.frame_time = 1e-6
     for _ in range(2000):
@@ -408,7 +406,7 @@ def test_a_babbling_node_does_not_hold_the_tick(bench: Bench) -> None:
     assert bench.driver.operational
 
 
-def test_closing_stops_the_valve_node(bench: Bench) -> None:
+def test_close_stops_valve_node(bench: Bench) -> None:
     bench.run(10)
     bench.driver.close()
     assert bench.wire.in_force == PASSIVE
@@ -418,5 +416,5 @@ def test_closing_stops_the_valve_node(bench: Bench) -> None:
         bench.driver.read(1.0)
 
 
-def test_the_default_driver_needs_no_settings() -> None:
+def test_driver_without_settings_uses_can0() -> None:
     assert CanopenDriver().settings.channel == "can0"

@@ -23,7 +23,7 @@ def check(file: Path) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize("name", ["encoder.eds", "valve_node.eds"])
-def test_the_checker_has_no_objection(name: str) -> None:
+def test_eds_files_pass_checker(name: str) -> None:
     assert check(EDS / name) == (0, "")
 
 
@@ -35,7 +35,7 @@ def test_the_checker_has_no_objection(name: str) -> None:
         ("DataType=0x0007\n", "", "DataType not specified in [6001]"),
     ],
 )
-def test_the_checker_objects_to_a_spoiled_object(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_eds_spoiled_object_fails_checker(tmp_path: Path, old: str, new: str, told: str) -> None:
     before, after = (EDS / "encoder.eds").read_text(encoding="ascii").split("[6001]")
     spoiled = tmp_path / "encoder.eds"
     spoiled.write_text(f"{before}[6001]{after.replace(old, new, 1)}", encoding="ascii")

@@ -58,7 +58,7 @@ def assert_counts_are_the_shafts(driver: CanopenDriver, wire: Wire, counts: int)
         assert abs(off) <= 2 + counts // 4096
 
 
-def test_there_are_encoders_of_three_makers_and_nodes_of_three() -> None:
+def test_personalities_cover_three_makers_per_role() -> None:
     makers = {role: set[str]() for role in (ENCODER, IO)}
     for one in personalities().values():
         assert len(one.source) > 20, one.name
@@ -69,7 +69,7 @@ def test_there_are_encoders_of_three_makers_and_nodes_of_three() -> None:
 
 
 @pytest.mark.parametrize("name", ROTARY)
-def test_a_rotary_encoder_is_taken_with_its_own_resolution(name: str) -> None:
+def test_rotary_encoder_own_resolution_is_accepted(name: str) -> None:
     counts = ROTARY[name].counts or PLANT_COUNTS
     driver, wire = bus(encoder=ROTARY[name], counts=counts)
     driver.open()
@@ -77,7 +77,7 @@ def test_a_rotary_encoder_is_taken_with_its_own_resolution(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name, one in ROTARY.items() if one.counts])
-def test_another_resolution_is_refused_with_the_value_to_configure(name: str) -> None:
+def test_rotary_encoder_other_resolution_refusal_names_value(name: str) -> None:
     driver, _ = bus(encoder=ROTARY[name])
     counts = ROTARY[name].counts
     told = rf"node 1 .*6501h:0.*found {counts},.* expected 131072; set plant.* = {counts} if"
@@ -98,7 +98,7 @@ FINER = {
 
 
 @pytest.mark.parametrize("case", FINER.values(), ids=FINER)
-def test_an_encoder_of_no_known_family_is_taken_by_what_it_says(case: tuple[int, int, bool, int]) -> None:
+def test_unknown_encoder_accepted_by_declared_resolution(case: tuple[int, int, bool, int]) -> None:
     disc, revolutions, is_last, counts = case
     plain = replace(ENCODERS["reversed-17"], counts=disc, revolutions=revolutions, range_is_last=is_last)
     objects = [ObjectChange(0x6000, 0, 4, None, None)] if disc != counts else []
@@ -115,14 +115,14 @@ def test_an_encoder_of_no_known_family_is_taken_by_what_it_says(case: tuple[int,
         ("temposonics-e", r"object 6005h:1 .*found 20000, so the device counts lengths"),
     ],
 )
-def test_a_linear_encoder_is_refused(name: str, told: str) -> None:
+def test_linear_encoder_is_refused(name: str, told: str) -> None:
     driver, _ = bus(encoder=ENCODERS[name])
     with pytest.raises(DriverError, match=told):
         driver.open()
 
 
 @pytest.mark.parametrize("name", TAKEN)
-def test_an_io_node_is_taken_follows_and_falls_back(name: str) -> None:
+def test_io_node_follows_commands_and_falls_back(name: str) -> None:
     driver, wire = bus(io=TAKEN[name])
     driver.open()
     command = PASSIVE._replace(valve=(0.5, -0.5, 1.0), supply_enable=True, exhaust_closed=True)
@@ -137,7 +137,7 @@ def test_an_io_node_is_taken_follows_and_falls_back(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", TAKEN)
-def test_an_io_node_starts_passive_after_a_loss_of_power(name: str) -> None:
+def test_io_node_power_loss_restarts_passive(name: str) -> None:
     driver, wire = bus(io=TAKEN[name])
     driver.open()
     driver.read(0.0)
@@ -146,7 +146,7 @@ def test_an_io_node_starts_passive_after_a_loss_of_power(name: str) -> None:
     assert wire.in_force == PASSIVE
 
 
-def test_encoder_of_ds406_version_2_is_taken_with_its_position_pdo_configured() -> None:
+def test_ds406_v2_encoder_with_position_pdo_is_accepted() -> None:
     old = ENCODERS["ds406-v2"]
     settings = replace(SETTINGS, encoders=replace(SETTINGS.encoders, position_pdo=0x1802))
     driver, wire = bus(encoder=old, counts=old.counts, settings=settings)
@@ -154,7 +154,7 @@ def test_encoder_of_ds406_version_2_is_taken_with_its_position_pdo_configured() 
     assert_counts_are_the_shafts(driver, wire, old.counts)
 
 
-def test_encoder_of_ds406_version_2_is_refused_with_the_key_to_set() -> None:
+def test_ds406_v2_encoder_refusal_names_position_pdo_key() -> None:
     old = ENCODERS["ds406-v2"]
     driver, _ = bus(encoder=old, counts=old.counts)
     with pytest.raises(DriverError, match=r"object 1801h:1 .*set canopen\.encoders\.position_pdo .* 0x1802"):
@@ -164,7 +164,7 @@ def test_encoder_of_ds406_version_2_is_refused_with_the_key_to_set() -> None:
 @pytest.mark.parametrize(
     "absent", [("6002",), ("6501",), ("6502",), ("6002", "6501", "6502", "6503", "6509")]
 )
-def test_encoder_without_a_describing_object_is_taken(absent: tuple[str, ...]) -> None:
+def test_encoder_without_describing_objects_is_accepted(absent: tuple[str, ...]) -> None:
     missing = frozenset((int(index, 16), None) for index in absent)
     driver, wire = bus(
         encoder=Personality("few", ENCODER, "any", "any", "", counts=2**14, absent=missing), counts=2**14
@@ -174,7 +174,7 @@ def test_encoder_without_a_describing_object_is_taken(absent: tuple[str, ...]) -
 
 
 @pytest.mark.parametrize("role", [ENCODER, IO])
-def test_node_without_any_one_object_is_taken_or_refused_by_the_driver(role: str) -> None:
+def test_node_without_any_object_raises_only_driver_error(role: str) -> None:
     _, plain = bus()
     device = plain.nodes.valve_node if role == IO else plain.nodes.encoders[0]
     for index in device.object_dictionary:
@@ -185,7 +185,7 @@ def test_node_without_any_one_object_is_taken_or_refused_by_the_driver(role: str
             run(driver)
 
 
-def test_storing_may_take_its_time_and_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_store_parameters_beyond_store_time_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     driver, wire = bus(io=NODES["wago-750"])
     driver.open()
     assert 2.5 < wire.now < 3.0
@@ -196,14 +196,14 @@ def test_storing_may_take_its_time_and_no_longer(monkeypatch: pytest.MonkeyPatch
         driver.open()
 
 
-def test_outputs_that_are_inverted_for_good_are_refused() -> None:
+def test_io_node_fixed_inverted_outputs_are_refused() -> None:
     driver, _ = bus(io=NODES["inverted-fixed"])
     told = r"object 6202h:1 \(polarity of the outputs\).*06010002h.*Found ffh: inverted.*own tool"
     with pytest.raises(DriverError, match=told):
         driver.open()
 
 
-def test_outputs_that_would_be_inverted_after_a_loss_of_power_are_refused() -> None:
+def test_io_node_unstorable_output_polarity_is_refused() -> None:
     inverted = NODES["inverted-io"]
     driver, _ = bus(io=replace(inverted, absent=frozenset({(0x1010, None)})))
     with pytest.raises(DriverError, match=r"6202h:1 .*inverted outputs, and the device cannot store"):
@@ -211,7 +211,7 @@ def test_outputs_that_would_be_inverted_after_a_loss_of_power_are_refused() -> N
 
 
 @pytest.mark.parametrize("name", ["turck-bl20", "proface-htb", "wago-750"])
-def test_the_error_value_has_the_size_of_the_device(name: str) -> None:
+def test_io_node_error_value_has_device_size(name: str) -> None:
     driver, wire = bus(io=NODES[name])
     driver.open()
     node = wire.nodes.valve_node
@@ -219,7 +219,7 @@ def test_the_error_value_has_the_size_of_the_device(name: str) -> None:
     assert [node.number_at(0x6444, valve) for valve in (1, 2, 3)] == [centre] * 3
 
 
-def test_an_older_node_leaves_the_operational_state_by_67feh() -> None:
+def test_io_node_error_behaviour_67feh_is_set() -> None:
     wago = NODES["wago-750"]
     objects = tuple(replace(one, value=1) if one.index == 0x67FE else one for one in wago.objects)
     driver, wire = bus(io=replace(wago, objects=objects))
@@ -228,7 +228,7 @@ def test_an_older_node_leaves_the_operational_state_by_67feh() -> None:
 
 
 @pytest.mark.parametrize("name", ["posital-16", "wago-750"])
-def test_an_unknown_family_is_refused_with_those_there_are(name: str) -> None:
+def test_find_personality_unknown_name_lists_choices(name: str) -> None:
     role = IO if name in ENCODERS else ENCODER
     with pytest.raises(ValueError, match=rf"{role} '{name}': not known; choose one of "):
         find_personality(name, role)

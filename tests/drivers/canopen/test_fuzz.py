@@ -12,7 +12,7 @@ from tests.benchmarks.sdo_fuzz import fuzz as fuzz_startups
 
 
 @pytest.mark.parametrize("listening", [True, False], ids=["latching", "never latched"])
-def test_no_frame_escapes_moves_or_goes_uncounted(listening: bool) -> None:
+def test_frame_fuzz_is_counted_without_motion(listening: bool) -> None:
     result = fuzz(10_000, 7, listening=listening)
     assert result.escaped == []
     assert result.motions == 0
@@ -22,7 +22,7 @@ def test_no_frame_escapes_moves_or_goes_uncounted(listening: bool) -> None:
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT) or not IS_SUPPORTED, reason="nothing is compiled")
-def test_compiled_ticks_do_what_those_in_python_do() -> None:
+def test_native_fuzz_matches_python_ticks() -> None:
     result = fuzz_native(3_000, 7)
     assert result.escaped == []
     assert result.differences == []
@@ -30,7 +30,7 @@ def test_compiled_ticks_do_what_those_in_python_do() -> None:
     assert 0 < result.declined < 2 * result.ticks
 
 
-def test_lying_nodes_are_refused_by_name_and_nothing_is_energised() -> None:
+def test_sdo_fuzz_refusals_name_node_without_energy() -> None:
     result = fuzz_startups(3_000, 7)
     assert result.escaped == []
     assert result.unnamed == []

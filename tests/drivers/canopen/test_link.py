@@ -58,7 +58,7 @@ def link(bus: Bus) -> SocketcanLink:
     return SocketcanLink(bus)  # type: ignore[arg-type]
 
 
-def test_a_sync_is_stamped_by_its_echo_which_is_no_frame_of_the_bus(link: SocketcanLink, bus: Bus) -> None:
+def test_sync_time_uses_echo_stamp(link: SocketcanLink, bus: Bus) -> None:
     sent = link.send_frame(frame(SYNC))
     assert link.sync_time(sent) == sent
     bus.socket.waiting.append((frame(SYNC), socket.MSG_CONFIRM | socket.MSG_DONTROUTE, sent + 0.000130))
@@ -68,7 +68,7 @@ def test_a_sync_is_stamped_by_its_echo_which_is_no_frame_of_the_bus(link: Socket
     assert link.receive_frame(0.0) is None
 
 
-def test_behind_an_echo_the_answer_is_waited_for(
+def test_receive_frame_after_echo_waits_for_answer(
     link: SocketcanLink, bus: Bus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent = link.send_frame(frame(SYNC))
@@ -83,7 +83,7 @@ def test_behind_an_echo_the_answer_is_waited_for(
     assert not arriving
 
 
-def test_another_ones_sync_is_a_frame_like_any_other(link: SocketcanLink, bus: Bus) -> None:
+def test_receive_frame_returns_foreign_sync(link: SocketcanLink, bus: Bus) -> None:
     sent = link.send_frame(frame(SYNC))
     bus.socket.waiting.append((frame(SYNC), 0, sent + 0.0001))
     assert link.receive_frame(0.0) == frame(SYNC)
@@ -91,7 +91,7 @@ def test_another_ones_sync_is_a_frame_like_any_other(link: SocketcanLink, bus: B
 
 
 @pytest.mark.parametrize("away", [-0.001, 0.01])
-def test_an_echo_of_another_sync_does_not_count(link: SocketcanLink, bus: Bus, away: float) -> None:
+def test_sync_time_ignores_echo_of_other_sync(link: SocketcanLink, bus: Bus, away: float) -> None:
     sent = link.send_frame(frame(SYNC))
     bus.socket.waiting.append((frame(SYNC), socket.MSG_CONFIRM, sent + away))
     assert link.receive_frame(0.0) is None
@@ -99,7 +99,7 @@ def test_an_echo_of_another_sync_does_not_count(link: SocketcanLink, bus: Bus, a
 
 
 @pytest.mark.parametrize("size", [0, 1, 15])
-def test_a_frame_that_was_cut_short_is_a_failure(bus: Bus, link: SocketcanLink, size: int) -> None:
+def test_receive_frame_truncated_frame_raises(bus: Bus, link: SocketcanLink, size: int) -> None:
     bus.socket.waiting.append((POSITION[:size], 0, 1.0))
     with pytest.raises(OSError, match=f"found a frame of {size} bytes, expected 16"):
         link.receive_frame(0.0)

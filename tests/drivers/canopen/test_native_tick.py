@@ -93,7 +93,7 @@ def commands(k: int) -> Command:
     return Command((opening, -opening, 0.1), k % 2 == 0, k % 3 == 0, k % 5 == 0, k % 7 == 0, k % 4 == 0)
 
 
-def test_all_frames_readings_and_counts_are_alike(
+def test_native_tick_matches_python_frames_and_readings(
     rigs: Callable[..., Rig], configured: CanopenSettings
 ) -> None:
     both = [rigs(before_and_after, native=native, settings=configured) for native in (True, False)]
@@ -106,7 +106,7 @@ def test_all_frames_readings_and_counts_are_alike(
     assert len(both[1].declined) == 120
 
 
-def test_usual_ticks_are_compiled(rigs: Callable[..., Rig]) -> None:
+def test_native_tick_handles_usual_ticks(rigs: Callable[..., Rig]) -> None:
     rig = rigs(lambda k: [*positions(k), *(heartbeats() if k % 10 == 0 else [])], native=True)
     rig.run(50)
     assert rig.declined == [(0, "read"), (0, "write")]
@@ -128,7 +128,9 @@ def test_usual_ticks_are_compiled(rigs: Callable[..., Rig]) -> None:
     ids=["restarted", "left", "emergency", "bus off", "cut short"],
 )
 @pytest.mark.parametrize("first", [True, False], ids=["before", "between"])
-def test_fault_comes_in_the_same_tick(rigs: Callable[..., Rig], last: Frames, first: bool) -> None:
+def test_native_tick_fault_occurs_in_same_tick_as_python(
+    rigs: Callable[..., Rig], last: Frames, first: bool
+) -> None:
     def script(k: int) -> Frames:
         answers = positions(k)
         if k != 10:
@@ -144,7 +146,7 @@ def test_fault_comes_in_the_same_tick(rigs: Callable[..., Rig], last: Frames, fi
     assert ours.applied[9] != ours.applied[10] == Command()
 
 
-def test_silence_is_a_fault_in_the_same_tick(rigs: Callable[..., Rig]) -> None:
+def test_native_tick_silence_faults_in_same_tick_as_python(rigs: Callable[..., Rig]) -> None:
     settings = replace(SETTINGS, heartbeat=0.005, interlock_period=0.004)
     both = [rigs(positions, native=native, settings=settings) for native in (True, False)]
     for rig in both:
@@ -154,7 +156,7 @@ def test_silence_is_a_fault_in_the_same_tick(rigs: Callable[..., Rig]) -> None:
     assert "interlocks" in ours.fault
 
 
-def test_a_send_that_fails_is_met_once(rigs: Callable[..., Rig]) -> None:
+def test_native_tick_failed_send_counts_once(rigs: Callable[..., Rig]) -> None:
     both = [rigs(positions, native=native) for native in (True, False)]
     for rig in both:
         rig.run(5)
@@ -166,7 +168,7 @@ def test_a_send_that_fails_is_met_once(rigs: Callable[..., Rig]) -> None:
     assert ours.applied == theirs.applied
 
 
-def test_an_echo_gives_the_time_of_the_sync() -> None:
+def test_take_batch_echo_sets_sync_time() -> None:
     state = new_record(LINK_STATE)
     prepare(state)
     s = state[0]

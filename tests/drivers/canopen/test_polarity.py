@@ -34,7 +34,7 @@ def node(index: int, value: int, *, access: str = "rw", subindex: int = 1) -> Pe
     ],
     ids=lambda value: f"{value:04X}" if isinstance(value, int) and value > 0x6000 else "",
 )
-def test_every_object_is_set_stored_or_refused(
+def test_polarity_object_is_set_and_stored_or_refused(
     index: int, subindex: int, delivered: int, wanted: int
 ) -> None:
     driver, wire = bus(io=node(index, delivered, subindex=subindex))
@@ -54,7 +54,7 @@ def test_every_object_is_set_stored_or_refused(
 
 
 @pytest.mark.parametrize("index", [0x6002, 0x6102])
-def test_an_open_emergency_stop_never_reads_as_clear(index: int) -> None:
+def test_inverted_inputs_emergency_stop_never_reads_clear(index: int) -> None:
     driver, wire = bus(io=node(index, 0x01))
     wire.nodes.plant.state["emergency_stop_clear"] = False
     driver.open()
@@ -62,7 +62,7 @@ def test_an_open_emergency_stop_never_reads_as_clear(index: int) -> None:
     assert readings.emergency_stop_clear == wire.nodes.readings.emergency_stop_clear
 
 
-def test_a_relay_does_not_excuse_inverted_outputs() -> None:
+def test_inverted_outputs_with_watchdog_relay_are_refused() -> None:
     relay = replace(SETTINGS.valve_node, watchdog_relay="K7")
     driver, _ = bus(io=node(0x6202, 0xFF, access="ro"), settings=replace(SETTINGS, valve_node=relay))
     with pytest.raises(DriverError, match=r"6202h:1 .*inverted channels"):

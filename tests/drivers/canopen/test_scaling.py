@@ -47,19 +47,19 @@ TAKEN: dict[str, object] = {
 
 
 @pytest.mark.parametrize("name", TAKEN)
-def test_counts_are_those_of_the_shaft_whatever_was_set_before(name: str) -> None:
+def test_encoder_counts_match_shaft_for_any_prior_settings(name: str) -> None:
     driver, wire = bus(encoder=TAKEN[name])  # type: ignore[arg-type]
     driver.open()
     assert_counts_are_the_shafts(driver, wire, PLANT_COUNTS)
 
 
-def test_manufacturers_bits_stay() -> None:
+def test_operating_parameters_manufacturer_bits_stay() -> None:
     driver, wire = bus(encoder=TAKEN["manufacturer's bits are kept"])  # type: ignore[arg-type]
     driver.open()
     assert wire.nodes.encoders[0].number_at(0x6000) == 0x8000
 
 
-def test_a_finer_disc_scaled_to_the_configured_counts_is_taken_scaled() -> None:
+def test_finer_encoder_scaled_to_configured_counts_is_accepted() -> None:
     finer = encoder({0x6000: 4, 0x6001: PLANT_COUNTS, 0x6002: PLANT_COUNTS}, counts=2 * PLANT_COUNTS)
     driver, wire = bus(encoder=finer)  # type: ignore[arg-type]
     driver.open()
@@ -98,7 +98,7 @@ REFUSED: dict[str, tuple[object, str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_counts_that_cannot_be_the_shafts_are_refused_with_the_action(name: str) -> None:
+def test_unsuitable_encoder_scaling_refusal_names_action(name: str) -> None:
     personality, told = REFUSED[name]
     driver, wire = bus(encoder=personality)  # type: ignore[arg-type]
     with pytest.raises(DriverError, match=told):
@@ -106,7 +106,7 @@ def test_counts_that_cannot_be_the_shafts_are_refused_with_the_action(name: str)
     assert {device.state for device in wire.nodes.devices} == {127}
 
 
-def test_a_setting_that_the_device_takes_back_is_refused() -> None:
+def test_encoder_setting_reverted_by_device_is_refused() -> None:
     driver, wire = bus(encoder=encoder({0x6000: 1}))  # type: ignore[arg-type]
     arm = wire.nodes.encoders[1]
     take = arm.written
@@ -121,7 +121,7 @@ def test_a_setting_that_the_device_takes_back_is_refused() -> None:
         driver.open()
 
 
-def test_a_position_beyond_the_range_is_refused() -> None:
+def test_encoder_position_out_of_range_is_refused() -> None:
     driver, wire = bus()
     wire.nodes.encoders[0].put(0x6004, 0, PLANT_COUNTS)
     with pytest.raises(DriverError, match=r"6004h:0 \(position\): found 131072, expected less than 131072"):

@@ -34,7 +34,7 @@ def scanned(
     return {node.number: node for node in found}
 
 
-def test_plain_nodes_are_taken_as_they_are() -> None:
+def test_scan_plain_nodes_are_accepted_unchanged() -> None:
     found = scanned()
     assert list(found) == [1, 2, 3, 10]
     assert all(node.taken and not node.verdict for node in found.values())
@@ -44,7 +44,7 @@ def test_plain_nodes_are_taken_as_they_are() -> None:
     assert "watched by 1400h:5 and 1016h:1, outputs fall back by 6206h" in found[10].properties
 
 
-def test_settings_that_the_startup_makes_are_named() -> None:
+def test_scan_names_settings_of_startup() -> None:
     found = scanned(find_personality("reversed-17", ENCODER), find_personality("inverted-io", IO))
     assert found[1].properties.endswith("single turn, scaled to 4096 counts, reversed")
     assert found[1].verdict == (
@@ -56,7 +56,7 @@ def test_settings_that_the_startup_makes_are_named() -> None:
 
 @pytest.mark.parametrize("name", [name for name, one in personalities().items() if one.role == ENCODER])
 @pytest.mark.parametrize("counts", [2**17, 2**16])
-def test_the_scan_says_what_the_startup_does(name: str, counts: int) -> None:
+def test_scan_verdict_matches_startup(name: str, counts: int) -> None:
     encoder = find_personality(name, ENCODER)
     wire = Wire(replace(nodes_plan(), encoder_personality=encoder))
     driver: CanopenDriver = DriverInStep(wire, SETTINGS, counts)
@@ -71,7 +71,7 @@ def test_the_scan_says_what_the_startup_does(name: str, counts: int) -> None:
         assert verdict.verdict == refusal
 
 
-def test_a_node_that_a_bench_has_stopped_is_read_and_left_stopped() -> None:
+def test_scan_stopped_node_is_read_and_left_stopped() -> None:
     wire = Wire(nodes_plan())
     driver = DriverInStep(wire, SETTINGS)
     driver.open()
@@ -86,7 +86,7 @@ def test_a_node_that_a_bench_has_stopped_is_read_and_left_stopped() -> None:
     assert wire.in_force == PASSIVE
 
 
-def test_missing_and_misnumbered_nodes_are_listed() -> None:
+def test_scan_lists_missing_and_misnumbered_nodes() -> None:
     node = replace(SETTINGS.encoders, nodes=(1, 2, 10))
     settings = replace(SETTINGS, encoders=node, valve_node=replace(SETTINGS.valve_node, node=11))
     found = scanned(settings=settings)
@@ -104,7 +104,7 @@ def test_missing_and_misnumbered_nodes_are_listed() -> None:
         ((0x6206, None), r"found no error mode of the outputs"),
     ],
 )
-def test_an_unfit_io_node_is_named(absent: tuple[int, int | None], told: str) -> None:
+def test_scan_unfit_io_node_verdict_names_object(absent: tuple[int, int | None], told: str) -> None:
     io = replace(find_personality("inverted-io", IO), absent=frozenset({absent}))
     found = scanned(io=io)[10]
     assert not found.taken
@@ -112,7 +112,7 @@ def test_an_unfit_io_node_is_named(absent: tuple[int, int | None], told: str) ->
 
 
 @pytest.mark.parametrize("role", [ENCODER, IO])
-def test_a_node_without_heartbeat_is_refused_as_by_the_startup(role: str) -> None:
+def test_scan_and_startup_refuse_node_without_heartbeat(role: str) -> None:
     """Older devices answer node guarding only."""
     number, family = (1, "reversed-17") if role == ENCODER else (10, "inverted-io")
     older = replace(find_personality(family, role), absent=frozenset({(0x1017, None)}))
@@ -125,7 +125,7 @@ def test_a_node_without_heartbeat_is_refused_as_by_the_startup(role: str) -> Non
         DriverInStep(Wire(plan), SETTINGS).open()
 
 
-def test_the_command_fails_on_an_empty_bus_and_names_each_node(tmp_path: Path) -> None:
+def test_nodes_command_empty_bus_fails_and_names_nodes(tmp_path: Path) -> None:
     file = tmp_path / "bench.toml"
     file.write_text(f'base = "local_can"\n[canopen]\nchannel = "{tmp_path}/bus"\nsdo_timeout = 0.05\n')
     result = CliRunner().invoke(app, ["--config", str(file), "nodes", "--scan"], obj=Session())
@@ -135,7 +135,7 @@ def test_the_command_fails_on_an_empty_bus_and_names_each_node(tmp_path: Path) -
     assert "refused: no answer; check its power" in result.output
 
 
-def test_the_command_refuses_an_unknown_family() -> None:
+def test_nodes_command_unknown_family_lists_choices() -> None:
     result = CliRunner().invoke(app, ["--config", "local_can", "nodes", "--io", "posital-16"], obj=Session())
     assert result.exit_code != 0
     assert "wago-750" in f"{result.output}{result.exception}"
@@ -150,7 +150,7 @@ def stopped_by_a_bench() -> Wire:
     return wire
 
 
-def test_an_answer_that_is_lost_is_asked_for_again() -> None:
+def test_scan_lost_answer_is_requested_again() -> None:
     wire, lost = Wire(nodes_plan()), [0]
 
     def meddle(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
@@ -165,7 +165,7 @@ def test_an_answer_that_is_lost_is_asked_for_again() -> None:
     assert [(node.number, node.taken) for node in found] == [(1, True), (2, True), (3, True), (10, True)]
 
 
-def test_beside_a_bench_a_stopped_node_is_not_commanded() -> None:
+def test_scan_with_bench_on_bus_sends_no_nmt_command() -> None:
     wire = stopped_by_a_bench()
     wire.meddle = lambda identifier, data: [(0x77F, b"\x05"), (identifier, data)]
     found = scan(SETTINGS, 2**17, clock=lambda: wire.now, open_bus=wire.opened)
@@ -174,7 +174,7 @@ def test_beside_a_bench_a_stopped_node_is_not_commanded() -> None:
     assert not [data for identifier, data in wire.sent if identifier == 0]
 
 
-def test_a_node_that_a_bench_has_started_during_the_scan_is_not_stopped() -> None:
+def test_scan_node_started_by_bench_is_not_stopped() -> None:
     wire = stopped_by_a_bench()
 
     def meddle(identifier: int, data: bytes) -> list[tuple[int, bytes]]:

@@ -66,11 +66,11 @@ def scanned(wire: Wire) -> list[ScannedNode]:
 
 @given(st.lists(st.sampled_from(FOREIGN), min_size=1, max_size=5))
 @settings(max_examples=20, deadline=None)
-def test_a_startup_beside_another_client_sets_what_it_sets_alone(questions: list[Question]) -> None:
+def test_startup_with_other_sdo_client_sets_same_values(questions: list[Question]) -> None:
     assert set_up(Beside(questions)) == set_up(Beside([]))
 
 
-def test_an_abort_for_another_client_is_not_taken_for_an_answer() -> None:
+def test_sdo_abort_for_other_client_is_ignored() -> None:
     wire, abort = Beside([]), bytes.fromhex("80ff2f0000000206")
 
     def meddle(identifier: int, data: bytes) -> list[tuple[int, bytes]]:
@@ -84,11 +84,11 @@ def test_an_abort_for_another_client_is_not_taken_for_an_answer() -> None:
 
 
 @pytest.mark.parametrize("question", [(0x1000, 0), (0x2FFF, 0), (0x6501, 0)])
-def test_a_scan_beside_another_client_finds_what_it_finds_alone(question: Question) -> None:
+def test_scan_with_other_sdo_client_finds_same_nodes(question: Question) -> None:
     assert scanned(Beside([question])) == scanned(Beside([]))
 
 
-def test_a_text_that_another_client_interrupts_is_read_again() -> None:
+def test_sdo_interrupted_segmented_read_is_repeated() -> None:
     wire = Beside([])
     alone, interrupted = scanned(Beside([])), [False]
 
@@ -104,7 +104,7 @@ def test_a_text_that_another_client_interrupts_is_read_again() -> None:
     assert interrupted[0]
 
 
-def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
+def test_sdo_late_answer_is_not_taken_for_next_request() -> None:
     wire, late = Beside([]), list[tuple[int, bytes]]()
 
     def meddle(identifier: int, data: bytes) -> list[tuple[int, bytes]]:

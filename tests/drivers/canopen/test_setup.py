@@ -153,7 +153,7 @@ REFUSALS: dict[str, tuple[CanopenSettings, Callable[[Wire], None], str]] = {
 
 
 @pytest.mark.parametrize("refusal", REFUSALS.values(), ids=REFUSALS)
-def test_what_is_unfit_is_refused_by_name(
+def test_setup_unfit_node_refusal_names_object(
     refusal: tuple[CanopenSettings, Callable[[Wire], None], str],
 ) -> None:
     settings, spoil, told = refusal
@@ -175,7 +175,7 @@ def test_what_is_unfit_is_refused_by_name(
     ],
     ids=["no error value", "no watchdog"],
 )
-def test_an_external_relay_stands_in_for_what_the_node_lacks(spoil: Callable[[Wire], None]) -> None:
+def test_setup_watchdog_relay_replaces_missing_fallback(spoil: Callable[[Wire], None]) -> None:
     driver, wire = make(replace(SETTINGS, valve_node=RELAY))
     spoil(wire)
     wire.nodes.valve_node.fall_back = lambda: None  # type: ignore[method-assign]
@@ -183,7 +183,7 @@ def test_an_external_relay_stands_in_for_what_the_node_lacks(spoil: Callable[[Wi
     assert driver.operational
 
 
-def test_beside_a_relay_all_that_the_node_has_is_set_before_it_starts() -> None:
+def test_setup_with_watchdog_relay_sets_outputs_before_start() -> None:
     driver, wire = make(replace(SETTINGS, valve_node=RELAY))
     without(valve_node, *((index, n) for index in (0x6443, 0x6444) for n in range(4)))(wire)
     node, values = wire.nodes.valve_node, list[tuple[int, ...]]()
@@ -201,7 +201,7 @@ def test_beside_a_relay_all_that_the_node_has_is_set_before_it_starts() -> None:
 
 
 @pytest.mark.parametrize("which", [(0x1800, 0x1A00), (0x1800, 0x1801, 0x1802, 0x1400, 0x1A00, 0x1600)])
-def test_communication_parameters_that_are_fixed_and_right_are_taken(which: tuple[int, ...]) -> None:
+def test_setup_fixed_correct_parameters_are_accepted(which: tuple[int, ...]) -> None:
     """A device that a predecessor has set up for this bench and then locked."""
     driver, wire = make()
     driver.open()
@@ -213,7 +213,7 @@ def test_communication_parameters_that_are_fixed_and_right_are_taken(which: tupl
     assert driver.operational
 
 
-def test_a_fixed_identifier_that_is_another_is_refused() -> None:
+def test_setup_fixed_wrong_identifier_is_refused() -> None:
     driver, wire = make()
     wire.nodes.valve_node._objects[0x1800, 1].access_type = "const"
     wire.nodes.valve_node._objects[0x1800, 1].default = 0x40000285
@@ -224,7 +224,7 @@ def test_a_fixed_identifier_that_is_another_is_refused() -> None:
 @pytest.mark.parametrize(
     "missing", [[(0x1400, 5)], [(0x1016, 0), (0x1016, 1), (0x1016, 2)]], ids=["heartbeat only", "timer only"]
 )
-def test_one_watchdog_is_enough_and_strikes(missing: list[tuple[int, int]]) -> None:
+def test_setup_single_watchdog_suffices_and_falls_back(missing: list[tuple[int, int]]) -> None:
     driver, wire = make()
     without(valve_node, *missing)(wire)
     driver.open()
@@ -236,7 +236,7 @@ def test_one_watchdog_is_enough_and_strikes(missing: list[tuple[int, int]]) -> N
     assert wire.in_force == PASSIVE
 
 
-def test_what_is_set_up() -> None:
+def test_setup_writes_expected_objects() -> None:
     driver, wire = make()
     driver.open()
     node, encoder = wire.nodes.valve_node, wire.nodes.encoders[2]
@@ -261,7 +261,7 @@ def test_what_is_set_up() -> None:
     assert {device.state for device in wire.nodes.devices} == {5}
 
 
-def test_a_node_that_loses_its_power_comes_up_with_centred_spools() -> None:
+def test_valve_node_power_loss_restarts_passive_and_faults() -> None:
     driver, wire = make()
     driver.open()
     driver.read(0.0)
@@ -282,7 +282,7 @@ def with_fixed_mapping(wire: Wire, code: int) -> None:
 
 
 @pytest.mark.parametrize("code", CODES, ids=hex)
-def test_a_fixed_mapping_that_fits_is_taken_whatever_the_device_answers(code: int) -> None:
+def test_setup_fixed_matching_mapping_is_accepted(code: int) -> None:
     driver, wire = make()
     driver.open()  # leaves the mapping as it is needed
     driver.close()
@@ -292,7 +292,7 @@ def test_a_fixed_mapping_that_fits_is_taken_whatever_the_device_answers(code: in
 
 
 @pytest.mark.parametrize("code", CODES, ids=hex)
-def test_a_fixed_mapping_that_does_not_fit_is_refused_with_its_code(code: int) -> None:
+def test_setup_fixed_wrong_mapping_refusal_names_abort_code(code: int) -> None:
     driver, wire = make()
     with_fixed_mapping(wire, code)
     told = rf"node 10 .* object 1600h:0 .*abort code {code:08X}h, .*fixed mapping, use one with a conf"
@@ -300,7 +300,7 @@ def test_a_fixed_mapping_that_does_not_fit_is_refused_with_its_code(code: int) -
         driver.open()
 
 
-def test_every_pdo_that_a_node_has_beyond_the_usual_four_is_off() -> None:
+def test_setup_disables_pdos_beyond_first_four() -> None:
     objects = [
         ObjectChange(index + number, subindex, value, kind, "rw")
         for number in (2, 3, 4, 5)
@@ -316,7 +316,7 @@ def test_every_pdo_that_a_node_has_beyond_the_usual_four_is_off() -> None:
     assert wire.nodes.valve_node.number_at(0x1405, 1) & 0x80000000
 
 
-def test_settings_are_stored_only_when_they_are_new() -> None:
+def test_setup_stores_settings_only_when_changed() -> None:
     driver, wire = make()
     stores: list[int] = []
     keep = wire.nodes.valve_node._store
@@ -332,14 +332,14 @@ def test_settings_are_stored_only_when_they_are_new() -> None:
     assert stores == [0x65766173]
 
 
-def test_a_node_that_cannot_store_nor_choose_its_error_behaviour_is_taken_as_well() -> None:
+def test_setup_node_without_store_or_error_behaviour_is_accepted() -> None:
     driver, wire = make()
     without(valve_node, (0x1010, 0), (0x1010, 1), (0x1029, 0), (0x1029, 1))(wire)
     driver.open()
     assert driver.operational
 
 
-def test_a_centre_off_five_volts_is_what_the_node_falls_back_to() -> None:
+def test_setup_centre_off_5_volts_sets_error_values() -> None:
     driver, wire = make(
         replace(SETTINGS, valve_node=replace(SETTINGS.valve_node, centre=(4.9, 5.0, 5.1), span=4.8))
     )
@@ -351,7 +351,7 @@ def test_a_centre_off_five_volts_is_what_the_node_falls_back_to() -> None:
     assert wire.commands[-1][:3] == pytest.approx((9.7, 0.2, 7.5), abs=3e-4)
 
 
-def test_channels_that_are_not_fitted_are_not_asked_for() -> None:
+def test_setup_unfitted_pressures_are_not_requested() -> None:
     bare = replace(SETTINGS.valve_node, supply_pressure=0, chamber_pressures=(0,) * 6)
     driver, wire = make(replace(SETTINGS, valve_node=bare))
     driver.open()
@@ -365,17 +365,17 @@ def test_channels_that_are_not_fitted_are_not_asked_for() -> None:
 
 
 @pytest.mark.parametrize(("length", "bits"), [(0, 55), (4, 95), (6, 115), (8, 135)])
-def test_a_frame_takes_at_most_its_bits_with_stuffing(length: int, bits: int) -> None:
+def test_worst_bits_includes_stuffing(length: int, bits: int) -> None:
     assert worst_bits(length) == bits
 
 
-def test_the_load_at_a_kilohertz_and_a_megabit() -> None:
+def test_bus_load_at_1_khz_and_1_mbit_matches_estimate() -> None:
     cyclic = [one.load for one in traffic(SETTINGS, 0.001, 0.02) if one.rate == pytest.approx(1000)]
     assert sum(cyclic) / 1e6 == pytest.approx(0.465)  # 46 % in the estimate, which had one byte less
     assert bus_load(CanopenSettings(), 0.001, 0.02) == pytest.approx(0.507, abs=0.005)
 
 
-def test_too_full_a_bus_is_refused_before_anything_is_opened() -> None:
+def test_bus_load_above_limit_is_refused_before_open() -> None:
     settings = replace(SETTINGS, bitrate=500_000)
     driver = CanopenDriver(settings, open_bus=lambda *_: pytest.fail("opened"))
     with pytest.raises(
@@ -402,9 +402,7 @@ def test_too_full_a_bus_is_refused_before_anything_is_opened() -> None:
         ),
     ],
 )
-def test_an_interface_that_is_not_there_is_named_with_its_action(
-    interface: str, channel: str, told: str
-) -> None:
+def test_missing_can_interface_refusal_names_action(interface: str, channel: str, told: str) -> None:
     driver = CanopenDriver(CanopenSettings(interface=interface, channel=channel))
     with pytest.raises(DriverError, match=told):
         driver.open()
@@ -420,6 +418,6 @@ def test_an_interface_that_is_not_there_is_named_with_its_action(
         (lambda: CanopenSettings(valve_node=ValveNodeSettings(centre=(5.0, 5.2, 5.0))), "full stroke"),
     ],
 )
-def test_settings_that_contradict_are_refused(build: Callable[[], CanopenSettings], told: str) -> None:
+def test_canopen_settings_contradiction_is_refused(build: Callable[[], CanopenSettings], told: str) -> None:
     with pytest.raises(ValueError, match=told):
         build()

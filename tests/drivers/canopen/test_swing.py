@@ -28,7 +28,7 @@ CASES = {
 @pytest.mark.parametrize(
     "fault", release_except({"the bench silent", "an encoder's positions missing"}, CASES)
 )
-def test_the_valve_node_reacts_in_time_and_nothing_breaks(configuration: Configuration, fault: str) -> None:
+def test_canopen_fault_reaction_in_time_is_safe(configuration: Configuration, fault: str) -> None:
     phase, reaction = CASES[fault]
     case = run_case(configuration, fault, phase)
     longest = FAULTS[fault].longest
@@ -63,7 +63,7 @@ def assert_alike(found: Contact, expected: Contact, speed: float) -> None:
     assert found.head == pytest.approx(expected.head, abs=0.01)
 
 
-def test_the_delivery_is_that_of_the_sim_driver(configuration: Configuration, by_sim: Contact) -> None:
+def test_canopen_swing_delivery_matches_sim_driver(configuration: Configuration, by_sim: Contact) -> None:
     bench, driver, _ = on_canopen(configuration)
     assert_alike(swung(bench), by_sim, speed=0.03)
     counters = driver.counters
@@ -71,7 +71,7 @@ def test_the_delivery_is_that_of_the_sim_driver(configuration: Configuration, by
 
 
 @pytest.mark.release
-def test_lost_answers_do_not_spoil_it(configuration: Configuration, by_sim: Contact) -> None:
+def test_canopen_swing_lost_positions_keep_delivery(configuration: Configuration, by_sim: Contact) -> None:
     bench, driver, wire = on_canopen(configuration)
     chance = random.Random(5)
     wire.meddle = lambda identifier, data: (
@@ -82,7 +82,7 @@ def test_lost_answers_do_not_spoil_it(configuration: Configuration, by_sim: Cont
 
 
 @pytest.mark.release
-def test_nor_do_stamps_that_are_microseconds_wrong(configuration: Configuration, by_sim: Contact) -> None:
+def test_canopen_swing_stamp_errors_keep_delivery(configuration: Configuration, by_sim: Contact) -> None:
     bench, _, wire = on_canopen(configuration)
     wire.stamp_error = partial(random.Random(5).gauss, 0.0, 2e-6)
     assert_alike(swung(bench), by_sim, speed=0.06)

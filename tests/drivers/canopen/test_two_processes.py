@@ -118,14 +118,14 @@ def wait(holds: Callable[[], bool]) -> None:
         time.sleep(0.001)
 
 
-def test_commands_arrive_and_positions_come(driver: CanopenDriver, nodes: Nodes) -> None:
+def test_nodes_process_receives_commands_and_sends_positions(driver: CanopenDriver, nodes: Nodes) -> None:
     run(driver, lambda: nodes.in_force == MOVING)
     run(driver, lambda: driver.counters.positions > 300 and driver.counters.pressures > 4)
     assert driver.operational
     assert nodes.node["operational"]
 
 
-def test_the_operators_hands_are_felt(driver: CanopenDriver, nodes: Nodes) -> None:
+def test_surroundings_writer_changes_readings(driver: CanopenDriver, nodes: Nodes) -> None:
     with SurroundingsWriter(nodes.folder) as around:
         around.change(emergency_stop_clear=False, encoder_valid=(True, False, True))
         run(driver, lambda: not driver.read(time.monotonic()).emergency_stop_clear, PASSIVE)
@@ -140,9 +140,7 @@ def test_the_operators_hands_are_felt(driver: CanopenDriver, nodes: Nodes) -> No
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_loop_that_dies_or_freezes_leaves_the_valves_centred_within_the_watchdogs_time(
-    nodes: Nodes, number: signal.Signals
-) -> None:
+def test_loop_killed_or_frozen_valves_centre_within_watchdog(nodes: Nodes, number: signal.Signals) -> None:
     before = int(nodes.node["watchdog_trips"])
     with subprocess.Popen(
         [sys.executable, "-c", LOOP, nodes.settings.channel],
@@ -164,9 +162,7 @@ def test_a_loop_that_dies_or_freezes_leaves_the_valves_centred_within_the_watchd
     assert 15 <= int(node["passive_tick"]) - int(node["command_tick"]) <= 40
 
 
-def test_nodes_that_freeze_end_in_the_latched_state_and_come_back(
-    driver: CanopenDriver, nodes: Nodes
-) -> None:
+def test_nodes_frozen_driver_latches_fault_until_reopened(driver: CanopenDriver, nodes: Nodes) -> None:
     run(driver, lambda: nodes.in_force == MOVING)
     nodes.child.process.send_signal(signal.SIGSTOP)
     try:
@@ -180,7 +176,7 @@ def test_nodes_that_freeze_end_in_the_latched_state_and_come_back(
     run(driver, lambda: nodes.in_force == MOVING)
 
 
-def test_a_bus_switched_off_and_on(driver: CanopenDriver, nodes: Nodes) -> None:
+def test_bus_switched_off_driver_latches_fault_until_reopened(driver: CanopenDriver, nodes: Nodes) -> None:
     run(driver, lambda: nodes.in_force == MOVING)
     switch(nodes.settings.channel, on=False)
     try:
@@ -196,7 +192,7 @@ def test_a_bus_switched_off_and_on(driver: CanopenDriver, nodes: Nodes) -> None:
     run(driver, lambda: nodes.in_force == MOVING)
 
 
-def test_somebody_else_on_the_bus(driver: CanopenDriver, nodes: Nodes) -> None:
+def test_foreign_frames_are_tolerated_and_bus_off_faults(driver: CanopenDriver, nodes: Nodes) -> None:
     run(driver, lambda: nodes.in_force == MOVING)
     with can.Bus(interface="local_socket", channel=nodes.settings.channel) as other:
         before = driver.counters.positions
@@ -219,7 +215,7 @@ def nodes_in(folder: Path) -> Child:
     return child
 
 
-def test_others_in_their_folder_end_nodes_and_the_last_ones_leave_nothing(tmp_path: Path) -> None:
+def test_nodes_process_successor_ends_first_and_cleans_folder(tmp_path: Path) -> None:
     first = nodes_in(tmp_path)
     last = nodes_in(tmp_path)
     try:
@@ -235,7 +231,7 @@ def test_others_in_their_folder_end_nodes_and_the_last_ones_leave_nothing(tmp_pa
         last.kill()
 
 
-def test_nodes_without_a_bus_tell_why_they_failed(tmp_path: Path) -> None:
+def test_nodes_process_unknown_interface_reports_reason(tmp_path: Path) -> None:
     plan = NodesPlan("no_such", "x", 125_000, (1, 2, 3), 10, PlantParameters(), tmp_path)
     child = Child.start("nodes", "sim.nodes.process", plan)
     try:

@@ -12,14 +12,14 @@ from tests.drivers.canopen.test_families import PLANT_COUNTS, bus, run
 from tests.drivers.canopen.test_scaling import encoder
 
 
-def test_encoders_as_delivered_have_neither_preset_nor_offset() -> None:
+def test_zero_shifts_default_encoders_are_zero() -> None:
     driver, _ = bus()
     assert driver.zero_shifts == ("", "", "")
     driver.open()
     assert driver.zero_shifts == ("preset 0, offset 0",) * 3
 
 
-def test_a_preset_set_by_another_tool_shows_at_the_next_opening() -> None:
+def test_zero_shifts_external_preset_shows_at_next_open() -> None:
     driver, wire = bus()
     driver.open()
     arm = wire.nodes.encoders[1]
@@ -34,7 +34,7 @@ def test_a_preset_set_by_another_tool_shows_at_the_next_opening() -> None:
     assert int(moved.rsplit(" ", 1)[1]) == pytest.approx(100 - position, abs=2)
 
 
-def test_a_preset_that_was_stored_survives_a_loss_of_power() -> None:
+def test_zero_shifts_stored_preset_is_read_at_open() -> None:
     driver, wire = bus(encoder=find_personality("preset-17", ENCODER))
     driver.open()
     assert driver.zero_shifts == ("preset 32768, offset 32768",) * 3
@@ -48,20 +48,20 @@ def test_a_preset_that_was_stored_survives_a_loss_of_power() -> None:
     [((0x6509,), "preset 0"), ((0x6003,), "offset 0"), ((0x6003, 0x6509), "")],
     ids=["no offset", "no preset", "neither"],
 )
-def test_a_device_tells_what_it_has(absent: tuple[int, ...], told: str) -> None:
+def test_zero_shifts_absent_object_is_omitted(absent: tuple[int, ...], told: str) -> None:
     driver, _ = bus(encoder=encoder({}, absent=absent))  # type: ignore[arg-type]
     driver.open()
     assert driver.zero_shifts == (told,) * 3
 
 
-def test_what_a_device_refuses_to_show_counts_as_missing() -> None:
+def test_zero_shifts_unreadable_object_counts_as_missing() -> None:
     hidden = replace(encoder({}), objects=(ObjectChange(0x6003, 0, None, None, "wo"),))  # type: ignore[type-var]
     driver, _ = bus(encoder=hidden)  # type: ignore[arg-type]
     driver.open()
     assert driver.zero_shifts == ("offset 0",) * 3
 
 
-def test_a_device_that_falls_silent_then_is_refused() -> None:
+def test_zero_shifts_silent_encoder_is_refused() -> None:
     driver, wire = bus()
     asked = bytes((0x40, 0x03, 0x60, 0))
     wire.meddle = lambda identifier, data: (

@@ -75,7 +75,7 @@ def outputs(card: Card) -> list[bool]:
     return [card.lines[line] for line in vars(OutputLines()).values()]
 
 
-def test_the_stand_in_has_the_signatures_of_the_real_one() -> None:
+def test_simulated_system_matches_nidaqmx_signatures() -> None:
     for name, method in vars(System).items():
         real = getattr(nidaqmx._base_interpreter.BaseInterpreter, name, None)
         if real is not None and inspect.isfunction(method) and not name.startswith("_"):
@@ -83,27 +83,27 @@ def test_the_stand_in_has_the_signatures_of_the_real_one() -> None:
                 assert list(inspect.signature(method).parameters) == list(inspect.signature(real).parameters)
 
 
-def test_opening_centres_the_valves_and_never_writes_anything_else(driver: DaqDriver, card: Card) -> None:
+def test_open_writes_only_centred_valves(driver: DaqDriver, card: Card) -> None:
     assert valves(card) == (5.0, 5.0, 5.0)
     assert set(card.written) == {(5.0, 5.0, 5.0)}
     assert outputs(card) == [False] * 5
     assert driver.operational
 
 
-def test_the_watchdog_comes_before_all_outputs_and_is_made_to_strike(driver: DaqDriver, card: Card) -> None:
+def test_open_tests_watchdog_before_outputs(driver: DaqDriver, card: Card) -> None:
     calls = card.calls
     assert calls.index("cfg_watchdog_ao") < calls.index("expired") < calls.index("create_ao")
     assert card.now >= 0.02
 
 
-def test_a_command_reaches_the_card(driver: DaqDriver, card: Card) -> None:
+def test_write_sets_valves_and_outputs(driver: DaqDriver, card: Card) -> None:
     driver.read(0.0)
     assert driver.write(MOVING) == MOVING
     assert valves(card) == pytest.approx((6.5, 4.0, 5.5))
     assert outputs(card) == [True, True, True, False, True]
 
 
-def test_readings(driver: DaqDriver, card: Card) -> None:
+def test_read_returns_encoders_inputs_and_pressures(driver: DaqDriver, card: Card) -> None:
     card.motion |= {"ctr0": 1000, "ctr1": -1, "ctr2": 3 * 2**17 + 5}
     card.lines |= {"port0/line0": True, "port0/line2": True, "port0/line4": True}
     card.levels["ai0"], card.levels["ai3"] = 5.0, 2.5
@@ -133,7 +133,7 @@ RATIOMETRIC = {"pressure_at_zero": -2e5, "pressure_at_full_scale": 3.8e6, "highe
     ("scale", "volts"),
     [({}, 0.0), ({}, 0.1), ({}, 10.0), (RATIOMETRIC, 0.0), (RATIOMETRIC, 0.45), (RATIOMETRIC, 5.0)],
 )
-def test_a_cut_or_shorted_sensor_is_invalid_and_never_empty(
+def test_pressure_sensor_cut_or_shorted_is_invalid(
     scale: dict[str, Any], volts: float, card: Card, bench: Bench
 ) -> None:
     driver = bench(settings=replace(FULL, **scale))
@@ -147,7 +147,7 @@ def test_a_cut_or_shorted_sensor_is_invalid_and_never_empty(
     assert math.isnan(seen.chamber_pressure[2])  # not fitted
 
 
-def test_the_vents_tell_where_they_are(card: Card, bench: Bench) -> None:
+def test_vent_feedback_reads_open_closed_or_invalid(card: Card, bench: Bench) -> None:
     driver = bench(settings=replace(FULL, vent_feedback=("port0/line5", "port0/line6")))
     driver.open()
     card.lines |= {"port0/line5": True}
@@ -157,7 +157,9 @@ def test_the_vents_tell_where_they_are(card: Card, bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("vents", [("", ""), ("port0/line5", "port0/line6")])
-def test_the_shut_off_valve_tells_where_it_is(card: Card, bench: Bench, vents: tuple[str, str]) -> None:
+def test_shut_off_feedback_reads_open_closed_or_invalid(
+    card: Card, bench: Bench, vents: tuple[str, str]
+) -> None:
     driver = bench(settings=replace(FULL, vent_feedback=vents, shut_off_feedback="port0/line7"))
     driver.open()
     assert driver.read(0.0).shut_off_open == 0.0
@@ -168,9 +170,7 @@ def test_the_shut_off_valve_tells_where_it_is(card: Card, bench: Bench, vents: t
 
 
 @pytest.mark.parametrize("unsigned", [False, True])
-def test_the_count_itself_tells_whether_the_index_has_passed(
-    bench: Bench, card: Card, unsigned: bool
-) -> None:
+def test_encoder_indexed_is_derived_from_count(bench: Bench, card: Card, unsigned: bool) -> None:
     card.unsigned = unsigned
     card.indexed["ctr1"] = False
     driver = bench()
@@ -186,7 +186,7 @@ def test_the_count_itself_tells_whether_the_index_has_passed(
     assert seen.encoder_count[1] == 2**17 - 7
 
 
-def test_a_search_of_the_index_begins_once_where_it_is_asked_for(driver: DaqDriver, card: Card) -> None:
+def test_search_index_starts_once_per_request(driver: DaqDriver, card: Card) -> None:
     assert driver.read(0.0).encoder_indexed == (True, True, True)
     assert driver.write(PASSIVE._replace(search_index=True)).search_index
     assert driver.read(0.001).encoder_indexed == (False, False, False)
@@ -199,7 +199,7 @@ def test_a_search_of_the_index_begins_once_where_it_is_asked_for(driver: DaqDriv
     assert driver.read(0.004).encoder_indexed == (False, False, False)
 
 
-def test_the_counters_are_set_up_as_the_encoders_are(driver: DaqDriver, system: System) -> None:
+def test_open_configures_counters_for_encoders(driver: DaqDriver, system: System) -> None:
     counters = [task for task in system.tasks if task.kind == "ci"]
     assert [task.channels for task in counters] == [["Dev1/ctr0"], ["Dev1/ctr1"], ["Dev1/ctr2"]]
     for task in counters:
@@ -212,7 +212,7 @@ def test_the_counters_are_set_up_as_the_encoders_are(driver: DaqDriver, system: 
         }
 
 
-def test_a_lost_counter_keeps_its_last_sample_which_ages(driver: DaqDriver, card: Card) -> None:
+def test_lost_counter_keeps_last_count_and_ages(driver: DaqDriver, card: Card) -> None:
     card.motion["ctr1"] = 77
     driver.read(1.0)
     card.stuck.add("ctr1")
@@ -226,7 +226,7 @@ def test_a_lost_counter_keeps_its_last_sample_which_ages(driver: DaqDriver, card
     assert driver.read(1.6).encoder_count[1] == 99
 
 
-def test_silence_makes_the_watchdog_strike_and_that_is_noticed(driver: DaqDriver, card: Card) -> None:
+def test_watchdog_loss_of_communication_faults_until_reopened(driver: DaqDriver, card: Card) -> None:
     for tick in range(5):
         card.now += 0.019
         driver.read(tick * 0.019)
@@ -243,12 +243,12 @@ def test_silence_makes_the_watchdog_strike_and_that_is_noticed(driver: DaqDriver
     assert driver.write(MOVING) == MOVING
 
 
-def test_a_pause_before_the_first_command_is_no_silence(driver: DaqDriver, card: Card) -> None:
+def test_watchdog_pause_before_first_command_is_ignored(driver: DaqDriver, card: Card) -> None:
     card.now += 100.0
     assert driver.write(MOVING) == MOVING
 
 
-def test_a_card_that_is_pulled_out(driver: DaqDriver, card: Card) -> None:
+def test_removed_card_faults_and_open_is_refused(driver: DaqDriver, card: Card) -> None:
     driver.write(MOVING)
     card.gone = True
     card.lines["port0/line0"] = True
@@ -264,7 +264,7 @@ def test_a_card_that_is_pulled_out(driver: DaqDriver, card: Card) -> None:
     card.gone = False
 
 
-def test_what_cannot_be_set_passive_is_left_to_the_watchdog(
+def test_make_passive_failed_write_leaves_watchdog_to_centre(
     driver: DaqDriver, card: Card, monkeypatch: pytest.MonkeyPatch, system: System
 ) -> None:
     driver.write(MOVING)
@@ -282,9 +282,7 @@ def test_what_cannot_be_set_passive_is_left_to_the_watchdog(
 
 
 @pytest.mark.parametrize("lacks", ["has_watchdog", "watchdog_works"])
-def test_a_card_that_cannot_centre_the_valves_is_refused_unless_a_relay_does(
-    bench: Bench, card: Card, lacks: str
-) -> None:
+def test_card_without_watchdog_is_refused_unless_relay(bench: Bench, card: Card, lacks: str) -> None:
     setattr(card, lacks, False)
     with pytest.raises(DriverError, match=r"0 V is full stroke.*daq\.watchdog_relay"):
         bench().open()
@@ -301,7 +299,7 @@ def test_a_card_that_cannot_centre_the_valves_is_refused_unless_a_relay_does(
     assert valves(card) == (5.0, 5.0, 5.0)
 
 
-def test_the_relay_is_not_fed_after_a_fault(bench: Bench, card: Card) -> None:
+def test_watchdog_relay_after_fault_is_not_fed(bench: Bench, card: Card) -> None:
     driver = bench(RELAY)
     driver.open()
     driver.fault = "of a test"
@@ -311,7 +309,7 @@ def test_the_relay_is_not_fed_after_a_fault(bench: Bench, card: Card) -> None:
         assert card.lines["port0/line6"] == before
 
 
-def test_a_fallback_that_reads_back_otherwise_is_refused(bench: Bench, card: Card) -> None:
+def test_watchdog_fallback_wrong_read_back_is_refused(bench: Bench, card: Card) -> None:
     card.coarse = -5.0
     with pytest.raises(DriverError, match=r"Dev1/ao0: found a fallback of 0 V \(VOLTAGE\), expected 5 V"):
         bench().open()
@@ -319,7 +317,7 @@ def test_a_fallback_that_reads_back_otherwise_is_refused(bench: Bench, card: Car
     bench().open()
 
 
-def test_one_edge_latches_all_counters(bench: Bench, card: Card) -> None:
+def test_sync_line_edge_latches_all_counters(bench: Bench, card: Card) -> None:
     driver = bench(SYNC)
     driver.open()
     assert driver.hardware_timed
@@ -331,7 +329,7 @@ def test_one_edge_latches_all_counters(bench: Bench, card: Card) -> None:
     assert driver.read(0.001).encoder_count == (4, 2, 3)
 
 
-def test_a_card_without_single_point_reads_one_after_the_other(bench: Bench, card: Card) -> None:
+def test_card_without_single_point_is_not_hardware_timed(bench: Bench, card: Card) -> None:
     card.single_point = False
     driver = bench(SYNC)
     driver.open()
@@ -339,7 +337,7 @@ def test_a_card_without_single_point_reads_one_after_the_other(bench: Bench, car
     assert driver.read(0.0).encoder_valid == (True, True, True)
 
 
-def test_a_sync_wire_that_is_missing_is_noticed_at_the_start(bench: Bench, card: Card) -> None:
+def test_sync_line_without_wire_is_refused_at_open(bench: Bench, card: Card) -> None:
     card.wire = ""
     with pytest.raises(DriverError, match=r"ctr0 \(encoder of the shoulder\).*sync line; check its wire"):
         bench(SYNC).open()
@@ -355,14 +353,12 @@ def test_a_sync_wire_that_is_missing_is_noticed_at_the_start(bench: Bench, card:
         (replace(FULL, supply_pressure="ai77"), r"not found: Dev1/ai77"),
     ],
 )
-def test_what_does_not_fit_the_card_is_refused_by_name(
-    bench: Bench, settings: DaqSettings, says: str
-) -> None:
+def test_open_settings_not_matching_card_are_refused(bench: Bench, settings: DaqSettings, says: str) -> None:
     with pytest.raises(DriverError, match=says):
         bench(settings).open()
 
 
-def test_a_card_in_use_is_told(bench: Bench, driver: DaqDriver) -> None:
+def test_open_card_in_use_is_refused(bench: Bench, driver: DaqDriver) -> None:
     with pytest.raises(DriverError, match=r"watchdog|reserved"):
         bench().open()
     with pytest.raises(DriverError, match="already open"):
@@ -385,18 +381,18 @@ def test_a_card_in_use_is_told(bench: Bench, driver: DaqDriver) -> None:
         ({"vent_feedback": ("port0/line3", "port0/line5")}, "inputs and outputs"),
     ],
 )
-def test_settings_that_contradict_themselves(wrong: dict[str, Any], says: str) -> None:
+def test_daq_settings_contradiction_is_refused(wrong: dict[str, Any], says: str) -> None:
     with pytest.raises(ValueError, match=says):
         DaqSettings(**wrong)
 
 
 @pytest.mark.parametrize("counts", [131_071, 2, 0, 2**29])
-def test_counts_that_quadrature_cannot_make(counts: int) -> None:
+def test_counts_per_revolution_not_quadrature_is_refused(counts: int) -> None:
     with pytest.raises(DriverError, match="multiple of four"):
         DaqDriver(counts_per_revolution=counts)
 
 
-def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_open_without_nidaqmx_package_names_install_command(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = builtins.__import__
 
     def without(name: str, *arguments: Any) -> Any:
@@ -412,7 +408,7 @@ def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyP
     driver.close()
 
 
-def test_without_ni_s_driver_it_says_where_to_get_it() -> None:
+def test_open_without_ni_driver_names_download_site() -> None:
     """The real package, all of it: there is no NI driver where this test runs."""
     try:
         nidaqmx._library_interpreter.LibraryInterpreter()

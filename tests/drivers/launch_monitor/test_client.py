@@ -52,7 +52,7 @@ def message(connection: socket.socket) -> dict[str, object]:
     return tree
 
 
-def test_a_shot_arrives_and_is_taken(gspro: socket.socket, client: SimulatorClient) -> None:
+def test_simulator_client_shot_is_sent_and_taken(gspro: socket.socket, client: SimulatorClient) -> None:
     assert client.send(LAUNCH, ClubFigures(speed=45.0), carry=230.0) == 1
     with accept(gspro) as connection:
         tree = message(connection)
@@ -66,7 +66,7 @@ def test_a_shot_arrives_and_is_taken(gspro: socket.socket, client: SimulatorClie
         assert passing.player.club == "DR"
 
 
-def test_without_an_answer_it_is_sent_once_more_with_the_same_number(
+def test_simulator_client_unanswered_shot_is_resent_once(
     gspro: socket.socket, client: SimulatorClient
 ) -> None:
     client.send(LAUNCH)
@@ -76,7 +76,7 @@ def test_without_an_answer_it_is_sent_once_more_with_the_same_number(
         assert "not answered" in client.status().fault
 
 
-def test_a_simulator_that_hangs_up_gets_a_shot_twice_at_most(
+def test_simulator_client_disconnects_limit_shot_to_two_sends(
     gspro: socket.socket, client: SimulatorClient
 ) -> None:
     client.send(LAUNCH)
@@ -91,7 +91,7 @@ def test_a_simulator_that_hangs_up_gets_a_shot_twice_at_most(
     assert numbers == [1, 1, 2, 2]
 
 
-def test_an_answer_that_is_cut_off_does_not_swallow_the_next(
+def test_simulator_client_truncated_answer_keeps_next_answer(
     gspro: socket.socket, client: SimulatorClient
 ) -> None:
     client.send(LAUNCH)
@@ -103,7 +103,9 @@ def test_an_answer_that_is_cut_off_does_not_swallow_the_next(
         wait_for(lambda: client.status().taken == 1)
 
 
-def test_a_player_beside_the_answer_is_noted(gspro: socket.socket, client: SimulatorClient) -> None:
+def test_simulator_client_answer_with_player_sets_player(
+    gspro: socket.socket, client: SimulatorClient
+) -> None:
     client.send(LAUNCH)
     with accept(gspro) as connection:
         message(connection)
@@ -114,7 +116,9 @@ def test_a_player_beside_the_answer_is_noted(gspro: socket.socket, client: Simul
     assert (player.club, player.handed) == ("I7", "LH")
 
 
-def test_a_failure_is_told_and_the_next_shot_goes_on(gspro: socket.socket, client: SimulatorClient) -> None:
+def test_simulator_client_refused_shot_reports_fault_and_continues(
+    gspro: socket.socket, client: SimulatorClient
+) -> None:
     client.send(LAUNCH)
     with accept(gspro) as connection:
         message(connection)
@@ -127,9 +131,7 @@ def test_a_failure_is_told_and_the_next_shot_goes_on(gspro: socket.socket, clien
         wait_for(lambda: client.status().taken == 1)
 
 
-def test_it_connects_again_and_sends_what_was_not_taken(
-    gspro: socket.socket, client: SimulatorClient
-) -> None:
+def test_simulator_client_reconnects_and_resends_shot(gspro: socket.socket, client: SimulatorClient) -> None:
     client.send(LAUNCH)
     with accept(gspro) as connection:
         first = message(connection)
@@ -139,7 +141,7 @@ def test_it_connects_again_and_sends_what_was_not_taken(
         wait_for(lambda: client.status().taken == 1)
 
 
-def test_an_endless_answer_ends_the_connection_only(gspro: socket.socket, client: SimulatorClient) -> None:
+def test_simulator_client_endless_answer_reconnects(gspro: socket.socket, client: SimulatorClient) -> None:
     with accept(gspro) as connection, pytest.raises(OSError):  # noqa: PT011, PT012
         while True:
             connection.sendall(b'{"a' + b"x" * 100_000)
@@ -147,7 +149,7 @@ def test_an_endless_answer_ends_the_connection_only(gspro: socket.socket, client
         wait_for(lambda: client.status().connected)
 
 
-def test_a_simulator_that_is_not_there_is_a_state_and_old_shots_are_no_news() -> None:
+def test_simulator_client_unreachable_drops_out_of_date_shots() -> None:
     now = [0.0]
     with socket.create_server(("127.0.0.1", 0)) as held:
         port = held.getsockname()[1]
@@ -166,7 +168,7 @@ def test_a_simulator_that_is_not_there_is_a_state_and_old_shots_are_no_news() ->
         client.close()
 
 
-def test_the_queue_is_bounded_and_bad_figures_are_the_callers_mistake() -> None:
+def test_simulator_client_bounds_queue_and_rejects_nan() -> None:
     client = SimulatorClient(SimulatorSettings())
     with pytest.raises(ValueError, match="JSON"):
         client.send(LAUNCH._replace(speed=math.nan))
@@ -176,7 +178,7 @@ def test_the_queue_is_bounded_and_bad_figures_are_the_callers_mistake() -> None:
     client.close()
 
 
-def test_our_client_and_our_server_understand_each_other() -> None:
+def test_simulator_client_and_server_exchange_shot_and_player() -> None:
     server = LaunchMonitorServer(LaunchMonitorSettings(), port=0)
     server.open()
     client = SimulatorClient(SimulatorSettings(True, *server.address), "bench")

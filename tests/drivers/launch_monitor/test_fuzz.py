@@ -3,7 +3,7 @@ from __future__ import annotations
 from tests.benchmarks.launch_monitor_fuzz import fuzz, rows_of
 
 
-def test_fragments_of_json_break_nothing() -> None:
+def test_launch_monitor_fuzz_holds_all_limits() -> None:
     result = fuzz(3000, 1)
     for row in rows_of(result, "fuzz"):
         assert row.holds, row

@@ -22,24 +22,24 @@ def outcomes(
     return [(m.outcome.name, m.shot) for m in match(swings, launches, now, WINDOW).decided]
 
 
-def test_a_swing_and_its_launch() -> None:
+def test_match_swing_and_launch_are_matched() -> None:
     swing, launch = SwingImpact("7", 100.0), told(101.0)
     (found,) = match([swing], [launch], 200.0, WINDOW).decided
     assert (found.outcome, found.shot, found.launch, found.reason) == (MatchOutcome.MATCHED, "7", launch, "")
 
 
 @pytest.mark.parametrize("delay", [-0.1, 0.0, 5.0])
-def test_both_ends_of_the_window_belong_to_it(delay: float) -> None:
+def test_match_window_ends_are_inclusive(delay: float) -> None:
     assert outcomes([SwingImpact("7", 100.0)], [told(100.0 + delay)]) == [("MATCHED", "7")]
 
 
 @pytest.mark.parametrize("delay", [-0.101, 5.001])
-def test_outside_the_window_both_are_told(delay: float) -> None:
+def test_match_outside_window_reports_no_launch_and_no_swing(delay: float) -> None:
     found = outcomes([SwingImpact("7", 100.0)], [told(100.0 + delay)])
     assert sorted(found) == [("NO_LAUNCH", "7"), ("NO_SWING", "")]
 
 
-def test_nothing_is_settled_before_its_time() -> None:
+def test_match_decides_only_after_window_or_timeout() -> None:
     swing, launch, stray = SwingImpact("7", 100.0), told(101.0), told(80.0)
     early = match([swing], [launch, stray], 89.0, WINDOW)
     assert early.decided == ()
@@ -51,14 +51,14 @@ def test_nothing_is_settled_before_its_time() -> None:
     assert (last.swings, last.launches) == ((), ())
 
 
-def test_the_same_message_again_is_a_repetition() -> None:
+def test_match_same_launch_again_is_repeated() -> None:
     assert outcomes([SwingImpact("7", 100.0)], [told(101.0), told(103.0)]) == [
         ("MATCHED", "7"),
         ("REPEATED", "7"),
     ]
 
 
-def test_another_launch_in_the_same_swing_puts_both_in_doubt() -> None:
+def test_match_different_second_launch_is_double() -> None:
     decided = match([SwingImpact("7", 100.0)], [told(101.0), told(101.2, 2, 61.0)], 200.0, WINDOW).decided
     assert [m.outcome for m in decided] == [MatchOutcome.MATCHED, MatchOutcome.DOUBLE]
     assert "2 different launches" in decided[0].reason
@@ -68,7 +68,7 @@ CLUB = ClubFigures(speed=43.0, path=0.01)
 
 
 @pytest.mark.parametrize("delay", [-3.0, 0.4, 3.0])
-def test_a_club_joins_the_launch_of_its_device(delay: float) -> None:
+def test_join_clubs_same_device_joins_launch(delay: float) -> None:
     club = ClubRecord(101.0 + delay, "monitor", CLUB, (("club.attack_angle", "no AngleOfAttack"),))
     (joined,), alone = join_clubs([told(101.0)], [club])
     assert (joined.club, joined.absent, alone) == (CLUB, club.absent, [])
@@ -76,25 +76,25 @@ def test_a_club_joins_the_launch_of_its_device(delay: float) -> None:
 
 
 @pytest.mark.parametrize(("delay", "device"), [(3.01, "monitor"), (-3.01, "monitor"), (0.1, "another")])
-def test_a_club_of_another_time_or_device_stays_alone(delay: float, device: str) -> None:
+def test_join_clubs_other_time_or_device_stays_unjoined(delay: float, device: str) -> None:
     club = ClubRecord(101.0 + delay, device, CLUB)
     assert join_clubs([told(101.0)], [club]) == ([told(101.0)], [club])
 
 
-def test_a_club_joins_the_nearest_launch_without_one() -> None:
+def test_join_clubs_picks_nearest_launch_without_club() -> None:
     clubs = [ClubRecord(104.1, "monitor", CLUB), ClubRecord(102.0, "monitor", CLUB._replace(speed=44.0))]
     joined, alone = join_clubs([told(101.0), told(104.0, 2)], clubs)
     assert ([one.club.speed for one in joined], alone) == ([44.0, 43.0], [])
 
 
-def test_a_launch_keeps_its_own_club_figures() -> None:
+def test_join_clubs_launch_keeps_own_figures() -> None:
     own = replace(told(101.0), club=ClubFigures(speed=44.0))
     (joined,), _ = join_clubs([own], [ClubRecord(101.1, "monitor", CLUB)])
     assert joined.club == ClubFigures(speed=44.0, path=0.01)
 
 
 @pytest.mark.parametrize("number", [1, 2])
-def test_a_ball_sent_without_and_with_its_club_is_one_launch(number: int) -> None:
+def test_match_same_ball_with_and_without_club_is_repeated(number: int) -> None:
     both = [told(101.0), replace(told(101.4, number), club=CLUB)]
     for launches in (both, [replace(both[1], time=101.0), replace(both[0], time=101.4)]):
         first, second = match([SwingImpact("7", 100.0)], launches, 200.0, WINDOW).decided
@@ -104,14 +104,14 @@ def test_a_ball_sent_without_and_with_its_club_is_one_launch(number: int) -> Non
         assert first.launch.club == CLUB
 
 
-def test_a_window_ends_where_the_next_swing_begins() -> None:
+def test_match_window_ends_at_next_swing() -> None:
     swings = [SwingImpact("7", 100.0), SwingImpact("8", 103.0)]
     assert outcomes(swings, [told(103.5)]) == [("NO_LAUNCH", "7"), ("MATCHED", "8")]
     assert outcomes(swings, [told(102.0), told(103.5)]) == [("MATCHED", "7"), ("MATCHED", "8")]
     assert [m.shot for m in match(swings, [], 103.0, WINDOW).decided] == ["7"]
 
 
-def test_two_swings_of_one_id_are_refused() -> None:
+def test_match_duplicate_swing_id_raises() -> None:
     with pytest.raises(ValueError, match="the same id"):
         match([SwingImpact("7", 1.0), SwingImpact("7", 2.0)], [], 3.0, WINDOW)
 
@@ -120,7 +120,7 @@ TIMES = st.floats(0.0, 60.0)
 
 
 @given(st.lists(TIMES, max_size=8), st.lists(st.tuples(TIMES, st.integers(0, 2)), max_size=12), st.data())
-def test_each_swing_and_each_launch_comes_to_exactly_one_outcome(
+def test_match_gives_each_swing_and_launch_single_outcome(
     impacts: list[float], messages: list[tuple[float, int]], data: st.DataObject
 ) -> None:
     swings = [SwingImpact(str(n), time) for n, time in enumerate(impacts)]

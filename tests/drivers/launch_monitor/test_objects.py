@@ -20,7 +20,7 @@ BETWEEN = st.binary(max_size=5).map(lambda noise: noise.replace(b"{", b","))
     st.lists(st.integers(1, 30), min_size=1, max_size=20),
     st.booleans(),
 )
-def test_objects_are_found_however_they_are_cut(
+def test_object_stream_any_split_finds_objects(
     parts: list[tuple[bytes, dict[str, object]]], cuts: list[int], ascii_only: bool
 ) -> None:
     whole = [json.dumps(value, ensure_ascii=ascii_only).encode() for _, value in parts]
@@ -36,7 +36,7 @@ def test_objects_are_found_however_they_are_cut(
 
 
 @given(st.lists(st.binary(max_size=40).map(lambda b: b.replace(b"q", b"{").replace(b"z", b'"')), max_size=20))
-def test_no_byte_is_lost_or_counted_twice(pieces: list[bytes]) -> None:
+def test_object_stream_counts_every_byte_once(pieces: list[bytes]) -> None:
     stream, inside = ObjectStream(), 0
     for piece in pieces:
         inside += sum(map(len, stream.feed(piece)))
@@ -44,7 +44,7 @@ def test_no_byte_is_lost_or_counted_twice(pieces: list[bytes]) -> None:
         assert inside + stream.pending + stream.passed_over == sum(map(len, pieces))
 
 
-def test_an_object_without_end_makes_the_stream_useless_and_what_came_before_is_kept() -> None:
+def test_object_stream_endless_object_errors_and_keeps_earlier() -> None:
     stream = ObjectStream()
     assert stream.feed(b'{"a":1}{"b":"' + b"x" * (MAX_OBJECT_SIZE // 2)) == [b'{"a":1}']
     assert stream.error == ""
@@ -54,13 +54,13 @@ def test_an_object_without_end_makes_the_stream_useless_and_what_came_before_is_
     assert stream.feed(b'{"a":1}') == []
 
 
-def test_a_whole_object_that_is_too_long_is_none() -> None:
+def test_object_stream_oversized_object_is_refused() -> None:
     stream = ObjectStream()
     assert stream.feed(b'{"a":1}{"b":"' + b"x" * MAX_OBJECT_SIZE + b'"}{"c":2}') == [b'{"a":1}']
     assert stream.error
 
 
-def test_depth_is_bounded() -> None:
+def test_object_stream_depth_beyond_limit_errors() -> None:
     stream = ObjectStream()
     deepest = b'{"a":' * (MAX_DEPTH - 1) + b"{}" + b"}" * (MAX_DEPTH - 1)
     assert stream.feed(deepest) == [deepest]
@@ -68,7 +68,7 @@ def test_depth_is_bounded() -> None:
     assert "deep" in stream.error
 
 
-def test_what_was_cut_off_can_be_given_up() -> None:
+def test_object_stream_drop_discards_pending() -> None:
     stream = ObjectStream()
     stream.feed(b'{"a":"')
     assert stream.pending == 6

@@ -74,7 +74,7 @@ def record(**ball: Any) -> LaunchRecord:
     return message
 
 
-def test_the_specifications_shot() -> None:
+def test_read_message_specification_shot_converts_units() -> None:
     shot = read()
     assert isinstance(shot, LaunchRecord)
     assert shot.launch == pytest.approx(
@@ -91,7 +91,7 @@ def test_the_specifications_shot() -> None:
     assert shot.source == "launch monitor"
 
 
-def test_numbers_as_text_and_other_spellings() -> None:
+def test_read_message_accepts_text_numbers_and_spellings() -> None:
     tree = {
         "deviceID": "PiTrac",
         "units": "yards",
@@ -127,7 +127,7 @@ def test_numbers_as_text_and_other_spellings() -> None:
         {"TotalSpin": 99999, "BackSpin": "n/a"},
     ],
 )
-def test_a_spin_not_seen_is_absent_and_never_zero(ball: dict[str, Any]) -> None:
+def test_read_message_unmeasured_spin_is_absent(ball: dict[str, Any]) -> None:
     shot = record(**ball)
     assert shot.spin is None
     assert shot.spin_axis is None
@@ -137,7 +137,7 @@ def test_a_spin_not_seen_is_absent_and_never_zero(ball: dict[str, Any]) -> None:
     assert shot.speed == pytest.approx(65.9384)  # the others stand
 
 
-def test_the_total_counts_where_components_contradict_it() -> None:
+def test_read_message_total_spin_overrides_components() -> None:
     assert record(SideSpin=800.0).spin == pytest.approx(3250 * pi / 30)
     assert record(SpinAxis=...).spin_axis == pytest.approx(math.atan2(-800, 2500))
 
@@ -145,7 +145,7 @@ def test_the_total_counts_where_components_contradict_it() -> None:
 @pytest.mark.parametrize(
     "bad", ["NaN", "inf", "-1e999", "12,5", "fast", True, [1], {"a": 1}, -3, 301, 10**400]
 )
-def test_a_figure_that_cannot_be_is_absent_with_its_reason(bad: Any) -> None:
+def test_read_message_impossible_speed_is_absent_with_reason(bad: Any) -> None:
     shot = record(Speed=bad)
     assert shot.speed is None
     assert shot.absent[0][0] == "speed"
@@ -153,7 +153,7 @@ def test_a_figure_that_cannot_be_is_absent_with_its_reason(bad: Any) -> None:
     assert shot.launch_angle == pytest.approx(radians(14.3))
 
 
-def test_not_a_number_outside_json_is_none() -> None:
+def test_read_message_nan_speed_is_absent() -> None:
     shot = read_message(json.dumps(SPECIFICATION).replace("147.5", "NaN").encode(), 0.0)
     assert isinstance(shot, LaunchRecord)
     assert shot.speed is None
@@ -170,14 +170,14 @@ def test_not_a_number_outside_json_is_none() -> None:
         ("M", 256.5),
     ],
 )
-def test_carry_in_known_units_is_in_metres(units: str, carry: float) -> None:
+def test_read_message_carry_known_units_is_in_metres(units: str, carry: float) -> None:
     shot = read(Units=units)
     assert isinstance(shot, LaunchRecord)
     assert shot.carry == pytest.approx(carry)
     assert shot.speed == pytest.approx(65.9384)
 
 
-def test_carry_in_unknown_units_is_absent_with_its_reason() -> None:
+def test_read_message_carry_unknown_units_is_absent_with_reason() -> None:
     shot = read(Units="Furlongs")
     assert isinstance(shot, LaunchRecord)
     assert (shot.carry, shot.valid) == (None, True)
@@ -185,23 +185,23 @@ def test_carry_in_unknown_units_is_absent_with_its_reason() -> None:
 
 
 @pytest.mark.parametrize("version", ["2", "1.1", "v1", 3, None, "", [1]])
-def test_a_message_of_another_version_with_the_layout_of_version_1_is_read(version: Any) -> None:
+def test_read_message_ignores_api_version(version: Any) -> None:
     assert read(APIversion=version) == read()
 
 
 @pytest.mark.parametrize("options", [{}, {"IsHeartBeat": True}, {"IsHeartBeat": "1"}])
-def test_heartbeats_and_status(options: dict[str, Any]) -> None:
+def test_read_message_without_data_is_status(options: dict[str, Any]) -> None:
     given_options = {"ContainsBallData": False, "ContainsClubData": False, **options}
     assert read(ShotDataOptions={**given_options, "LaunchMonitorIsReady": False}) == ReportedStatus(
         "UF-BENCH", bool(options), False, None
     )
 
 
-def test_a_shot_counts_even_when_it_says_heartbeat() -> None:
+def test_read_message_heartbeat_with_ball_data_is_launch() -> None:
     assert isinstance(read(ShotDataOptions={"ContainsBallData": True, "IsHeartBeat": True}), LaunchRecord)
 
 
-def test_ball_data_without_options_is_a_shot() -> None:
+def test_read_message_ball_data_without_options_is_launch() -> None:
     tree = {name: value for name, value in SPECIFICATION.items() if name != "ShotDataOptions"}
     assert isinstance(read_message(json.dumps(tree).encode(), 0.0), LaunchRecord)
 
@@ -221,7 +221,7 @@ ZERO_BALL = {"Speed": 0, "SpinAxis": 0, "TotalSpin": 0, "HLA": 0, "VLA": 0}
         (None, BOTH),
     ],
 )
-def test_a_club_without_a_ball_is_no_launch(ball: Any, options: dict[str, bool]) -> None:
+def test_read_message_club_without_ball_is_club_record(ball: Any, options: dict[str, bool]) -> None:
     club = read(BallData=ball, ShotDataOptions=options)
     assert isinstance(club, ClubRecord)
     assert (club.time, club.device) == (7.0, "UF-BENCH")
@@ -231,18 +231,18 @@ def test_a_club_without_a_ball_is_no_launch(ball: Any, options: dict[str, bool])
 ZERO_CLUB = dict.fromkeys(SPECIFICATION["ClubData"], 0.0)
 
 
-def test_a_zeroed_club_alone_counts_as_nothing() -> None:
+def test_read_message_zero_club_alone_is_status() -> None:
     message = read(BallData=ZERO_BALL, ClubData=ZERO_CLUB, ShotDataOptions=CLUB_ALONE)
     assert message == ReportedStatus("UF-BENCH", False, None, None)
 
 
 @pytest.mark.parametrize("options", [{"ContainsBallData": True}, BOTH])
-def test_a_ball_of_speed_0_without_a_club_is_refused_and_not_sent_again(options: dict[str, bool]) -> None:
+def test_read_message_zero_ball_without_club_is_refused_with_200(options: dict[str, bool]) -> None:
     message = read(BallData=ZERO_BALL, ClubData=ZERO_CLUB, ShotDataOptions=options)
     assert message == RejectedMessage(200, "a ball of speed 0, and no club")
 
 
-def test_zeros_beside_the_clubs_speed_alone_are_not_measured() -> None:
+def test_read_message_zeros_with_only_club_speed_are_absent() -> None:
     shot = read(ClubData={**ZERO_CLUB, "Speed": 101.2})
     assert isinstance(shot, LaunchRecord)
     assert shot.club.speed == pytest.approx(45.240448)
@@ -270,7 +270,7 @@ def test_zeros_beside_the_clubs_speed_alone_are_not_measured() -> None:
         (b'{"a":' + b"[" * 100_000, "invalid JSON"),
     ],
 )
-def test_what_is_no_message_is_refused_with_its_reason(data: bytes, says: str) -> None:
+def test_read_message_invalid_data_is_refused_with_reason(data: bytes, says: str) -> None:
     message = read_message(data, 0.0)
     assert isinstance(message, RejectedMessage)
     assert message.code == 501
@@ -294,7 +294,7 @@ def test_what_is_no_message_is_refused_with_its_reason(data: bytes, says: str) -
         max_leaves=20,
     )
 )
-def test_any_tree_gives_finite_figures_or_none(tree: Any) -> None:
+def test_read_message_any_json_gives_finite_or_absent_figures(tree: Any) -> None:
     message = read_message(json.dumps({"BallData": tree, "ShotDataOptions": tree}).encode(), 0.0)
     if isinstance(message, LaunchRecord):
         figures = (message.speed, message.launch_angle, message.direction, message.spin, message.spin_axis)
@@ -311,7 +311,7 @@ def test_any_tree_gives_finite_figures_or_none(tree: Any) -> None:
     ),
     st.integers(0, 10**6),
 )
-def test_what_is_written_reads_back(launch: Launch, number: int) -> None:
+def test_write_shot_round_trip_preserves_figures(launch: Launch, number: int) -> None:
     data = write_shot(number, launch, "bench", ClubFigures(speed=40.0, strike_x=0.01), carry=200.0)
     assert data.endswith(b"}\n")
     shot = read_message(data, 1.0)
@@ -324,7 +324,7 @@ def test_what_is_written_reads_back(launch: Launch, number: int) -> None:
     assert shot.club.path is None
 
 
-def test_exact_names_and_kinds_are_sent() -> None:
+def test_write_shot_sends_specified_fields() -> None:
     launch = Launch(65.9384, radians(14.3), radians(2.3), 3250 * pi / 30, radians(-13.2))
     tree = json.loads(write_shot(13, launch, "UF-BENCH", ClubFigures(45.0), 234.5436))
     for part in ("BallData", "ShotDataOptions"):
@@ -337,12 +337,12 @@ def test_exact_names_and_kinds_are_sent() -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_figure_that_is_not_finite_is_not_sent(bad: float) -> None:
+def test_write_shot_non_finite_figure_raises(bad: float) -> None:
     with pytest.raises(ValueError, match="JSON"):
         write_shot(1, Launch(bad, 0.1), "bench")
 
 
-def test_heartbeat_and_answers_read_back() -> None:
+def test_heartbeat_and_answers_round_trip() -> None:
     assert read_message(write_heartbeat(3, "bench"), 0.0) == ReportedStatus("bench", True, True, False)
     answer = read_answer(write_answer(200, "Shot received successfully"))
     assert answer is not None
@@ -358,11 +358,11 @@ def test_heartbeat_and_answers_read_back() -> None:
     ("name", "code"),
     [("driver", "DR"), ("iron7", "I7"), ("Wood 3", "W3"), ("hybrid-4", "H4"), ("pw", "PW"), ("putter", "PT")],
 )
-def test_clubs_have_codes(name: str, code: str) -> None:
+def test_club_code_known_club_returns_code(name: str, code: str) -> None:
     assert club_code(name) == code
     assert CLUB_CODE.fullmatch(code)
 
 
 @pytest.mark.parametrize("name", ["thesis", "wood", "wood8", "iron", "", "iron77"])
-def test_an_unclear_club_is_a_driver(name: str) -> None:
+def test_club_code_unknown_club_returns_driver(name: str) -> None:
     assert club_code(name) == "DR"

@@ -26,7 +26,7 @@ def figure(record: LaunchRecord, name: str) -> float | None:
 
 @pytest.mark.parametrize("name", CONVERSATIONS)
 @pytest.mark.parametrize("size", [1, 100, 100_000])
-def test_a_conversation_is_understood(name: str, size: int) -> None:
+def test_conversation_known_monitor_gives_expected_record(name: str, size: int) -> None:
     talk: dict[str, Any] = CONVERSATIONS[name]
     conversation = Conversation(0.0)
     records, answers = [], b""
@@ -46,7 +46,7 @@ def test_a_conversation_is_understood(name: str, size: int) -> None:
     assert set(talk["absent"]) <= {field for field, _ in record.absent} | {"carry"}
 
 
-def test_every_quirk_has_a_conversation() -> None:
+def test_quirks_each_have_conversation() -> None:
     said = {quirk.name for quirk in quirks().values()}
     held = {
         quirk.name
@@ -65,20 +65,20 @@ def club(**figures: object) -> LaunchRecord:
     return record
 
 
-def test_a_zero_among_measured_figures_is_a_measurement() -> None:
+def test_club_zero_among_measured_figures_is_kept() -> None:
     record = club(Speed=100, AngleOfAttack=0, Path=0.0, HorizontalFaceImpact=0, VerticalFaceImpact=3)
     assert (record.club.attack_angle, record.club.path, record.club.strike_x) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("speed", [{}, {"Speed": 0}, {"Speed": None}, {"Speed": "0.0"}])
-def test_zeros_beside_a_club_that_did_not_move_are_absent(speed: dict[str, object]) -> None:
+def test_club_zeros_without_speed_are_absent(speed: dict[str, object]) -> None:
     record = club(**speed, AngleOfAttack=0, Path=0, FaceToTarget=0, Loft=0, HorizontalFaceImpact=0)
     assert record.club == (None,) * 7
     assert ("club.path", "0: not measured") in record.absent
 
 
 @pytest.mark.parametrize("other", ["monitor", "Rapsodo MLM2PRO 2", ""])
-def test_a_monitor_without_a_quirk_is_taken_by_its_word(other: str) -> None:
+def test_quirk_of_unknown_monitor_is_none(other: str) -> None:
     assert quirk_of(other) is None
     record = club(Speed=100, HorizontalFaceImpact=2, VerticalFaceImpact=0, Loft=13)
     assert record.club.strike_x == pytest.approx(0.002)

@@ -57,7 +57,7 @@ def connect(server: LaunchMonitorServer) -> Iterator[Callable[[], socket.socket]
 Connect = Callable[[], socket.socket]
 
 
-def test_a_shot_is_answered_and_taken_once(server: LaunchMonitorServer, connect: Connect) -> None:
+def test_server_shot_is_answered_and_taken_once(server: LaunchMonitorServer, connect: Connect) -> None:
     connection = connect()
     connection.sendall(shot(5))
     assert b'"Code": 200' in receive(connection, 1)
@@ -67,7 +67,7 @@ def test_a_shot_is_answered_and_taken_once(server: LaunchMonitorServer, connect:
     assert server.take() == []
 
 
-def test_split_and_joined_messages(server: LaunchMonitorServer, connect: Connect) -> None:
+def test_server_split_and_joined_messages_are_parsed(server: LaunchMonitorServer, connect: Connect) -> None:
     connection = connect()
     data = shot(1) + shot(2).rstrip() + shot(3)
     for start in range(0, len(data), 97):
@@ -76,7 +76,7 @@ def test_split_and_joined_messages(server: LaunchMonitorServer, connect: Connect
     assert [record.number for record in server.take()] == [1, 2, 3]
 
 
-def test_heartbeats_are_not_answered_and_tell_of_the_monitor(
+def test_server_heartbeat_updates_monitor_without_answer(
     server: LaunchMonitorServer, connect: Connect
 ) -> None:
     connection = connect()
@@ -86,9 +86,7 @@ def test_heartbeats_are_not_answered_and_tell_of_the_monitor(
     assert (connected.device, connected.ready, connected.ball_detected) == ("monitor", True, False)
 
 
-def test_what_is_refused_is_answered_and_the_connection_goes_on(
-    server: LaunchMonitorServer, connect: Connect
-) -> None:
+def test_server_refused_message_gets_501_and_continues(server: LaunchMonitorServer, connect: Connect) -> None:
     connection = connect()
     connection.sendall(b'xx{"a": }, {"BallData": 3}' + shot())
     answers = receive(connection, 3)
@@ -98,9 +96,7 @@ def test_what_is_refused_is_answered_and_the_connection_goes_on(
     assert (counts.objects, counts.shots, counts.refused, counts.passed_over) == (3, 1, 2, 5)
 
 
-def test_an_object_without_end_is_refused_with_413_and_let_go(
-    server: LaunchMonitorServer, connect: Connect
-) -> None:
+def test_server_endless_object_is_disconnected(server: LaunchMonitorServer, connect: Connect) -> None:
     connection, other = connect(), connect()
     with pytest.raises(OSError):  # noqa: PT011, PT012 - reset or broken pipe
         for _ in range(10_000):
@@ -111,7 +107,7 @@ def test_an_object_without_end_is_refused_with_413_and_let_go(
     assert (server.link().counts.too_large, server.link().disconnected) == (1, 1)
 
 
-def test_an_object_cut_off_is_given_up_and_the_next_one_heard(
+def test_server_truncated_object_is_dropped_and_next_parsed(
     server: LaunchMonitorServer, connect: Connect, clock: Clock
 ) -> None:
     connection = connect()
@@ -124,7 +120,7 @@ def test_an_object_cut_off_is_given_up_and_the_next_one_heard(
     assert server.link().counts.cut_off == 1
 
 
-def test_a_monitor_that_reads_no_answers_is_let_go(server: LaunchMonitorServer, connect: Connect) -> None:
+def test_server_monitor_not_reading_is_disconnected(server: LaunchMonitorServer, connect: Connect) -> None:
     connection = connect()
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     with pytest.raises(OSError):  # noqa: PT011, PT012 - reset or broken pipe
@@ -134,7 +130,7 @@ def test_a_monitor_that_reads_no_answers_is_let_go(server: LaunchMonitorServer, 
     assert server.link().disconnected == 1
 
 
-def test_silence_after_heartbeats_lets_go_and_without_them_does_not(
+def test_server_silence_disconnects_only_after_heartbeats(
     server: LaunchMonitorServer, connect: Connect, clock: Clock
 ) -> None:
     beating, quiet = connect(), connect()
@@ -148,7 +144,7 @@ def test_silence_after_heartbeats_lets_go_and_without_them_does_not(
     assert server.link().counts.statuses == 1  # what is gone is still counted
 
 
-def test_a_monitor_may_go_and_come_again(server: LaunchMonitorServer, connect: Connect) -> None:
+def test_server_monitor_reconnects(server: LaunchMonitorServer, connect: Connect) -> None:
     for number in range(5):
         connection = connect()
         connection.sendall(shot(number))
@@ -162,7 +158,7 @@ def test_a_monitor_may_go_and_come_again(server: LaunchMonitorServer, connect: C
 CLUB = b'{"DeviceID": "monitor", "ClubData": {"Speed": 96, "Path": %s}}'
 
 
-def test_a_club_and_a_refused_message_are_taken_beside_the_launches(
+def test_server_take_asides_returns_club_and_refusal(
     server: LaunchMonitorServer, connect: Connect, clock: Clock
 ) -> None:
     connection = connect()
@@ -183,9 +179,7 @@ def test_a_club_and_a_refused_message_are_taken_beside_the_launches(
     wait_for(lambda: server.link().refusal == "an object cut off after 50 bytes")
 
 
-def test_a_zero_is_measured_once_its_device_has_sent_another_value(
-    server: LaunchMonitorServer, connect: Connect
-) -> None:
+def test_server_club_zero_counts_after_other_value(server: LaunchMonitorServer, connect: Connect) -> None:
     for path in (b"0", b"0.4", b"0"):  # a connection each
         connection = connect()
         connection.sendall((CLUB % path).replace(b"Path", b'AngleOfAttack": 1.5, "Path'))
@@ -195,7 +189,7 @@ def test_a_zero_is_measured_once_its_device_has_sent_another_value(
     assert ("club.path", "0 in each message so far: not measured") in clubs[0].absent
 
 
-def test_a_shot_of_a_connection_closed_at_once_is_taken_and_answered_alone(clock: Clock) -> None:
+def test_server_per_shot_connection_is_taken_without_greeting(clock: Clock) -> None:
     per_shot = LaunchMonitorServer(LaunchMonitorSettings(presence="per_shot"), port=0, clock=clock)
     per_shot.open()
     try:
@@ -212,7 +206,7 @@ def test_a_shot_of_a_connection_closed_at_once_is_taken_and_answered_alone(clock
         per_shot.close()
 
 
-def test_no_more_connections_than_there_is_room_for(server: LaunchMonitorServer, connect: Connect) -> None:
+def test_server_connections_above_limit_are_rejected(server: LaunchMonitorServer, connect: Connect) -> None:
     first = [connect() for _ in range(server_module.MAX_CONNECTIONS)]
     wait_for(lambda: len(server.link().connected) == len(first))
     assert connect().recv(1) == b""
@@ -220,7 +214,7 @@ def test_no_more_connections_than_there_is_room_for(server: LaunchMonitorServer,
     assert server.link().refusal == "connection from 127.0.0.1: 8 are connected"
 
 
-def test_the_player_is_told_to_who_is_there_and_who_comes(
+def test_server_player_is_announced_to_present_and_new_clients(
     server: LaunchMonitorServer, connect: Connect
 ) -> None:
     before = connect()
@@ -230,9 +224,7 @@ def test_the_player_is_told_to_who_is_there_and_who_comes(
     assert b'"Club": "I7"' in receive(connect(), 1)
 
 
-def test_player_and_readiness_come_on_connecting_and_again_and_the_end_on_closing(
-    server: LaunchMonitorServer, connect: Connect
-) -> None:
+def test_server_sends_player_ready_and_end_codes(server: LaunchMonitorServer, connect: Connect) -> None:
     server.announce_player("DR")
     connection = connect()
     wait_for(lambda: server.link().connected)
@@ -250,7 +242,7 @@ def test_player_and_readiness_come_on_connecting_and_again_and_the_end_on_closin
     assert receive(connection, 2).count(b'"Code": 203') == 1
 
 
-def test_a_doubtful_shot_is_kept_with_its_doubt(server: LaunchMonitorServer, connect: Connect) -> None:
+def test_server_doubtful_shot_is_kept_with_reason(server: LaunchMonitorServer, connect: Connect) -> None:
     connection = connect()
     connection.sendall(shot().replace(b'"VLA": 11.4592', b'"VLA": 0.0'))
     assert b"200" in receive(connection, 1)
@@ -260,7 +252,7 @@ def test_a_doubtful_shot_is_kept_with_its_doubt(server: LaunchMonitorServer, con
     assert "launch angle" in record.reason
 
 
-def test_records_nobody_takes_are_lost_and_counted(
+def test_server_untaken_records_above_limit_count_as_lost(
     server: LaunchMonitorServer, connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server_module, "MAX_WAITING", 3)
@@ -271,7 +263,7 @@ def test_records_nobody_takes_are_lost_and_counted(
     assert server.link().lost == 2
 
 
-def test_a_mistake_of_its_own_costs_one_connection(
+def test_server_internal_error_closes_only_affected_connection(
     server: LaunchMonitorServer, connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
@@ -288,7 +280,7 @@ def test_a_mistake_of_its_own_costs_one_connection(
     assert b"200" in receive(again, 1)
 
 
-def test_closing_ends_thread_and_sockets_and_opening_again_works(clock: Clock) -> None:
+def test_server_close_releases_thread_and_sockets(clock: Clock) -> None:
     before = len(os.listdir("/proc/self/fd"))
     server = LaunchMonitorServer(LaunchMonitorSettings(), port=0, clock=clock)
     server.close()
@@ -307,14 +299,14 @@ def test_closing_ends_thread_and_sockets_and_opening_again_works(clock: Clock) -
     assert not [thread for thread in threading.enumerate() if "launch" in thread.name]
 
 
-def test_a_port_that_is_taken_is_told(server: LaunchMonitorServer) -> None:
+def test_server_port_in_use_is_refused(server: LaunchMonitorServer) -> None:
     second = LaunchMonitorServer(LaunchMonitorSettings(), port=server.address[1])
     with pytest.raises(DriverError, match=r"Address already in use.*launch_monitor\.port"):
         second.open()
     second.close()
 
 
-def test_the_network_is_for_named_clients_only() -> None:
+def test_launch_monitor_settings_network_requires_clients() -> None:
     with pytest.raises(ValueError, match="clients"):
         LaunchMonitorSettings(address="0.0.0.0")  # noqa: S104
     with pytest.raises(ValueError, match="IP address"):
@@ -329,7 +321,7 @@ def test_the_network_is_for_named_clients_only() -> None:
     assert LaunchMonitorSettings().accepts("127.0.0.1")
 
 
-def test_who_is_not_named_is_turned_away(clock: Clock) -> None:
+def test_server_unlisted_client_is_rejected(clock: Clock) -> None:
     server = LaunchMonitorServer(LaunchMonitorSettings(clients=("192.0.2.7",)), port=0, clock=clock)
     server.open()
     try:
@@ -340,7 +332,7 @@ def test_who_is_not_named_is_turned_away(clock: Clock) -> None:
         server.close()
 
 
-def test_ipv6() -> None:
+def test_server_ipv6_shot_is_answered() -> None:
     if (
         not socket.has_ipv6
         or not os.path.exists("/proc/net/if_inet6")

@@ -40,7 +40,7 @@ def attached(watch: ContactMonitor) -> bool:
     return watch.attached
 
 
-def test_left_alone_it_is_the_sim_driver(driver: PacedPlantDriver) -> None:
+def test_paced_driver_without_surroundings_equals_sim_driver(driver: PacedPlantDriver) -> None:
     alone = SimDriver(PlantParameters())
     alone.open()
     for k in range(50):
@@ -49,7 +49,7 @@ def test_left_alone_it_is_the_sim_driver(driver: PacedPlantDriver) -> None:
     assert driver.operational
 
 
-def test_hands_around_it(driver: PacedPlantDriver, tmp_path: Path) -> None:
+def test_paced_driver_applies_surroundings(driver: PacedPlantDriver, tmp_path: Path) -> None:
     assert driver.read(0.0).guard_closed
     with SurroundingsWriter(tmp_path) as hands:
         hands.change(guard_closed=False)
@@ -71,7 +71,7 @@ def test_hands_around_it(driver: PacedPlantDriver, tmp_path: Path) -> None:
         assert np.array_equal(driver._driver.plant.impact, before)
 
 
-def test_each_ball_is_seen_once_and_plants_may_come_and_go(driver: PacedPlantDriver, tmp_path: Path) -> None:
+def test_contact_monitor_reports_each_contact_once(driver: PacedPlantDriver, tmp_path: Path) -> None:
     watch = ContactMonitor(tmp_path)
     assert watch.look() is None  # not attached yet
     assert attached(watch)
@@ -99,7 +99,7 @@ def test_each_ball_is_seen_once_and_plants_may_come_and_go(driver: PacedPlantDri
     watch.close()
 
 
-def test_the_launch_of_a_contact_is_compiled_beforehand(driver: PacedPlantDriver, tmp_path: Path) -> None:
+def test_contact_monitor_after_warm_up_reports_launch(driver: PacedPlantDriver, tmp_path: Path) -> None:
     warm_up()
     watch = ContactMonitor(tmp_path)
     assert attached(watch)
@@ -110,6 +110,6 @@ def test_the_launch_of_a_contact_is_compiled_beforehand(driver: PacedPlantDriver
     watch.close()
 
 
-def test_it_is_open_once(driver: PacedPlantDriver) -> None:
+def test_paced_driver_second_open_raises(driver: PacedPlantDriver) -> None:
     with pytest.raises(DriverError, match="already open"):
         driver.open()

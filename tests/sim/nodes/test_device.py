@@ -77,13 +77,13 @@ def valves() -> Wire:
     return Wire(ValveNode401)
 
 
-def test_it_boots_into_pre_operational(encoder: Wire) -> None:
+def test_canopen_device_boots_into_pre_operational(encoder: Wire) -> None:
     assert encoder.sent == [(0x705, b"\0")]
     assert encoder.device.state == 127
     assert encoder.receive(0x80) == []
 
 
-def test_heartbeats_tell_the_state(encoder: Wire) -> None:
+def test_canopen_device_heartbeat_carries_state(encoder: Wire) -> None:
     assert encoder.wait(0.5) == []
     encoder.write(0x1017, 0, 100, 2)
     assert encoder.wait(0.35) == [(0x705, b"\x7f")] * 3
@@ -93,7 +93,7 @@ def test_heartbeats_tell_the_state(encoder: Wire) -> None:
 
 @pytest.mark.parametrize(("command", "state"), [(1, 5), (2, 4), (128, 127)])
 @pytest.mark.parametrize("node", [0, 5, 6])
-def test_network_management_goes_to_one_node_or_to_all(
+def test_nmt_command_applies_to_addressed_node_or_all(
     encoder: Wire, command: int, state: int, node: int
 ) -> None:
     before = encoder.device.state
@@ -101,14 +101,14 @@ def test_network_management_goes_to_one_node_or_to_all(
     assert encoder.device.state == (state if node in {0, 5} else before)
 
 
-def test_a_reset_forgets_what_was_set(encoder: Wire) -> None:
+def test_canopen_device_reset_restores_defaults(encoder: Wire) -> None:
     encoder.write(0x1017, 0, 100, 2)
     assert encoder.receive(0, b"\x81\x05") == [(0x705, b"\0")]
     assert encoder.read(0x1017) == 0
     assert encoder.device.state == 127
 
 
-def test_a_sync_is_answered_with_the_position_as_its_eds_maps_it(encoder: Wire) -> None:
+def test_encoder_node_sync_sends_position_pdo(encoder: Wire) -> None:
     encoder.receive(0, b"\x01\x05")
     assert encoder.receive(0x80) == [(0x285, struct.pack("<I", 1000))]
     encoder.count = 4000
@@ -117,14 +117,14 @@ def test_a_sync_is_answered_with_the_position_as_its_eds_maps_it(encoder: Wire) 
     assert encoder.receive(0x80) == []
 
 
-def test_the_asynchronous_pdo_goes_by_its_timer_until_it_is_switched_off(encoder: Wire) -> None:
+def test_encoder_node_event_timer_sends_pdo_until_disabled(encoder: Wire) -> None:
     encoder.receive(0, b"\x01\x05")
     assert [i for i, _ in encoder.wait(0.35)] == [0x185] * 3
     encoder.write(0x1800, 1, 0x80000185, 4)
     assert encoder.wait(0.35) == []
 
 
-def test_identity_resolution_and_preset(encoder: Wire) -> None:
+def test_encoder_node_reports_identity_resolution_and_preset(encoder: Wire) -> None:
     assert encoder.read(0x1000) & 0xFFFF == 406
     assert (encoder.read(0x6501), encoder.read(0x6502)) == (4096, 1)
     encoder.write(0x6003, 0, 100, 4)
@@ -134,7 +134,7 @@ def test_identity_resolution_and_preset(encoder: Wire) -> None:
     assert encoder.receive(0x80) == [(0x285, struct.pack("<I", 99))]
 
 
-def test_an_unhealthy_encoder_tells_of_it(encoder: Wire) -> None:
+def test_encoder_node_health_change_sends_emergency(encoder: Wire) -> None:
     assert isinstance(encoder.device, EncoderNode)
     encoder.sent.clear()
     encoder.device.set_health(False)
@@ -159,7 +159,7 @@ ABORTS = [
 
 
 @pytest.mark.parametrize(("request_", "code"), ABORTS, ids=str)
-def test_what_cannot_be_written_is_aborted_with_its_code(
+def test_sdo_invalid_write_aborts_with_code(
     encoder: Wire, request_: tuple[int, int, int, int], code: int
 ) -> None:
     with pytest.raises(Aborted) as raised:
@@ -167,7 +167,7 @@ def test_what_cannot_be_written_is_aborted_with_its_code(
     assert raised.value.args == (code,)
 
 
-def test_a_pdo_is_mapped_only_while_it_is_off_and_empty(encoder: Wire) -> None:
+def test_pdo_mapping_requires_disabled_empty_pdo(encoder: Wire) -> None:
     encoder.write(0x1801, 1, 0x80000285, 4)
     with pytest.raises(Aborted, match=str(0x08000022)):
         encoder.write(0x1A01, 1, 0x60040020, 4)
@@ -181,7 +181,7 @@ def test_a_pdo_is_mapped_only_while_it_is_off_and_empty(encoder: Wire) -> None:
     assert encoder.receive(0x80) == [(0x285, b"\0\0")]
 
 
-def test_a_pdo_takes_eight_bytes_at_most(valves: Wire) -> None:
+def test_pdo_mapping_over_eight_bytes_aborts(valves: Wire) -> None:
     valves.write(0x1801, 1, 0x80000285, 4)
     valves.write(0x1A01, 0, 0, 1)
     for n in range(1, 6):
@@ -207,11 +207,11 @@ def commanded(valves: Wire) -> Wire:
     return valves
 
 
-def test_as_delivered_its_valves_are_at_full_stroke_without_energy(valves: Wire) -> None:
+def test_valve_node_at_boot_sets_full_stroke_without_energy(valves: Wire) -> None:
     assert valves.commands[-1] == PASSIVE._replace(valve=(-1.0, -1.0, -1.0))
 
 
-def test_it_obeys_commands_while_operational(valves: Wire) -> None:
+def test_valve_node_obeys_commands_only_when_operational(valves: Wire) -> None:
     command = commanded(valves).commands[-1]
     assert command.valve == pytest.approx((1.0, -1.0, 0.0), abs=1e-4)
     assert (command.supply_enable, command.exhaust_closed, command.guard_lock) == (True, True, True)
@@ -225,7 +225,7 @@ def centred(command: Command) -> bool:
     return command._replace(valve=(0.0, 0.0, 0.0)) == PASSIVE and max(map(abs, command.valve)) < 1e-4
 
 
-def test_silence_lets_it_fall_back_and_tell(valves: Wire) -> None:
+def test_valve_node_command_timeout_centres_valves_and_sends_emergency(valves: Wire) -> None:
     commanded(valves)
     assert valves.wait(0.018) == []
     sent = valves.wait(0.003)
@@ -238,14 +238,14 @@ def test_silence_lets_it_fall_back_and_tell(valves: Wire) -> None:
 
 
 @pytest.mark.parametrize(("behaviour", "state"), [(0, 127), (1, 5), (2, 4)])
-def test_what_it_does_after_silence_is_set(valves: Wire, behaviour: int, state: int) -> None:
+def test_valve_node_command_timeout_enters_configured_state(valves: Wire, behaviour: int, state: int) -> None:
     valves.write(0x1029, 1, behaviour, 1)
     commanded(valves).wait(0.025)
     assert valves.device.state == state
     assert centred(valves.commands[-1])
 
 
-def test_the_masters_heartbeat_is_watched_from_the_first_one_on(valves: Wire) -> None:
+def test_heartbeat_consumer_monitors_after_first_heartbeat(valves: Wire) -> None:
     valves.write(0x1016, 1, 0x7F << 16 | 30, 4)
     valves.receive(0, b"\x01\x05")
     assert valves.wait(0.2) == []
@@ -255,7 +255,7 @@ def test_the_masters_heartbeat_is_watched_from_the_first_one_on(valves: Wire) ->
     assert valves.device.state == 127
 
 
-def test_a_master_that_went_while_the_node_was_stopped_is_not_missed_at_the_next_start(valves: Wire) -> None:
+def test_heartbeat_consumer_restart_awaits_new_heartbeat(valves: Wire) -> None:
     valves.write(0x1016, 1, 0x7F << 16 | 30, 4)
     valves.receive(0, b"\x01\x05")
     valves.receive(0x77F, b"\x05")
@@ -269,13 +269,13 @@ def test_a_master_that_went_while_the_node_was_stopped_is_not_missed_at_the_next
     assert [data[:2] for _, data in valves.wait(0.04)] == [b"\x30\x81"]
 
 
-def test_a_stop_lets_it_fall_back(valves: Wire) -> None:
+def test_valve_node_nmt_stop_centres_valves(valves: Wire) -> None:
     commanded(valves).receive(0, b"\x02\x05")
     assert centred(valves.commands[-1])
     assert valves.receive(0x605, struct.pack("<BHB4x", 0x40, 0x1000, 0)) == []
 
 
-def test_a_command_too_short_is_told_and_not_obeyed(valves: Wire) -> None:
+def test_valve_node_short_command_sends_emergency_and_keeps_valves(valves: Wire) -> None:
     commanded(valves)
     before = valves.commands[-1]
     assert [data[:2] for _, data in valves.receive(0x305, b"abc")] == [b"\x10\x82"]
@@ -285,6 +285,6 @@ def test_a_command_too_short_is_told_and_not_obeyed(valves: Wire) -> None:
 @pytest.mark.parametrize(
     "request_", [b"", b"\x40", bytes(8), b"\xff" * 8, b"\x80" + bytes(7), b"\xc2" + bytes(7)]
 )
-def test_broken_questions_do_no_harm(valves: Wire, request_: bytes) -> None:
+def test_sdo_server_malformed_request_keeps_answering(valves: Wire, request_: bytes) -> None:
     valves.receive(0x605, request_)
     assert valves.read(0x1000) == 0x000F0191

@@ -47,14 +47,14 @@ def counts_answered(stall: float) -> np.ndarray:
     return np.array([sent[TPDO2 + encoder.number] for encoder in nodes.encoders]).T
 
 
-def test_nodes_that_stood_still_answer_each_sync_as_of_its_time() -> None:
+def test_bench_nodes_after_stall_answer_sync_at_receive_time() -> None:
     in_time, late = counts_answered(0.0), counts_answered(STALL)
     assert np.abs(np.diff(in_time[-10:], axis=0)).max() > 20, "the arms move"
     assert np.array_equal(late, in_time)
 
 
 @pytest.mark.parametrize("after", [0.0001, 0.0009])
-def test_count_after_a_blow_goes_on_with_the_speed_after_it(after: float) -> None:
+def test_encoder_count_after_impact_follows_new_speed(after: float) -> None:
     plant = PlantParameters()
     plan = nodes_plan(replace(plant, encoders=replace(plant.encoders, latency=5e-4)))
     counts: dict[int, int] = {}

@@ -20,7 +20,7 @@ def take(grid: WallGrid, now: float) -> list[float]:
     return done
 
 
-def test_a_tick_a_period_on_multiples_of_it() -> None:
+def test_wall_grid_yields_one_tick_per_period() -> None:
     grid = WallGrid(PERIOD, 17.2504, 5)
     assert take(grid, 17.2504) == []
     assert take(grid, 17.25102) == [pytest.approx(17.251)]
@@ -29,7 +29,7 @@ def test_a_tick_a_period_on_multiples_of_it() -> None:
     assert (grid.slips, grid.slipped_ticks) == (0, 0)
 
 
-def test_a_short_stall_is_made_up_and_a_long_one_slips() -> None:
+def test_wall_grid_short_stall_catches_up_long_stall_slips() -> None:
     grid = WallGrid(PERIOD, 0.0, 5)
     assert len(take(grid, 0.0045)) == 5
     assert (grid.slips, grid.slipped_ticks) == (0, 0)
@@ -44,7 +44,7 @@ def test_a_short_stall_is_made_up_and_a_long_one_slips() -> None:
     period=st.sampled_from([2e-4, 1e-3, 1 / 3000]),
     max_catch_up=st.integers(1, 20),
 )
-def test_nothing_is_early_and_nothing_is_lost(
+def test_wall_grid_loses_no_tick_and_runs_none_early(
     start: float, waits: list[float], period: float, max_catch_up: int
 ) -> None:
     grid = WallGrid(period, start, max_catch_up)

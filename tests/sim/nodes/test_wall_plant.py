@@ -55,7 +55,7 @@ def live(plant: WallPlant, ticks: int) -> Any:
     return plant.report[0]
 
 
-def test_it_moves_as_the_driver_in_lock_step_does(plant: WallPlant) -> None:
+def test_wall_plant_equals_sim_driver_in_lock_step(plant: WallPlant) -> None:
     driver, packed = SimDriver(PlantParameters(), START), new_record(READINGS)
     driver.open()
     driver.read(0.0)
@@ -71,13 +71,13 @@ def test_it_moves_as_the_driver_in_lock_step_does(plant: WallPlant) -> None:
         assert report["truth"]["plant_angle"].tobytes() == driver.plant_state["angle"].tobytes()
 
 
-def test_truth_has_the_fields_of_a_cycle_that_only_a_plant_knows() -> None:
+def test_truth_record_matches_plant_fields_of_cycle() -> None:
     fields: Any = CYCLE.fields
     wanted = {name: fields[name][0] for name in CYCLE.names or () if name.startswith("plant_")}
     assert {name: TRUTH[name] for name in TRUTH.names or ()} == wanted
 
 
-def test_passive_plant_vents(plant: WallPlant) -> None:
+def test_wall_plant_passive_command_vents(plant: WallPlant) -> None:
     plant.applied = MOVING
     report = live(plant, 20)
     assert unpack_command(plant.report["node"]["applied"]) == MOVING
@@ -89,7 +89,7 @@ def test_passive_plant_vents(plant: WallPlant) -> None:
     assert max(report["truth"]["plant_pressure"]) < 1.3e5
 
 
-def test_the_surroundings_are_seen(plant: WallPlant) -> None:
+def test_wall_plant_readings_follow_surroundings(plant: WallPlant) -> None:
     quiet = live(plant, 1)["readings"]
     assert all(quiet[name] for name in ("emergency_stop_clear", "guard_closed", "guard_locked"))
     assert not quiet["local_reset"]
@@ -119,7 +119,7 @@ def test_the_surroundings_are_seen(plant: WallPlant) -> None:
     assert live(plant, 1)["readings"]["ball_present"]
 
 
-def test_frozen_readings_keep_their_times_while_the_plant_moves_on(plant: WallPlant) -> None:
+def test_wall_plant_frozen_holds_readings_and_moves_plant(plant: WallPlant) -> None:
     before = live(plant, 3)["readings"].tobytes()
     plant.set_surroundings(surroundings(frozen=True))
     report = live(plant, 50)
@@ -129,7 +129,7 @@ def test_frozen_readings_keep_their_times_while_the_plant_moves_on(plant: WallPl
     assert live(plant, 1)["readings"]["time"] == 54 * PERIOD
 
 
-def test_another_ball_can_lie_on_the_tee(plant: WallPlant) -> None:
+def test_wall_plant_other_ball_changes_impact_parameters(plant: WallPlant) -> None:
     robot, own = PLAN.plant.robot, plant.plant.impact.tobytes()
     other = Ball(restitution_factor=0.9, mass=0.04)
     record = surroundings()
@@ -144,7 +144,7 @@ def test_another_ball_can_lie_on_the_tee(plant: WallPlant) -> None:
     assert plant.plant.impact.tobytes() == own
 
 
-def test_contacts_are_counted_and_told(plant: WallPlant) -> None:
+def test_wall_plant_counts_and_reports_contacts(plant: WallPlant) -> None:
     plant.set_surroundings(surroundings(ball_handled=1, ball_present=True))
     # The head just before the ball, on its way: what counts here is the telling.
     site = PLAN.plant.site
@@ -183,12 +183,12 @@ def at_the_ball(
 
 
 @pytest.mark.parametrize("angle", [(0.0, math.nan, 0.0), (0.0, 1.0)])
-def test_angles_that_are_none_are_refused(angle: tuple[float, ...]) -> None:
+def test_wall_plant_invalid_start_angles_raise(angle: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match=r"start angles"):
         WallPlant(replace(PLAN, angle=angle))  # type: ignore[arg-type]
 
 
-def test_random_bytes_in_its_surroundings_do_no_harm(plant: WallPlant) -> None:
+def test_wall_plant_random_surroundings_keeps_angles_finite(plant: WallPlant) -> None:
     random = np.random.default_rng(5)
     plant.applied = MOVING
     for _ in range(200):

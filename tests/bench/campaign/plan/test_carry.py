@@ -59,7 +59,7 @@ def _carry(plan: CampaignPlan, ball: str, told: float | None = 190.0, **measured
     return ShotCarry(plan, measured).columns(ball, LAUNCH, AROUND, told, None)[0]
 
 
-def test_ten_balls_with_one_launch_have_one_reference_carry(configuration: Configuration) -> None:
+def test_shot_carry_reference_is_equal_for_all_balls(configuration: Configuration) -> None:
     # Flown with the plan's own drag_factor and lift_factor they were 179.6 to 185.2 m.
     plan = _ten(configuration, "reference")
     carries = {_carry(plan, ball)["carry_m"] for ball in plan.design.balls}
@@ -67,7 +67,7 @@ def test_ten_balls_with_one_launch_have_one_reference_carry(configuration: Confi
 
 
 @pytest.mark.parametrize("carry", ["", "reference", "monitor", "measured"])
-def test_what_the_plan_says_of_a_ball_changes_nothing_on_hardware(
+def test_shot_carry_hardware_ignores_ball_parameters_of_plan(
     configuration: Configuration, carry: str
 ) -> None:
     plan = _ten(configuration, carry)
@@ -78,7 +78,7 @@ def test_what_the_plan_says_of_a_ball_changes_nothing_on_hardware(
     assert _carry(plan, "f", f=_entry("f")) == _carry(other, "f", f=_entry("f"))
 
 
-def test_the_named_carry_is_the_compared_one_and_all_are_kept(configuration: Configuration) -> None:
+def test_shot_carry_compares_selected_source_and_keeps_all(configuration: Configuration) -> None:
     for source, column in (
         ("reference", "carry_reference_m"),
         ("monitor", "carry_monitor_m"),
@@ -111,7 +111,7 @@ def test_the_named_carry_is_the_compared_one_and_all_are_kept(configuration: Con
         ("reference", LAUNCH._replace(speed=500.0), 200.0, "no flight"),
     ],
 )
-def test_a_carry_that_is_not_known_is_said(
+def test_shot_carry_unknown_carry_reports_reason(
     configuration: Configuration, carry: str, launch: Launch, told: float | None, reason: str
 ) -> None:
     columns, doubt = ShotCarry(_ten(configuration, carry), {"a": _entry()}).columns(
@@ -125,7 +125,7 @@ def test_a_carry_that_is_not_known_is_said(
         assert ShotCarry(speed, {"a": _entry()}).columns("a", launch, AROUND, told, None)[1] == ""
 
 
-def test_a_simulated_ball_has_its_own_flight_where_nothing_else_is_named(
+def test_shot_carry_simulated_ball_uses_simulated_flight(
     configuration: Configuration,
 ) -> None:
     ball = Ball("a", drag_factor=0.9)
@@ -142,7 +142,7 @@ def test_a_simulated_ball_has_its_own_flight_where_nothing_else_is_named(
     )
 
 
-def test_hardware_needs_to_know_which_carry_is_compared(configuration: Configuration) -> None:
+def test_require_carry_missing_source_or_aerodynamics_is_refused(configuration: Configuration) -> None:
     with pytest.raises(Refused, match="carry_m is compared"):
         require_carry(_ten(configuration, ""), {})
     with pytest.raises(Refused, match="no aerodynamics of b, c"):
@@ -152,9 +152,7 @@ def test_hardware_needs_to_know_which_carry_is_compared(configuration: Configura
     require_carry(load_plan(Path("repeatability"), configuration), {})
 
 
-def test_pole_and_seam_are_not_compared_by_one_balls_coefficients(
-    tmp_path: Path, configuration: Configuration
-) -> None:
+def test_load_plan_pole_seam_reference_carry_is_refused(tmp_path: Path, configuration: Configuration) -> None:
     text = (Path(__file__).parents[4] / "bench/campaigns/symmetry.toml").read_text()
     (tmp_path / "plan.toml").write_text(text.replace('carry = "monitor"', 'carry = "reference"'))
     with pytest.raises(ExceptionGroup) as caught:
@@ -168,7 +166,7 @@ def test_pole_and_seam_are_not_compared_by_one_balls_coefficients(
         load_plan(tmp_path / "plan.toml", configuration)
 
 
-def test_a_campaign_keeps_the_coefficients_it_was_begun_with(configuration: Configuration) -> None:
+def test_new_entry_stores_measured_aerodynamics(configuration: Configuration) -> None:
     plan = _ten(configuration, "measured")
     entry = new_entry(plan, configuration, NOW, simulated=False, measured={"a": _entry()})
     stored = json.loads(json.dumps(entry.calibrations))
@@ -176,7 +174,7 @@ def test_a_campaign_keeps_the_coefficients_it_was_begun_with(configuration: Conf
     assert new_entry(plan, configuration, NOW, simulated=False).calibrations == {}
 
 
-def test_a_report_of_hardware_does_not_say_what_the_simulation_makes_of_a_ball(
+def test_campaign_report_hardware_omits_simulation_parameters(
     configuration: Configuration,
 ) -> None:
     plan = _ten(configuration, "measured")
@@ -204,21 +202,21 @@ def test_a_report_of_hardware_does_not_say_what_the_simulation_makes_of_a_ball(
     assert "0.80 to 0.80 m" in hardware
 
 
-def test_an_older_campaigns_carry_is_named_as_what_it_was(configuration: Configuration) -> None:
+def test_carry_words_model_source_disclaims_real_ball(configuration: Configuration) -> None:
     plan = _ten(configuration, "")
     shots = [replace(shot, carry_source="model") for shot in campaign_shots(plan, Truth(), 1)[:40]]
     assert "it says nothing of a real ball" in carry_words(shots)
     assert carry_words([]) == ""
 
 
-def test_a_simulated_carry_is_not_called_measured(configuration: Configuration) -> None:
+def test_quantity_name_simulated_carry_omits_measured(configuration: Configuration) -> None:
     plan = _ten(configuration, "measured")
     shots = [replace(s, carry_source="simulated") for s in campaign_shots(plan, Truth(), 1)[:40]]
     assert quantity_name(as_flown(plan, shots)) == "carry"
     assert quantity_name(plan) == "carry (measured aerodynamics)"
 
 
-def test_coefficients_that_are_not_well_known_do_not_make_balls_different(
+def test_analyse_carry_error_limits_false_differences(
     configuration: Configuration,
 ) -> None:
     # Two equal balls, each flown with coefficients that are off by 1 m of carry (standard uncertainty).
@@ -249,7 +247,7 @@ def test_coefficients_that_are_not_well_known_do_not_make_balls_different(
     assert called[1.0] / campaigns < 0.10
 
 
-def test_an_error_that_all_levels_share_widens_nothing(configuration: Configuration) -> None:
+def test_common_errors_apply_only_to_compared_measured_balls(configuration: Configuration) -> None:
     plan = _ten(configuration, "measured")
     shots = [
         replace(s, carry_source="measured", carry_measured_error_m=0.7)

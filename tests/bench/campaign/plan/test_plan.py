@@ -61,7 +61,7 @@ def _faults(folder: Path, configuration: Configuration, text: str) -> dict[str, 
 
 
 @pytest.mark.parametrize("name", campaign_names())
-def test_every_shipped_campaign_holds_and_its_swings_fit(name: str) -> None:
+def test_load_plan_shipped_campaign_is_valid_and_swings_fit(name: str) -> None:
     configuration = load_configuration(Path(VARIANTS.get(name, "shipped")))
     plan = load_plan(Path(name), configuration)
     assert plan.campaign.name == name
@@ -69,7 +69,7 @@ def test_every_shipped_campaign_holds_and_its_swings_fit(name: str) -> None:
     require_swings(plan, configuration)
 
 
-def test_the_examples_are_there() -> None:
+def test_campaign_names_lists_shipped_examples() -> None:
     assert set(campaign_names()) == {
         "two-balls",
         "ten-balls",
@@ -123,7 +123,7 @@ def test_the_examples_are_there() -> None:
         (("blocks = 4", 'blocks = 4\nclubs = [""]\n[clubs.""]\nlike = "driver"'), "design.clubs", '""'),
     ],
 )
-def test_a_mistake_is_told_with_its_place(
+def test_load_plan_mistake_reports_location(
     tmp_path: Path, configuration: Configuration, change: tuple[str, str], location: str, found: str
 ) -> None:
     assert change[0] in TWO
@@ -131,7 +131,7 @@ def test_a_mistake_is_told_with_its_place(
     assert found in faults[location].found
 
 
-def test_reference_is_a_level_or_the_first_one(tmp_path: Path, configuration: Configuration) -> None:
+def test_reference_level_defaults_to_first_level(tmp_path: Path, configuration: Configuration) -> None:
     plain = _plan(tmp_path, configuration, TWO)
     named = _plan(tmp_path, configuration, f'{TWO}\n[analysis]\nreference = "range"\n')
     assert (reference_level(plain), reference_level(named)) == ("tour", "range")
@@ -141,12 +141,12 @@ def test_reference_is_a_level_or_the_first_one(tmp_path: Path, configuration: Co
     assert plain.digest != named.digest
 
 
-def test_several_mistakes_are_told_at_once(tmp_path: Path, configuration: Configuration) -> None:
+def test_load_plan_reports_all_mistakes_at_once(tmp_path: Path, configuration: Configuration) -> None:
     text = TWO.replace('"range"', '"rnage"').replace('name = "two"', 'name = "T W O"')
     assert set(_faults(tmp_path, configuration, text)) == {"design.balls", "campaign.name"}
 
 
-def test_mistakes_across_keys_are_told_with_those_in_values(
+def test_load_plan_reports_key_and_value_mistakes_together(
     tmp_path: Path, configuration: Configuration
 ) -> None:
     wrong = TWO.replace('"range"', '"rnage"').replace("blocks = 4", 'blocks = "four"\nmany = 3')
@@ -162,14 +162,14 @@ def test_mistakes_across_keys_are_told_with_those_in_values(
     }
 
 
-def test_a_swing_for_another_club_is_refused(tmp_path: Path, configuration: Configuration) -> None:
+def test_require_swings_other_club_is_refused(tmp_path: Path, configuration: Configuration) -> None:
     plan = _plan(tmp_path, configuration, TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["thesis"]'))
     with pytest.raises(ExceptionGroup) as caught:
         require_swings(plan, configuration)
     assert "'thesis'" in str(caught.value.exceptions[0])
 
 
-def test_what_a_club_needs_is_asked_for_with_it(tmp_path: Path, configuration: Configuration) -> None:
+def test_missing_club_change_includes_preparation_text(tmp_path: Path, configuration: Configuration) -> None:
     text = TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["driver", "toe"]')
     text += '[clubs.toe]\nlike = "driver"\ntee_shift = 0.01\n[preparation]\ntoe = "Move the tee."\n'
     plan = _plan(tmp_path, configuration, text)
@@ -184,13 +184,15 @@ def test_what_a_club_needs_is_asked_for_with_it(tmp_path: Path, configuration: C
     assert location.endswith("preparation.putter")
 
 
-def test_a_club_that_differs_in_its_loft_only_fits(tmp_path: Path, configuration: Configuration) -> None:
+def test_require_swings_club_differing_only_in_loft_fits(
+    tmp_path: Path, configuration: Configuration
+) -> None:
     text = TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["flat"]')
     plan = _plan(tmp_path, configuration, text + '[clubs.flat]\nlike = "driver"\nloft_deg = 8.0\n')
     assert require_swings(plan, configuration).keys() == {("default", "flat")}
 
 
-def test_a_plan_survives_its_record(tmp_path: Path, configuration: Configuration) -> None:
+def test_plan_from_record_restores_plan_and_digest(tmp_path: Path, configuration: Configuration) -> None:
     for name in campaign_names():
         plan = load_plan(Path(name), load_configuration(Path(VARIANTS.get(name, "shipped"))))
         again = plan_from_record(json.loads(json.dumps(plan.record())), "database")
@@ -200,7 +202,7 @@ def test_a_plan_survives_its_record(tmp_path: Path, configuration: Configuration
     assert other.digest != _plan(tmp_path, configuration, TWO.replace("blocks = 4", "blocks = 5")).digest
 
 
-def test_blocks_are_complete_and_the_control_ball_stands_at_start_middle_and_end(
+def test_block_trials_are_complete_with_control_at_start_middle_end(
     configuration: Configuration,
 ) -> None:
     plan = load_plan(Path("ten-balls"), configuration)
@@ -221,9 +223,7 @@ def test_blocks_are_complete_and_the_control_ball_stands_at_start_middle_and_end
     assert len(orders) > 15
 
 
-def test_the_order_is_the_seeds_and_places_are_evenly_taken(
-    tmp_path: Path, configuration: Configuration
-) -> None:
+def test_all_trials_order_follows_seed_and_is_balanced(tmp_path: Path, configuration: Configuration) -> None:
     text = TWO.replace("blocks = 4", "blocks = 400\nseed = 3") + "[ball_handling]\nsamples = 1000\n"
     plan = _plan(tmp_path, configuration, text)
     again = _plan(tmp_path, configuration, text)
@@ -234,7 +234,7 @@ def test_the_order_is_the_seeds_and_places_are_evenly_taken(
     assert abs(first["tour"] - 200) < 60  # three standard errors
 
 
-def test_sections_hold_what_is_not_compared(tmp_path: Path, configuration: Configuration) -> None:
+def test_sections_split_by_factors_not_compared(tmp_path: Path, configuration: Configuration) -> None:
     text = TWO.replace("blocks = 4", 'blocks = 2\ncompare = "club"\nclubs = ["driver", "flat"]')
     text += '[clubs.flat]\nlike = "driver"\nloft_deg = 8.0\n[warm_up]\nwindow = 2\nat_most = 3\n'
     plan = _plan(tmp_path, configuration, text)
@@ -253,13 +253,15 @@ def test_sections_hold_what_is_not_compared(tmp_path: Path, configuration: Confi
     ("sd", "difference", "normal"),
     [(1.5, 1, 36), (1.5, 2, 9), (2.5, 1, 99), (2.5, 2, 25), (4, 2, 63), (6, 3, 63), (6, 5, 23)],
 )
-def test_the_number_of_shots_is_the_known_one(sd: float, difference: float, normal: int) -> None:
+def test_blocks_needed_difference_matches_reference_sample_size(
+    sd: float, difference: float, normal: int
+) -> None:
     found = blocks_needed(lambda n: power_of_shift(difference / (sd * sqrt(2 / n)), n - 1, 0.05), 0.8)
     assert found is not None
     assert normal <= found <= normal + 3
 
 
-def test_tost_needs_the_known_number() -> None:
+def test_blocks_needed_equivalence_matches_reference_sample_size() -> None:
     for sd, normal in ((1.5, 10), (2.5, 27), (4.0, 69)):
         found = blocks_needed(
             lambda n, sd=sd: same_power_of_error(2.0, sd * sqrt(2 / n), n - 1, 0.05),  # type: ignore[misc]
@@ -269,14 +271,14 @@ def test_tost_needs_the_known_number() -> None:
         assert normal <= found <= normal + 3
 
 
-def test_power_of_no_difference_is_the_error_level_and_of_a_large_one_certain() -> None:
+def test_power_of_shift_zero_is_alpha_and_large_is_one() -> None:
     assert power_of_shift(0.0, 9, 0.05) == pytest.approx(0.05)
     assert power_of_shift(100.0, 9, 0.05) == pytest.approx(1.0)
     assert same_power_of_error(0.1, 2.0 * sqrt(2 / 10), 9, 0.05) == 0.0
     assert same_power_of_error(2.0, sqrt(2 / 100), 99, 0.05, 2.0) == pytest.approx(0.05, abs=0.002)
 
 
-def test_a_plan_too_small_says_so(tmp_path: Path, configuration: Configuration) -> None:
+def test_outlook_words_small_plan_reports_needed_shots(tmp_path: Path, configuration: Configuration) -> None:
     text = TWO + "[analysis]\nexpected_sd = 5.0\ntarget_difference = 1.0\n"
     words = " ".join(outlook_words(_plan(tmp_path, configuration, text)))
     assert "Not enough shots" in words
@@ -293,7 +295,7 @@ def test_rule_sets_are_dated_and_sourced() -> None:
     assert control_ball_speed(0.77, 450e-6) == pytest.approx(255.998 * 0.3048, rel=1e-5)
 
 
-def test_check_prints_the_order_and_json_holds_all_of_it() -> None:
+def test_campaign_check_prints_order_and_json_holds_sequence() -> None:
     runner = CliRunner()
     shown = runner.invoke(app, ["--config", "shipped", "campaign", "check", "two-balls"])
     assert shown.exit_code == 0
@@ -308,7 +310,7 @@ def test_check_prints_the_order_and_json_holds_all_of_it() -> None:
     assert record == json.loads(json.dumps(previewed))
 
 
-def test_a_club_of_a_shipped_variant_is_unknown_with_that_variant(
+def test_load_plan_club_of_other_variant_suggests_configuration(
     tmp_path: Path, configuration: Configuration
 ) -> None:
     faults = _faults(tmp_path, configuration, TWO.replace("blocks = 4", 'blocks = 4\nclubs = ["wood3"]'))

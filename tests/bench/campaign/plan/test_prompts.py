@@ -160,7 +160,7 @@ def changes(plan: CampaignPlan) -> list[tuple[int, str]]:
     return found
 
 
-def test_a_simulation_changes_clubs_by_itself_and_says_so(make: Callable[..., Series]) -> None:
+def test_runner_simulation_answers_club_prompts(make: Callable[..., Series]) -> None:
     series, rig = make(), Rig()
     assert series.run(rig).state is CampaignState.FINISHED
     assert [(p.before_shot, p.content["club"]) for p in series.prompts] == changes(series.plan)
@@ -169,7 +169,7 @@ def test_a_simulation_changes_clubs_by_itself_and_says_so(make: Callable[..., Se
     assert rig.doors == ["club open", "club shut"] * len(series.prompts)
 
 
-def test_a_person_is_asked_and_the_answer_stored(make: Callable[..., Series]) -> None:
+def test_runner_operator_answer_is_stored(make: Callable[..., Series]) -> None:
     series, person = make(), Person()
     assert series.run(Rig(), person).state is CampaignState.FINISHED
     assert [(p.before_shot, p.content["club"]) for p in series.prompts] == changes(series.plan)
@@ -177,7 +177,7 @@ def test_a_person_is_asked_and_the_answer_stored(make: Callable[..., Series]) ->
     assert person.shown[0].text.startswith("Mount club driver")
 
 
-def test_an_answer_from_another_terminal_goes_on(make: Callable[..., Series]) -> None:
+def test_answer_from_other_terminal_continues_campaign(make: Callable[..., Series]) -> None:
     series, person = make(), Person(times=0)
     expected = len(changes(series.plan))
 
@@ -197,7 +197,7 @@ def test_an_answer_from_another_terminal_goes_on(make: Callable[..., Series]) ->
 
 
 @pytest.mark.parametrize("request_", ["stop", "abort"])
-def test_who_waits_can_be_stopped_and_the_prompt_stays(make: Callable[..., Series], request_: str) -> None:
+def test_runner_stop_or_abort_while_waiting_keeps_prompt(make: Callable[..., Series], request_: str) -> None:
     series, person = make(), Person(times=0)
 
     def asks() -> None:
@@ -217,7 +217,7 @@ def test_who_waits_can_be_stopped_and_the_prompt_stays(make: Callable[..., Serie
         assert series.prompts[before - 1].by == "Ann"
 
 
-def test_a_prompt_outlives_a_crash(make: Callable[..., Series]) -> None:
+def test_runner_crash_keeps_open_prompt(make: Callable[..., Series]) -> None:
     class PowerCut(Person):
         def answered(self) -> bool:
             raise RuntimeError("power cut")
@@ -236,7 +236,7 @@ def test_a_prompt_outlives_a_crash(make: Callable[..., Series]) -> None:
     assert [p.by for p in series.prompts] == ["Bob"] + ["Ann"] * (len(series.prompts) - 1)
 
 
-def test_what_another_campaign_mounted_on_a_real_bench_is_known(make: Callable[..., Series]) -> None:
+def test_runner_real_bench_knows_club_of_previous_campaign(make: Callable[..., Series]) -> None:
     def plan_with(name: str, *clubs: str) -> CampaignPlan:
         plan = clubs_plan()
         return replace(
@@ -256,7 +256,7 @@ def test_what_another_campaign_mounted_on_a_real_bench_is_known(make: Callable[.
     assert third.prompts == []
 
 
-def test_a_bench_that_must_restart_is_never_done_by_itself(make: Callable[..., Series]) -> None:
+def test_runner_bench_restart_prompts_operator(make: Callable[..., Series]) -> None:
     series, rig, person = make(), Rig(), Person(kinds=frozenset({PromptKind.BENCH}))
     rig.lacking = Preparation(PromptKind.BENCH, "Restart the bench.", {"profile": "slow"})
     assert series.run(rig, person).state is CampaignState.FINISHED
@@ -271,7 +271,7 @@ def ten_shots(magazine: int) -> CampaignPlan:
     return replace(plan, design=replace(plan.design, blocks=5), ball_handling=handling)
 
 
-def test_the_feeder_is_filled_in_order_and_refilled_after_trouble(make: Callable[..., Series]) -> None:
+def test_runner_feeder_loads_in_order_and_refills_after_jam(make: Callable[..., Series]) -> None:
     jam = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
     plan = ten_shots(magazine=4)
     series, rig = make(plan), Rig(lambda n: jam if n == 6 else {})
@@ -285,7 +285,7 @@ def test_the_feeder_is_filled_in_order_and_refilled_after_trouble(make: Callable
     assert "23 ± 1 °C for 3 h" in series.prompts[0].text
 
 
-def test_an_excluded_shot_is_repeated_with_another_ball_asked_for(make: Callable[..., Series]) -> None:
+def test_runner_excluded_shot_prompts_feeder_reload(make: Callable[..., Series]) -> None:
     plan = ten_shots(magazine=10)
     series, person = make(plan), Person()
     series.run(Rig(lambda n: {"club_speed_mps": 50.0} if n == 3 else {}), person)
@@ -293,7 +293,7 @@ def test_an_excluded_shot_is_repeated_with_another_ball_asked_for(make: Callable
     assert series.prompts[1].text.startswith("Empty the feeder, then fill it")
 
 
-def test_in_real_time_a_ball_may_be_gone_after_a_crash(make: Callable[..., Series]) -> None:
+def test_runner_real_time_crash_prompts_feeder_reload(make: Callable[..., Series]) -> None:
     def dies(number: int) -> dict[str, Any]:
         if number == 3:
             raise RuntimeError("power cut")
@@ -308,7 +308,7 @@ def test_in_real_time_a_ball_may_be_gone_after_a_crash(make: Callable[..., Serie
         assert [p.before_shot for p in series.prompts] == asked
 
 
-def test_a_ball_is_asked_for_once_and_a_load_lasts_over_club_changes() -> None:
+def test_coming_balls_lists_each_ball_once_across_club_changes() -> None:
     plan = clubs_plan(magazine=50, samples=3)
     first = all_trials(plan)[0]
     balls = coming_balls(plan, first, {})
@@ -324,7 +324,7 @@ def test_a_ball_is_asked_for_once_and_a_load_lasts_over_club_changes() -> None:
     assert coming_balls(clubs_plan(magazine=1, hits=20), first, used) == [("tour", 2)]
 
 
-def test_the_load_lists_of_a_check_are_those_that_are_asked_for(make: Callable[..., Series]) -> None:
+def test_load_lists_match_prompts_of_run(make: Callable[..., Series]) -> None:
     plan = ten_shots(magazine=4)
     series = make(plan)
     series.run(Rig(), Person())
@@ -338,7 +338,7 @@ def test_the_load_lists_of_a_check_are_those_that_are_asked_for(make: Callable[.
     assert load_lists(ten_shots(magazine=0), {}) == []
 
 
-def test_check_prints_the_load_lists() -> None:
+def test_show_preview_prints_load_lists() -> None:
     plan, text = ten_shots(magazine=4), StringIO()
     loads = load_lists(plan, {})
     show_preview(plan, {}, Console(file=text, width=100))
@@ -353,9 +353,7 @@ def test_check_prints_the_load_lists() -> None:
     ("count", "words"),
     [(3, r"3 balls loaded, expected 4, as listed. Load the rest from 4\. "), (5, "Empty the")],
 )
-def test_another_number_of_balls_than_listed_is_refused(
-    make: Callable[..., Series], count: int, words: str
-) -> None:
+def test_answer_wrong_ball_count_is_refused(make: Callable[..., Series], count: int, words: str) -> None:
     series = make(ten_shots(magazine=4))
     series.run(Rig(), person := Person(times=0), lambda: bool(person.shown))
     (prompt,) = series.prompts
@@ -369,12 +367,12 @@ def test_another_number_of_balls_than_listed_is_refused(
         answer(series.store, series.folder, series.entry.id, "Bob", NOW, 4)
 
 
-def test_a_count_answers_no_other_prompt() -> None:
+def test_require_count_club_prompt_is_refused() -> None:
     with pytest.raises(Refused, match="Answer without a number"):
         require_count(Prompt(1, 2, "club", "Mount club iron.", {"club": "iron"}, NOW), 1)
 
 
-def test_what_is_in_the_bench_follows_from_prompts_and_shots() -> None:
+def test_fitting_after_follows_prompts_and_shots() -> None:
     def prompt(number: int, before: int, content: dict[str, Any], *, done: bool = True) -> Prompt:
         return Prompt(number, before, "x", "x", content, NOW, NOW if done else None)
 
@@ -388,7 +386,7 @@ def test_what_is_in_the_bench_follows_from_prompts_and_shots() -> None:
     assert missing(clubs_plan(), Fitting("driver"), step, 1, {}) is None
 
 
-def test_enter_at_the_terminal_answers_but_nothing_typed_before(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_terminal_operator_accepts_enter_only_after_prompt(monkeypatch: pytest.MonkeyPatch) -> None:
     master, slave = pty.openpty()
     out = StringIO()
     with os.fdopen(slave, "r") as terminal, CampaignBar(console=Console(file=out), disable=True) as bar:
@@ -410,7 +408,7 @@ def test_enter_at_the_terminal_answers_but_nothing_typed_before(monkeypatch: pyt
     assert "golfbench campaign answer clubs-1" in text
 
 
-def test_a_load_list_is_confirmed_by_its_count_and_a_wrong_one_refused(
+def test_terminal_operator_load_list_requires_correct_count(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     master, slave = pty.openpty()
@@ -444,7 +442,7 @@ def _line(out: StringIO) -> str:
     return " ".join(out.getvalue().split())
 
 
-def test_the_course_of_a_plan_with_prompts_is_that_without(make: Callable[..., Series]) -> None:
+def test_runner_with_operator_gives_same_shots(make: Callable[..., Series]) -> None:
     plan = clubs_plan()
     by_itself, by_person = make(), make(replace(plan, campaign=replace(plan.campaign, name="b")))
     by_itself.run(Rig())

@@ -89,7 +89,7 @@ def _of(budgets: tuple[UncertaintyBudget, ...], column: str) -> UncertaintyBudge
     return next(one for one in budgets if one.column == column and one.level == "pole")
 
 
-def test_a_budget_is_the_root_of_squares_with_effective_degrees_of_freedom() -> None:
+def test_uncertainty_budgets_combine_squares_with_effective_dof() -> None:
     shots = _shots()
     found = _of(uncertainty_budgets(_plan(MONITOR), shots, BENCH, simulated=False), "ball_speed_mps")
     values = np.array([shot.ball_speed_mps for shot in shots if shot.ball == "pole"], dtype=float)
@@ -105,7 +105,7 @@ def test_a_budget_is_the_root_of_squares_with_effective_degrees_of_freedom() -> 
     assert found.lines[1].source == "launch monitor, no. 7, certificate 1, 2026-01-01"
 
 
-def test_club_speed_owes_the_bench_its_calibrations() -> None:
+def test_uncertainty_budgets_club_speed_includes_bench_calibrations() -> None:
     found = _of(uncertainty_budgets(_plan(), _shots(), BENCH, simulated=False), "club_speed_mps")
     length, zeros = found.lines[1:]
     assert (length.name, zeros.name) == ("length of the club", "zeros of the encoders")
@@ -117,7 +117,7 @@ def test_club_speed_owes_the_bench_its_calibrations() -> None:
     assert bare.missing == "length of the club not calibrated, zeros of the encoders not calibrated"
 
 
-def test_carry_is_the_monitors_or_inherits_from_launch_and_air() -> None:
+def test_uncertainty_budgets_carry_uses_monitor_or_launch_and_air() -> None:
     plan = _plan(MONITOR, StatedCalibration("station", uncertainty={"air_temperature_k": 0.3}))
     monitor = _of(uncertainty_budgets(plan, _shots(), BENCH, simulated=False), "carry_m")
     assert monitor.type_b == 0.7
@@ -132,7 +132,7 @@ def test_carry_is_the_monitors_or_inherits_from_launch_and_air() -> None:
     assert (coefficients.name, coefficients.contribution) == ("aerodynamics of the ball", 1.5)
 
 
-def test_slopes_of_a_flight_are_those_of_the_flight_model() -> None:
+def test_flight_slopes_match_flight_model() -> None:
     slopes = flight_slopes(_shots())
     at = [Launch(62.0 + one, radians(12.0), 0.0, 261.8, 0.0) for one in (0.5, -0.5)]
     assert slopes["ball_speed_mps"] == pytest.approx(fly(at[0]).carry - fly(at[1]).carry, rel=0.03)
@@ -142,7 +142,7 @@ def test_slopes_of_a_flight_are_those_of_the_flight_model() -> None:
     assert flight_slopes([replace(shot, spin_rpm=None) for shot in _shots()]) == {}
 
 
-def test_without_calibrations_the_budget_says_what_is_missing_and_simulations_need_none() -> None:
+def test_uncertainty_budgets_only_hardware_names_missing_calibration() -> None:
     bare = _of(uncertainty_budgets(_plan(), _shots(), BENCH, simulated=False), "launch_angle_deg")
     assert (bare.expanded, bare.missing) == (None, "no calibration states launch_angle")
     simulated = _of(uncertainty_budgets(_plan(), _shots(), {}, simulated=True), "launch_angle_deg")
@@ -150,7 +150,7 @@ def test_without_calibrations_the_budget_says_what_is_missing_and_simulations_ne
     assert simulated.type_b == 0
 
 
-def test_a_rules_uncertainty_is_that_of_the_budget() -> None:
+def test_stated_uncertainty_uses_rule_or_calibrations() -> None:
     plan = _plan(MONITOR)
     assert stated_uncertainty(plan, "carry_m") == pytest.approx(0.7)
     assert stated_uncertainty(plan, "total_m") is None
@@ -160,7 +160,7 @@ def test_a_rules_uncertainty_is_that_of_the_budget() -> None:
     assert stated_uncertainty(two, "carry_m") == pytest.approx(2.5)
 
 
-def test_expanded_uncertainty_covers_the_truth() -> None:
+def test_uncertainty_budgets_expanded_uncertainty_covers_truth() -> None:
     plan, random, covered, tries = _plan(replace(MONITOR, dof=0.0)), np.random.default_rng(9), 0, 400
     for seed in range(tries):
         shots = [s for s in _shots(seed=seed, off=0.1 * random.normal()) if s.ball == "pole"]

@@ -109,7 +109,7 @@ def _words(text: str) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", re.sub(r"<(svg|style).*?</\1>", "", text, flags=re.S)))
 
 
-def test_the_verdict_comes_before_any_table_or_picture(text: str) -> None:
+def test_campaign_report_verdict_precedes_tables_and_figures(text: str) -> None:
     verdict = text.index("pole has")
     assert verdict < text.index("<table")
     assert verdict < text.index("<svg")
@@ -117,7 +117,7 @@ def test_the_verdict_comes_before_any_table_or_picture(text: str) -> None:
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_first_page_of_three_balls_with_two_clubs_answers_for_each_club(three_by_two: CampaignRecord) -> None:
+def test_campaign_report_first_page_has_verdict_for_each_club(three_by_two: CampaignRecord) -> None:
     page = render_campaign_report(three_by_two, findings(three_by_two.plan, three_by_two.shots))
     first = page[: page.index('id="s1"')]
     words = _words(first)
@@ -139,7 +139,7 @@ def test_first_page_of_three_balls_with_two_clubs_answers_for_each_club(three_by
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_first_page_counts_shots_by_role_and_says_whose_carry_it_is(three_by_two: CampaignRecord) -> None:
+def test_campaign_report_counts_shots_by_role_and_names_carry_source(three_by_two: CampaignRecord) -> None:
     shots = [replace(shot, carry_source="monitor") for shot in three_by_two.shots]
     shots[:3] = [replace(shot, role="warm-up") for shot in shots[:3]]
     page = render_campaign_report(replace(three_by_two, shots=shots), findings(three_by_two.plan, shots))
@@ -149,7 +149,7 @@ def test_first_page_counts_shots_by_role_and_says_whose_carry_it_is(three_by_two
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_compared_clubs_have_the_gap_to_the_next() -> None:
+def test_campaign_report_compared_clubs_show_gap_to_next() -> None:
     clubs = _record("clubs", Truth(difference=12.0), 4)
     found = findings(clubs.plan, clubs.shots)
     page = _words(render_campaign_report(clubs, found))
@@ -162,7 +162,7 @@ def test_compared_clubs_have_the_gap_to_the_next() -> None:
 @pytest.mark.parametrize(
     ("speed", "angle", "spin"), [(75.0, 11.0, 2600.0), (50.0, 16.0, 6000.0), (35.0, 28.0, 9000.0)]
 )
-def test_mean_flight_is_drawn_as_the_ball_flies(
+def test_mean_flight_matches_simulated_path(
     record: CampaignRecord, speed: float, angle: float, spin: float
 ) -> None:
     flight = fly(Launch(speed, radians(angle), radians(1.0), spin * 2.0 * pi / 60.0, radians(5.0)))
@@ -188,7 +188,9 @@ def test_mean_flight_is_drawn_as_the_ball_flies(
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_captions_state_only_what_is_drawn(record: CampaignRecord, three_by_two: CampaignRecord) -> None:
+def test_campaign_report_captions_state_only_drawn_items(
+    record: CampaignRecord, three_by_two: CampaignRecord
+) -> None:
     plain = replace(
         three_by_two, shots=[replace(s, status=ShotStatus.VALID, reason="") for s in three_by_two.shots]
     )
@@ -200,7 +202,7 @@ def test_captions_state_only_what_is_drawn(record: CampaignRecord, three_by_two:
         assert there in words, there
 
 
-def test_plan_configuration_and_shots_are_the_appendix(text: str) -> None:
+def test_campaign_report_ends_with_appendices(text: str) -> None:
     assert re.findall(r"<h2[^>]*>([^<]*)</h2>", text)[-3:] == [
         "Appendix: all shots",
         "Appendix: balls and clubs",
@@ -208,7 +210,7 @@ def test_plan_configuration_and_shots_are_the_appendix(text: str) -> None:
     ]
 
 
-def test_what_one_signs_is_there(text: str, record: CampaignRecord) -> None:
+def test_campaign_report_contains_identity_conditions_and_events(text: str, record: CampaignRecord) -> None:
     words = _words(text)
     for wanted in (
         record.entry.id,
@@ -229,9 +231,7 @@ def test_what_one_signs_is_there(text: str, record: CampaignRecord) -> None:
     assert "saw &lt;no&gt; ball" in text
 
 
-def test_the_golfer_that_a_swing_follows_is_named_with_the_deviation(
-    record: CampaignRecord, text: str
-) -> None:
+def test_campaign_report_names_followed_golfer_with_deviation(record: CampaignRecord, text: str) -> None:
     default = load_profile(find_profile("default"))
     profiles = {("default", "driver"): replace(default, golfer="Anna", followed=FOLLOWED)}
     configuration = load_configuration(Path("shipped"))
@@ -244,17 +244,17 @@ def test_the_golfer_that_a_swing_follows_is_named_with_the_deviation(
     assert "golfer" not in _words(text).lower()
 
 
-def test_nothing_is_loaded_from_elsewhere(text: str) -> None:
+def test_campaign_report_loads_no_external_resource(text: str) -> None:
     assert "default-src 'none'" in text
     for address in re.findall(r'(?:src|href|url\()=?"?([^")> ]+)', text):
         assert address.startswith(("#", "data:")), address
 
 
-def test_the_same_record_gives_the_same_bytes(text: str, record: CampaignRecord) -> None:
+def test_campaign_report_same_record_gives_same_bytes(text: str, record: CampaignRecord) -> None:
     assert render_campaign_report(record, findings(record.plan, record.shots)) == text
 
 
-def test_ids_are_unique_although_many_pictures_share_a_page() -> None:
+def test_campaign_report_ids_are_unique() -> None:
     record = _record("clubs", Truth(), 3)
     page = render_campaign_report(record, findings(record.plan, record.shots))
     ids = re.findall(r'\bid="([^"]+)"', page)
@@ -262,7 +262,7 @@ def test_ids_are_unique_although_many_pictures_share_a_page() -> None:
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_an_unfinished_campaign_says_so_first(record: CampaignRecord) -> None:
+def test_campaign_report_unfinished_campaign_is_stated_first(record: CampaignRecord) -> None:
     standing = Standing(CampaignState.SUSPENDED, "balls used up", "")
     page = render_campaign_report(replace(record, standing=standing), findings(record.plan, record.shots))
     assert "This campaign is not finished: suspended (balls used up)" in page
@@ -270,7 +270,7 @@ def test_an_unfinished_campaign_says_so_first(record: CampaignRecord) -> None:
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_one_level_and_no_shots() -> None:
+def test_campaign_report_one_level_renders_and_no_shots_is_refused() -> None:
     record = _record("repeatability", Truth())
     page = _words(render_campaign_report(record, findings(record.plan, record.shots)))
     assert "tour: club speed 42.9" in page
@@ -279,7 +279,7 @@ def test_one_level_and_no_shots() -> None:
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_long_lists_say_what_they_leave_out(record: CampaignRecord) -> None:
+def test_campaign_report_long_lists_state_omitted_count(record: CampaignRecord) -> None:
     events = [Event(NOW, n, "guard", f"guard opened, number {n}.") for n in range(1, 251)]
     prompts = [Prompt(n, n, "club", f"Mount it, number {n}.", {}, NOW, NOW, "erika") for n in range(1, 203)]
     invalid = [
@@ -296,7 +296,7 @@ def test_long_lists_say_what_they_leave_out(record: CampaignRecord) -> None:
     assert " more" not in short.split("Events")[1].split("Limits")[0]
 
 
-def test_names_in_any_script_are_readable_in_the_plots(record: CampaignRecord) -> None:
+def test_campaign_report_plots_render_names_in_any_script(record: CampaignRecord) -> None:
     balls = {"pole": "飛び", "seam": "공 ①"}
     shots = [replace(shot, ball=balls.get(shot.ball, shot.ball)) for shot in record.shots]
     design = replace(record.plan.design, balls=tuple(balls.values()))
@@ -311,7 +311,7 @@ def test_names_in_any_script_are_readable_in_the_plots(record: CampaignRecord) -
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_the_time_of_a_shot_has_a_date_where_the_campaign_took_days(record: CampaignRecord) -> None:
+def test_campaign_report_several_days_show_dates(record: CampaignRecord) -> None:
     shots = [replace(shot, time_utc=NOW + timedelta(hours=n)) for n, shot in enumerate(record.shots)]
     events = [Event(NOW + timedelta(hours=9), 5, "killed", "the runner had ended")]
     page = _words(
@@ -321,7 +321,7 @@ def test_the_time_of_a_shot_has_a_date_where_the_campaign_took_days(record: Camp
     assert "before shot 5, 2026-11-21 21:00:00: the runner had ended" in page
 
 
-def test_json_holds_the_reports_figures(record: CampaignRecord) -> None:
+def test_findings_record_holds_report_figures(record: CampaignRecord) -> None:
     found = findings(record.plan, record.shots)
     figures = json.loads(json.dumps(findings_record(found), allow_nan=False))
     (pair,) = figures["sections"][0]["confirmatory"]["pairs"]
@@ -336,7 +336,7 @@ def test_json_holds_the_reports_figures(record: CampaignRecord) -> None:
     assert f"{pair['difference']:.2f}" in figures["sections"][0]["verdicts"][0]["headline"]
 
 
-def test_a_baseline_holds_or_tells_what_left_its_band(record: CampaignRecord, tmp_path: Path) -> None:
+def test_check_baseline_reports_figures_outside_band(record: CampaignRecord, tmp_path: Path) -> None:
     figures = findings_record(findings(record.plan, record.shots))
     file = tmp_path / "baseline.toml"
     file.write_text(
@@ -364,14 +364,14 @@ def test_a_baseline_holds_or_tells_what_left_its_band(record: CampaignRecord, tm
         '[[figure]]\npath = "a"\nlow = 2\nhihg = 1',
     ],
 )
-def test_a_wrong_baseline_is_refused(tmp_path: Path, content: str) -> None:
+def test_read_baseline_invalid_file_is_refused(tmp_path: Path, content: str) -> None:
     file = tmp_path / "baseline.toml"
     file.write_text(content)
     with pytest.raises((BenchError, ExceptionGroup)):
         read_baseline(file)
 
 
-def test_junit_has_a_case_for_each_planned_shot_and_band(record: CampaignRecord) -> None:
+def test_junit_xml_has_case_for_each_planned_shot_and_band(record: CampaignRecord) -> None:
     from xml.etree import ElementTree
 
     outcome = RunOutcome(CampaignState.STOPPED, "stopped by request", 40, 39)
@@ -386,7 +386,7 @@ def test_junit_has_a_case_for_each_planned_shot_and_band(record: CampaignRecord)
 
 
 @pytest.mark.requires("chromium")
-def test_a_browser_shows_it_without_a_word_of_complaint_and_prints_it(
+def test_campaign_report_chromium_shows_and_prints_without_errors(
     record: CampaignRecord, tmp_path: Path, tool: Callable[[str], str]
 ) -> None:
     page, pdf = tmp_path / "report.html", tmp_path / "report.pdf"
@@ -404,7 +404,7 @@ WIDER = """() => [...document.querySelectorAll("main *")].filter(one => !one.clo
 
 
 @pytest.mark.requires("chromium")
-def test_a_report_is_not_wider_than_any_screen_or_paper(
+def test_campaign_report_fits_screen_and_paper_width(
     three_by_two: CampaignRecord, tmp_path: Path, tool: Callable[[str], str]
 ) -> None:
     """The column of carry, and the verdicts of nine clubs, were cut off on the right."""
@@ -470,7 +470,7 @@ def _browse(chromium: str, folder: Path, action: str, page: Path) -> subprocess.
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_who_did_what_by_hand_and_vouches_for_the_balls(record: CampaignRecord) -> None:
+def test_campaign_report_lists_prompts_with_operator(record: CampaignRecord) -> None:
     asked = datetime(2026, 11, 21, 12, 0, tzinfo=UTC)
     prompts = [
         Prompt(1, 1, "balls", "Fill the feeder in this order: tour 1.", {}, asked, asked, "Ann"),
@@ -488,7 +488,7 @@ def test_who_did_what_by_hand_and_vouches_for_the_balls(record: CampaignRecord) 
 
 
 @pytest.mark.usefixtures("undrawn_here")
-def test_the_air_is_told_as_it_changed(record: CampaignRecord) -> None:
+def test_campaign_report_changing_air_shows_range(record: CampaignRecord) -> None:
     shots = [replace(record.shots[0], air_temperature_k=295.15), *record.shots[1:]]
     page = _words(render_campaign_report(replace(record, shots=shots), findings(record.plan, shots)))
     assert "22.0 to 25.0 °C, 1013 hPa, 50 %" in page

@@ -87,7 +87,7 @@ def _with_rules(plan: CampaignPlan, *names: str) -> CampaignPlan:
     return replace(plan, rules=replace(plan.rules, apply=names))
 
 
-def test_a_ball_that_is_too_long_at_the_rules_set_up_is_not_inside_at_the_robots(
+def test_judge_rules_long_ball_is_judged_only_at_rule_set_up(
     distance: CampaignPlan,
 ) -> None:
     # 363 and 378 yd at the set-ups of 2004 and 2030, 280 yd at the robot's 63 m/s: it was "inside" twice.
@@ -117,7 +117,9 @@ def test_a_ball_that_is_too_long_at_the_rules_set_up_is_not_inside_at_the_robots
     ("mean", "decision"),
     [(309.0, Decision.CONFORMS), (318.0, Decision.INCONCLUSIVE), (331.0, Decision.FAILS)],
 )
-def test_the_uncertainty_decides_with_it(distance: CampaignPlan, mean: float, decision: Decision) -> None:
+def test_judge_rules_decision_includes_uncertainty(
+    distance: CampaignPlan, mean: float, decision: Decision
+) -> None:
     found = _only(judge_rules(_with_rules(distance, "ods"), _shots(ODS, _scatter(mean))))
     assert found.decision is decision
     assert found.unit == "yd"
@@ -127,7 +129,7 @@ def test_the_uncertainty_decides_with_it(distance: CampaignPlan, mean: float, de
     assert found.coverage == pytest.approx(2.0, abs=0.02)
 
 
-def test_guard_band() -> None:
+def test_decide_by_limit_applies_guard_band() -> None:
     assert decide_by_limit(317.0, 3.0, 320.0) is Decision.CONFORMS
     assert decide_by_limit(317.1, 3.0, 320.0) is Decision.INCONCLUSIVE
     assert decide_by_limit(323.0, 3.0, 320.0) is Decision.INCONCLUSIVE
@@ -135,7 +137,7 @@ def test_guard_band() -> None:
 
 
 @pytest.mark.release
-def test_a_ball_at_the_limit_is_passed_once_in_44(distance: CampaignPlan) -> None:
+def test_judge_rules_ball_at_limit_conforms_once_in_44(distance: CampaignPlan) -> None:
     random, passed, count = np.random.default_rng(20261122), 0, 3000
     plan = replace(distance, rules=replace(distance.rules, apply=("ods",), uncertainty={"total_m": 0.0}))
     shots = [replace(s, carry_measured_error_m=None) for s in _shots(ODS, [320.0] * 12, source="simulated")]
@@ -146,7 +148,7 @@ def test_a_ball_at_the_limit_is_passed_once_in_44(distance: CampaignPlan) -> Non
     assert passed / count == pytest.approx(0.0228, abs=0.008)
 
 
-def test_sections_are_judged_by_themselves(configuration: Configuration) -> None:
+def test_judge_rules_judges_each_section_separately(configuration: Configuration) -> None:
     plan = _with_rules(load_plan(Path("ten-balls"), configuration), "symmetry", "ods")
     plan = replace(
         plan,
@@ -166,7 +168,7 @@ def test_sections_are_judged_by_themselves(configuration: Configuration) -> None
     assert "section 1 (" in found[0].words
 
 
-def test_the_date_chooses_the_set(distance: CampaignPlan) -> None:
+def test_judge_rules_date_selects_rule_set(distance: CampaignPlan) -> None:
     assert {"ods", "ods-2004", "ods-2030", "symmetry"} <= set(rule_names())
     for day, name in ((date(2026, 11, 22), "ods-2004"), (date(2030, 1, 1), "ods-2030")):
         rule = rule_on("ods", day)
@@ -192,14 +194,16 @@ def test_the_date_chooses_the_set(distance: CampaignPlan) -> None:
         ({"spin_rpm": None}, "spin of the control ball not measured"),
     ],
 )
-def test_why_a_rule_does_not_judge(distance: CampaignPlan, change: dict[str, object], reason: str) -> None:
+def test_judge_rules_not_judged_reports_reason(
+    distance: CampaignPlan, change: dict[str, object], reason: str
+) -> None:
     shots = [replace(shot, **change) for shot in _shots(ODS, _scatter(300.0))]  # type: ignore[arg-type]
     found = _only(judge_rules(_with_rules(distance, "ods"), shots))
     assert found.decision is Decision.NOT_JUDGED
     assert reason in found.words
 
 
-def test_an_uncertainty_that_nobody_stated_is_not_zero(distance: CampaignPlan) -> None:
+def test_judge_rules_unstated_uncertainty_is_reported(distance: CampaignPlan) -> None:
     plan = replace(distance, rules=replace(distance.rules, apply=("ods",), uncertainty={}))
     assert (
         "the uncertainty of total_m is not stated"
@@ -207,20 +211,20 @@ def test_an_uncertainty_that_nobody_stated_is_not_zero(distance: CampaignPlan) -
     )
 
 
-def test_an_unfinished_section_is_not_judged(distance: CampaignPlan) -> None:
+def test_judge_rules_unfinished_section_is_not_judged(distance: CampaignPlan) -> None:
     plan = _with_rules(distance, "ods")
     half = _only(judge_rules(plan, _shots(ODS, _scatter(300.0, 6))))
     assert half.decision is Decision.NOT_JUDGED
     assert "the section is not finished, 50 % of its shots are done" in half.words
 
 
-def test_the_initial_velocity_is_the_apparatus(distance: CampaignPlan) -> None:
+def test_judge_rules_initial_velocity_is_not_judged(distance: CampaignPlan) -> None:
     found = _only(judge_rules(_with_rules(distance, "initial-velocity"), _shots(ODS, _scatter(300.0))))
     assert (found.decision, found.unit) == (Decision.NOT_JUDGED, "ft/s")
     assert "43.83 m/s" in found.words
 
 
-def test_the_control_balls_own_figures_set_the_ball_speed(distance: CampaignPlan) -> None:
+def test_judge_rules_control_ball_figures_set_ball_speed(distance: CampaignPlan) -> None:
     own = replace(distance.set_up, control_restitution=0.82, control_contact_time=430e-6)
     plan = replace(_with_rules(distance, "ods"), set_up=own)
     assert control_ball_speed(0.82, 430e-6) == pytest.approx(80.17, abs=0.01)
@@ -230,12 +234,12 @@ def test_the_control_balls_own_figures_set_the_ball_speed(distance: CampaignPlan
     assert right.decision is Decision.CONFORMS
 
 
-def test_one_ball_hit_often_is_that_ball_only(distance: CampaignPlan) -> None:
+def test_judge_rules_single_ball_is_reported(distance: CampaignPlan) -> None:
     found = _only(judge_rules(_with_rules(distance, "ods"), _shots(ODS, _scatter(300.0), balls=1)))
     assert "One ball of candidate was hit" in found.words
 
 
-def test_balls_hit_more_than_once_are_not_independent(distance: CampaignPlan) -> None:
+def test_judge_rules_repeated_hits_widen_uncertainty(distance: CampaignPlan) -> None:
     plan = _with_rules(distance, "ods")
     totals = [305.0, 299.0, 301.0, 295.0] * 6  # four balls, six equal hits each
     few = _only(judge_rules(plan, _shots(ODS, totals, balls=4)))
@@ -245,7 +249,7 @@ def test_balls_hit_more_than_once_are_not_independent(distance: CampaignPlan) ->
     assert few.uncertainty > 1.2 * many.uncertainty
 
 
-def test_symmetry_is_a_difference_within_a_section(configuration: Configuration) -> None:
+def test_judge_rules_symmetry_compares_within_section(configuration: Configuration) -> None:
     plan = load_plan(Path("symmetry"), configuration)
     pole = _shots(ODS, _scatter(260.0), ball="pole", source="monitor")
     for gap, decision in ((1.0, Decision.CONFORMS), (9.0, Decision.FAILS)):
@@ -257,7 +261,7 @@ def test_symmetry_is_a_difference_within_a_section(configuration: Configuration)
     assert slow.decision is Decision.NOT_JUDGED
 
 
-def test_findings_hold_them_for_json(distance: CampaignPlan) -> None:
+def test_findings_record_holds_rule_decisions(distance: CampaignPlan) -> None:
     record = findings_record(findings(distance, _shots(ROBOT, _scatter(250.0))))
     assert [(r["rule"], r["decision"]) for r in record["rules"]] == [
         ("ods-2004", "not judged"),
@@ -266,7 +270,7 @@ def test_findings_hold_them_for_json(distance: CampaignPlan) -> None:
     assert record["rules"][0]["value"] == pytest.approx(250.0)
 
 
-def test_the_flight_model_fits_the_distance_standard() -> None:
+def test_flight_model_matches_overall_distance_standard() -> None:
     # The limit of 317 yd was set in 2004 to what the longest balls did then, and a notice of 2023 expects
     # 13 to 15 yd from the set-up of 2030 to that of 2004. Nothing in the model was fitted to either.
     total = {}

@@ -39,7 +39,7 @@ def _differences(record: CampaignRecord, page: str) -> tuple[str, ...]:
     return verify_page(record, page, "report.html").differences
 
 
-def test_a_report_that_nobody_changed_is_verified(record: CampaignRecord, page: str) -> None:
+def test_verify_page_unchanged_report_has_no_differences(record: CampaignRecord, page: str) -> None:
     found = verify_page(record, page, "report.html")
     assert found.differences == ()
     assert found.figures > 200
@@ -48,7 +48,7 @@ def test_a_report_that_nobody_changed_is_verified(record: CampaignRecord, page: 
     assert page.count(found.digest) == 2
 
 
-def test_a_changed_shot_is_named_with_the_figures_that_follow(record: CampaignRecord, page: str) -> None:
+def test_verify_page_changed_shot_is_named_with_figures(record: CampaignRecord, page: str) -> None:
     shots = [*record.shots]
     shots[6] = replace(shots[6], carry_m=(shots[6].carry_m or 0) + 0.001)
     found = _differences(replace(record, shots=shots), page)
@@ -61,7 +61,7 @@ def test_a_changed_shot_is_named_with_the_figures_that_follow(record: CampaignRe
     assert "shots: 40 in the report, 38 in the records" in later
 
 
-def test_a_changed_page_is_noticed(record: CampaignRecord, page: str) -> None:
+def test_verify_page_changed_page_is_reported(record: CampaignRecord, page: str) -> None:
     head, tail = page.split("Repeatability:", 1)
     edited = f"{head}Repeatability:{re.sub(r'>(0[.][0-9]+)<', '>0.001<', tail, count=1)}"
     restyled = page.replace("</style>", ".verdict { display: none; }</style>", 1)
@@ -71,7 +71,7 @@ def test_a_changed_page_is_noticed(record: CampaignRecord, page: str) -> None:
         assert _differences(record, changed) == ("page: not the one that the records give",)
 
 
-def test_changed_figures_and_digests_of_the_pages_data_are_named(record: CampaignRecord, page: str) -> None:
+def test_verify_page_changed_figures_and_digest_are_named(record: CampaignRecord, page: str) -> None:
     mean = re.search(r'"mean":(1[78][0-9][.][0-9]+)', page)
     assert mean is not None
     found = _differences(record, page.replace(mean[0], '"mean":170.5'))
@@ -81,7 +81,7 @@ def test_changed_figures_and_digests_of_the_pages_data_are_named(record: Campaig
     assert any(line.startswith("digest") for line in _differences(record, page.replace(digest, "0" * 64, 1)))
 
 
-def test_plan_events_and_notes_are_part_of_the_digest(record: CampaignRecord, page: str) -> None:
+def test_verify_page_changed_plan_events_or_notes_are_named(record: CampaignRecord, page: str) -> None:
     entry = replace(record.entry, plan={**record.entry.plan, "gate": {}})
     assert any(line.startswith("plan:") for line in _differences(replace(record, entry=entry), page))
     gone = replace(record, events=())
@@ -90,7 +90,7 @@ def test_plan_events_and_notes_are_part_of_the_digest(record: CampaignRecord, pa
     assert any(line.startswith("notes:") for line in _differences(noted, page))
 
 
-def test_later_wear_looks_and_issues_change_nothing(record: CampaignRecord, page: str) -> None:
+def test_verify_page_later_hits_and_issues_change_nothing(record: CampaignRecord, page: str) -> None:
     later = replace(record, hits=record.hits + record.hits)
     assert later.hits[Hit("ball", "tour", 1)] == 8
     assert _differences(later, page) == ()
@@ -104,24 +104,24 @@ def test_later_wear_looks_and_issues_change_nothing(record: CampaignRecord, page
 @pytest.mark.parametrize(
     "text", ["", "<html></html>", '<script type="application/json" id="record">{</script>']
 )
-def test_what_is_no_report_is_refused(record: CampaignRecord, text: str) -> None:
+def test_verify_page_without_report_data_is_refused(record: CampaignRecord, text: str) -> None:
     with pytest.raises(BenchError, match="no data of a report"):
         verify_page(record, text, "x.html")
 
 
-def test_a_report_of_another_campaign_is_refused(record: CampaignRecord, page: str) -> None:
+def test_verify_page_report_of_other_campaign_is_refused(record: CampaignRecord, page: str) -> None:
     other = replace(record, entry=replace(record.entry, id="another"))
     with pytest.raises(BenchError, match="that of another"):
         verify_page(other, page, "x.html")
 
 
-def test_another_version_of_the_software_compares_figures_only(record: CampaignRecord, page: str) -> None:
+def test_verify_page_other_software_compares_figures_only(record: CampaignRecord, page: str) -> None:
     found = verify_page(record, re.sub(r'"software":"[0-9a-f]+"', '"software":"0"', page), "x.html")
     assert found.differences == ()
     assert not found.page
 
 
-def test_missing_and_cut_records_of_swings_are_named(record: CampaignRecord, tmp_path: Path) -> None:
+def test_missing_records_names_missing_and_truncated_files(record: CampaignRecord, tmp_path: Path) -> None:
     for name in ("1.parquet", "2.parquet"):
         (tmp_path / name).write_bytes(b"12345")
     stored = [

@@ -64,7 +64,7 @@ def stored(value: float, date: datetime, **changes: Any) -> Learned:
     return replace(learned, **changes)
 
 
-def test_a_campaign_begins_with_what_was_learned_before_it(database: Engine) -> None:
+def test_campaign_corrections_start_with_correction_learned_before(database: Engine) -> None:
     assert made(database).profile(ARM) is PROFILE
     keep(database, stored(0.1, NOW - timedelta(hours=1)))
     keep(database, stored(0.2, NOW + timedelta(hours=1)))
@@ -103,7 +103,7 @@ def school(monkeypatch: pytest.MonkeyPatch) -> School:
     return School(monkeypatch)
 
 
-def test_what_was_learned_on_the_way_is_swung_and_found_again(database: Engine, school: School) -> None:
+def test_campaign_corrections_refresh_is_restored_on_resume(database: Engine, school: School) -> None:
     keep(database, stored(0.7, NOW))
     swings = made(database)
     told = swings.refresh(DRIFT, 17, school.robot)
@@ -121,7 +121,7 @@ def test_what_was_learned_on_the_way_is_swung_and_found_again(database: Engine, 
     assert len(learned_swings(database, CONFIGURATION.bench.id, PROFILE.name)) == 3
 
 
-def test_a_correction_that_misses_its_target_is_not_used(database: Engine, school: School) -> None:
+def test_campaign_corrections_correction_off_target_is_not_used(database: Engine, school: School) -> None:
     school.within = False
     swings = made(database)
     assert "not relearned in 3 learning swings" in swings.refresh(DRIFT, 17, school.robot)

@@ -101,7 +101,7 @@ def in_swing(bench: BenchProcess, swings: int) -> None:
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(400)
-def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> None:
+def test_campaign_resume_after_stop_and_kill_stores_each_shot_once(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "live")
     (tmp_path / "plan.toml").write_text(PLAN)
     data_dir = load_configuration(file).bench.data_dir
@@ -151,7 +151,7 @@ def test_stopped_killed_and_resumed_every_shot_is_there_once(tmp_path: Path) -> 
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(400)
-def test_calibrations_are_kept_and_sigterm_leaves_the_bench_vented(tmp_path: Path) -> None:
+def test_campaign_sigterm_vents_bench_and_keeps_calibrations(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "live")
     (tmp_path / "plan.toml").write_text(PLAN.replace("blocks = 1", "blocks = 2"))
     configuration = load_configuration(file)
@@ -301,35 +301,35 @@ def take(plan: CampaignPlan, bench: Any, *, simulated: bool, interrupted: Any = 
 
 
 @pytest.mark.parametrize("state", ["ESTOP", "FAULT", "SAFE", "ACCESS"])
-def test_after_a_stop_only_a_person_goes_on_with_a_real_bench(plan: CampaignPlan, state: str) -> None:
+def test_live_shots_stopped_real_bench_suspends(plan: CampaignPlan, state: str) -> None:
     bench = StandingBench(state=state, cause={"name": "GUARD", "text": "guard open"})
     with pytest.raises(Suspended, match=r"resume"):
         take(plan, bench, simulated=False)
     assert bench.asked == []
 
 
-def test_a_simulated_bench_that_comes_back_in_a_stop_is_left_to_a_person(plan: CampaignPlan) -> None:
+def test_live_shots_simulated_bench_suspends_after_three_resets(plan: CampaignPlan) -> None:
     bench = StandingBench(state="FAULT", cause={"name": "GUARD", "text": "guard open"})
     with pytest.raises(Suspended, match=r"guard open.*3 times"):
         take(plan, bench, simulated=True)
     assert bench.asked == ["reset"] * 3
 
 
-def test_a_lease_that_is_somebody_elses_suspends(plan: CampaignPlan) -> None:
+def test_live_shots_lease_of_other_holder_suspends(plan: CampaignPlan) -> None:
     bench = StandingBench(lease={"holder": "Ann"})
     with pytest.raises(Suspended, match=r"lease"):
         take(plan, bench, simulated=True)
     assert bench.asked == []
 
 
-def test_who_asks_to_stop_before_the_swing_gets_none(plan: CampaignPlan) -> None:
+def test_live_shots_interrupt_before_swing_prevents_swing(plan: CampaignPlan) -> None:
     bench = StandingBench()
     with pytest.raises(KeyboardInterrupt):
         take(plan, bench, simulated=True, interrupted=lambda: True)
     assert bench.asked == ["arm"]
 
 
-def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: CampaignPlan) -> None:
+def test_require_live_unsuitable_bench_is_refused(plan: CampaignPlan) -> None:
     configuration = load_configuration(Path("shipped"))
     profiles = require_swings(plan, configuration)
 
@@ -377,7 +377,7 @@ def test_what_the_running_bench_cannot_swing_or_measure_is_refused(plan: Campaig
         )
 
 
-def test_no_ball_on_the_tee_is_an_outcome_and_the_robot_does_not_swing(
+def test_live_shots_no_ball_on_tee_fails_shot_without_swing(
     plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bench.network.bench_operator._FEED", 0.1)
@@ -421,7 +421,7 @@ BLOCK = ArmingBlock(
     ],
     ids=["blocked", "read only", "correction"],
 )
-def test_a_bench_that_will_not_arm_suspends_at_once(
+def test_live_shots_arm_refusal_suspends_at_once(
     plan: CampaignPlan, answer: CommandAnswer, text: str
 ) -> None:
     class Unarmed(StandingBench):
@@ -437,7 +437,9 @@ def test_a_bench_that_will_not_arm_suspends_at_once(
     assert bench.asked == ["arm"]
 
 
-def test_a_refusal_that_passes_is_waited_for(plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_live_shots_not_vented_refusal_is_retried(
+    plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("bench.network.bench_operator.READY", 0.2)
 
     class Venting(StandingBench):
@@ -453,7 +455,7 @@ def test_a_refusal_that_passes_is_waited_for(plan: CampaignPlan, monkeypatch: py
     assert len(bench.asked) > 1
 
 
-def test_another_profile_or_club_is_asked_for_by_a_prompt(plan: CampaignPlan) -> None:
+def test_required_restart_other_profile_gives_bench_prompt(plan: CampaignPlan) -> None:
     bench = StandingBench(profile="thesis", club="driver")
     step = a_step()
     wish = shots_of(plan, bench).required_restart(step)
@@ -463,7 +465,7 @@ def test_another_profile_or_club_is_asked_for_by_a_prompt(plan: CampaignPlan) ->
     assert shots_of(plan, StandingBench(profile="default", club="driver")).required_restart(step) is None
 
 
-def test_a_person_gets_in_through_access_only(plan: CampaignPlan) -> None:
+def test_live_shots_access_disarms_then_secures(plan: CampaignPlan) -> None:
     class Doors(StandingBench):
         """Refuses once, as its chambers are not empty yet."""
 
@@ -487,7 +489,7 @@ def test_a_person_gets_in_through_access_only(plan: CampaignPlan) -> None:
         assert bench.asked[4:] == []
 
 
-def test_who_comes_out_is_asked_to_close_the_guard_and_to_press_the_button(plan: CampaignPlan) -> None:
+def test_resume_after_access_prompts_guard_then_reset_button(plan: CampaignPlan) -> None:
     refusals = [Refusal.GUARD, Refusal.GUARD, Refusal.LOCAL_RESET, Refusal.LOCAL_RESET]
 
     class Doors(StandingBench):
@@ -505,7 +507,7 @@ def test_who_comes_out_is_asked_to_close_the_guard_and_to_press_the_button(plan:
     assert asked == ["Leave the robot and close the guard.", "Press the reset button beside the robot."]
 
 
-def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_off_takes_a_person(
+def test_hindrance_missing_monitor_blocks_and_disabled_monitor_suspends(
     plan: CampaignPlan,
 ) -> None:
     step = a_step()
@@ -534,7 +536,7 @@ def test_a_launch_monitor_that_is_away_is_a_hindrance_and_one_that_was_turned_of
         ("READY", "STANDING", 1.0e5, 0.97, False),
     ],
 )
-def test_the_supply_is_judged_at_the_address_by_what_the_swing_was_designed_for(
+def test_hindrance_checks_supply_only_at_address(
     plan: CampaignPlan, state: str, phase: str, pressure: float | None, least: float, hindered: bool
 ) -> None:
     plan = replace(plan, supply=replace(plan.supply, min_pressure_ratio=least))
@@ -575,7 +577,7 @@ def of_carry(plan: CampaignPlan, carry: Any) -> CampaignPlan:
     return replace(plan, analysis=replace(plan.analysis, carry=carry))
 
 
-def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(
+def test_live_shots_reference_carry_uses_measured_air(
     plan: CampaignPlan, record: tuple[SwingRecord, Launch]
 ) -> None:
     c, (swing, launch) = load_configuration(Path("shipped")), record
@@ -592,7 +594,7 @@ def test_a_real_shot_has_the_air_that_was_read_and_flies_in_it(
     assert carries[2] < carries[1]  # cold air is dense
 
 
-def test_a_real_shot_has_no_carry_of_the_plans_ball(
+def test_live_shots_real_carry_ignores_planned_ball(
     plan: CampaignPlan, record: tuple[SwingRecord, Launch]
 ) -> None:
     swing, launch = record
@@ -629,7 +631,7 @@ duration = 45.0
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(400)
-def test_a_running_campaign_waits_for_its_compressor(tmp_path: Path) -> None:
+def test_run_campaign_low_supply_waits_and_continues(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "live", LOW_SUPPLY)
     (tmp_path / "plan.toml").write_text(PLAN)
     configuration = load_configuration(file)
@@ -695,7 +697,7 @@ def call(file: Path, *arguments: str | Path) -> tuple[int, str]:
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(400)
-def test_a_person_changes_the_club_while_the_runner_is_killed_and_a_second_one_refused(
+def test_campaign_runner_killed_during_club_change_resumes(
     tmp_path: Path,
 ) -> None:
     urls = tmp_path / "notify.urls"
@@ -756,7 +758,7 @@ def wait_for(store: CampaignStore, name: str, state: CampaignState, process: sub
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(600)
-def test_paused_stopped_its_bench_killed_and_aborted(tmp_path: Path) -> None:
+def test_campaign_pause_stop_bench_kill_and_abort_keep_shots(tmp_path: Path) -> None:
     file = write_configuration(tmp_path, "obeys", "[lifecycle]\nhold_between_swings = true\n")
     (tmp_path / "plan.toml").write_text(PLAN.replace("blocks = 1", "blocks = 3"))
     data_dir = load_configuration(file).bench.data_dir
@@ -836,7 +838,7 @@ class ArmableBench(StandingBench):
         (False, True, True, ["arm", "tee", "swing", "arm", "tee", "swing"]),
     ],
 )
-def test_a_swing_without_a_ball_follows_each_arming_that_brings_no_planned_air(
+def test_live_shots_arming_without_planned_air_adds_practice_swing(
     plan: CampaignPlan, series: bool, practice: bool, planned: bool, asked: list[str]
 ) -> None:
     plan = replace(plan, warm_up=replace(plan.warm_up, practice=practice))
@@ -873,7 +875,7 @@ class Listening(Watcher):
 @pytest.mark.paced
 @pytest.mark.release
 @pytest.mark.timeout(400)
-def test_a_swing_is_relearned_on_the_bench_without_a_ball(
+def test_run_campaign_drift_relearns_swing_without_ball(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """That it drifts is said here; a simulated robot of a running bench does not."""

@@ -20,7 +20,7 @@ from bench.swing.profile import Profile, load_profile, save_profile
 SHIPPED = load_configuration(Path("shipped"))
 
 
-def test_disk_and_work_by_hand_are_known_before_anything_moves(tmp_path: Path) -> None:
+def test_needs_reports_disk_space_and_hand_work(tmp_path: Path) -> None:
     plan = load_plan(Path("clubs"), SHIPPED)
     plan = replace(plan, ball_handling=replace(plan.ball_handling, magazine=10))
     found = needs(plan)
@@ -33,7 +33,7 @@ def test_disk_and_work_by_hand_are_known_before_anything_moves(tmp_path: Path) -
     assert free_space(tmp_path / "not" / "there") > 0
 
 
-def test_a_bench_that_vents_between_swings_does_not_suit_a_narrow_gate() -> None:
+def test_needs_series_narrow_gate_without_planned_air_requires_series() -> None:
     plan = load_plan(Path("two-balls"), SHIPPED)
     planned = load_profile(find_profile("default"))
     free = replace(planned, air=(), air_supply=0.0)
@@ -49,7 +49,7 @@ def test_a_bench_that_vents_between_swings_does_not_suit_a_narrow_gate() -> None
     ("series", "profile", "warned"),
     [(False, "free.toml", True), (True, "free.toml", False), (False, "default", False)],
 )
-def test_check_says_with_which_option_the_bench_is_to_be_started(
+def test_campaign_check_warns_of_missing_series_option(
     tmp_path: Path, series: bool, profile: str, warned: bool
 ) -> None:
     file = tmp_path / "bench.toml"

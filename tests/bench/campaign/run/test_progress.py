@@ -54,7 +54,7 @@ def _shot(trial: PlannedShot, number: int, seconds: float, status: ShotStatus = 
     )
 
 
-def test_the_time_left_is_right_after_a_resume_although_a_night_lies_between(plan: CampaignPlan) -> None:
+def test_campaign_progress_time_left_ignores_overnight_gap(plan: CampaignPlan) -> None:
     progress, trials = _progress(plan), all_trials(plan)
     for n in range(8):
         progress.shot(_shot(trials[n], n + 1, 10.0 * n + (40_000.0 if n > 5 else 0.0)))
@@ -65,7 +65,7 @@ def test_the_time_left_is_right_after_a_resume_although_a_night_lies_between(pla
     assert progress.message["done"] == 8
 
 
-def test_the_time_left_does_not_follow_a_clock_that_is_set(
+def test_campaign_progress_time_left_ignores_clock_change(
     plan: CampaignPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     progress, trials = _progress(plan), all_trials(plan)
@@ -78,7 +78,7 @@ def test_the_time_left_does_not_follow_a_clock_that_is_set(
     assert progress.message["seconds_left"] == 10.0 * (36 - 2) + 180.0 * changes
 
 
-def test_the_next_work_by_hand_and_when_it_comes(plan: CampaignPlan) -> None:
+def test_campaign_progress_next_work_reports_club_and_time(plan: CampaignPlan) -> None:
     progress, trials = _progress(plan), all_trials(plan)
     for n in range(2):
         progress.shot(_shot(trials[n], n + 1, 10.0 * n))
@@ -92,7 +92,7 @@ def test_the_next_work_by_hand_and_when_it_comes(plan: CampaignPlan) -> None:
     assert progress.message["next_work"]["shots"] == 0
 
 
-def test_a_block_that_restarts_is_open_again(plan: CampaignPlan) -> None:
+def test_campaign_progress_set_aside_reopens_block(plan: CampaignPlan) -> None:
     progress, trials = _progress(plan), all_trials(plan)
     for n in range(5):  # one block of three, two of the next
         progress.shot(_shot(trials[n], n + 1, 10.0 * n))
@@ -101,7 +101,7 @@ def test_a_block_that_restarts_is_open_again(plan: CampaignPlan) -> None:
     assert progress.message["balls"]["tour"] == {"valid": 3, "planned": 36}
 
 
-def test_lines_for_a_person(plan: CampaignPlan) -> None:
+def test_progress_lines_show_last_shot_and_counts(plan: CampaignPlan) -> None:
     progress, trials = _progress(plan), all_trials(plan)
     progress.shot(_shot(trials[0], 1, 0.0))
     progress.shot(_shot(trials[0], 2, 10.0, ShotStatus.FAILED))
@@ -112,7 +112,7 @@ def test_lines_for_a_person(plan: CampaignPlan) -> None:
     assert all(len(line) <= 80 for line in lines)
 
 
-def test_piped_there_is_a_plain_line_for_a_shot(
+def test_progress_screen_piped_prints_plain_lines(
     plan: CampaignPlan, capsys: pytest.CaptureFixture[str]
 ) -> None:
     progress, trials = _progress(plan), all_trials(plan)
@@ -132,7 +132,7 @@ def test_piped_there_is_a_plain_line_for_a_shot(
     assert "left, until " in told[0]
 
 
-def test_the_message_is_json_and_published_with_each_change(plan: CampaignPlan) -> None:
+def test_progress_publisher_sends_json_with_each_change(plan: CampaignPlan) -> None:
     sent: list[str] = []
     entry = new_entry(plan, CONFIGURATION, NOW, simulated=True, real_time={"driver": "sim"})
     told = ProgressPublisher(entry, plan, lambda message: sent.append(json.dumps(message)))
@@ -146,7 +146,7 @@ def test_the_message_is_json_and_published_with_each_change(plan: CampaignPlan) 
     assert shot_line(last["last_shot"]).startswith("shot 1, tour 3, valid")
 
 
-def test_an_unmeasured_shot_has_no_figures(plan: CampaignPlan) -> None:
+def test_shot_line_unmeasured_shot_shows_not_measured(plan: CampaignPlan) -> None:
     progress = _progress(plan)
     shot = replace(_shot(all_trials(plan)[0], 1, 0.0), club_speed_mps=None, carry_m=None)
     progress.shot(shot)

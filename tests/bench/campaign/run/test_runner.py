@@ -168,7 +168,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
         yield build
 
 
-def test_a_campaign_comes_to_its_end_with_every_shot_and_file(make: Callable[..., Bench]) -> None:
+def test_runner_completes_campaign_with_every_shot_and_file(make: Callable[..., Bench]) -> None:
     bench = make()
     outcome = bench.run(Scripted())
     assert outcome == (CampaignState.FINISHED, "", 18, 18)
@@ -184,7 +184,7 @@ def test_a_campaign_comes_to_its_end_with_every_shot_and_file(make: Callable[...
     assert sum(n for hit, n in hits.items() if hit.kind == "ball") == 18
 
 
-def test_an_invalid_shot_is_repeated_within_its_bound(make: Callable[..., Bench]) -> None:
+def test_runner_invalid_shot_is_repeated_within_limit(make: Callable[..., Bench]) -> None:
     bench = make()
     lost = {"status": ShotStatus.EXCLUDED, "reason": "the launch monitor saw no ball", "ball_speed_mps": None}
     outcome = bench.run(Scripted(lambda n: lost if n in {5, 8, 9, 10} else {}))
@@ -202,7 +202,7 @@ def test_an_invalid_shot_is_repeated_within_its_bound(make: Callable[..., Bench]
     ]
 
 
-def test_a_delivery_outside_the_gate_is_excluded_with_its_source(make: Callable[..., Bench]) -> None:
+def test_runner_delivery_outside_gate_is_excluded(make: Callable[..., Bench]) -> None:
     bench = make()
     bench.run(Scripted(lambda n: {"club_speed_mps": 44.0} if n == 6 else {}))
     excluded = [shot for shot in bench.shots if shot.status is ShotStatus.EXCLUDED]
@@ -210,12 +210,12 @@ def test_a_delivery_outside_the_gate_is_excluded_with_its_source(make: Callable[
     assert excluded[0].reason == "club speed 44.00 m/s, outside 42.90 ± 1.00 m/s (simulated)"
 
 
-def test_where_the_ball_goes_excludes_nothing(make: Callable[..., Bench]) -> None:
+def test_runner_ball_flight_excludes_no_shot(make: Callable[..., Bench]) -> None:
     bench = make()
     assert bench.run(Scripted(lambda n: {"carry_m": 10.0 * n, "ball_speed_mps": 1.0 + n})).valid == 18
 
 
-def test_a_source_that_the_plan_does_not_accept_is_excluded(make: Callable[..., Bench]) -> None:
+def test_runner_unaccepted_delivery_source_is_excluded(make: Callable[..., Bench]) -> None:
     bench = make(
         gate={"sources": ("launch monitor",), "reference": "planned"},
         warm_up={"at_most": 0},
@@ -226,7 +226,7 @@ def test_a_source_that_the_plan_does_not_accept_is_excluded(make: Callable[..., 
     assert "does not accept" in bench.shots[-1].reason
 
 
-def test_the_warm_up_ends_when_the_speed_is_stable_or_the_campaign_does(make: Callable[..., Bench]) -> None:
+def test_runner_warm_up_ends_at_stable_speed_or_suspends(make: Callable[..., Bench]) -> None:
     bench = make()
     outcome = bench.run(Scripted(lambda n: {"club_speed_mps": 40.0 + n} if n < 4 else {}))
     assert outcome.state is CampaignState.FINISHED
@@ -238,14 +238,14 @@ def test_the_warm_up_ends_when_the_speed_is_stable_or_the_campaign_does(make: Ca
     assert refused.shots == 10
 
 
-def test_the_set_up_is_by_the_control_balls_speed(make: Callable[..., Bench]) -> None:
+def test_runner_control_ball_speed_outside_tolerance_suspends(make: Callable[..., Bench]) -> None:
     bench = make(set_up={"control_ball_speed": 60.0, "tolerance": 1.0})
     outcome = bench.run(Scripted())
     assert outcome.state is CampaignState.SUSPENDED
     assert "62.00 m/s, wanted 60 ± 1 m/s" in outcome.reason
 
 
-def test_too_many_failures_in_a_row_suspend_and_resume_goes_on(make: Callable[..., Bench]) -> None:
+def test_runner_consecutive_failures_suspend_and_resume_finishes(make: Callable[..., Bench]) -> None:
     bench = make()
     jam = {"status": ShotStatus.FAILED, "reason": "feeder jam: no ball came", "ball_speed_mps": None}
     outcome = bench.run(Scripted(lambda n: jam if n >= 7 else {}))
@@ -255,7 +255,7 @@ def test_too_many_failures_in_a_row_suspend_and_resume_goes_on(make: Callable[..
     assert bench.run(Scripted()).state is CampaignState.FINISHED
 
 
-def test_balls_take_turns_and_are_never_hit_too_often(make: Callable[..., Bench]) -> None:
+def test_runner_samples_alternate_up_to_hit_limit(make: Callable[..., Bench]) -> None:
     bench = make(ball_handling={"samples": 2, "hits": 3})
     source = Scripted()
     outcome = bench.run(source)
@@ -266,7 +266,7 @@ def test_balls_take_turns_and_are_never_hit_too_often(make: Callable[..., Bench]
     assert samples == [1, 2, 1, 2, 1, 2]
 
 
-def test_the_stopping_rule_ends_a_section_early(make: Callable[..., Bench]) -> None:
+def test_runner_stopping_rule_ends_section_early(make: Callable[..., Bench]) -> None:
     bench = make(
         design={"blocks": 12}, stop={"rule": "width", "width": 5.0, "min_blocks": 3, "interim_analyses": 4}
     )
@@ -276,7 +276,7 @@ def test_the_stopping_rule_ends_a_section_early(make: Callable[..., Bench]) -> N
     assert max(shot.block for shot in bench.shots) == 3
 
 
-def test_stop_pause_and_abort_are_obeyed(make: Callable[..., Bench]) -> None:
+def test_runner_obeys_stop_pause_and_abort(make: Callable[..., Bench]) -> None:
     bench = make()
 
     def asked(request: str, at: int) -> Callable[[int], dict[str, Any]]:
@@ -308,7 +308,7 @@ def test_stop_pause_and_abort_are_obeyed(make: Callable[..., Bench]) -> None:
     assert (aborted.state, aborted.shots) == (CampaignState.ABORTED, 5)
 
 
-def test_ctrl_c_keeps_the_shots_so_far(make: Callable[..., Bench]) -> None:
+def test_runner_ctrl_c_keeps_shots_and_resumes(make: Callable[..., Bench]) -> None:
     bench = make()
     source = Scripted()
     outcome = bench.run(source, lambda: len(source.taken) >= 7)
@@ -319,7 +319,7 @@ def test_ctrl_c_keeps_the_shots_so_far(make: Callable[..., Bench]) -> None:
 
 
 @pytest.mark.parametrize("at", [1, 5, 6, 13, 18])
-def test_after_any_shot_resume_gives_what_one_run_gives(make: Callable[..., Bench], at: int) -> None:
+def test_runner_resume_after_any_shot_equals_single_run(make: Callable[..., Bench], at: int) -> None:
     def dies(number: int) -> dict[str, Any]:
         if number == at:
             raise RuntimeError("power cut")
@@ -335,7 +335,7 @@ def test_after_any_shot_resume_gives_what_one_run_gives(make: Callable[..., Benc
     assert broken.store.hits(broken.entry.id) == whole.store.hits(whole.entry.id)
 
 
-def test_a_full_disk_keeps_what_was_stored_and_resume_goes_on(
+def test_runner_full_disk_keeps_shots_and_resumes(
     make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = make()
@@ -354,7 +354,7 @@ def test_a_full_disk_keeps_what_was_stored_and_resume_goes_on(
     assert bench.run(Scripted()) == (CampaignState.FINISHED, "", 18, 18)
 
 
-def test_a_stored_shot_that_the_plan_did_not_have_is_refused(make: Callable[..., Bench]) -> None:
+def test_runner_stored_shot_of_other_plan_is_refused(make: Callable[..., Bench]) -> None:
     bench = make()
     bench.run(Scripted(), batch=4)
     bench.plan = replace(bench.plan, design=replace(bench.plan.design, seed=99))
@@ -362,7 +362,7 @@ def test_a_stored_shot_that_the_plan_did_not_have_is_refused(make: Callable[...,
         bench.run(Scripted())
 
 
-def test_only_the_own_plan_and_configuration_go_on(make: Callable[..., Bench]) -> None:
+def test_require_resumable_other_plan_or_configuration_is_refused(make: Callable[..., Bench]) -> None:
     bench = make()
     state, configuration = CampaignState.STOPPED, bench.configuration
     require_resumable(bench.entry, state, configuration, bench.plan)
@@ -381,7 +381,7 @@ def test_only_the_own_plan_and_configuration_go_on(make: Callable[..., Bench]) -
 
 
 @pytest.mark.parametrize("key", CANNOT_CHANGE_A_SHOT)
-def test_campaign_is_resumed_after_a_change_that_cannot_change_a_shot(
+def test_require_resumable_change_without_effect_on_shots_passes(
     make: Callable[..., Bench], key: str
 ) -> None:
     bench = make()
@@ -394,7 +394,7 @@ def test_campaign_is_resumed_after_a_change_that_cannot_change_a_shot(
     require_resumable(before, CampaignState.SUSPENDED, bench.configuration, None)
 
 
-def test_campaign_resumed_after_a_move_of_its_data_notes_an_event(make: Callable[..., Bench]) -> None:
+def test_changed_reports_moved_network_endpoint(make: Callable[..., Bench]) -> None:
     bench = make()
     c = bench.configuration
     moved = replace(c, network=replace(c.network, endpoint="tcp/127.0.0.1:9"))
@@ -402,7 +402,7 @@ def test_campaign_resumed_after_a_move_of_its_data_notes_an_event(make: Callable
     assert changes == [f"network.endpoint {c.network.endpoint} → tcp/127.0.0.1:9"]
 
 
-def test_one_runner_a_campaign(make: Callable[..., Bench]) -> None:
+def test_runner_lock_allows_one_runner_per_campaign(make: Callable[..., Bench]) -> None:
     bench = make()
     name = bench.entry.id
     with pytest.raises(Refused, match="no runner"):
@@ -419,7 +419,7 @@ def test_one_runner_a_campaign(make: Callable[..., Bench]) -> None:
         ask(bench.store, bench.folder, name, "stop")
 
 
-def test_the_next_ball_is_the_least_used(make: Callable[..., Bench]) -> None:
+def test_sample_for_selects_least_used_ball(make: Callable[..., Bench]) -> None:
     from collections import Counter
 
     plan = make(ball_handling={"samples": 3, "first_sample": 5, "hits": 2}).plan
@@ -429,7 +429,7 @@ def test_the_next_ball_is_the_least_used(make: Callable[..., Bench]) -> None:
     assert sample_for(plan, trial, Counter({Hit("ball", "pole", n): 2 for n in (5, 6, 7)})) is None
 
 
-def test_a_figure_that_is_not_known_is_not_looked_at_unless_the_centre_is(make: Callable[..., Bench]) -> None:
+def test_outside_unmeasured_figure_is_reported_only_with_centre(make: Callable[..., Bench]) -> None:
     from bench.campaign.plan.gate import outside
 
     bench = make()
@@ -450,7 +450,7 @@ def _trials(plan: CampaignPlan) -> Any:
 @pytest.mark.release
 @pytest.mark.live
 @pytest.mark.paced
-def test_killed_at_random_instants_the_simulated_campaign_comes_out_the_same() -> None:
+def test_campaign_random_kills_give_same_shots() -> None:
     """Two hundred kills: `python -m tests.benchmarks campaign_kills`."""
     command = [sys.executable, "-m", "tests.benchmarks", "campaign_kills"]
     # A process of its own: it forks its runners, and must not have started threads before.
@@ -476,7 +476,7 @@ def _events(bench: Bench) -> list[tuple[int, str, str]]:
     return [(event.before_shot, event.kind, event.text) for event in bench.store.events(bench.entry.id)]
 
 
-def test_a_long_gap_warms_up_again_and_restarts_the_block_with_a_new_gate(make: Callable[..., Bench]) -> None:
+def test_runner_long_gap_repeats_warm_up_and_restarts_block(make: Callable[..., Bench]) -> None:
     """The robot is 1.5 m/s slower the next day: by the centre of the day before no shot would be valid."""
     bench = make()
     slower = dict.fromkeys(range(8, 60), 41.4)
@@ -502,7 +502,7 @@ def test_a_long_gap_warms_up_again_and_restarts_the_block_with_a_new_gate(make: 
 
 
 @pytest.mark.parametrize("at", release_except({1, 7, 9, 17}, range(1, 24, 2)))
-def test_after_a_restart_resume_still_gives_what_one_run_gives(make: Callable[..., Bench], at: int) -> None:
+def test_runner_resume_after_block_restart_equals_single_run(make: Callable[..., Bench], at: int) -> None:
     jumps = {8: 5000.0, 17: 2000.0}
     whole, cut = make(), make()
     whole.run(Clock(jumps))
@@ -516,7 +516,7 @@ def test_after_a_restart_resume_still_gives_what_one_run_gives(make: Callable[..
     assert any(marks[0])
 
 
-def test_a_gap_within_the_bound_or_before_a_warm_up_restarts_nothing(make: Callable[..., Bench]) -> None:
+def test_runner_tolerated_gap_restarts_no_block(make: Callable[..., Bench]) -> None:
     bench = make()
     assert bench.run(Clock({7: 1700.0})).shots == 18
     never_restarted = make(interruption={"restart_after": 0.0})
@@ -526,7 +526,7 @@ def test_a_gap_within_the_bound_or_before_a_warm_up_restarts_nothing(make: Calla
     assert [(at, kind) for at, kind, _ in _events(between)] == [(6, "gap")]
 
 
-def test_a_block_that_always_takes_long_ends_nevertheless(make: Callable[..., Bench]) -> None:
+def test_runner_slow_block_restarts_at_most_twice(make: Callable[..., Bench]) -> None:
     bench = make(warm_up={"at_most": 0}, gate={"reference": "planned"})
     outcome = bench.run(Clock(dict.fromkeys(range(3, 200), 4000.0)))
     assert outcome.state is CampaignState.FINISHED
@@ -535,14 +535,14 @@ def test_a_block_that_always_takes_long_ends_nevertheless(make: Callable[..., Be
     assert "was restarted 2 times already and continues" in _events(bench)[-1][2]
 
 
-def test_a_clock_that_goes_back_is_an_unknown_gap(make: Callable[..., Bench]) -> None:
+def test_runner_clock_set_back_restarts_block(make: Callable[..., Bench]) -> None:
     bench = make()
     assert bench.run(Clock({7: -3600.0})).state is CampaignState.FINISHED
     (restart,) = [text for _, kind, text in _events(bench) if kind == "restart"]
     assert restart.startswith("an unknown time without a shot (the clock went back): block 1 restarts")
 
 
-def test_every_interruption_is_an_event_with_its_time(make: Callable[..., Bench]) -> None:
+def test_runner_interruptions_are_stored_as_events(make: Callable[..., Bench]) -> None:
     class Killed(BaseException):
         pass
 
@@ -577,7 +577,7 @@ def test_every_interruption_is_an_event_with_its_time(make: Callable[..., Bench]
     assert "it was suspended (5 shots in a row not valid" in events[5].text
 
 
-def test_who_paused_and_stopped_is_stored(make: Callable[..., Bench]) -> None:
+def test_runner_pause_and_stop_store_requester(make: Callable[..., Bench]) -> None:
     bench = make()
     pausing = threading.Event()
 
@@ -607,7 +607,7 @@ def test_who_paused_and_stopped_is_stored(make: Callable[..., Bench]) -> None:
     assert words[2] == "stopped by request of bob@office"
 
 
-def test_software_and_bench_that_changed_between_runs_are_named(make: Callable[..., Bench]) -> None:
+def test_runner_changed_software_or_bench_is_stored_as_event(make: Callable[..., Bench]) -> None:
     bench = make()
     first = RunStart("ann", {"numpy": "2.4.5", "source": "aaa"}, {"club": "driver", "loop": {"cpu": 1}})
     second = RunStart("bob", {"numpy": "2.4.6", "source": "bbb"}, {"club": "driver", "loop": {"cpu": 2}})
@@ -631,7 +631,7 @@ def _hold(bench: Bench) -> sqlite3.Connection:
     return other
 
 
-def test_a_locked_database_is_waited_for_and_no_shot_is_lost(
+def test_runner_locked_database_is_retried_without_loss(
     make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = make()
@@ -648,7 +648,7 @@ def test_a_locked_database_is_waited_for_and_no_shot_is_lost(
     assert [kind for _, kind, _ in _events(bench)] == ["database"]
 
 
-def test_a_database_that_stays_locked_suspends_and_resume_goes_on(
+def test_runner_database_locked_beyond_timeout_suspends(
     make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bench.campaign.run.runner._DATABASE_TIMEOUT", 0.2)
@@ -672,7 +672,7 @@ def test_a_database_that_stays_locked_suspends_and_resume_goes_on(
 
 @pytest.mark.live
 @pytest.mark.requires("postgres")
-def test_a_server_that_restarts_is_waited_for_and_no_shot_is_lost(
+def test_runner_restarted_database_server_is_retried_without_loss(
     make: Callable[..., Bench], tool: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = make()
@@ -722,7 +722,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_what_passes_by_itself_suspends_and_the_campaign_goes_on_by_itself(
+def test_runner_temporary_blocking_condition_suspends_then_continues(
     make: Callable[..., Bench],
 ) -> None:
     bench, source, stood = make(), Unseen(), []
@@ -748,7 +748,7 @@ def test_what_passes_by_itself_suspends_and_the_campaign_goes_on_by_itself(
 
 @pytest.mark.parametrize(("request_", "state"), [("stop", "STOPPED"), ("abort", "ABORTED")])
 @pytest.mark.usefixtures("quick")
-def test_who_asks_while_it_is_suspended_is_heard(
+def test_runner_stop_or_abort_while_suspended_is_obeyed(
     make: Callable[..., Bench], request_: str, state: str
 ) -> None:
     bench = make()
@@ -789,7 +789,7 @@ class ShortOfAir(Scripted):
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_low_supply_is_waited_for_with_the_robot_held_and_no_shot_is_lost(
+def test_runner_low_supply_waits_with_robot_armed(
     make: Callable[..., Bench],
 ) -> None:
     bench, source = make(), ShortOfAir(5, 60.0)
@@ -801,7 +801,7 @@ def test_a_low_supply_is_waited_for_with_the_robot_held_and_no_shot_is_lost(
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_supply_that_stays_low_is_left_to_a_person_with_the_robot_vented(
+def test_runner_low_supply_beyond_timeout_suspends_and_rests(
     make: Callable[..., Bench],
 ) -> None:
     bench, source = make(), ShortOfAir(1e9, 0.1)
@@ -818,7 +818,7 @@ def drifting(number: int) -> dict[str, Any]:
     return {"club_speed_mps": 42.9 + (0.5 if 14 <= number <= 18 else 0.0)}
 
 
-def test_a_swing_that_drifts_is_learned_between_blocks_also_after_a_crash(make: Callable[..., Bench]) -> None:
+def test_runner_drift_relearns_between_blocks_and_after_resume(make: Callable[..., Bench]) -> None:
     learned: list[int] = []
 
     class Learner(Scripted):

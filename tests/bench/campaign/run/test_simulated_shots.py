@@ -44,7 +44,7 @@ def _take(source: SimulatedShots, plan: CampaignPlan, number: int, sample: int =
     return source.take(Step(all_trials(plan)[number], 1, Centre()), number, sample)
 
 
-def test_a_shot_is_the_same_whatever_was_swung_before(
+def test_simulated_shots_are_independent_of_previous_shots(
     source: SimulatedShots, plan: CampaignPlan, configuration: Configuration
 ) -> None:
     for number in (1, 3, 7):
@@ -60,13 +60,15 @@ def test_a_shot_is_the_same_whatever_was_swung_before(
         np.testing.assert_array_equal(again.cycles[name], fresh.cycles[name], err_msg=name)
 
 
-def test_shots_differ_by_number_and_by_ball(source: SimulatedShots, plan: CampaignPlan) -> None:
+def test_simulated_shots_differ_by_number_and_ball(source: SimulatedShots, plan: CampaignPlan) -> None:
     speeds = {_take(source, plan, number, sample).shot.ball_speed_mps for number, sample in ((8, 1), (8, 2))}
     assert len(speeds) == 2
     assert _take(source, plan, 9).shot.club_speed_mps != _take(source, plan, 10).shot.club_speed_mps
 
 
-def test_what_goes_wrong_is_an_outcome_of_its_own(source: SimulatedShots, plan: CampaignPlan) -> None:
+def test_simulated_shots_planned_faults_set_status_and_reason(
+    source: SimulatedShots, plan: CampaignPlan
+) -> None:
     unseen, missed, jam = (_take(source, plan, number) for number in (2, 3, 4))
     assert (unseen.shot.status, unseen.shot.reason) == (ShotStatus.EXCLUDED, "the launch monitor saw no ball")
     assert unseen.shot.club_speed_mps is not None
@@ -81,7 +83,7 @@ def test_what_goes_wrong_is_an_outcome_of_its_own(source: SimulatedShots, plan: 
     ).events
 
 
-def test_the_simulated_monitor_misreads_doubles_and_goes_away_as_planned(
+def test_simulated_shots_monitor_faults_exclude_shot(
     plan: CampaignPlan, configuration: Configuration
 ) -> None:
     faulty = replace(plan.simulation, launch_misread=1.0, missing_launch=(), monitor_disconnected=(6,))
@@ -105,16 +107,14 @@ def test_the_simulated_monitor_misreads_doubles_and_goes_away_as_planned(
     assert (clean.carry_m or 0.0) > 100.0
 
 
-def test_a_loft_is_seen(source: SimulatedShots, plan: CampaignPlan) -> None:
+def test_simulated_shots_club_loft_changes_dynamic_loft(source: SimulatedShots, plan: CampaignPlan) -> None:
     taken = [_take(source, plan, number) for number in (6, 7, 8, 9, 10, 11)]
     lofts = {one.shot.club: one.shot.dynamic_loft_deg or 0.0 for one in taken}
     assert lofts["driver"] - lofts["driver-9"] == pytest.approx(1.5, abs=0.2)
     assert lofts["driver-12"] - lofts["driver"] == pytest.approx(1.5, abs=0.2)
 
 
-def test_a_feeder_that_is_empty_or_brings_another_ball(
-    plan: CampaignPlan, configuration: Configuration
-) -> None:
+def test_simulated_shots_feeder_faults_set_outcome(plan: CampaignPlan, configuration: Configuration) -> None:
     s = replace(plan.simulation, missed_ball=(), feeder_empty=(2,), wrong_ball=(3,))
 
     def take(number: int, simulation: Simulation, *, identify: bool) -> Taken:
@@ -143,7 +143,7 @@ def heard(parameters: MonitorParameters, number: int = 1) -> MonitorResult:
     return hear(LAUNCH, number, 43.0, parameters, MatchWindow())
 
 
-def test_without_faults_the_figures_are_the_balls_as_the_protocol_rounds_them() -> None:
+def test_hear_without_faults_returns_ball_launch() -> None:
     launch, reason = heard(QUIET)
     assert reason == ""
     assert launch is not None
@@ -151,7 +151,7 @@ def test_without_faults_the_figures_are_the_balls_as_the_protocol_rounds_them() 
     assert launch.source == "launch monitor"
 
 
-def test_what_goes_wrong_has_its_reason() -> None:
+def test_hear_monitor_faults_return_reason() -> None:
     assert heard(replace(QUIET, dropped=(3,)), 3) == (None, UNREPORTED)
     assert heard(replace(QUIET, dropped=(3,)), 4).reason == ""
     assert heard(replace(QUIET, missing=1.0)) == (None, UNREPORTED)
@@ -167,7 +167,7 @@ def test_what_goes_wrong_has_its_reason() -> None:
     assert degrees(min(each.launch.launch_angle or 0.0 for each in misread if each.launch)) == 0.0
 
 
-def test_a_seed_gives_the_same_faults_in_about_their_share() -> None:
+def test_hear_seed_repeats_faults_at_configured_share() -> None:
     parameters = replace(QUIET, missing=0.2, seed=7)
     missing = [heard(parameters, number).launch is None for number in range(1, 301)]
     assert missing == [heard(parameters, number).launch is None for number in range(1, 301)]

@@ -45,7 +45,7 @@ SAMPLE = {
 """Designs whose verdicts are judged by each run; all of them before a release."""
 
 
-def test_the_published_block_design_comes_out() -> None:
+def test_fit_blocks_reproduces_published_block_design() -> None:
     level, block = (index.ravel() for index in np.indices(GRAFTS.shape))
     fit = fit_blocks(GRAFTS.ravel(), level, block, 4)
     assert fit.dof == 15
@@ -57,7 +57,7 @@ def test_the_published_block_design_comes_out() -> None:
     assert treatments / 3 / fit.sd**2 == pytest.approx(8.11, abs=0.005)
 
 
-def test_holm_is_that_of_statsmodels() -> None:
+def test_holm_matches_statsmodels() -> None:
     p = np.random.default_rng(1).random(30) ** 3
     assert holm(list(p)) == pytest.approx(multipletests(p, method="holm")[1])
     assert holm([0.04]) == [0.04]
@@ -73,7 +73,7 @@ def unbalanced() -> dict[str, np.ndarray[Any, Any]]:
     return {"level": level[kept], "block": block[kept], "time": time[kept], "y": y[kept]}
 
 
-def test_taking_blocks_out_first_is_the_full_least_squares_fit(
+def test_fit_blocks_matches_full_least_squares(
     unbalanced: dict[str, np.ndarray[Any, Any]],
 ) -> None:
     level, block, time, y = (unbalanced[name] for name in ("level", "block", "time", "y"))
@@ -94,7 +94,7 @@ def test_taking_blocks_out_first_is_the_full_least_squares_fit(
         assert contrast.interval(0.95) == pytest.approx(known.conf_int()[0])
 
 
-def test_levels_that_share_no_block_are_not_compared() -> None:
+def test_fit_blocks_levels_without_common_block_have_no_contrast() -> None:
     level, block = np.array([0, 1, 0, 1, 2, 3, 2, 3]), np.repeat(np.arange(4), 2)
     fit = fit_blocks(np.arange(8.0) ** 2, level, block, 4)
     assert fit.contrast(0, 1) is not None
@@ -102,7 +102,7 @@ def test_levels_that_share_no_block_are_not_compared() -> None:
     assert fit.contrast(0, 2) is None
 
 
-def test_variance_components_are_those_of_the_one_way_table() -> None:
+def test_variance_components_match_one_way_table() -> None:
     values = np.array([1.0, 3.0, 11.0, 13.0, 6.0, 8.0])
     within, overall = variance_components(values, np.array([0, 0, 1, 1, 2, 2]))
     assert within.sd == pytest.approx(np.sqrt(2))
@@ -111,7 +111,7 @@ def test_variance_components_are_those_of_the_one_way_table() -> None:
     assert overall.low < overall.sd < overall.high
 
 
-def test_a_spread_has_the_known_intervals() -> None:
+def test_spread_gives_known_intervals() -> None:
     found = spread(np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
     assert found.mean == 3
     assert (found.low, found.high) == pytest.approx((1.03676, 4.96324), abs=1e-4)
@@ -132,7 +132,7 @@ def _verdict(plan: CampaignPlan, truth: Truth, seed: int) -> str:
     return result.pairs[0].verdict
 
 
-def test_the_verdicts_tell_different_same_and_too_few(plan: CampaignPlan) -> None:
+def test_analyse_verdict_follows_difference_and_shot_count(plan: CampaignPlan) -> None:
     small = replace(plan, design=replace(plan.design, blocks=4))
     assert _verdict(plan, Truth(sd=2.0, difference=6.0), 1) == "different"
     assert _verdict(plan, Truth(sd=2.0, difference=0.0), 1) == "same"
@@ -146,7 +146,7 @@ def test_the_verdicts_tell_different_same_and_too_few(plan: CampaignPlan) -> Non
     assert f"about {needed.shots} valid shots" in verdict.detail
 
 
-def test_drift_within_blocks_is_taken_out_by_the_control_ball(plan: CampaignPlan) -> None:
+def test_analyse_control_ball_removes_drift_within_blocks(plan: CampaignPlan) -> None:
     truth = Truth(sd=0.01, difference=1.0, drift=0.5)
     shots, uncorrected = campaign_shots(plan, truth, 4), replace(plan.analysis, drift="none")
     result = analyse(plan, shots, 1, "").confirmatory
@@ -158,7 +158,7 @@ def test_drift_within_blocks_is_taken_out_by_the_control_ball(plan: CampaignPlan
     assert raw.sd > 10 * result.sd
 
 
-def test_outliers_are_flagged_and_stay(plan: CampaignPlan) -> None:
+def test_analyse_outliers_are_flagged_and_kept(plan: CampaignPlan) -> None:
     shots = campaign_shots(plan, Truth(sd=1.0), 6)
     far = next(i for i, shot in enumerate(shots) if shot.role == "test" and shot.shot > 50)
     assert shots[far].carry_m is not None
@@ -168,7 +168,7 @@ def test_outliers_are_flagged_and_stay(plan: CampaignPlan) -> None:
     assert sum(level.valid for level in result.levels) == 2 * plan.design.blocks
 
 
-def test_shots_that_do_not_count_are_counted_with_their_reasons(plan: CampaignPlan) -> None:
+def test_analyse_invalid_shots_are_counted_by_reason(plan: CampaignPlan) -> None:
     shots = campaign_shots(plan, Truth(), 7)
     bad = [i for i, shot in enumerate(shots) if shot.ball == "pole"][:5]
     reason = "club speed 40.00 m/s, outside 43.00 ± 1.00 m/s (simulated)"
@@ -183,20 +183,20 @@ def test_shots_that_do_not_count_are_counted_with_their_reasons(plan: CampaignPl
 
 
 @pytest.mark.parametrize("keep", [0, 1, 2, 3, 5])
-def test_too_few_shots_give_no_figures_and_no_error(plan: CampaignPlan, keep: int) -> None:
+def test_findings_few_shots_give_no_verdict(plan: CampaignPlan, keep: int) -> None:
     found = findings(plan, campaign_shots(plan, Truth(), 8)[:keep])
     assert findings_record(found)["shots"] == keep
     assert not found.verdicts[0][0].resolved
 
 
-def test_shots_without_scatter_are_judged_without_error(plan: CampaignPlan) -> None:
+def test_findings_shots_without_scatter_give_exact_difference(plan: CampaignPlan) -> None:
     small = replace(plan, design=replace(plan.design, blocks=3))
     found = findings(small, campaign_shots(small, Truth(sd=0.0, block=0.0, difference=1.0), 9))
     assert found.sections[0].confirmatory is not None
     assert found.sections[0].confirmatory.pairs[0].difference == pytest.approx(1.0)
 
 
-def test_the_stopping_rules(plan: CampaignPlan) -> None:
+def test_decide_follows_stopping_rule(plan: CampaignPlan) -> None:
     shots = campaign_shots(plan, Truth(sd=2.0), 10)
     wide = replace(plan, stop=replace(plan.stop, rule="width", width=3.0))
     narrow = replace(plan, stop=replace(plan.stop, rule="width", width=0.1))
@@ -206,7 +206,7 @@ def test_the_stopping_rules(plan: CampaignPlan) -> None:
     assert not decide(wide, shots[:4])
 
 
-def test_interim_analysis_is_that_of_the_latest_look_of_the_rule() -> None:
+def test_interim_analysis_uses_latest_planned_look() -> None:
     symmetry = load_plan(Path("symmetry"), load_configuration(Path("shipped")))
     shots = campaign_shots(symmetry, Truth(sd=1.5, difference=6.0), 1)
     ends = {block: max(n for n, s in enumerate(shots) if s.block == block) + 1 for block in (11, 12, 20)}
@@ -220,7 +220,7 @@ def test_interim_analysis_is_that_of_the_latest_look_of_the_rule() -> None:
     assert interim_analysis(fixed, shots[: ends[20]]) is None
 
 
-def test_repeatability_is_of_valid_shots_after_the_warm_up() -> None:
+def test_repeatability_excludes_warm_up() -> None:
     when = datetime(2026, 1, 1, tzinfo=UTC)
     shots = [
         Shot(n, n % 5, 1, "c", "b", ShotStatus.VALID, "", 40.0 + 0.1 * n, swing="s", time_utc=when)
@@ -234,13 +234,13 @@ def test_repeatability_is_of_valid_shots_after_the_warm_up() -> None:
 @pytest.mark.parametrize(
     "case", release_except(SAMPLE, cases(), lambda case: case.name), ids=lambda case: case.name
 )
-def test_verdicts_keep_their_promise(case: Case) -> None:
+def test_verdicts_keep_error_rates_on_known_truth(case: Case) -> None:
     for row in rows_of(case, 15 if len(case.plan.design.balls) > 5 or case.looks else 60, slack=3.5):
         assert row.holds, row
 
 
 @pytest.mark.release
-def test_error_rates_coverage_and_power_on_known_truth() -> None:
+def test_survey_error_rates_coverage_and_power_hold() -> None:
     """The full check with 10,000 campaigns a case: `python -m tests.benchmarks campaign_statistics`."""
     for row in survey(300):
         assert row.holds, row

@@ -29,7 +29,7 @@ PATTERNS = {
 
 
 @pytest.mark.parametrize("rule", NELSON)
-def test_a_pattern_signals_its_rule_at_its_last_value(rule: int) -> None:
+def test_nelson_signals_pattern_signals_rule_at_last_value(rule: int) -> None:
     pattern = [*QUIET, *PATTERNS[rule]]
     for sign in (1, -1):
         found = nelson_signals(sign * np.array(pattern))
@@ -38,7 +38,7 @@ def test_a_pattern_signals_its_rule_at_its_last_value(rule: int) -> None:
         assert rule not in shorter
 
 
-def test_chance_alone_signals_as_often_as_the_report_says() -> None:
+def test_nelson_signals_random_values_match_stated_run_length() -> None:
     random, lengths = np.random.default_rng(1), []
     for _ in range(1500):
         found = nelson_signals(random.normal(size=1200))
@@ -68,7 +68,7 @@ def _control(number: int, carry: float | None, status: ShotStatus = ShotStatus.V
     )
 
 
-def test_a_charts_limits_come_from_the_moving_range_of_valid_control_shots() -> None:
+def test_control_charts_limits_come_from_moving_range() -> None:
     values = np.random.default_rng(5).normal(183.0, 1.5, 400)
     shots = [_control(n, float(value)) for n, value in enumerate(values, 1)]
     shots[10] = replace(shots[10], status=ShotStatus.EXCLUDED, reason="lost", carry_m=300.0)
@@ -84,7 +84,7 @@ def test_a_charts_limits_come_from_the_moving_range_of_valid_control_shots() -> 
     assert {1, 2} <= {signal.rule for signal in chart.signals}
 
 
-def test_too_few_values_have_no_chart() -> None:
+def test_control_charts_few_values_give_no_chart() -> None:
     assert control_charts(_plan(), [_control(n, 183.0) for n in range(1, 8)]) == control_charts(_plan(), [])
     assert control_charts(_plan(), []) == ()
     same = control_charts(_plan(), [replace(_control(n, 183.0), ball_speed_mps=62.0) for n in range(1, 30)])

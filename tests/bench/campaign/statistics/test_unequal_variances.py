@@ -13,7 +13,7 @@ from bench.campaign.statistics.block_model import fit_blocks
 from bench.campaign.statistics.unequal_variances import UnitLayout, together, units_of
 
 
-def test_two_levels_are_the_paired_test_of_balls() -> None:
+def test_unit_layout_two_levels_match_paired_t_test() -> None:
     random, balls, hits = np.random.default_rng(3), 12, 8
     block = np.arange(balls * hits)
     one, two = (random.normal(size=balls)[block % balls] + random.normal(size=len(block)) for _ in range(2))
@@ -30,7 +30,7 @@ def test_two_levels_are_the_paired_test_of_balls() -> None:
     assert found.interval(0.95) == pytest.approx((low, high))
 
 
-def test_the_error_is_that_of_a_mixed_model_with_balls_random() -> None:
+def test_unit_layout_error_matches_mixed_model() -> None:
     # Balanced and away from the boundary, REML's error of a difference is that of the balls' means.
     random, count, balls, hits = np.random.default_rng(8), 3, 60, 3
     blocks = balls * hits
@@ -46,7 +46,7 @@ def test_the_error_is_that_of_a_mixed_model_with_balls_random() -> None:
     assert errors.ratio == pytest.approx(float(known.cov_re[0, 0]) / known.scale, rel=0.2)
 
 
-def test_the_sum_of_three_levels_variances_is_that_of_their_differences() -> None:
+def test_unit_layout_three_levels_give_pairwise_variances() -> None:
     # With three levels Grubbs' estimates are exact: each difference keeps the variance of its own blocks.
     random = np.random.default_rng(5)
     y = random.normal(size=(20, 3)) * np.array([1.0, 1.0, 4.0])
@@ -59,21 +59,21 @@ def test_the_sum_of_three_levels_variances_is_that_of_their_differences() -> Non
         assert dof == pytest.approx(19)
 
 
-def test_one_ball_of_a_level_is_judged_by_its_shots() -> None:
+def test_units_of_single_ball_uses_shots_as_units() -> None:
     level = np.tile([0, 1], 20)
     units = units_of(level, np.where(level == 0, 0, np.arange(40) // 2 % 5), 2)
     assert list(units.balls) == [1, 5]
     assert list(np.bincount(units.level)) == [20, 5]
 
 
-def test_ten_thousand_shots_are_few_units() -> None:
+def test_units_of_many_shots_limits_unit_count() -> None:
     units = units_of(np.tile(np.arange(10), 1000), np.repeat(np.arange(1000), 10), 10)
     assert len(units.level) == 240
     assert list(units.balls) == [1000] * 10
 
 
 @pytest.mark.parametrize(("count", "known"), [(3, 2.3437), (5, 2.7278), (10, 3.1634)])
-def test_all_pairs_together_are_tukeys_where_he_holds(count: int, known: float) -> None:
+def test_together_all_pairs_match_tukey(count: int, known: float) -> None:
     # Studentized range at 5 % with many degrees of freedom, over the square root of 2.
     level, block = np.tile(np.arange(count), 400), np.repeat(np.arange(400), count)
     fit = fit_blocks(np.zeros(len(level)), level, block, count)
@@ -85,7 +85,7 @@ def test_all_pairs_together_are_tukeys_where_he_holds(count: int, known: float) 
     assert joint.adjusted(1e-9) == pytest.approx(1e-9 * len(list(combinations(range(count), 2))))
 
 
-def test_a_scatter_without_any_is_no_error() -> None:
+def test_unit_layout_zero_scatter_has_zero_error() -> None:
     fit = fit_blocks(np.tile([1.0, 2.0, 4.0], 5), np.tile([0, 1, 2], 5), np.repeat(np.arange(5), 3), 3)
     errors = UnitLayout(fit, units_of(np.tile([0, 1, 2], 5), np.arange(15), 3)).estimate(fit.residuals)
     found = errors.contrast(fit, 2, 0)

@@ -10,7 +10,7 @@ from bench.commands.cli import main
 
 
 @pytest.mark.parametrize(("setting", "off"), [("simulated", False), ("off", True)])
-def test_a_check_that_is_off_is_named(
+def test_check_reports_disabled_model_based_check(
     setting: str, off: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "mine.toml"

@@ -102,7 +102,7 @@ def published_plane(port: int, state: State = State.ESTOP) -> Iterator[RunningPl
         ("help arm", ["arm", "--help"]),
     ],
 )
-def test_line_is_the_arguments_of_a_command(line: str, arguments: list[str]) -> None:
+def test_arguments_of_line_returns_command_arguments(line: str, arguments: list[str]) -> None:
     assert arguments_of(line, command_line().commands) == arguments
 
 
@@ -116,7 +116,7 @@ def test_line_is_the_arguments_of_a_command(line: str, arguments: list[str]) -> 
         ("arm 'x", "arm 'x", "Add the closing quotation mark."),
     ],
 )
-def test_line_that_is_no_command_is_refused(line: str, location: str, action: str) -> None:
+def test_arguments_of_invalid_line_is_refused(line: str, location: str, action: str) -> None:
     with pytest.raises(BenchError) as refused:
         arguments_of(line, command_line().commands)
     assert (refused.value.location, refused.value.action) == (location, action)
@@ -140,7 +140,7 @@ def test_line_that_is_no_command_is_refused(line: str, location: str, action: st
         ("swing ", set(), {"list"}),
     ],
 )
-def test_completion_knows_commands_options_and_values(
+def test_command_completer_offers_commands_options_and_values(
     typed: str, some: set[str], never: set[str], file: Path
 ) -> None:
     completer = CommandCompleter(command_line(), Session(file))
@@ -149,7 +149,7 @@ def test_completion_knows_commands_options_and_values(
     assert not never & found
 
 
-def test_history_is_a_file_of_its_user(file: Path, tmp_path: Path) -> None:
+def test_history_is_stored_in_private_file(file: Path, tmp_path: Path) -> None:
     history().append_string("status")
     stored = tmp_path / "state/golfbench/console_history"
     assert stored.stat().st_mode & 0o077 == 0
@@ -171,7 +171,7 @@ def console_lines(typed: PipeInput, stops: list[float]) -> ConsoleLines:
 
 
 @pytest.mark.parametrize("key", [F8.decode(), "\x1c"])
-def test_stop_key_stops_at_once_and_keeps_the_line(typed: PipeInput, key: str) -> None:
+def test_console_lines_stop_key_stops_and_keeps_line(typed: PipeInput, key: str) -> None:
     stops: list[float] = []
     lines = console_lines(typed, stops)
     typed.send_text(f"sta{key}")
@@ -187,7 +187,7 @@ def test_stop_key_stops_at_once_and_keeps_the_line(typed: PipeInput, key: str) -
     assert len(stops) == 1
 
 
-def test_ctrl_c_clears_the_line_and_ctrl_d_leaves(typed: PipeInput) -> None:
+def test_console_lines_ctrl_c_clears_line_and_ctrl_d_ends(typed: PipeInput) -> None:
     lines = console_lines(typed, [])
     typed.send_text("swing\x03")
     threading.Timer(0.5, lambda: typed.send_text("arm\r")).start()
@@ -196,7 +196,7 @@ def test_ctrl_c_clears_the_line_and_ctrl_d_leaves(typed: PipeInput) -> None:
     assert lines.read() is None
 
 
-def test_lines_typed_ahead_are_dropped_but_not_a_stop(typed: PipeInput) -> None:
+def test_console_lines_type_ahead_is_dropped_except_stop(typed: PipeInput) -> None:
     stops: list[float] = []
     lines = console_lines(typed, stops)
     typed.send_text(f"home\rswing\r{F8.decode()}")
@@ -209,7 +209,7 @@ def test_lines_typed_ahead_are_dropped_but_not_a_stop(typed: PipeInput) -> None:
 # The connection --------------------------------------------------------------------------------------
 
 
-def test_stop_that_fails_in_any_way_is_shown(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kept_connection_failed_stop_is_shown(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(stopping: bool) -> NoReturn:
         raise RuntimeError("session closed")
 
@@ -219,7 +219,7 @@ def test_stop_that_fails_in_any_way_is_shown(file: Path, monkeypatch: pytest.Mon
     until(lambda: connection.note == "STOP FAILED, use the emergency stop: RuntimeError")
 
 
-def test_lost_connection_is_shown_refuses_and_is_opened_again(port: int, file: Path) -> None:
+def test_kept_connection_lost_connection_refuses_and_reconnects(port: int, file: Path) -> None:
     with KeptConnection(load_address(file)) as connection:
         with pytest.raises(NoAnswer):
             connection.client(stopping=False)
@@ -243,7 +243,7 @@ def test_lost_connection_is_shown_refuses_and_is_opened_again(port: int, file: P
             assert connection.line(20).count("\x1b") == 2
 
 
-def test_silent_bench_can_still_be_stopped(port: int, file: Path) -> None:
+def test_kept_connection_silent_bench_accepts_stop(port: int, file: Path) -> None:
     with running_plane(FakeDesk(State.ARMED), loopback_configuration(port)) as running:
         with KeptConnection(load_address(file)) as connection:
             until(lambda: connection._client)
@@ -253,7 +253,7 @@ def test_silent_bench_can_still_be_stopped(port: int, file: Path) -> None:
     assert len(running.service.stops) == 1
 
 
-def test_day_at_the_console_takes_one_connection(
+def test_console_session_uses_one_connection(
     port: int, file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     opened: list[object] = []
@@ -301,7 +301,7 @@ def test_day_at_the_console_takes_one_connection(
         (b"19~", (0, b"19~", b"")),
     ],
 )
-def test_stop_keys_are_found_among_others(keys: bytes, found: tuple[int, bytes, bytes]) -> None:
+def test_count_stops_finds_stop_keys_among_others(keys: bytes, found: tuple[int, bytes, bytes]) -> None:
     assert count_stops(keys) == found
 
 
@@ -316,7 +316,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     os.close(master)
 
 
-def test_command_reads_its_keys_and_the_console_the_stop(terminal: int) -> None:
+def test_command_terminal_separates_stop_key_from_command_input(terminal: int) -> None:
     stops: list[float] = []
     before = termios.tcgetattr(sys.stdin.fileno())
     with CommandTerminal(lambda: stops.append(time.monotonic()), lambda width: "READY"[:width], 0.02):
@@ -339,7 +339,7 @@ def test_command_reads_its_keys_and_the_console_the_stop(terminal: int) -> None:
     assert sys.stdin.readline() == "status\n"  # unread keys are gone
 
 
-def test_stop_key_outlives_a_state_line_that_fails(terminal: int) -> None:
+def test_command_terminal_failed_state_line_keeps_stop_key(terminal: int) -> None:
     stops: list[None] = []
 
     def broken(_: int) -> str:
@@ -352,7 +352,7 @@ def test_stop_key_outlives_a_state_line_that_fails(terminal: int) -> None:
         assert b"no state: KeyError" in os.read(terminal, 65536)
 
 
-def test_ctrl_c_is_the_signal_of_a_terminal(terminal: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_terminal_ctrl_c_sends_sigint(terminal: int, monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[int] = []
     monkeypatch.setattr(os, "killpg", lambda group, number: sent.append(number))
     with CommandTerminal(lambda: None, lambda width: "", 0.02):
@@ -362,7 +362,7 @@ def test_ctrl_c_is_the_signal_of_a_terminal(terminal: int, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("stream", ["stdin", "stdout"])
-def test_console_without_a_terminal_is_refused(
+def test_console_without_terminal_is_refused(
     stream: str, terminal: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if stream == "stdin":
@@ -433,7 +433,7 @@ def console_process(file: Path) -> Iterator[ConsoleProcess]:
         process.close()
 
 
-def test_key_stops_while_a_command_waits_and_nothing_typed_meanwhile_moves(port: int, file: Path) -> None:
+def test_console_stop_key_stops_waiting_command_and_drops_input(port: int, file: Path) -> None:
     with published_plane(port, State.READY) as running, console_process(file) as shown:
         service = running.service
         service.vents = 10**9  # arm is retried
@@ -461,7 +461,7 @@ def test_key_stops_while_a_command_waits_and_nothing_typed_meanwhile_moves(port:
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(900)
-def test_stop_key_stops_a_swing_of_a_running_bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_console_stop_key_stops_swing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME"):
         monkeypatch.setenv(name, str(tmp_path / name))
     file = write_configuration(tmp_path, "console")

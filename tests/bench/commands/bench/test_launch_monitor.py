@@ -86,7 +86,7 @@ def monitored(bench: BenchProcess, holds: Callable[[Any], object]) -> Any:
     return link
 
 
-def test_the_simulated_monitor_tells_what_the_plants_ball_did(tmp_path: Path) -> None:
+def test_launch_monitor_simulated_shots_have_expected_outcomes(tmp_path: Path) -> None:
     file, _ = configuration(tmp_path, "monitored")
     with running_bench(file) as bench, shots(bench) as following, bench.client.lease("test"):
         link = monitored(bench, lambda link: link["listening"])
@@ -136,7 +136,7 @@ def test_the_simulated_monitor_tells_what_the_plants_ball_did(tmp_path: Path) ->
         monitored(bench, lambda link: not link["present"])
 
 
-def test_what_monitors_do_wrong_is_told_and_survived(tmp_path: Path) -> None:
+def test_launch_monitor_faults_are_reported_and_bench_continues(tmp_path: Path) -> None:
     file, port = configuration(tmp_path, "disturbed")
     with running_bench(file) as bench, shots(bench) as following, bench.client.lease("test"):
         monitored(bench, lambda link: link["listening"])
@@ -189,7 +189,7 @@ def test_what_monitors_do_wrong_is_told_and_survived(tmp_path: Path) -> None:
 
 
 @pytest.mark.release
-def test_a_port_that_is_taken_is_told_and_had_later(tmp_path: Path) -> None:
+def test_launch_monitor_port_in_use_is_reported_and_retried(tmp_path: Path) -> None:
     file, port = configuration(tmp_path, "taken")
     with socket.create_server(("127.0.0.1", port)) as other:
         with running_bench(file) as bench:

@@ -14,7 +14,7 @@ from bench.network.client import HeldLease
 LEASE = HeldLease("Ann", "k" * 22, 30.0, 7)
 
 
-def test_it_is_kept_from_one_command_to_the_next(tmp_path: Path) -> None:
+def test_lease_file_keeps_lease_between_commands(tmp_path: Path) -> None:
     with open_lease_file(tmp_path / "new", "bench1") as file:
         assert file.read() is None
         file.write(LEASE)
@@ -26,7 +26,7 @@ def test_it_is_kept_from_one_command_to_the_next(tmp_path: Path) -> None:
         assert file.read() is None
 
 
-def test_only_its_user_may_read_it(tmp_path: Path) -> None:
+def test_lease_file_is_readable_only_by_user(tmp_path: Path) -> None:
     with open_lease_file(tmp_path / "new", "bench1"):
         pass
     path = tmp_path / "new" / "lease-bench1.json"
@@ -37,7 +37,7 @@ def test_only_its_user_may_read_it(tmp_path: Path) -> None:
         pass
 
 
-def test_a_link_is_not_followed(tmp_path: Path) -> None:
+def test_lease_file_symlink_is_refused(tmp_path: Path) -> None:
     (tmp_path / "lease-bench1.json").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OSError, match="lease-bench1"), open_lease_file(tmp_path, "bench1"):
         pass
@@ -47,7 +47,7 @@ def test_a_link_is_not_followed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["", "{", "[]", "{}", '{"version": 2}', "\x00" * 5000, '{"version": 1, "key": 3}']
 )
-def test_rubbish_is_no_lease(text: str, tmp_path: Path) -> None:
+def test_lease_file_invalid_content_reads_as_no_lease(text: str, tmp_path: Path) -> None:
     path = tmp_path / "lease-bench1.json"
     path.write_text(text)
     path.chmod(0o600)
@@ -57,7 +57,7 @@ def test_rubbish_is_no_lease(text: str, tmp_path: Path) -> None:
         assert file.read() == LEASE
 
 
-def test_a_second_command_waits_for_the_first(tmp_path: Path) -> None:
+def test_lease_file_second_command_waits_for_first(tmp_path: Path) -> None:
     seen: list[HeldLease | None] = []
 
     def second() -> None:
@@ -74,7 +74,7 @@ def test_a_second_command_waits_for_the_first(tmp_path: Path) -> None:
     assert seen == [LEASE]
 
 
-def test_where_it_is_kept() -> None:
+def test_lease_folder_follows_environment() -> None:
     home = Path("/home/ann")
     assert lease_folder({"XDG_RUNTIME_DIR": "/run/user/1"}, home) == Path("/run/user/1/golfbench")
     assert lease_folder({"XDG_STATE_HOME": "/state"}, home) == Path("/state/golfbench")

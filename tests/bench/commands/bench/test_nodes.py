@@ -35,7 +35,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_driver_finds_the_nodes_of_its_configuration_until_ctrl_c(file: Path, tmp_path: Path) -> None:
+def test_nodes_serve_driver_until_ctrl_c(file: Path, tmp_path: Path) -> None:
     arguments = load_configuration(file).driver_arguments()
     driver = choose_driver("canopen", find_drivers())(**arguments)
     with command_beside(file, "nodes", "--folder", str(tmp_path)) as process:
@@ -52,7 +52,7 @@ def test_the_driver_finds_the_nodes_of_its_configuration_until_ctrl_c(file: Path
     assert list((tmp_path / "bus").iterdir()) == []
 
 
-def test_nodes_without_an_interface_say_what_to_do(file: Path) -> None:
+def test_nodes_unknown_interface_reports_action(file: Path) -> None:
     of_a_robot = '[lifecycle]\nlocal_reset = true\n[loop]\nrealtime = "require"\n'
     file.write_text(file.read_text().replace("local_socket", "no_such_interface") + of_a_robot)
     with command_beside(file, "nodes") as process:
@@ -63,7 +63,7 @@ def test_nodes_without_an_interface_say_what_to_do(file: Path) -> None:
     assert "Traceback" not in told
 
 
-def test_the_plan_is_what_the_configuration_says(file: Path, tmp_path: Path) -> None:
+def test_nodes_plan_matches_configuration(file: Path, tmp_path: Path) -> None:
     configuration = load_configuration(file)
     plan = nodes_plan(configuration, tmp_path)
     assert (plan.encoders, plan.valve_node, plan.interface) == ((21, 22, 23), 40, "local_socket")
@@ -73,7 +73,7 @@ def test_the_plan_is_what_the_configuration_says(file: Path, tmp_path: Path) -> 
     assert nodes_plan(off, tmp_path).priority == 0
 
 
-def test_only_the_canopen_driver_takes_the_settings_of_the_bus(file: Path) -> None:
+def test_driver_arguments_only_canopen_has_bus_settings(file: Path) -> None:
     configuration = load_configuration(file)
     arguments = configuration.driver_arguments()
     assert arguments["settings"] == configuration.canopen
@@ -93,9 +93,7 @@ def test_only_the_canopen_driver_takes_the_settings_of_the_bus(file: Path) -> No
         ("bitrate = 2_000_000", "canopen.bitrate", "2000000"),
     ],
 )
-def test_a_bus_that_cannot_work_is_told_before_it_is_opened(
-    file: Path, text: str, location: str, told: str
-) -> None:
+def test_load_configuration_invalid_bus_is_refused(file: Path, text: str, location: str, told: str) -> None:
     key = text.split(" = ", maxsplit=1)[0]
     kept = [line for line in file.read_text().splitlines() if not line.startswith(key)]
     kept.insert(kept.index("[canopen]") + 1, text)
@@ -108,13 +106,13 @@ def test_a_bus_that_cannot_work_is_told_before_it_is_opened(
     assert told in fault.found
 
 
-def test_a_bus_that_is_not_used_may_be_too_slow(file: Path) -> None:
+def test_load_configuration_unused_slow_bus_is_accepted(file: Path) -> None:
     text = file.read_text().replace("[canopen]", "[canopen]\nbitrate = 500_000")
     file.write_text(text.replace('name = "canopen"', 'name = "sim"'))
     assert load_configuration(file).canopen.bitrate == 500_000
 
 
-def test_the_regulator_of_running_nodes_is_turned(tmp_path: Path) -> None:
+def test_turn_regulator_sets_regulated_pressure(tmp_path: Path) -> None:
     with PlantFiles(tmp_path) as files:
         for bar, regulated in (("1.3", 1.3e5), ("service", 0.0)):
             turn_regulator(tmp_path, bar)
@@ -133,7 +131,7 @@ def test_the_regulator_of_running_nodes_is_turned(tmp_path: Path) -> None:
         (None, "3", "no --folder"),
     ],
 )
-def test_a_regulator_that_cannot_be_turned_is_said(
+def test_turn_regulator_invalid_request_is_refused(
     tmp_path: Path, folder: str | None, bar: str, said: str
 ) -> None:
     (tmp_path / "there").mkdir()

@@ -72,7 +72,9 @@ def running(port: int, golfbench: Golfbench) -> Iterator[RunningPlane]:
         yield running
 
 
-def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_operate_commands_lease_to_release_print_each_state(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
     taken = golfbench("lease", "take", "--holder", "Ann", "--seconds", "60")
     assert taken.out.startswith("bench bench1: Ann holds it for 60 s; each command renews it")
     day = [
@@ -96,7 +98,7 @@ def test_a_day_at_the_bench(running: RunningPlane, golfbench: Golfbench) -> None
     assert running.plane.counts()["refused"] == 0
 
 
-def test_a_script_waits_until_it_may_swing(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_arm_wait_returns_armed_and_at_rest(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
     golfbench("reset")
     ready = "bench bench1: READY. Ready: vented and homed. Next: golfbench arm --wait\n"
@@ -108,9 +110,7 @@ def test_a_script_waits_until_it_may_swing(running: RunningPlane, golfbench: Gol
     assert golfbench("swing").code == 0
 
 
-def test_swing_waits_and_prints_delivery_launch_and_carry(
-    running: RunningPlane, golfbench: Golfbench
-) -> None:
+def test_swing_command_prints_delivery_launch_and_carry(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
     running.service.state = State.ARMED
     swung = golfbench("swing")
@@ -123,7 +123,7 @@ def test_swing_waits_and_prints_delivery_launch_and_carry(
     )
 
 
-def test_swing_without_a_record_is_refused_in_time(
+def test_swing_command_without_record_is_refused_after_timeout(
     running: RunningPlane, golfbench: Golfbench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     golfbench("lease", "take")
@@ -133,7 +133,7 @@ def test_swing_without_a_record_is_refused_in_time(
     assert "no record within 1 s" in err
 
 
-def test_a_swing_that_was_stopped_exits_with_1(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_swing_command_stopped_swing_exits_with_1(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
     publish = running.service.publish_shot
     row = Shot(1, 1, 1, "driver", "default", ShotStatus.FAILED, "stopped by the operator")
@@ -155,7 +155,7 @@ def test_a_swing_that_was_stopped_exits_with_1(running: RunningPlane, golfbench:
         (State.ACCESS, "golfbench access --end"),
     ],
 )
-def test_a_refused_swing_has_the_action_of_its_state(
+def test_swing_command_refused_names_action_of_state(
     running: RunningPlane, golfbench: Golfbench, state: State, action: str
 ) -> None:
     golfbench("lease", "take")
@@ -166,7 +166,7 @@ def test_a_refused_swing_has_the_action_of_its_state(
     assert running.service.requests == []
 
 
-def test_a_disarming_is_told_with_its_cause(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_swing_command_disarmed_reports_cause(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
     running.service.state, running.service.cause = State.READY, Cause.LEASE
     _, _, err = golfbench("swing")
@@ -174,7 +174,7 @@ def test_a_disarming_is_told_with_its_cause(running: RunningPlane, golfbench: Go
     assert "action:   Take it, then arm. Next: golfbench arm --wait." in err
 
 
-def test_ctrl_c_while_waiting_tells_that_the_robot_continues(
+def test_home_wait_ctrl_c_reports_robot_continues(
     running: RunningPlane, golfbench: Golfbench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     golfbench("lease", "take")
@@ -191,7 +191,7 @@ def test_ctrl_c_while_waiting_tells_that_the_robot_continues(
     monkeypatch.undo()
 
 
-def test_stop_of_a_moving_robot_prints_the_state_after(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_stop_command_moving_robot_prints_final_state(running: RunningPlane, golfbench: Golfbench) -> None:
     """The stop is taken in the state before; the robot brakes first."""
     service = running.service
     service.state = State.HOMING
@@ -209,9 +209,7 @@ def test_stop_of_a_moving_robot_prints_the_state_after(running: RunningPlane, go
     assert last.endswith("Next: golfbench reset")
 
 
-def test_waiting_to_be_armed_renews_the_lease_and_ends_in_time(
-    running: RunningPlane, golfbench: Golfbench
-) -> None:
+def test_arm_wait_not_at_rest_renews_lease_and_times_out(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take", "--seconds", "5")
     running.service.state, running.service.armed_phase = State.READY, "RETURN"
     code, _, err = golfbench("arm", "--wait", "--timeout", "6")
@@ -223,7 +221,7 @@ def test_waiting_to_be_armed_renews_the_lease_and_ends_in_time(
     assert golfbench("disarm").code == 0
 
 
-def test_a_fault_ends_the_waiting(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_arm_wait_fault_ends_wait(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
     running.service.state, running.service.armed_phase = State.READY, "RETURN"
 
@@ -241,7 +239,7 @@ def test_a_fault_ends_the_waiting(running: RunningPlane, golfbench: Golfbench) -
     assert "action:   Reset to begin. Next: golfbench reset." in err
 
 
-def test_the_verbs_renew_the_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_operate_command_renews_lease(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take")
     before = running.plane.lease()
     golfbench("reset")
@@ -251,7 +249,9 @@ def test_the_verbs_renew_the_lease(running: RunningPlane, golfbench: Golfbench) 
     assert after.expiry > before.expiry
 
 
-def test_stops_need_no_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_stop_and_estop_commands_without_lease_are_accepted(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
     told = "bench bench1: FAULT. The bench was switched on. Next: golfbench reset\n"
     assert golfbench("stop") == Outcome(0, told, "")
     code, out, _ = golfbench("estop")
@@ -260,7 +260,7 @@ def test_stops_need_no_lease(running: RunningPlane, golfbench: Golfbench) -> Non
     assert [what for what, _ in running.service.stops] == ["stop", "estop"]
 
 
-def test_a_refusal_exits_with_1_and_says_state_and_reason(
+def test_arm_command_refused_exits_with_1_and_prints_state_and_reason(
     running: RunningPlane, golfbench: Golfbench
 ) -> None:
     golfbench("lease", "take")
@@ -274,7 +274,7 @@ def test_a_refusal_exits_with_1_and_says_state_and_reason(
     )
 
 
-def test_what_moves_needs_the_lease(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_operate_commands_without_lease_are_refused(running: RunningPlane, golfbench: Golfbench) -> None:
     for line in ("home", "arm", "access", "access --end", "tee", "reset", "lease renew", "lease release"):
         code, _, err = golfbench(*line.split())
         assert code == ExitCode.REFUSED
@@ -282,7 +282,9 @@ def test_what_moves_needs_the_lease(running: RunningPlane, golfbench: Golfbench)
     assert running.service.requests == []
 
 
-def test_swing_alone_swings_only_an_armed_bench(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_swing_command_not_armed_or_without_lease_is_refused(
+    running: RunningPlane, golfbench: Golfbench
+) -> None:
     golfbench("lease", "take")
     running.service.state = State.READY
     code, _, err = golfbench("swing")
@@ -297,7 +299,7 @@ def test_swing_alone_swings_only_an_armed_bench(running: RunningPlane, golfbench
 
 
 @pytest.mark.parametrize("words", ["list", "check default", "--no-wait show", "-- --help"])
-def test_swing_with_an_argument_is_refused_and_moves_nothing(
+def test_swing_command_extra_argument_is_refused_without_request(
     running: RunningPlane, golfbench: Golfbench, words: str
 ) -> None:
     golfbench("lease", "take")
@@ -308,7 +310,7 @@ def test_swing_with_an_argument_is_refused_and_moves_nothing(
     assert running.service.requests == []
 
 
-def test_a_second_user_is_told_who_holds_the_bench(
+def test_lease_take_second_user_is_refused_with_holder(
     running: RunningPlane, golfbench: Golfbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     golfbench("lease", "take", "--holder", "Ann")
@@ -320,7 +322,7 @@ def test_a_second_user_is_told_who_holds_the_bench(
     assert json.loads(golfbench("lease", "show", "--json").out)["holder"] == "Ann"
 
 
-def test_taking_again_renews(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_lease_take_by_holder_renews_lease(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take", "--holder", "Ann")
     first = running.plane.lease()
     again = golfbench("lease", "take", "--holder", "Ann", "--seconds", "90")
@@ -333,7 +335,7 @@ def test_taking_again_renews(running: RunningPlane, golfbench: Golfbench) -> Non
     assert golfbench("lease", "renew").out == "bench bench1: held for 90 s more\n"
 
 
-def test_a_lease_of_before_a_restart_is_over(port: int, golfbench: Golfbench) -> None:
+def test_lease_of_earlier_bench_run_is_invalid(port: int, golfbench: Golfbench) -> None:
     with running_plane(FakeDesk(), loopback_configuration(port)):
         golfbench("lease", "take")
     with running_plane(FakeDesk(), loopback_configuration(port)):
@@ -345,12 +347,12 @@ def test_a_lease_of_before_a_restart_is_over(port: int, golfbench: Golfbench) ->
 
 
 @pytest.mark.parametrize("seconds", ["4", "601", "x"])
-def test_durations_are_checked(seconds: str, golfbench: Golfbench) -> None:
+def test_lease_take_invalid_seconds_is_refused(seconds: str, golfbench: Golfbench) -> None:
     assert golfbench("lease", "take", "--seconds", seconds).code == ExitCode.BAD_INPUT
 
 
 @pytest.mark.parametrize("line", ["status", "home", "stop", "estop", "swing", "lease take", "lease show"])
-def test_no_bench_no_answer(line: str, golfbench: Golfbench) -> None:
+def test_operate_command_without_bench_exits_no_answer(line: str, golfbench: Golfbench) -> None:
     code, _, err = golfbench(*line.split())
     assert code == ExitCode.NO_ANSWER
     assert "no answer: denied or not running" in err
@@ -360,7 +362,7 @@ def test_no_bench_no_answer(line: str, golfbench: Golfbench) -> None:
 # Status ----------------------------------------------------------------------------------------------
 
 
-def test_status_is_json_for_a_program(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_status_command_json_has_state_lease_and_joints(running: RunningPlane, golfbench: Golfbench) -> None:
     golfbench("lease", "take", "--holder", "Ann")
     status = json.loads(golfbench("status", "--json").out)
     assert status["state"] == "ESTOP"
@@ -374,7 +376,7 @@ def shown(age: float = 0.0, state: State = State.ESTOP) -> str:
     return console.export_text()
 
 
-def test_a_refused_message_of_a_launch_monitor_is_in_the_table() -> None:
+def test_status_table_shows_refused_launch_monitor_messages() -> None:
     link = {**NO_LAUNCH_MONITOR, "listening": "127.0.0.1:2921", "refused": 2, "refusal": "invalid JSON"}
     console = Console(width=80, record=True, file=StringIO())
     status = FakeDesk().status()
@@ -385,7 +387,7 @@ def test_a_refused_message_of_a_launch_monitor_is_in_the_table() -> None:
     assert "refused 2, last: invalid JSON" in text
 
 
-def test_the_table_shows_everything_within_80_columns() -> None:
+def test_status_table_shows_all_items_within_80_columns() -> None:
     text = shown()
     assert max(map(len, text.splitlines())) <= 80
     for part in (
@@ -423,13 +425,13 @@ def test_the_table_shows_everything_within_80_columns() -> None:
     assert "bus off" not in text  # none was counted
 
 
-def test_a_silent_bench_is_shown_as_one() -> None:
+def test_status_table_old_status_shows_silent() -> None:
     assert "SILENT: last status 3.2 s ago" in shown(3.2)
 
 
 @pytest.mark.live
 @pytest.mark.paced
-def test_watch_follows_the_bench_until_ctrl_c(running: RunningPlane, golfbench: Golfbench) -> None:
+def test_status_watch_prints_state_changes_until_ctrl_c(running: RunningPlane, golfbench: Golfbench) -> None:
     environment = os.environ | {"COLUMNS": "80", "PYTHONUNBUFFERED": "1"}
     command = [sys.executable, "-m", "bench", "status", "--watch", "--json"]
     watch = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True)

@@ -11,7 +11,7 @@ from bench.commands.cli import main
 
 
 @pytest.mark.parametrize("driver", ["canopen", "daq"])
-def test_an_option_for_a_real_robot_brings_its_rules(
+def test_run_command_hardware_driver_option_requires_hardware_settings(
     driver: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "mine.toml"

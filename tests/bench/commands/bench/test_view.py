@@ -43,7 +43,7 @@ def records(tmp_path: Path, make_swing: Callable[[int], Cycles]) -> Path:
     return folder
 
 
-def test_a_shot_goes_into_a_file_that_holds_the_record(
+def test_view_shot_save_writes_recorded_angles(
     records: Path, tmp_path: Path, make_swing: Callable[[int], Cycles], capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "shot.rrd"
@@ -53,7 +53,7 @@ def test_a_shot_goes_into_a_file_that_holds_the_record(
     assert str(file) in capsys.readouterr().out
 
 
-def test_a_series_goes_into_a_file_with_its_table(records: Path, tmp_path: Path) -> None:
+def test_view_campaign_save_writes_all_shots_and_tables(records: Path, tmp_path: Path) -> None:
     file = tmp_path / "series.rrd"
     assert run("view", "--campaign", records, "--save", file) == ExitCode.OK
     recording = Recording(file)
@@ -62,7 +62,7 @@ def test_a_series_goes_into_a_file_with_its_table(records: Path, tmp_path: Path)
     assert len(tables) == 2
 
 
-def test_a_golfer_is_shown_next_to_swings_that_reach_the_ball(
+def test_view_golfer_needs_swing_with_impact(
     records: Path,
     tmp_path: Path,
     make_swing: Callable[[int], Cycles],
@@ -89,7 +89,9 @@ def test_a_golfer_is_shown_next_to_swings_that_reach_the_ball(
         (["--golfer", "anna.golfer.toml"], "without --shot or --campaign"),
     ],
 )
-def test_mistakes_are_told(options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_view_invalid_options_are_refused(
+    options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run("view", *options) == ExitCode.BAD_INPUT
     told = capsys.readouterr().err
     assert words in told
@@ -102,14 +104,14 @@ def configuration(tmp_path: Path, endpoint: str) -> Path:
     return file
 
 
-def test_a_bench_that_is_not_there_is_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_view_without_bench_exits_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = configuration(tmp_path, loopback().endpoint)
     assert run("--config", file, "view", "--save", tmp_path / "x.rrd") == ExitCode.NO_ANSWER
     assert "denied or not running" in capsys.readouterr().err
 
 
 @pytest.mark.live
-def test_it_shows_a_bench_live_on_a_web_page_and_listens_on_the_loopback_only(
+def test_view_web_shows_live_bench_and_listens_on_loopback_only(
     tmp_path: Path, make_day: Callable[..., Cycles]
 ) -> None:
     network, file, day = loopback(), tmp_path / "live.rrd", make_day([(State.READY, 20)])

@@ -71,7 +71,7 @@ def call(tmp_path: Path) -> Call:
     return run
 
 
-def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) -> None:
+def test_campaign_commands_simulated_run_to_issued_and_verified_report(call: Call, tmp_path: Path) -> None:
     baseline = tmp_path / "baseline.toml"
     baseline.write_text('[[figure]]\npath = "sections.0.levels.tour.spread.mean"\nlow = 150\nhigh = 250\n')
     outputs = ("--report", tmp_path / "r.html", "--junit", tmp_path / "j.xml", "--check", baseline, "--json")
@@ -156,9 +156,7 @@ def test_a_simulated_campaign_from_plan_to_report(call: Call, tmp_path: Path) ->
     assert "This campaign is not finished: interrupted" in page
 
 
-def test_a_campaign_without_a_bench_or_with_a_wrong_baseline_begins_nothing(
-    call: Call, tmp_path: Path
-) -> None:
+def test_campaign_run_wrong_baseline_or_digest_starts_no_campaign(call: Call, tmp_path: Path) -> None:
     (tmp_path / "wrong.toml").write_text("x = 1")
     done = call("run", tmp_path / "short.toml", "--sim", "--check", tmp_path / "wrong.toml")
     assert done.exception is not None
@@ -169,12 +167,12 @@ def test_a_campaign_without_a_bench_or_with_a_wrong_baseline_begins_nothing(
 
 
 @pytest.mark.parametrize("verb", ["pause", "stop", "abort", "resume", "export", "report"])
-def test_an_unknown_campaign_is_told(call: Call, verb: str) -> None:
+def test_campaign_command_unknown_id_is_refused(call: Call, verb: str) -> None:
     assert "no such campaign" in str(call(verb, "xyz").exception)
 
 
 @pytest.mark.release
-def test_the_gate_of_ci_holds_and_sees_a_club_that_rebounds_less(tmp_path: Path) -> None:
+def test_ci_baseline_detects_lower_club_restitution(tmp_path: Path) -> None:
     gate = Path(__file__).parents[4] / ".github"
     assert "--check .github/two-balls.baseline.toml" in (gate / "workflows" / "check.yml").read_text()
     for restitution, expected in ((0.882, ExitCode.OK), (0.872, ExitCode.REFUSED)):
@@ -232,7 +230,7 @@ reference = "planned"
         (("[gate]", "[gate"), "short.toml", "TOML"),
     ],
 )
-def test_a_plan_that_does_not_hold_begins_nothing(
+def test_campaign_run_invalid_plan_is_refused_without_data(
     user: User, tmp_path: Path, change: tuple[str, str], location: str, words: str
 ) -> None:
     (tmp_path / "short.toml").write_text(SHORT.replace(*change))
@@ -244,7 +242,7 @@ def test_a_plan_that_does_not_hold_begins_nothing(
     assert not (tmp_path / "data").exists()
 
 
-def test_a_database_of_a_newer_golfbench_is_refused_untouched(user: User, tmp_path: Path) -> None:
+def test_campaign_commands_newer_database_is_refused_unchanged(user: User, tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     with open_database(database_url("", tmp_path / "data")) as engine, engine.begin() as connection:
         connection.exec_driver_sql("UPDATE schema_version SET version = 99")
@@ -257,7 +255,7 @@ def test_a_database_of_a_newer_golfbench_is_refused_untouched(user: User, tmp_pa
     assert not (tmp_path / "data" / "campaigns").exists()
 
 
-def test_a_plan_changed_between_a_stop_and_resume_is_refused(
+def test_campaign_resume_changed_plan_or_configuration_is_refused(
     user: User, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(path: Path, *_: object) -> None:
@@ -283,7 +281,7 @@ def test_a_plan_changed_between_a_stop_and_resume_is_refused(
 
 
 @pytest.mark.slow
-def test_a_disk_that_is_full_loses_nothing_and_resume_goes_on(user: User, tmp_path: Path) -> None:
+def test_campaign_run_file_size_limit_stops_and_resume_finishes(user: User, tmp_path: Path) -> None:
     """The limit on a file's size makes the operating system itself refuse the write."""
     # Compiled code is in its cache before the limit holds: it is not the file that the test is about.
     (tmp_path / "warm.toml").write_text(f'base = "shipped"\n[bench]\ndata_dir = "{tmp_path / "warm"}"\n')
@@ -320,7 +318,7 @@ def test_a_disk_that_is_full_loses_nothing_and_resume_goes_on(user: User, tmp_pa
     assert (code, "finished; 2 shots" in text) == (ExitCode.OK, True)
 
 
-def test_a_runner_that_lives_is_not_joined_by_a_second_one(user: User, tmp_path: Path) -> None:
+def test_runner_lock_second_runner_is_refused(user: User, tmp_path: Path) -> None:
     configuration = load_configuration(tmp_path / "bench.toml")
     plan = load_plan(tmp_path / "short.toml", configuration)
     entry = new_entry(plan, configuration, datetime.now(UTC), simulated=True)
@@ -339,7 +337,7 @@ def test_a_runner_that_lives_is_not_joined_by_a_second_one(user: User, tmp_path:
 
 
 @pytest.mark.parametrize("name", release_except({"two-balls", "repeatability"}, campaign_names()))
-def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
+def test_shipped_plans_simulated_run_finishes_and_renders_report(name: str, tmp_path: Path) -> None:
     """With two blocks."""
     shipped = load_configuration(Path("bag" if name in {"bag", "wedge"} else "shipped"))
     configuration = replace(shipped, bench=replace(shipped.bench, data_dir=tmp_path))
@@ -358,7 +356,7 @@ def test_every_example_runs_and_reports(name: str, tmp_path: Path) -> None:
     assert escape(entry.title) in render_campaign_report(record, found)
 
 
-def test_the_air_that_was_read_is_kept_and_shown(call: Call) -> None:
+def test_campaign_air_reading_is_stored_and_shown(call: Call) -> None:
     assert "No reading of the air yet" in call("air").output
     told = call("air", "--temperature", "21.5", "--pressure", "1008.2", "--humidity", "40", "--by", "Ann")
     assert told.exit_code == ExitCode.OK, told.output
@@ -377,7 +375,7 @@ def test_the_air_that_was_read_is_kept_and_shown(call: Call) -> None:
         (("--temperature", "21", "--pressure", "1000", "--humidity", "-1"), "humidity"),
     ],
 )
-def test_air_that_cannot_be_is_refused(call: Call, arguments: tuple[str, ...], what: str) -> None:
+def test_campaign_air_invalid_reading_is_refused(call: Call, arguments: tuple[str, ...], what: str) -> None:
     refused = call("air", *arguments)
     assert isinstance(refused.exception, BenchError)
     assert what in str(refused.exception)
@@ -418,7 +416,7 @@ def state_of(user: User, campaign: str) -> str:
 
 
 @pytest.mark.parametrize("columns", ["20", "40", "60", "80", "200"])
-def test_the_list_shows_ids_whole_at_any_width(
+def test_campaign_list_any_width_shows_complete_ids(
     user: User, two: list[str], columns: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", columns)
@@ -431,9 +429,7 @@ def test_the_list_shows_ids_whole_at_any_width(
 
 
 @pytest.mark.parametrize("verb", ["pause", "stop", "abort", "resume", "export", "report", "answer"])
-def test_an_ambiguous_or_short_beginning_of_an_id_stands_for_no_campaign(
-    user: User, two: list[str], verb: str
-) -> None:
+def test_campaign_command_ambiguous_id_prefix_is_refused(user: User, two: list[str], verb: str) -> None:
     code, text = user(verb, "short")
     assert code == ExitCode.BAD_INPUT
     assert f"2 campaigns begin so: {two[0]}, {two[1]}" in text
@@ -441,14 +437,14 @@ def test_an_ambiguous_or_short_beginning_of_an_id_stands_for_no_campaign(
     assert state_of(user, two[0]) == "suspended"
 
 
-def test_the_beginning_of_an_id_that_fits_one_campaign_stands_for_it(user: User, two: list[str]) -> None:
+def test_campaign_abort_unique_id_prefix_selects_campaign(user: User, two: list[str]) -> None:
     code, text = user("abort", "--yes", two[1][:-1])
     assert code == ExitCode.OK
     assert text.startswith(f"{two[1]} aborted")
     assert (state_of(user, two[0]), state_of(user, two[1])) == ("suspended", "aborted")
 
 
-def test_a_beginning_of_three_characters_is_too_short(begin: Begin, user: User) -> None:
+def test_campaign_abort_id_prefix_under_4_characters_is_refused(begin: Begin, user: User) -> None:
     (campaign,) = begin(1)
     code, text = user("abort", "--yes", "sho")
     assert code == ExitCode.BAD_INPUT
@@ -458,7 +454,7 @@ def test_a_beginning_of_three_characters_is_too_short(begin: Begin, user: User) 
     assert state_of(user, campaign) == "suspended"
 
 
-def test_the_name_of_one_campaign_stands_for_it_however_short() -> None:
+def test_find_campaign_unique_short_name_selects_campaign() -> None:
     names = ("bag", "bag-two", "wedge", "wedge")
     entries = [SimpleNamespace(id=f"{name}-2026{n}", name=name) for n, name in enumerate(names)]
     store: Any = SimpleNamespace(entries=lambda: [(entry, None, None) for entry in entries])
@@ -468,7 +464,7 @@ def test_the_name_of_one_campaign_stands_for_it_however_short() -> None:
 
 
 @pytest.mark.parametrize(("typed", "state"), [("y\n", "aborted"), ("n\n", "suspended"), ("", "suspended")])
-def test_abort_asks_for_a_confirmation_that_names_the_campaign(
+def test_campaign_abort_without_yes_requires_confirmation(
     user: User, two: list[str], typed: str, state: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.stdin", StringIO(typed))
@@ -480,7 +476,7 @@ def test_abort_asks_for_a_confirmation_that_names_the_campaign(
         assert f"action: golfbench campaign abort --yes {two[0]}" in text
 
 
-def test_a_resumed_campaign_leaves_a_report_and_compares_its_figures(
+def test_campaign_resume_writes_report_and_checks_baseline(
     user: User, two: list[str], tmp_path: Path
 ) -> None:
     (tmp_path / "band.toml").write_text('[[figure]]\npath = "shots"\nlow = 3\n')

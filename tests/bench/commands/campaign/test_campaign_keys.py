@@ -53,7 +53,7 @@ def note(shot: int, text: str) -> ShotNote:
         (f"m{'x' * 999}\n", [note(7, "x" * LONGEST)]),
     ],
 )
-def test_a_comment_is_typed_and_edited(keys: str, found: list[ShotNote]) -> None:
+def test_mark_line_keys_edit_comment(keys: str, found: list[ShotNote]) -> None:
     assert MarkLine("ann").feed(keys, 7, NOW) == found
     line = MarkLine("ann")
     assert [
@@ -61,7 +61,7 @@ def test_a_comment_is_typed_and_edited(keys: str, found: list[ShotNote]) -> None
     ] == found
 
 
-def test_the_mark_is_of_the_shot_that_was_last_when_the_key_was_pressed() -> None:
+def test_mark_line_keeps_shot_of_key_press() -> None:
     line = MarkLine("ann")
     assert line.feed("m", 0, NOW) == []
     assert line.shown == HINT
@@ -115,7 +115,7 @@ def keys_of(service: Desk, *, terminal: bool = True) -> Iterator[Any]:
         yield keys
 
 
-def test_a_terminal_that_a_killed_run_left_without_echo_gets_it_back(service: Desk) -> None:
+def test_mark_keys_terminal_without_echo_restores_echo(service: Desk) -> None:
     left = termios.tcgetattr(service.terminal)
     left[3] &= ~(termios.ICANON | termios.ECHO)
     termios.tcsetattr(service.terminal, termios.TCSANOW, left)
@@ -130,7 +130,7 @@ def test_a_terminal_that_a_killed_run_left_without_echo_gets_it_back(service: De
     assert termios.tcgetattr(service.terminal)[3] & termios.ICANON
 
 
-def test_keys_store_marks_as_soon_as_the_shot_is_stored(service: Desk) -> None:
+def test_mark_keys_store_mark_after_shot_is_stored(service: Desk) -> None:
     with keys_of(service) as keys:
         service.until(lambda: not service.echoes())
         service.progress["last_shot"] = {"shot": 3}
@@ -155,14 +155,14 @@ def test_keys_store_marks_as_soon_as_the_shot_is_stored(service: Desk) -> None:
     assert "shot 3 marked: a gust" in service.out.getvalue()
 
 
-def test_a_mark_that_cannot_be_stored_is_named(service: Desk) -> None:
+def test_mark_keys_unknown_shot_reports_mark_not_stored(service: Desk) -> None:
     service.progress["last_shot"] = {"shot": 9}
     with keys_of(service) as keys:
         keys.mark("lost")
     assert "The mark of shot 9 was not stored: lost" in service.out.getvalue()
 
 
-def test_no_key_is_read_where_progress_is_plain_lines(service: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mark_keys_without_terminal_are_disabled(service: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     with keys_of(service, terminal=False) as keys:
         assert keys is None
         assert service.echoes()
@@ -172,7 +172,7 @@ def test_no_key_is_read_where_progress_is_plain_lines(service: Desk, monkeypatch
             assert keys is None
 
 
-def test_watching_marks_only_where_the_campaigns_database_is(tmp_path: Path) -> None:
+def test_local_store_without_campaign_database_returns_none(tmp_path: Path) -> None:
     shipped = load_configuration(Path("shipped"))
     configuration = replace(shipped, bench=replace(shipped.bench, data_dir=tmp_path / "data"))
     with ExitStack() as stack:
@@ -219,7 +219,7 @@ def start(folder: Path, terminal: int) -> subprocess.Popen[bytes]:
 @pytest.mark.live
 @pytest.mark.paced
 @pytest.mark.timeout(300)
-def test_a_run_is_marked_at_the_terminal_and_ends_tidily_on_sigterm(tmp_path: Path) -> None:
+def test_campaign_run_stores_typed_mark_and_sigterm_stops_campaign(tmp_path: Path) -> None:
     master, slave = pty.openpty()
     os.set_blocking(master, False)
     process = start(tmp_path, slave)

@@ -27,7 +27,7 @@ def call(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Call:
     return run
 
 
-def test_new_plan_is_commented_and_long_enough_for_its_difference(call: Call, tmp_path: Path) -> None:
+def test_campaign_new_writes_commented_plan_with_computed_blocks(call: Call, tmp_path: Path) -> None:
     done = call("new", "two-balls.toml", *TWO, *SIZES)
     assert done.exit_code == 0, done.output
     text = (tmp_path / "two-balls.toml").read_text()
@@ -39,14 +39,14 @@ def test_new_plan_is_commented_and_long_enough_for_its_difference(call: Call, tm
     assert call("check", "two-balls.toml").exit_code == 0
 
 
-def test_balls_that_control_shots_turn_are_not_promised(call: Call) -> None:
+def test_campaign_new_control_shots_reduce_reported_ball_count(call: Call) -> None:
     blocks = ("--blocks", "10")
     assert "judged by its balls: 10 of each" in call("new", "a.toml", *TWO, *SIZES, *blocks).stdout
     controlled = call("new", "b.toml", *TWO, *SIZES, *blocks, "--control", "range")
     assert "judged by its balls: 6 of each" in controlled.stdout
 
 
-def test_new_plan_of_clubs_names_the_swing_of_each(call: Call, tmp_path: Path) -> None:
+def test_campaign_new_clubs_writes_swing_of_each_club(call: Call, tmp_path: Path) -> None:
     bag = ("--config", "bag", "campaign", "new", "bag.toml", "--compare", "club", "--ball", "tour", *SIZES)
     clubs = [f"--club={club}" for club in ("driver", "iron7", "wedge56")]
     done = CliRunner().invoke(app, [*bag, *clubs])
@@ -56,7 +56,7 @@ def test_new_plan_of_clubs_names_the_swing_of_each(call: Call, tmp_path: Path) -
     assert CliRunner().invoke(app, ["--config", "bag", "campaign", "check", "bag.toml"]).exit_code == 0
 
 
-def test_new_plan_of_a_club_without_a_swing_is_kept_and_says_so(call: Call, tmp_path: Path) -> None:
+def test_campaign_new_club_without_swing_keeps_file_and_reports_club(call: Call, tmp_path: Path) -> None:
     error = call("new", "old.toml", *TWO, "--club", "thesis", *SIZES).exception
     assert isinstance(error, ExceptionGroup)
     (told,) = error.exceptions
@@ -65,14 +65,14 @@ def test_new_plan_of_a_club_without_a_swing_is_kept_and_says_so(call: Call, tmp_
     assert (tmp_path / "old.toml").exists()
 
 
-def test_new_plan_without_a_terminal_lists_all_missing_options(call: Call, tmp_path: Path) -> None:
+def test_campaign_new_without_terminal_lists_missing_options(call: Call, tmp_path: Path) -> None:
     error = call("new", "two.toml", "--club", "driver").exception
     assert isinstance(error, BenchError)
     assert error.found == "no --compare, --ball, --difference, --sd"
     assert list(tmp_path.iterdir()) == []
 
 
-def test_new_plan_with_a_zero_is_refused_at_its_key(call: Call) -> None:
+def test_campaign_new_zero_difference_reports_key(call: Call) -> None:
     error = call("new", "two.toml", *TWO, "--difference", "0", "--sd", "1").exception
     assert isinstance(error, ExceptionGroup)
     (told,) = error.exceptions
@@ -81,7 +81,7 @@ def test_new_plan_with_a_zero_is_refused_at_its_key(call: Call) -> None:
     assert told.found == "0.0"
 
 
-def test_new_plan_asks_at_the_terminal_again_after_a_wrong_answer(
+def test_campaign_new_wrong_answer_repeats_question(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bench.commands.campaign.campaign_new.at_terminal", lambda: True)
@@ -94,20 +94,20 @@ def test_new_plan_asks_at_the_terminal_again_after_a_wrong_answer(
 
 
 @pytest.mark.parametrize("name", ["Two.toml", "two", "two balls.toml", f"{'a' * 42}.toml"])
-def test_new_plan_whose_file_makes_no_name_is_refused(call: Call, tmp_path: Path, name: str) -> None:
+def test_campaign_new_invalid_file_name_is_refused(call: Call, tmp_path: Path, name: str) -> None:
     error = call("new", name, *TWO, *SIZES).exception
     assert isinstance(error, BenchError)
     assert "two-balls.toml" in error.action
     assert list(tmp_path.iterdir()) == []
 
 
-def test_new_plan_overwrites_no_file(call: Call, tmp_path: Path) -> None:
+def test_campaign_new_existing_file_is_refused_unchanged(call: Call, tmp_path: Path) -> None:
     (tmp_path / "two.toml").write_text("kept")
     assert isinstance(call("new", "two.toml", *TWO, *SIZES).exception, BenchError)
     assert (tmp_path / "two.toml").read_text() == "kept"
 
 
-def test_new_plan_with_unknown_names_is_kept_and_each_is_named(call: Call, tmp_path: Path) -> None:
+def test_campaign_new_unknown_names_keeps_file_and_reports_each(call: Call, tmp_path: Path) -> None:
     error = call("new", "two.toml", *TWO, "--ball", "trou", "--club", "drivr", *SIZES).exception
     assert isinstance(error, ExceptionGroup)
     told = " ".join(map(str, error.exceptions))

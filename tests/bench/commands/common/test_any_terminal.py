@@ -19,7 +19,7 @@ from bench.commands.common.any_terminal import accept_any_text
         ("utf-8", "12.5° ± 3 µm – … ≤ \N{BLACK CHESS KING}"),
     ],
 )
-def test_text_that_an_encoding_lacks_is_written_plainly(
+def test_accept_any_text_missing_characters_are_replaced(
     monkeypatch: pytest.MonkeyPatch, encoding: str, written: str
 ) -> None:
     kept = BytesIO()
@@ -30,7 +30,7 @@ def test_text_that_an_encoding_lacks_is_written_plainly(
         assert kept.getvalue().decode(encoding) == written
 
 
-def test_name_of_a_file_that_is_no_text_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_accept_any_text_undecodable_file_name_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
     kept = BytesIO()
     with TextIOWrapper(kept, encoding="utf-8", write_through=True) as stream:
         monkeypatch.setattr(sys, "stderr", stream)

@@ -53,7 +53,7 @@ def golfbench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
 Run = Callable[..., Answer]
 
 
-def test_a_new_bench_is_nominal_and_looking_makes_nothing(golfbench: Run, tmp_path: Path) -> None:
+def test_calibrate_list_new_bench_shows_nominal_without_data_folder(golfbench: Run, tmp_path: Path) -> None:
     code, text, _ = golfbench("calibrate", "list")
     assert (code, "testbench was never calibrated" in text) == (0, True)
     code, text, _ = golfbench("calibrate", "show")
@@ -61,7 +61,7 @@ def test_a_new_bench_is_nominal_and_looking_makes_nothing(golfbench: Run, tmp_pa
     assert not (tmp_path / "data").exists()
 
 
-def test_what_is_calibrated_is_listed_shown_and_superseded(golfbench: Run) -> None:
+def test_calibrate_ball_second_version_supersedes_first(golfbench: Run) -> None:
     assert golfbench("calibrate", *BALL, "--by", "Ada", "--note", "new tee", "--expires-days", "7")[0] == 0
     assert golfbench("calibrate", *BALL, "--by", "Bob", "--method", "laser")[0] == 0
     code, text, _ = golfbench("calibrate", "list", "--json")
@@ -80,7 +80,7 @@ def test_what_is_calibrated_is_listed_shown_and_superseded(golfbench: Run) -> No
     assert [entry["version"] for entry in shown["in_force"]] == [2]
 
 
-def test_check_takes_the_calibration_and_refuses_with_an_expired_one(
+def test_check_command_expired_calibration_is_refused(
     golfbench: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert golfbench("calibrate", *BALL)[0] == 0
@@ -102,14 +102,14 @@ def test_check_takes_the_calibration_and_refuses_with_an_expired_one(
     assert "error: calibration ball version 1" in errors
 
 
-def test_check_finds_a_ball_that_the_swing_does_not_meet(golfbench: Run) -> None:
+def test_check_command_ball_off_swing_path_is_refused(golfbench: Run) -> None:
     assert golfbench("calibrate", "ball", "--x", "0.26", "--y", "-1.56", "--uncertainty-mm", "1")[0] == 0
     code, _, errors = golfbench("check")
     assert code == ExitCode.BAD_INPUT
     assert "(0.2600, -1.5600) m" in errors
 
 
-def test_expired_calibration_makes_show_say_no(golfbench: Run, tmp_path: Path) -> None:
+def test_calibrate_show_expired_calibration_exits_refused(golfbench: Run, tmp_path: Path) -> None:
     from bench.calibration.archive import add_calibration
     from bench.calibration.calibration import BallPosition
     from bench.config import database_url
@@ -125,14 +125,14 @@ def test_expired_calibration_makes_show_say_no(golfbench: Run, tmp_path: Path) -
     assert "calibration ball version 1 expired on 2020-01-02" in text
 
 
-def test_a_club_in_its_mount(golfbench: Run) -> None:
+def test_calibrate_club_stores_length_and_lie(golfbench: Run) -> None:
     code, text, _ = golfbench("calibrate", *CLUB, "--json")
     values = json.loads(text)["values"]
     assert (code, values["club"], values["length_to_face"]) == (0, "driver", 1.0902)
     assert values["lie"] == pytest.approx(radians(53.1))
 
 
-def test_encoders_by_counts_and_by_pose(golfbench: Run) -> None:
+def test_calibrate_encoders_from_pose_computes_zero_counts_and_keeps_sign(golfbench: Run) -> None:
     golfbench("calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "5", "6.5", "-7")
     shown = [*POSE, "--counts", "1", "20000", "131071"]
     code, text, _ = golfbench("calibrate", *shown, "--sign", "1", "-1", "1", "--json")
@@ -146,7 +146,7 @@ def test_encoders_by_counts_and_by_pose(golfbench: Run) -> None:
     assert json.loads(text)["values"]["sign"] == [1, -1, 1]
 
 
-def test_encoders_keep_what_the_running_devices_say_of_their_zeros(golfbench: Run, tmp_path: Path) -> None:
+def test_calibrate_encoders_stores_device_presets(golfbench: Run, tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text('base = "local_can"\n[bench]\nid = "testbench"\n', encoding="utf-8")
     counts = ["calibrate", "encoders", "--uncertainty-deg", "0.02", "--zero-counts", "5", "6.5", "-7"]
     code, text, errors = golfbench(*counts, "--json")
@@ -165,7 +165,7 @@ def test_encoders_keep_what_the_running_devices_say_of_their_zeros(golfbench: Ru
     assert kept == ["preset 0, offset 0", "preset 7, offset -7", ""]
 
 
-def test_valves_are_measured_on_the_software_plant(golfbench: Run) -> None:
+def test_calibrate_valves_measure_finds_centre_and_dead_band(golfbench: Run) -> None:
     code, text, _ = golfbench("calibrate", "valves", "--measure", "--json")
     values = json.loads(text)["values"]
     assert code == 0
@@ -196,7 +196,7 @@ def test_valves_are_measured_on_the_software_plant(golfbench: Run) -> None:
         ([*BALL, "--expires-days", "0"], 2, []),
     ],
 )
-def test_a_mistake_is_told_and_nothing_is_stored(
+def test_calibrate_invalid_arguments_are_refused_without_record(
     golfbench: Run, arguments: list[str], code: int, texts: list[str]
 ) -> None:
     found, _, errors = golfbench("calibrate", *arguments)
@@ -207,7 +207,7 @@ def test_a_mistake_is_told_and_nothing_is_stored(
     assert golfbench("calibrate", "list", "--json")[1] == "[]\n"
 
 
-def test_only_the_software_plant_is_ramped(golfbench: Run, tmp_path: Path) -> None:
+def test_calibrate_valves_measure_other_driver_is_refused(golfbench: Run, tmp_path: Path) -> None:
     text = 'base = "shipped"\n[driver]\nname = "mock"\n'
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     code, _, errors = golfbench("calibrate", "valves", "--measure")
@@ -245,7 +245,7 @@ def ticking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         ticking.ring.close()
 
 
-def test_counts_of_a_locked_robot_are_their_median_also_across_the_range_end(ticking: Any) -> None:
+def test_standing_counts_return_median_across_range_end(ticking: Any) -> None:
     wobble = np.array([-2, -1, 0, 1, 1] * 20)
     counts = np.stack([1000 + wobble, wobble % 4096, (4095 + wobble) % 4096], axis=1)
     assert standing_counts(ticking(counts), 4096) == (1000, 0, 4095)
@@ -259,19 +259,19 @@ def test_counts_of_a_locked_robot_are_their_median_also_across_the_range_end(tic
         ([[1, 2, n] for n in range(50)], True, "wrist: it moved by 49 counts"),
     ],
 )
-def test_a_bench_that_does_not_stand_still_gives_no_counts(
+def test_standing_counts_moving_or_invalid_readings_are_refused(
     ticking: Any, counts: Any, valid: bool, text: str
 ) -> None:
     with pytest.raises(Refused, match=text):
         standing_counts(ticking(counts, valid), 4096)
 
 
-def test_no_bench_no_counts(tmp_path: Path) -> None:
+def test_standing_counts_without_ring_raises(tmp_path: Path) -> None:
     with pytest.raises(NoRing):
         standing_counts(tmp_path / "ring", 4096)
 
 
-def test_the_pose_takes_the_counts_of_the_running_bench(golfbench: Run, ticking: Any) -> None:
+def test_calibrate_encoders_from_pose_reads_counts_of_running_bench(golfbench: Run, ticking: Any) -> None:
     folder = bench_folder("testbench")
     folder.mkdir()
     try:
@@ -284,7 +284,7 @@ def test_the_pose_takes_the_counts_of_the_running_bench(golfbench: Run, ticking:
     assert entry["values"]["zero_count"][0] == pytest.approx(100.5 + 30 * 131072 / 360)
 
 
-def test_the_aerodynamics_of_a_ball_are_fitted_stored_and_listed(golfbench: Run, tmp_path: Path) -> None:
+def test_calibrate_aerodynamics_fits_stores_and_lists_drag(golfbench: Run, tmp_path: Path) -> None:
     rows = ["ball_speed_mps,launch_angle_deg,spin_rpm,carry_m,apex_m,time_s"]
     for speed in (58.0, 61.0, 64.0, 67.0, 70.0):
         flight = fly(Launch(speed, radians(11.0), 0.0, 280.0, 0.0), ball=Ball(drag_factor=1.03))

@@ -29,22 +29,22 @@ def findings() -> list[Finding]:
     return list(doctor.examine(doctor.probes(Path("data"))))
 
 
-def test_this_machine_runs_the_simulation(findings: list[Finding]) -> None:
+def test_doctor_test_machine_is_usable(findings: list[Finding]) -> None:
     assert doctor.usable(findings)
     assert [f"{f.item}: {f.value}" for f in findings if f.value.startswith("not examined")] == []
 
 
-def test_whatever_is_not_well_says_what_to_do(findings: list[Finding]) -> None:
+def test_doctor_findings_not_ok_have_advice(findings: list[Finding]) -> None:
     assert [f.item for f in findings if f.status is not CheckStatus.OK and not f.advice] == []
 
 
-def test_all_required_packages_are_named_with_their_version(findings: list[Finding]) -> None:
+def test_doctor_packages_list_installed_versions(findings: list[Finding]) -> None:
     versions = {f.item: f.value for f in findings if f.group == "packages"}
     assert {"numpy", "numba", "eclipse-zenoh", "rerun-sdk", "python-can", "filterpy"} <= versions.keys()
     assert versions["numpy"] == np.__version__
 
 
-def test_the_report_is_json_with_a_version(findings: list[Finding]) -> None:
+def test_doctor_report_is_versioned_json(findings: list[Finding]) -> None:
     document = json.loads(json.dumps(doctor.report(findings), allow_nan=False))
     assert (document["schema"], document["schema_version"]) == ("golfbench.doctor", 1)
     assert sum(document["count"].values()) == len(document["findings"]) == len(findings)
@@ -52,7 +52,7 @@ def test_the_report_is_json_with_a_version(findings: list[Finding]) -> None:
     assert set(document["findings"][0]) == set(Finding._fields)
 
 
-def test_the_table_shows_every_item_and_the_sum(findings: list[Finding]) -> None:
+def test_doctor_table_shows_all_items_and_ok_count(findings: list[Finding]) -> None:
     screen = io.StringIO()
     Console(width=160, file=screen).print(doctor.table(findings))
     text = screen.getvalue()
@@ -60,7 +60,7 @@ def test_the_table_shows_every_item_and_the_sum(findings: list[Finding]) -> None
     assert f"the simulation runs here: {sum(f.status is CheckStatus.OK for f in findings)} ok" in text
 
 
-def test_an_item_that_raises_is_a_finding() -> None:
+def test_doctor_examine_raising_probe_returns_limited_finding() -> None:
     def look() -> ItemResult:
         raise ZeroDivisionError("no such thing")
 
@@ -69,7 +69,7 @@ def test_an_item_that_raises_is_a_finding() -> None:
     assert "ZeroDivisionError: no such thing" in finding.value
 
 
-def test_a_missing_requirement_makes_the_machine_unusable() -> None:
+def test_doctor_usable_required_item_missing_is_false() -> None:
     gap = ItemResult(CheckStatus.MISSING, "gone")
     assert doctor.usable(list(doctor.examine([Probe("group", "optional", lambda: gap)])))
     assert not doctor.usable(list(doctor.examine([Probe("group", "needed", lambda: gap, required=True)])))
@@ -86,7 +86,7 @@ def test_a_missing_requirement_makes_the_machine_unusable() -> None:
         ("no-such-distribution", CheckStatus.MISSING, "not installed"),
     ],
 )
-def test_package(line: str, status: CheckStatus, value: str) -> None:
+def test_doctor_package_version_sets_status(line: str, status: CheckStatus, value: str) -> None:
     outcome = doctor.package(Requirement(line))
     assert outcome.status is status
     assert outcome.value.endswith(value)
@@ -101,7 +101,7 @@ def test_package(line: str, status: CheckStatus, value: str) -> None:
     ],
     ids=["ends the interpreter", "raises", "hangs"],
 )
-def test_a_package_that_cannot_be_imported_is_missing(
+def test_doctor_package_import_failure_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, found: str
 ) -> None:
     (tmp_path / "numpy.py").write_text(code)
@@ -113,7 +113,7 @@ def test_a_package_that_cannot_be_imported_is_missing(
     assert found in outcome.value
 
 
-def test_without_metadata_the_installation_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_package_probes_without_metadata_report_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     def requires(name: str) -> Iterator[str]:
         raise PackageNotFoundError(name)
 
@@ -123,7 +123,9 @@ def test_without_metadata_the_installation_is_missing(monkeypatch: pytest.Monkey
     assert "golfbench" in finding.value
 
 
-def test_compiled_code_cold_then_warm_then_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_compiled_code_reports_cold_warm_and_read_only_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     cold = doctor.compiled_code()
     assert cold.status is CheckStatus.LIMITED
@@ -150,12 +152,14 @@ def files(monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     return contents
 
 
-def test_kernel(files: dict[str, str]) -> None:
+def test_doctor_kernel_realtime_is_ok(files: dict[str, str]) -> None:
     files["/sys/kernel/realtime"] = "1"
     assert doctor.kernel().status is CheckStatus.OK
 
 
-def test_processors(files: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_processors_report_isolation_governor_and_single_core(
+    files: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1, 2, 3})
     files["/sys/devices/system/cpu/isolated"] = "3"
     assert doctor.processors()[:2] == (CheckStatus.OK, "4, isolated: 3")
@@ -165,7 +169,7 @@ def test_processors(files: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> N
     assert "share one" in doctor.processors().advice
 
 
-def test_virtual_machine(files: dict[str, str]) -> None:
+def test_doctor_virtual_machine_hypervisor_flag_is_limited(files: dict[str, str]) -> None:
     files["/proc/cpuinfo"] = "flags : fpu sse"
     assert doctor.virtual_machine().status is CheckStatus.OK
     files["/proc/cpuinfo"] = "flags : fpu hypervisor sse"
@@ -175,14 +179,18 @@ def test_virtual_machine(files: dict[str, str]) -> None:
 @pytest.mark.parametrize(
     ("kibibytes", "status"), [(8_000_000, CheckStatus.OK), (1_000_000, CheckStatus.LIMITED)]
 )
-def test_memory(files: dict[str, str], kibibytes: int, status: CheckStatus) -> None:
+def test_doctor_memory_low_available_is_limited(
+    files: dict[str, str], kibibytes: int, status: CheckStatus
+) -> None:
     files["/proc/meminfo"] = f"MemTotal: 9 kB\nMemAvailable:   {kibibytes} kB"
     outcome = doctor.memory()
     assert outcome.status is status
     assert outcome.figures["available_bytes"] == kibibytes * 1024
 
 
-def test_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_data_folder_reports_missing_and_low_space(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert doctor.data_folder(tmp_path / "not" / "yet").status is CheckStatus.OK
     file = tmp_path / "file"
     file.touch()
@@ -215,14 +223,14 @@ def _realtime(monkeypatch: pytest.MonkeyPatch, answer: dict[str, Any]) -> dict[s
     return {finding.item: finding for finding in doctor.examine(list(doctor.realtime_probes()))}
 
 
-def test_real_time_granted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_realtime_granted_is_ok(monkeypatch: pytest.MonkeyPatch) -> None:
     found = _realtime(monkeypatch, _answer(True, 40.0))
     assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {CheckStatus.OK}
     assert "FIFO 80" in found["SCHED_FIFO"].value
     assert found["wake-up latency"].figures == {"p50_us": 8.0, "p99_us": 40.0, "max_us": 4000.0}
 
 
-def test_real_time_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_realtime_refused_is_limited_with_action(monkeypatch: pytest.MonkeyPatch) -> None:
     found = _realtime(monkeypatch, _answer(False, 900.0))
     assert {found[item].status for item in (*SETTINGS, "wake-up latency")} == {CheckStatus.LIMITED}
     assert "Operation not permitted" in found["SCHED_FIFO"].value
@@ -230,7 +238,7 @@ def test_real_time_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "scheduling OTHER 0" in found["wake-up latency"].value
 
 
-def test_a_child_that_fails_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_realtime_child_failure_is_finding(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_: str) -> str:
         raise RuntimeError("child ended")
 
@@ -239,7 +247,7 @@ def test_a_child_that_fails_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> Non
     assert found["SCHED_FIFO"].value == "not examined: RuntimeError: child ended"
 
 
-def test_an_unknown_question_is_an_error() -> None:
+def test_doctor_child_unknown_question_raises() -> None:
     with pytest.raises(RuntimeError, match="child process ended with 1"):
         doctor._child("no such question")
 
@@ -258,7 +266,7 @@ CAPABILITIES = {"none": 0, "nice": 1 << 23, "lock": 1 << 14, "both": 1 << 23 | 1
         (resource.RLIM_INFINITY, 8 * 2**20, "none", "memlock unlimited"),
     ],
 )
-def test_limits(
+def test_doctor_limits_name_missing_rtprio_and_memlock(
     priority: int,
     locked: int,
     held: str,
@@ -278,7 +286,9 @@ def test_limits(
     ("runtime", "status"),
     [("-1", CheckStatus.OK), ("950000", CheckStatus.OK), ("500000", CheckStatus.LIMITED)],
 )
-def test_throttling(files: dict[str, str], runtime: str, status: CheckStatus) -> None:
+def test_doctor_throttling_low_runtime_is_limited(
+    files: dict[str, str], runtime: str, status: CheckStatus
+) -> None:
     files["/proc/sys/kernel/sched_rt_runtime_us"] = runtime
     files["/proc/sys/kernel/sched_rt_period_us"] = "1000000"
     assert doctor.throttling().status is status
@@ -293,18 +303,20 @@ def test_throttling(files: dict[str, str], runtime: str, status: CheckStatus) ->
         ("", "this kernel has none", CheckStatus.OK),
     ],
 )
-def test_huge_pages(files: dict[str, str], text: str, value: str, status: CheckStatus) -> None:
+def test_doctor_huge_pages_always_is_limited(
+    files: dict[str, str], text: str, value: str, status: CheckStatus
+) -> None:
     files["/sys/kernel/mm/transparent_hugepage/enabled"] = text
     outcome = doctor.huge_pages()
     assert (outcome.value, outcome.status) == (value, status)
 
 
-def test_a_coarse_clock_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_clock_coarse_resolution_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("time.clock_getres", lambda _: 4e-3)
     assert doctor.clock().status is CheckStatus.LIMITED
 
 
-def test_latencies_are_late_never_early() -> None:
+def test_wake_up_latencies_are_sorted_and_not_negative() -> None:
     late = probe.wake_up_latencies(ticks=20, period_ns=1_000_000)
     assert len(late) == 20
     assert late == sorted(late)
@@ -314,7 +326,7 @@ def test_latencies_are_late_never_early() -> None:
 # CAN ---------------------------------------------------------------------------------------
 
 
-def test_no_can_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_socketcan_unsupported_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> socket.socket:
         raise OSError(97, "Address family not supported by protocol")
 
@@ -325,7 +337,9 @@ def test_no_can_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("kind", "status"), [("280", CheckStatus.OK), ("1", CheckStatus.LIMITED)])
-def test_can_interfaces(kind: str, status: CheckStatus, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_socketcan_without_can_interface_is_limited(
+    kind: str, status: CheckStatus, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Socket:
         def close(self) -> None: ...
 
@@ -339,7 +353,7 @@ def test_can_interfaces(kind: str, status: CheckStatus, monkeypatch: pytest.Monk
 @pytest.mark.parametrize(
     ("channels", "status"), [(["pcan:PCAN_USBBUS1"], CheckStatus.OK), ([], CheckStatus.MISSING)]
 )
-def test_attached_interfaces(
+def test_doctor_can_channels_none_is_missing(
     channels: list[str], status: CheckStatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(doctor, "_child", lambda _: json.dumps(channels))
@@ -359,7 +373,7 @@ NI_MISSING = "Could not find an installation of NI-DAQmx."
         (["1.7.0", "24.3.0", ["Dev1 (PCIe-6363)"], ""], CheckStatus.OK, "NI-DAQmx 24.3.0: Dev1 (PCIe", ""),
     ],
 )
-def test_what_drives_a_daq_card(
+def test_doctor_daq_cards_report_missing_part_with_advice(
     found: list[object], status: CheckStatus, value: str, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = ("package", "runtime", "cards", "fault")
@@ -371,7 +385,7 @@ def test_what_drives_a_daq_card(
     assert advice in outcome.advice
 
 
-def test_the_package_itself_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_probe_daq_cards_without_nidaqmx_reports_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     nidaqmx = pytest.importorskip("nidaqmx")
     found = probe.daq_cards()
     assert found["package"] == nidaqmx.__version__
@@ -390,7 +404,7 @@ def test_the_package_itself_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_the_command_prints_json_only() -> None:
+def test_doctor_command_prints_json_only() -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "bench", "doctor", "--json"], capture_output=True, text=True, check=True
     )

@@ -69,7 +69,7 @@ def _configuration(cpu: int = 3, driver: str = "canopen") -> Configuration:
     return replace(c, driver=replace(c.driver, name=driver), loop=replace(c.loop, cpu=cpu, priority=80))
 
 
-def test_a_good_bench_has_nothing_to_do(look: Look) -> None:
+def test_bench_probes_good_bench_are_all_ok(look: Look) -> None:
     findings = look()
     assert list(findings) == [
         "clock source",
@@ -151,7 +151,7 @@ SLOW_THREAD = GOOD_FILES["proc/412/stat"].replace(" 90 1 0", " 50 1 0")
         ),
     ],
 )
-def test_each_gap_is_named_with_its_action(
+def test_bench_probes_gap_reports_value_and_advice(
     look: Look, item: str, changes: dict[str, Any], value: str, advice: str
 ) -> None:
     finding = look(**changes)[item]
@@ -160,18 +160,18 @@ def test_each_gap_is_named_with_its_action(
     assert advice in finding.advice
 
 
-def test_an_interrupt_thread_on_another_core_does_not_wait_for_the_loop(look: Look) -> None:
+def test_bench_probes_interrupt_thread_on_other_core_is_ok(look: Look) -> None:
     files = {"proc/412/stat": SLOW_THREAD, "proc/irq/35/smp_affinity_list": "0-2"}
     assert look(files)["interrupt thread"].status is CheckStatus.OK
 
 
-def test_a_link_that_is_not_there_is_named_once(tmp_path: Path) -> None:
+def test_bench_probes_missing_link_is_reported_once(tmp_path: Path) -> None:
     *_, last = examine(bench_probes(_configuration(), tmp_path))
     assert (last.item, last.status, last.value) == ("can0", CheckStatus.MISSING, "no such link")
     assert "ip link set can0 up type can bitrate 1000000" in last.advice
 
 
-def test_without_hardware_there_is_nothing_to_look_at() -> None:
+def test_bench_probes_without_can_skip_link_items() -> None:
     assert bench_probes(_configuration(driver="sim")) == ()
     daq = [probe.item for probe in bench_probes(_configuration(driver="daq"))]
     assert daq == ["clock source", "core of the loop"]

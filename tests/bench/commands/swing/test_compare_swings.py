@@ -18,7 +18,7 @@ def _run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int,
     return int(ended.value.code or 0), printed.out, printed.err
 
 
-def test_record_and_its_profile_as_table_picture_and_json(
+def test_compare_record_and_profile_prints_table_plot_and_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plot = tmp_path / "both.png"
@@ -34,7 +34,7 @@ def test_record_and_its_profile_as_table_picture_and_json(
     assert speed["between"] == pytest.approx(speed["second"] - speed["first"])
 
 
-def test_configurations_are_compared_by_their_keys(
+def test_compare_configurations_lists_differing_keys(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mine = tmp_path / "mine.toml"
@@ -58,7 +58,7 @@ def test_configurations_are_compared_by_their_keys(
         (["default", "driver-100mph", "--plot", "a.txt"], ".png"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(
+def test_compare_incompatible_inputs_are_refused(
     arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, err = _run(arguments, capsys)

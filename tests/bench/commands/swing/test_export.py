@@ -29,20 +29,20 @@ def run(*arguments: object) -> int:
 
 
 @pytest.mark.parametrize("kind", Format)
-def test_a_folder_of_records_is_exported(kind: Format, records: Path, tmp_path: Path) -> None:
+def test_export_folder_writes_each_record(kind: Format, records: Path, tmp_path: Path) -> None:
     assert run("export", records, "--format", kind, "--output", tmp_path / "out") == ExitCode.OK
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {f"001.{kind}", f"002.{kind}"} <= names
 
 
-def test_one_record_goes_beside_itself_or_where_it_is_told_to(records: Path, tmp_path: Path) -> None:
+def test_planned_one_record_uses_same_folder_or_output(records: Path, tmp_path: Path) -> None:
     one = records / "001.parquet"
     assert planned([one], Format.MAT, None, False) == [(one, records / "001.mat")]
     assert planned([one], Format.MAT, tmp_path / "x.mat", False) == [(one, tmp_path / "x.mat")]
     assert planned([one], Format.MAT, records, False) == [(one, records / "001.mat")]
 
 
-def test_nothing_is_overwritten_unasked(
+def test_export_existing_file_is_refused_without_force(
     records: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     target = tmp_path / "x.mat"
@@ -54,7 +54,7 @@ def test_nothing_is_overwritten_unasked(
     assert target.read_bytes()[:6] == b"MATLAB"
 
 
-def test_two_records_never_share_a_file(records: Path, tmp_path: Path) -> None:
+def test_planned_colliding_targets_are_refused(records: Path, tmp_path: Path) -> None:
     other = tmp_path / "other" / "001.parquet"
     with pytest.raises(BenchError, match="several records of that name"):
         planned([records / "001.parquet", other], Format.CSV, tmp_path / "out", False)
@@ -63,7 +63,9 @@ def test_two_records_never_share_a_file(records: Path, tmp_path: Path) -> None:
         planned([records / "001.parquet"], Format.CSV, None, False)
 
 
-def test_what_is_no_record_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_invalid_record_or_format_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "x.parquet").write_text("nothing")
     assert run("export", tmp_path / "x.parquet", "--format", "csv") == ExitCode.BAD_INPUT
     assert run("export", tmp_path / "y.parquet", "--format", "csv") == ExitCode.BAD_INPUT

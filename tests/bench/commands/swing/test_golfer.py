@@ -45,7 +45,9 @@ def _json(recording: Path, capsys: pytest.CaptureFixture[str], *more: str) -> di
     return found
 
 
-def test_import_writes_a_file_that_is_read_back(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_golfer_import_writes_loadable_file_with_true_angles(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = _json(recording, capsys, "--name", "Anna 7")
 
     assert found["golfer"] == str(recording.with_name("Anna 7.golfer.toml"))
@@ -64,7 +66,9 @@ def test_import_writes_a_file_that_is_read_back(recording: Path, capsys: pytest.
     assert golfer.head[-1] == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
-def test_import_prints_clues_and_limits(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_golfer_import_prints_figures_and_limits_and_plots(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     plot = recording.with_name("swing.png")
 
     code, out, _ = _run(_import(recording, "--plot", str(plot)), capsys)
@@ -81,7 +85,9 @@ def test_import_prints_clues_and_limits(recording: Path, capsys: pytest.CaptureF
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_file_without_a_club_has_no_wrist(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_golfer_import_without_club_markers_has_no_wrist(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     recording.with_name("map.toml").write_text(BODY)
 
     found = _json(recording, capsys)
@@ -91,7 +97,9 @@ def test_a_file_without_a_club_has_no_wrist(recording: Path, capsys: pytest.Capt
     assert np.isnan(load_golfer(Path(found["golfer"])).head_speed)
 
 
-def test_a_refused_recording_writes_nothing(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_golfer_import_recording_without_impact_writes_no_file(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     lines = recording.read_text().splitlines()
     recording.write_text("\n".join(lines[:300]))
 
@@ -117,7 +125,7 @@ def test_a_refused_recording_writes_nothing(recording: Path, capsys: pytest.Capt
     ],
     ids=" ".join,
 )
-def test_a_wrong_option_is_refused(
+def test_golfer_import_invalid_option_is_refused(
     option: tuple[str, str], recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, _, err = _run(_import(recording, *option), capsys)
@@ -127,7 +135,7 @@ def test_a_wrong_option_is_refused(
 
 
 @pytest.mark.parametrize("change", ["table", "digest", "schema", "missing table"])
-def test_a_damaged_golfer_file_is_refused(
+def test_load_golfer_damaged_file_is_refused(
     change: str, recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = Path(_json(recording, capsys)["golfer"])
@@ -146,7 +154,9 @@ def test_a_damaged_golfer_file_is_refused(
     assert "golfbench golfer import" in refused.value.action
 
 
-def test_compare_names_definition_and_reference(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_golfer_compare_prints_deviation_definition_and_reference(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     golfer = _json(recording, capsys)["golfer"]
     plot = recording.with_name("compared.png")
 
@@ -164,7 +174,9 @@ def test_compare_names_definition_and_reference(recording: Path, capsys: pytest.
     assert "aligned at the ball" in found["definition"]
 
 
-def test_compare_without_swings_has_each_built_in_golfer(capsys: pytest.CaptureFixture[str]) -> None:
+def test_golfer_compare_without_swings_compares_each_built_in_golfer(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     code, out, _ = _run(["--config", "golfers", "golfer", "compare", "--json"], capsys)
 
     assert code == 0

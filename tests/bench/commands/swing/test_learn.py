@@ -21,7 +21,7 @@ def attempt(cause: Cause, *values: float | None) -> Any:
     return SimpleNamespace(cause=cause, figures=figures(*values), path_error=nan, saturated=0.12)
 
 
-def test_no_figure_is_cut_beside_a_cause() -> None:
+def test_learn_table_with_causes_shows_complete_figures() -> None:
     result: Any = SimpleNamespace(
         target=figures(-0.01, 44.82, -10.03, -7.23),
         attempts=[

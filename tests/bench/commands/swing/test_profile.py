@@ -63,14 +63,14 @@ def run(
     return run
 
 
-def test_check_says_what_was_checked(run: Run) -> None:
+def test_check_command_lists_checked_items(run: Run) -> None:
     answer = run("--config", "mine.toml", "check")
     assert (answer.code, answer.err) == (ExitCode.OK, "")
     for text in ("mine.toml over", "every key known", "slow.toml", "end stops", "air", "Everything holds"):
         assert text in answer.out
 
 
-def test_check_refuses_with_every_mistake(run: Run) -> None:
+def test_check_command_invalid_profile_reports_each_error(run: Run) -> None:
     answer = run("check", "wrong.toml")
     assert answer.code == ExitCode.BAD_INPUT
     assert "wrong.toml: club" in answer.err
@@ -81,7 +81,7 @@ def test_check_refuses_with_every_mistake(run: Run) -> None:
 @pytest.mark.parametrize(
     "command", [["check"], ["profile", "show", "slow"], ["profile", "simulate", "slow"], ["doctor"]]
 )
-def test_a_bad_configuration_stops_every_command(command: list[str], run: Run) -> None:
+def test_commands_invalid_configuration_are_refused_without_output(command: list[str], run: Run) -> None:
     answer = run("--config", "bad.toml", *command)
     assert answer.code == ExitCode.BAD_INPUT
     assert "bad.toml: plant.wrist_levr" in answer.err
@@ -90,7 +90,7 @@ def test_a_bad_configuration_stops_every_command(command: list[str], run: Run) -
     assert answer.out == ""
 
 
-def test_simulate_refuses_before_anything_moves(run: Run, tmp_path: Path) -> None:
+def test_profile_simulate_other_club_is_refused_without_output(run: Run, tmp_path: Path) -> None:
     answer = run("profile", "simulate", "wrong.toml", "--output", "out")
     assert answer.code == ExitCode.BAD_INPUT
     assert "the mounted one" in answer.err
@@ -98,7 +98,7 @@ def test_simulate_refuses_before_anything_moves(run: Run, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("command", [["profile", "check"], ["faults", "run"], ["tune"]])
-def test_what_is_tried_without_a_name_is_the_configurations_profile(
+def test_commands_without_profile_name_use_configured_profile(
     run: Run, tmp_path: Path, command: list[str]
 ) -> None:
     """A matrix of `high_speed` was one of `default` on its robot, with limits that were not made for it."""
@@ -109,7 +109,7 @@ def test_what_is_tried_without_a_name_is_the_configurations_profile(
 
 
 @pytest.mark.parametrize("command", ["check", "limits"])
-def test_a_profile_of_another_club_is_not_judged_with_the_mounted_one(command: str, run: Run) -> None:
+def test_profile_check_and_limits_other_club_are_refused(command: str, run: Run) -> None:
     answer = run("profile", command, "wrong.toml")
     assert answer.code == ExitCode.BAD_INPUT
     assert '"putter"' in answer.err
@@ -117,7 +117,7 @@ def test_a_profile_of_another_club_is_not_judged_with_the_mounted_one(command: s
     assert answer.out == ""
 
 
-def test_a_club_is_mounted_on_its_site_for_one_command(run: Run) -> None:
+def test_profile_simulate_club_option_mounts_club(run: Run) -> None:
     path = str(IRON)
     assert run("--config", "bag", "profile", "simulate", path, "--output", "one").code == ExitCode.BAD_INPUT
     answer = run(
@@ -129,7 +129,7 @@ def test_a_club_is_mounted_on_its_site_for_one_command(run: Run) -> None:
 
 
 @pytest.mark.release
-def test_a_swing_of_the_bag_is_learned_with_its_club_mounted(run: Run) -> None:
+def test_learn_sim_club_option_mounts_club(run: Run) -> None:
     learn = ("--config", "bag", "learn", str(IRON), "--sim", "--swings", "1", "--json")
     answer = run(*learn)
     assert (answer.code, '"driver", the mounted one' in answer.err) == (ExitCode.BAD_INPUT, True)
@@ -137,7 +137,7 @@ def test_a_swing_of_the_bag_is_learned_with_its_club_mounted(run: Run) -> None:
     assert json.loads(answer.out)["content"]["target"]["head_speed_mps"] == pytest.approx(34.9, rel=0.01)
 
 
-def test_a_running_bench_has_the_club_that_it_has(run: Run) -> None:
+def test_learn_running_bench_club_option_is_refused(run: Run) -> None:
     answer = run("--config", "bag", "learn", str(IRON), "--club", "iron7")
     assert (answer.code, "--club" in answer.err, "with --sim only" in answer.err) == (
         ExitCode.BAD_INPUT,
@@ -146,7 +146,7 @@ def test_a_running_bench_has_the_club_that_it_has(run: Run) -> None:
     )
 
 
-def test_an_unknown_profile_ball_or_variant_is_told(run: Run) -> None:
+def test_commands_unknown_name_is_refused_with_suggestion(run: Run) -> None:
     answer = run("check", "slwo")
     assert (answer.code, "Did you mean slow?" in answer.err) == (ExitCode.BAD_INPUT, True)
     answer = run("profile", "simulate", "slow", "--ball", "hard")
@@ -157,7 +157,7 @@ def test_an_unknown_profile_ball_or_variant_is_told(run: Run) -> None:
     assert (answer.code, "golfbench profile simulate thesis" in answer.err) == (ExitCode.BAD_INPUT, True)
 
 
-def test_list_shows_the_profiles_a_line_each(run: Run) -> None:
+def test_profile_list_shows_one_line_per_profile(run: Run) -> None:
     lines = run("profile", "list").out.splitlines()
     (row,) = [line.split() for line in lines if line.split()[:1] == ["slow"]]
     assert row[1] == "driver"
@@ -165,7 +165,7 @@ def test_list_shows_the_profiles_a_line_each(run: Run) -> None:
     assert (found["name"], found["club"], found["duration"]) == ("slow", "driver", 2.0)
 
 
-def test_show_draws_a_profile(run: Run, tmp_path: Path) -> None:
+def test_profile_show_prints_phases_and_writes_plot(run: Run, tmp_path: Path) -> None:
     answer = run("profile", "show", "slow", "--plot", "slow.png")
     assert answer.code == ExitCode.OK
     for text in ("Phases", "follow through", "head speed", "m/s", "Picture: slow.png"):
@@ -175,14 +175,14 @@ def test_show_draws_a_profile(run: Run, tmp_path: Path) -> None:
     assert run("profile", "show", "slow", "--plot", "none/slow.png").code == ExitCode.FILE
 
 
-def test_show_prints_a_profile_that_can_be_edited_and_loaded(run: Run, tmp_path: Path) -> None:
+def test_profile_show_table_prints_loadable_profile(run: Run, tmp_path: Path) -> None:
     answer = run("profile", "show", "slow", "--table")
     assert (answer.code, "angle_rad = [" in answer.out) == (ExitCode.OK, True)
     (tmp_path / "edited.toml").write_text(answer.out.replace('golfer = "nobody"', 'golfer = "somebody"'))
     assert "somebody" in run("profile", "show", "edited.toml").out
 
 
-def test_simulate_tells_why_there_is_no_shot(run: Run, tmp_path: Path) -> None:
+def test_profile_simulate_writes_record_and_exit_code_follows_shot(run: Run, tmp_path: Path) -> None:
     answer = run("--config", "mine.toml", "profile", "simulate", "slow", "--json")
     found = json.loads(answer.out)
     assert answer.code == (ExitCode.REFUSED if found["shot"]["reason"] else ExitCode.OK)
@@ -192,7 +192,7 @@ def test_simulate_tells_why_there_is_no_shot(run: Run, tmp_path: Path) -> None:
     assert set(found["stop_energy_j"]) == {"shoulder vane", "right arm", "wrist cylinder"}
 
 
-def test_names_come_before_paths_and_paths_work(run: Run, tmp_path: Path) -> None:
+def test_find_profile_resolves_name_or_path(run: Run, tmp_path: Path) -> None:
     assert profile_names() == ["slow"]
     assert find_profile("slow") == tmp_path / "profiles" / "slow.toml"
     assert find_profile("wrong.toml") == Path("wrong.toml")
@@ -211,13 +211,13 @@ def test_names_come_before_paths_and_paths_work(run: Run, tmp_path: Path) -> Non
         (["golfer", "compare", "anna.golfer.toml", "slow"], "golfbench golfer import"),
     ],
 )
-def test_a_mistaken_golfer_or_picture_is_told(arguments: list[str], told: str, run: Run) -> None:
+def test_golfer_commands_invalid_argument_is_refused(arguments: list[str], told: str, run: Run) -> None:
     answer = run(*arguments)
     assert answer.code == ExitCode.BAD_INPUT
     assert told in answer.err
 
 
-def test_design_saves_the_profile_and_shows_its_delivery(
+def test_profile_design_saves_profile_and_prints_delivery(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Any] = []
@@ -254,7 +254,7 @@ def test_design_saves_the_profile_and_shows_its_delivery(
     assert load_profile(path).delivery == SHIPPED.delivery
 
 
-def test_a_design_keeps_whose_swing_it_follows_and_how_near(
+def test_profile_design_golfer_stores_followed_swing_and_deviation(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     designed = SimpleNamespace(profile=SHIPPED)
@@ -274,9 +274,7 @@ def test_a_design_keeps_whose_swing_it_follows_and_how_near(
         assert text in shown
 
 
-def test_design_shows_the_highest_speed_or_what_stands_in_the_way(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_profile_design_highest_prints_speed_or_failure(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = SimpleNamespace(speed=47.3, binding={"supply pressure": 0.12})
 
     def found(study: Any, *_: Any) -> Any:
@@ -298,9 +296,7 @@ def test_design_shows_the_highest_speed_or_what_stands_in_the_way(
     assert "no way" in answer.err
 
 
-def test_planned_pressures_are_written_with_the_profile(
-    run: Run, tmp_path: Path, slow_swing: Profile
-) -> None:
+def test_profile_address_writes_planned_pressures(run: Run, tmp_path: Path, slow_swing: Profile) -> None:
     answer = run("profile", "address", "slow", "--output", "planned.toml")
     assert answer.code == 0
     assert "chambers at" in answer.out
@@ -310,7 +306,7 @@ def test_planned_pressures_are_written_with_the_profile(
     assert planned.angle.tobytes() == as_written(slow_swing).angle.tobytes()
 
 
-def test_an_address_that_no_air_holds_is_refused(run: Run, tmp_path: Path) -> None:
+def test_profile_address_unholdable_load_is_refused(run: Run, tmp_path: Path) -> None:
     (tmp_path / "heavy.toml").write_text(
         'base = "shipped"\n[clubs.driver]\nlike = "driver"\nhead_mass = 300.0\n'
     )

@@ -57,7 +57,7 @@ class JumpingClock:
         ),
     ],
 )
-def test_driver_machine_that_goes_passive_reports_the_stall_before_it(
+def test_driver_machine_passive_driver_reports_earlier_stall(
     stall: float, error: type[Refused], found: str, action: str
 ) -> None:
     driver = FaultyDriver(build_plant(PLANT))
@@ -84,7 +84,7 @@ class SilentDriver(SimDriver):
 
 
 @pytest.mark.parametrize(("silent", "error"), [(3, Stalled), (2, Refused), (0, Refused)])
-def test_driver_machine_attributes_lost_pressures_to_silence_of_all_encoders(
+def test_driver_machine_pressures_lost_with_all_encoders_raise_stalled(
     silent: int, error: type[Refused]
 ) -> None:
     driver = SilentDriver(build_plant(PLANT))

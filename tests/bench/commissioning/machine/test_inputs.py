@@ -84,7 +84,7 @@ def healthy() -> list[dict[str, bool]]:
     return [{name: one.rest != (name in stage.changed) for name, one in INPUTS.items()} for stage in STAGES]
 
 
-def test_inputs_of_a_right_machine_are_believed(wired: Configuration) -> None:
+def test_check_inputs_fault_free_machine_accepts_all_inputs(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
         seen, findings = check_inputs(machine, simulated_hands(machine), wired)
     assert findings == []
@@ -92,7 +92,7 @@ def test_inputs_of_a_right_machine_are_believed(wired: Configuration) -> None:
     assert abs(seen.gauge) < 0.05e5
 
 
-def test_every_input_has_a_column_of_its_own() -> None:
+def test_stages_give_each_input_unique_pattern() -> None:
     """Only the two vents, which one output opens, act alike."""
     columns = {name: tuple(level[name] for level in healthy()) for name in ALL}
     assert all(len(set(column)) == 2 for column in columns.values())
@@ -104,7 +104,7 @@ def test_every_input_has_a_column_of_its_own() -> None:
     ("a", "b"),
     [(a, b) for n, a in enumerate(ALL) for b in ALL[:n] if {a, b} != {"vent 1", "vent 2"}],
 )
-def test_two_exchanged_inputs_are_named_as_a_pair(a: str, b: str) -> None:
+def test_judged_exchanged_inputs_are_reported_as_pair(a: str, b: str) -> None:
     seen = [readings(levels | {a: levels[b], b: levels[a]}) for levels in healthy()]
     (finding,) = judged(STAGES, seen, ALL)
     assert set(finding.location.split(" and ")) == {a, b}
@@ -113,20 +113,20 @@ def test_two_exchanged_inputs_are_named_as_a_pair(a: str, b: str) -> None:
 
 @pytest.mark.parametrize("name", ALL)
 @pytest.mark.parametrize("level", [True, False])
-def test_an_input_that_never_changes_is_named(name: str, level: bool) -> None:
+def test_judged_constant_input_is_reported(name: str, level: bool) -> None:
     (finding,) = judged(STAGES, [readings(levels | {name: level}) for levels in healthy()], ALL)
     assert finding.location == name
     assert "all the time" in finding.found
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_an_input_of_reversed_polarity_is_named(name: str) -> None:
+def test_judged_reversed_polarity_is_reported(name: str) -> None:
     (finding,) = judged(STAGES, [readings(levels | {name: not levels[name]}) for levels in healthy()], ALL)
     assert (finding.location, "opposite" in finding.found) == (name, True)
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_an_input_that_changes_with_another_one_is_named_with_the_stage(name: str) -> None:
+def test_judged_change_in_wrong_stage_is_reported_with_stage(name: str) -> None:
     wrong = healthy()
     wrong[3][name] = not wrong[3][name]
     (finding,) = judged(STAGES, [readings(levels) for levels in wrong], ALL)
@@ -159,13 +159,15 @@ EVERYDAY = (FAULTS[0], FAULTS[5], FAULTS[8])
     [pytest.param(*case, marks=() if case in EVERYDAY else pytest.mark.release) for case in FAULTS],
     ids=lambda value: f"{value.name} {value.value:g}" if isinstance(value, Fault) else "",
 )
-def test_a_fault_of_an_input_is_found(wired: Configuration, fault: Fault, location: str, words: str) -> None:
+def test_check_inputs_injected_fault_is_found(
+    wired: Configuration, fault: Fault, location: str, words: str
+) -> None:
     findings = checked(wired, fault)
     assert any(location in one.location and words in one.found for one in findings), findings
     assert all(one.expected and one.action for one in findings)
 
 
-def test_spans_are_found_whose_regulator_was_turned_to_read_right(
+def test_check_inputs_supply_span_error_is_found_by_gauge(
     wired: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Sensors of gauge pressure read the atmosphere right; all spans are 0.8 times the truth."""
@@ -183,7 +185,7 @@ def test_spans_are_found_whose_regulator_was_turned_to_read_right(
     assert "by the gauge" in findings[-1].found
 
 
-def test_no_air_comes_behind_a_guard_that_is_not_proven(wired: Configuration) -> None:
+def test_check_inputs_unproven_guard_keeps_supply_off(wired: Configuration) -> None:
     turned = list[float]()
     with SimulatedMachine(wired.plant, wired.plant, (broken("guard closed", "stuck", 1.0),)) as machine:
         hands = simulated_hands(machine)._replace(timeout=0.5)
@@ -198,7 +200,7 @@ def test_no_air_comes_behind_a_guard_that_is_not_proven(wired: Configuration) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("measured", "words"), [(True, "the joint moves"), (False, "rad/s")])
-def test_a_spool_that_is_stuck_open_ends_the_check(wired: Configuration, measured: bool, words: str) -> None:
+def test_check_inputs_stuck_open_spool_ends_check(wired: Configuration, measured: bool, words: str) -> None:
     stuck = broken("shoulder valve", "stuck", 0.5)
     with (
         SimulatedMachine(wired.plant, wired.plant, (stuck,), inputs_only=measured) as machine,
@@ -210,7 +212,7 @@ def test_a_spool_that_is_stuck_open_ends_the_check(wired: Configuration, measure
 
 
 @pytest.mark.parametrize("seed", release_except((408,), (31, *range(400, 440))))
-def test_spools_off_their_centres_are_left_to_the_steps_that_measure(wired: Configuration, seed: int) -> None:
+def test_check_inputs_spool_offsets_give_no_finding(wired: Configuration, seed: int) -> None:
     robot = drawn_robot(seed, wired.plant)
     with SimulatedMachine(robot, wired.plant) as machine:
         findings = check_inputs(machine, simulated_hands(machine), wired)[1]
@@ -220,7 +222,7 @@ def test_spools_off_their_centres_are_left_to_the_steps_that_measure(wired: Conf
     assert loads.lowest_clearance > 0.0
 
 
-def test_air_that_is_on_ends_the_check_of_the_switches(wired: Configuration) -> None:
+def test_check_inputs_supply_pressure_present_is_refused(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
         hands = simulated_hands(machine)._replace(regulator=lambda p: None)
         with pytest.raises(Refused, match="Turn the regulator down"):
@@ -228,7 +230,7 @@ def test_air_that_is_on_ends_the_check_of_the_switches(wired: Configuration) -> 
         assert not machine.driver.applied.supply_enable
 
 
-def test_a_gauge_without_air_proves_no_span(wired: Configuration) -> None:
+def test_check_inputs_gauge_without_air_is_refused(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
         own = simulated_hands(machine)
         atmosphere = wired.plant.supply.atmosphere
@@ -236,7 +238,7 @@ def test_a_gauge_without_air_proves_no_span(wired: Configuration) -> None:
             check_inputs(machine, own._replace(regulator=lambda p: own.regulator(atmosphere)), wired)
 
 
-def test_who_stopped_the_check_begins_it_again(wired: Configuration) -> None:
+def test_check_inputs_operator_stop_is_refused_with_restart_action(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
         hands = simulated_hands(machine)
         machine._stop = lambda: True
@@ -245,14 +247,14 @@ def test_who_stopped_the_check_begins_it_again(wired: Configuration) -> None:
     assert (refused.value.location, refused.value.action) == ("check of the inputs", "Begin again.")
 
 
-def test_without_a_person_nothing_is_checked(wired: Configuration) -> None:
+def test_check_inputs_without_gauge_is_refused(wired: Configuration) -> None:
     with SimulatedMachine(wired.plant, wired.plant, inputs_only=True) as machine:
         hands = simulated_hands(machine)._replace(gauge=None)
         with pytest.raises(Refused, match="calibrate inputs"):
             check_inputs(machine, hands, wired)
 
 
-def test_inputs_that_are_not_fitted_are_not_asked_for(configuration: Configuration) -> None:
+def test_check_inputs_unfitted_inputs_are_skipped(configuration: Configuration) -> None:
     plant = replace(configuration.plant, vent_feedback=False, pressure_sensors=False)
     c = replace(configuration, plant=plant)
     with SimulatedMachine(plant, plant, inputs_only=True) as machine:
@@ -289,14 +291,14 @@ def blocks(database: URL, *, required: bool, found: tuple[str, ...], hours: floa
     ],
     ids=["in force", "due", "failed", "simulated, due", "simulated, failed"],
 )
-def test_arming_needs_the_check_of_the_day_on_a_machine(
+def test_effective_calibration_due_or_failed_inputs_check_blocks_arming(
     tmp_path: Path, required: bool, found: tuple[str, ...], hours: float, expected: set[Block]
 ) -> None:
     database = make_url(f"sqlite:///{tmp_path / 'b.sqlite'}")
     assert blocks(database, required=required, found=found, hours=hours) == expected
 
 
-def test_a_check_holds_for_one_wiring(configuration: Configuration) -> None:
+def test_wiring_digest_changes_with_input_assignment(configuration: Configuration) -> None:
     c = replace(configuration, driver=replace(configuration.driver, name="canopen"))
     node = c.canopen.valve_node
     moved = replace(node, inputs=replace(node.inputs, emergency_stop_clear=1, guard_closed=0))
@@ -308,7 +310,7 @@ def test_a_check_holds_for_one_wiring(configuration: Configuration) -> None:
 # Step 0 ----------------------------------------------------------------------------------------------------
 
 
-def test_commissioning_begins_with_the_inputs_and_does_them_again_when_due(
+def test_see_inputs_runs_first_and_repeats_when_due(
     tmp_path: Path, configuration: Configuration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state, kept = begin(tmp_path, configuration, simulated=True, resume=False), list[SeenInputs]()
@@ -338,18 +340,18 @@ def test_commissioning_begins_with_the_inputs_and_does_them_again_when_due(
     assert step_0("") == 3, "due again"
 
 
-def test_the_check_runs_with_simulated_hands_at_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_calibrate_inputs_sim_reports_all_changes(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["calibrate", "inputs", "--sim"])
     assert ended.value.code == 0
     assert "inputs seen to change: emergency stop, guard closed" in capsys.readouterr().out
 
 
-def test_switches_of_faults_and_inputs_are_the_same() -> None:
+def test_fault_switches_match_inputs() -> None:
     assert [name.removesuffix(" feedback") for name in SWITCHES] == list(ALL)
 
 
-def test_fitted_inputs_come_from_the_readings() -> None:
+def test_fitted_returns_inputs_in_readings() -> None:
     levels = healthy()[0]
     assert fitted(readings(levels), local_reset=True) == ALL
     assert "local reset" not in fitted(readings(levels), local_reset=False)

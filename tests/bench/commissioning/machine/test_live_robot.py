@@ -110,7 +110,9 @@ def slow(configuration: Configuration) -> Profile:
     return slowed(load_profile(find_profile("default")), 0.6, configuration)
 
 
-def test_the_beacon_warns_before_air_comes_on(server: MachineServer, driver: WatchedDriver) -> None:
+def test_machine_server_first_run_warns_with_beacon_before_supply(
+    server: MachineServer, driver: WatchedDriver
+) -> None:
     server.obey(Run((Segment(0.2, OPENING),), BOUNDS))
     with_air = next(n for n, command in enumerate(driver.commands) if command.supply_enable)
     warning = driver.commands[:with_air]
@@ -121,7 +123,7 @@ def test_the_beacon_warns_before_air_comes_on(server: MachineServer, driver: Wat
     assert all(command.supply_enable for command in driver.commands), "no pause between two sequences"
 
 
-def test_between_sequences_the_openings_stay(server: MachineServer, driver: WatchedDriver) -> None:
+def test_machine_server_hold_keeps_valve_commands(server: MachineServer, driver: WatchedDriver) -> None:
     server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
     for _ in range(50):
         server.hold()
@@ -133,9 +135,7 @@ def test_between_sequences_the_openings_stay(server: MachineServer, driver: Watc
     assert driver.commands[-1] == PASSIVE
 
 
-def test_a_bound_that_is_passed_in_between_makes_the_machine_passive(
-    server: MachineServer, driver: WatchedDriver
-) -> None:
+def test_machine_server_hold_over_bound_makes_passive(server: MachineServer, driver: WatchedDriver) -> None:
     tight = BOUNDS._replace(pressure=2.5e5)
     server.obey(Run((Segment(0.01, (0.3, 0.0, 0.0), vents_shut=True),), tight))
     assert driver.commands[-1].supply_enable
@@ -145,7 +145,7 @@ def test_a_bound_that_is_passed_in_between_makes_the_machine_passive(
 
 
 @pytest.mark.parametrize(("clear", "closed"), [(False, True), (True, False)])
-def test_an_interlock_in_between_makes_the_machine_passive(
+def test_machine_server_hold_open_interlock_makes_passive(
     server: MachineServer, driver: WatchedDriver, tmp_path: Path, clear: bool, closed: bool
 ) -> None:
     server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
@@ -161,7 +161,7 @@ def test_an_interlock_in_between_makes_the_machine_passive(
     server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
 
 
-def test_an_encoder_may_be_lost_for_five_ticks(
+def test_machine_server_hold_tolerates_encoder_loss_of_five_ticks(
     server: MachineServer, driver: WatchedDriver, tmp_path: Path
 ) -> None:
     server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
@@ -175,7 +175,7 @@ def test_an_encoder_may_be_lost_for_five_ticks(
             assert driver.commands[-1].supply_enable is lasts
 
 
-def test_the_simulated_regulator_is_turned(server: MachineServer, tmp_path: Path) -> None:
+def test_of_simulation_regulator_sets_supply_pressure(server: MachineServer, tmp_path: Path) -> None:
     turn = of_simulation(tmp_path)
     for pressure, expected in ((3.0e5, 3.0e5), (math.inf, 8.0e5)):
         turn(pressure)
@@ -183,7 +183,7 @@ def test_the_simulated_regulator_is_turned(server: MachineServer, tmp_path: Path
         assert trace.supply[-1] == pytest.approx(expected, rel=0.05)  # type: ignore[attr-defined]
 
 
-def test_a_sequence_ends_when_a_stop_is_asked_for(
+def test_machine_server_stop_in_run_makes_passive(
     server: MachineServer, driver: WatchedDriver, asked: list[bool]
 ) -> None:
     asked.append(True)
@@ -194,14 +194,14 @@ def test_a_sequence_ends_when_a_stop_is_asked_for(
     server.obey(Vent(5.0))
 
 
-def test_a_swing_needs_an_armed_robot(server: MachineServer, slow: Profile) -> None:
+def test_machine_server_swing_not_armed_raises(server: MachineServer, slow: Profile) -> None:
     with pytest.raises(ValueError, match="not armed"):
         server.obey(Swing(slow, ball=False))
 
 
 @compiled_only
 @pytest.mark.timeout(600)
-def test_it_homes_arms_and_swings_as_a_bench_does(
+def test_machine_server_arms_and_swings_with_and_without_ball(
     server: MachineServer, driver: WatchedDriver, configuration: Configuration, slow: Profile
 ) -> None:
     server.obey(Run((Segment(0.1, OPENING),), BOUNDS))
@@ -221,7 +221,7 @@ def test_it_homes_arms_and_swings_as_a_bench_does(
 
 @compiled_only
 @pytest.mark.timeout(600)
-def test_an_arming_that_is_refused_for_a_moment_is_repeated(
+def test_machine_server_arm_refused_briefly_is_repeated(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request, refused = SwingOperator.request, list[int]()
@@ -241,7 +241,7 @@ def test_an_arming_that_is_refused_for_a_moment_is_repeated(
 
 @compiled_only
 @pytest.mark.timeout(600)
-def test_a_state_that_refuses_to_arm_is_named_with_its_cause(
+def test_machine_server_arm_refused_reports_state_and_reason(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request = SwingOperator.request
@@ -260,7 +260,7 @@ def test_a_state_that_refuses_to_arm_is_named_with_its_cause(
 
 @compiled_only
 @pytest.mark.timeout(600)
-def test_a_person_is_let_in_to_read_the_mark(
+def test_machine_server_release_guard_shuts_supply_until_lock_guard(
     server: MachineServer,
     driver: WatchedDriver,
     configuration: Configuration,
@@ -288,7 +288,7 @@ def test_a_person_is_let_in_to_read_the_mark(
 
 @compiled_only
 @pytest.mark.timeout(600)
-def test_a_swing_that_is_stopped_is_brought_to_rest(
+def test_machine_server_stop_in_swing_is_refused(
     server: MachineServer, configuration: Configuration, slow: Profile, asked: list[bool]
 ) -> None:
     server.obey(ArmBench(bench_of(configuration, slow)))
@@ -300,7 +300,7 @@ def test_a_swing_that_is_stopped_is_brought_to_rest(
 
 @compiled_only
 @pytest.mark.timeout(600)
-def test_a_swing_that_a_stall_stopped_is_repeated_and_said(
+def test_machine_server_swing_stopped_by_stall_is_repeated_and_reported(
     server: MachineServer,
     driver: WatchedDriver,
     configuration: Configuration,
@@ -336,7 +336,7 @@ def test_a_swing_that_a_stall_stopped_is_repeated_and_said(
 
 @compiled_only
 @pytest.mark.timeout(600)
-def test_an_arming_that_a_stall_stopped_is_repeated_and_said(
+def test_machine_server_arm_stopped_by_stall_is_repeated_and_reported(
     server: MachineServer,
     driver: WatchedDriver,
     configuration: Configuration,
@@ -370,7 +370,7 @@ def test_an_arming_that_a_stall_stopped_is_repeated_and_said(
 @compiled_only
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("stalls", "ends"), [(ADDRESS_TRIES + 1, False), (99, True)])
-def test_stalls_at_the_address_are_repeated_more_often_than_slips(
+def test_machine_server_stalls_at_address_repeat_up_to_limit(
     server: MachineServer,
     driver: WatchedDriver,
     configuration: Configuration,
@@ -410,7 +410,7 @@ def test_stalls_at_the_address_are_repeated_more_often_than_slips(
 
 @compiled_only
 @pytest.mark.timeout(600)
-def test_no_ball_is_said(
+def test_machine_server_swing_without_ball_is_refused(
     server: MachineServer, configuration: Configuration, slow: Profile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server.obey(ArmBench(bench_of(configuration, slow)))
@@ -437,7 +437,7 @@ def started(configuration: Configuration, folder: Path) -> Iterator[LiveRobot]:
 
 @pytest.mark.live
 @pytest.mark.timeout(240)
-def test_the_process_obeys_and_is_interrupted(tmp_path: Path, configuration: Configuration) -> None:
+def test_live_robot_runs_sequence_and_sigint_interrupts(tmp_path: Path, configuration: Configuration) -> None:
     with started(configuration, tmp_path) as robot:
         robot.set_supply(2.0e5)
         trace = robot.run((Segment(1.0, OPENING, vents_shut=True),), BOUNDS)
@@ -455,7 +455,7 @@ def test_the_process_obeys_and_is_interrupted(tmp_path: Path, configuration: Con
 
 @pytest.mark.live
 @pytest.mark.timeout(240)
-def test_a_process_that_is_killed_is_said(tmp_path: Path, configuration: Configuration) -> None:
+def test_live_robot_killed_process_raises_machine_lost(tmp_path: Path, configuration: Configuration) -> None:
     with started(configuration, tmp_path) as robot:
         robot._child.kill()
         with pytest.raises(MachineLost, match="--resume"):
@@ -463,7 +463,7 @@ def test_a_process_that_is_killed_is_said(tmp_path: Path, configuration: Configu
         robot.make_passive()
 
 
-def test_the_loop_ticks_while_its_answer_is_not_read() -> None:
+def test_send_unread_answer_continues_ticks() -> None:
     ours, theirs = Pipe()
     ticks: list[float] = []
     read: list[bytes] = []
@@ -491,7 +491,7 @@ def test_the_loop_ticks_while_its_answer_is_not_read() -> None:
 # What a busy machine and a bus do to a record ----------------------------------------------------------
 
 
-def test_rows_that_a_busy_machine_missed_lie_between_their_neighbours() -> None:
+def test_log_missed_rows_are_interpolated() -> None:
     log = _Log(5, 1000)
     for n in (0, 1, 4, 5):
         readings = new_record(READINGS)
@@ -505,7 +505,7 @@ def test_rows_that_a_busy_machine_missed_lie_between_their_neighbours() -> None:
     assert trace.segment.tolist() == [0, 0, 0, 0, 1, 1]
 
 
-def test_a_pressure_that_is_lost_for_a_moment_keeps_its_value(
+def test_machine_server_pressure_lost_briefly_keeps_value(
     server: MachineServer, driver: WatchedDriver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lost = [0]
@@ -529,7 +529,7 @@ def test_a_pressure_that_is_lost_for_a_moment_keeps_its_value(
     assert driver.commands[-1] == PASSIVE
 
 
-def test_pressures_over_canopen_are_read_as_often_as_the_bus_carries(configuration: Configuration) -> None:
+def test_with_quick_pressures_canopen_limits_rate_to_bus_load(configuration: Configuration) -> None:
     assert with_quick_pressures(configuration) is configuration
     canopen = replace(configuration, driver=replace(configuration.driver, name="canopen"))
     assert with_quick_pressures(canopen).canopen.pressure_ticks == 2

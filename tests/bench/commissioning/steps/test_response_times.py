@@ -44,7 +44,7 @@ def later(pressure: np.ndarray) -> np.ndarray:
     [(lambda pressure: pressure, 0.0, 2e-5), (later, 0.002, 2e-5), (held, 0.0005, 3e-4)],
     ids=["at once", "two ticks later", "every second tick"],
 )
-def test_a_dead_time_is_not_taken_for_a_slow_spool(
+def test_fit_spool_separates_dead_time_from_natural_frequency(
     steps: MotionTrace, seen: Callable[[np.ndarray], np.ndarray], dead_time: float, tolerance: float
 ) -> None:
     plant = PlantParameters()

@@ -51,7 +51,7 @@ def configuration() -> Configuration:
     return replace(shipped, control=replace(shipped.control, feed_forward="kane+pneumatic"))
 
 
-def test_a_slower_swing_follows_the_same_path(configuration: Configuration, default: Profile) -> None:
+def test_slowed_swing_keeps_path(configuration: Configuration, default: Profile) -> None:
     slow = slowed(default, 0.5, configuration)
     for row in (default.begins[1], default.begins[3], default.begins[5], default.begins[6]):
         later = default.begins[1] + 2 * (row - default.begins[1])
@@ -64,7 +64,7 @@ def test_a_slower_swing_follows_the_same_path(configuration: Configuration, defa
 
 
 @compiled_only
-def test_a_slower_swing_comes_as_fast_as_its_share(
+def test_slowed_swing_head_speed_matches_share(
     tmp_path: Path, configuration: Configuration, default: Profile
 ) -> None:
     slow = slowed(default, 0.5, configuration)
@@ -83,7 +83,9 @@ def test_a_slower_swing_comes_as_fast_as_its_share(
 
 
 @compiled_only
-def test_slow_swing_downswing_does_not_oscillate(configuration: Configuration, default: Profile) -> None:
+def test_slow_swing_downswing_velocity_deviation_is_small(
+    configuration: Configuration, default: Profile
+) -> None:
     slow = slow_swing(configuration, default, 0.4, SPEED)
     swing = SimulatedRobot(configuration.plant).series(slow.bench).swing(slow.bench.profile, ball=False)
     begins = slow.bench.profile.begins
@@ -95,7 +97,7 @@ def test_slow_swing_downswing_does_not_oscillate(configuration: Configuration, d
 
 @pytest.mark.release
 @compiled_only
-def test_a_slow_swing_that_its_prediction_stops_is_designed(
+def test_slow_swing_stopped_in_prediction_is_designed(
     monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
 ) -> None:
     def design(known: Configuration, speed: float, name: str, start: Profile) -> Profile:
@@ -136,18 +138,18 @@ def test_a_slow_swing_that_its_prediction_stops_is_designed(
         (GOOD._replace(braking=np.array([[3.0, 2.0, 9.0], [3.0, 2.0, 4.0]])), Cause.NONE, "brakes less"),
     ],
 )
-def test_what_is_not_as_predicted_is_named(found: SwingDeviation, cause: Cause, words: str) -> None:
+def test_require_as_predicted_deviation_raises_fault(found: SwingDeviation, cause: Cause, words: str) -> None:
     with pytest.raises(MachineFault, match=words):
         require_as_predicted(found, cause, "swing of 60 %")
 
 
-def test_a_swing_as_predicted_goes_on() -> None:
+def test_require_as_predicted_small_deviation_is_accepted() -> None:
     require_as_predicted(GOOD, Cause.NONE, "swing of 60 %")
     slower = GOOD._replace(braking=np.array([[0.0, 0.0, 0.0], [3.0, 2.0, 4.0]]))
     require_as_predicted(slower, Cause.NONE, "swing of 60 %")
 
 
-def test_a_swing_is_compared_with_the_prediction_that_it_is_most_like() -> None:
+def test_nearest_returns_closest_prediction() -> None:
     """The model of a robot with wide dead bands makes a slow swing of 25 or of 23 m/s; the robot made 22."""
     fast, slow = GOOD._replace(predicted=25.2, measured=22.0), GOOD._replace(predicted=23.0, measured=22.0)
     astray = slow._replace(path=np.array([0.2, 0.01, 0.02]))
@@ -156,14 +158,14 @@ def test_a_swing_is_compared_with_the_prediction_that_it_is_most_like() -> None:
     assert nearest([fast]) is fast
 
 
-def test_a_load_beyond_a_rating_ends_the_swings() -> None:
+def test_require_safe_load_over_rating_raises_fault() -> None:
     loads = Loads(np.zeros((3, 2)), np.zeros(6), 0.02, 20.0, 1.2, "wrist upper stop", 0.5, 0.5)
     with pytest.raises(MachineFault, match="120 % of its rated energy"):
         require_safe(loads, "swing of 80 %")
     require_safe(None, "swing of 80 %")  # a real robot does not say
 
 
-def test_a_slow_swing_may_be_as_far_off_as_a_full_one() -> None:
+def test_require_as_predicted_lower_share_widens_speed_limit() -> None:
     """In m/s: friction makes a slow swing uncertain, and its energy is low."""
     off = GOOD._replace(measured=1.12 * GOOD.predicted)
     require_as_predicted(off, Cause.NONE, "swing of 60 %", 0.6)
@@ -173,7 +175,7 @@ def test_a_slow_swing_may_be_as_far_off_as_a_full_one() -> None:
         require_as_predicted(GOOD._replace(measured=1.15 * GOOD.predicted), Cause.NONE, "swing of 60 %", 0.6)
 
 
-def test_a_robot_may_differ_as_its_predictions_do() -> None:
+def test_require_as_predicted_prediction_spread_widens_limits() -> None:
     """What friction alone takes apart is no wrong machine."""
     assert widest([]) == PredictionSpread()
     others = [GOOD._replace(path=np.array(path), measured=speed) for path, speed in OTHER_PREDICTIONS]
@@ -212,7 +214,7 @@ class _Stumbling:
 
 @compiled_only
 @pytest.mark.timeout(600)
-def test_a_full_swing_has_limits_of_its_own(
+def test_rising_swings_full_swing_uses_generated_limits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
 ) -> None:
     made = list[str]()
@@ -246,7 +248,7 @@ def test_a_full_swing_has_limits_of_its_own(
     assert made == ["slower False False", "limits of default", "default True True"]
 
 
-def test_a_slow_swing_that_the_robot_stops_is_designed_once(
+def test_swung_slowly_stopped_swing_is_designed_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, configuration: Configuration, default: Profile
 ) -> None:
     """Near the top friction lets a slow robot slip, in one swing and not in its prediction."""

@@ -43,7 +43,7 @@ def diagnosed(configuration: Configuration, profile: Profile, name: str) -> tupl
     return said, unsafe_reasons(RunEnd(series.loads()), SafetyLimits())
 
 
-def test_the_true_plant_predicts_its_own_swing(configuration: Configuration, default: Profile) -> None:
+def test_recorded_swing_true_plant_errors_are_small(configuration: Configuration, default: Profile) -> None:
     plant = configuration.plant
     made = SimulatedRobot(plant).series(bench_of(configuration, default)).swing(default)
     recorded = RecordedSwing(made.cycles, plant)
@@ -56,7 +56,9 @@ def test_the_true_plant_predicts_its_own_swing(configuration: Configuration, def
 @pytest.mark.parametrize(
     "name", release_except({"nothing wrong"}, ["nothing wrong", "hose of the arm leaks"])
 )
-def test_a_swing_says_what_became_wrong(configuration: Configuration, default: Profile, name: str) -> None:
+def test_diagnose_swing_names_injected_change(
+    configuration: Configuration, default: Profile, name: str
+) -> None:
     said, unsafe = diagnosed(configuration, default, name)
     assert (said.named is None) is (name == "nothing wrong"), said.text
     assert said.named is None or CASES[name].is_named_by(said)
@@ -65,7 +67,7 @@ def test_a_swing_says_what_became_wrong(configuration: Configuration, default: P
 
 @pytest.mark.release
 @pytest.mark.parametrize("name", CASES)
-def test_no_cause_is_named_that_is_not_there(
+def test_diagnose_swing_names_no_wrong_cause(
     configuration: Configuration, default: Profile, name: str
 ) -> None:
     said, unsafe = diagnosed(configuration, default, name)
@@ -74,7 +76,7 @@ def test_no_cause_is_named_that_is_not_there(
 
 
 @pytest.mark.release
-def test_commissioning_ends_with_the_swing_that_a_cause_explains(
+def test_diagnosed_robot_explained_swing_raises_machine_fault(
     configuration: Configuration, default: Profile, tmp_path: Path
 ) -> None:
     case, bench = CASES["supply sags"], bench_of(configuration, default)
@@ -86,7 +88,7 @@ def test_commissioning_ends_with_the_swing_that_a_cause_explains(
     assert watched.explained(found.value) is found.value, "said already"
 
 
-def test_each_swing_of_commissioning_has_the_check_on(
+def test_diagnosed_robot_series_enables_model_check(
     configuration: Configuration, default: Profile, tmp_path: Path
 ) -> None:
     armed = list[Bench]()
@@ -102,7 +104,9 @@ def test_each_swing_of_commissioning_has_the_check_on(
     assert np.isfinite(parameters.model["air"][0, Phase.DOWNSWING]).all()
 
 
-def test_what_a_swing_does_not_explain_is_said_so(configuration: Configuration, tmp_path: Path) -> None:
+def test_diagnosed_robot_unexplained_fault_reports_misfit(
+    configuration: Configuration, tmp_path: Path
+) -> None:
     watched = DiagnosedRobot(SimulatedRobot(configuration.plant), (), tmp_path)
     error = Refused("swing of 60 %", "30 m/s", "26 m/s", "Look.")
     assert watched.explained(error) is error, "nothing has swung"

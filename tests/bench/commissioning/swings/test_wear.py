@@ -62,7 +62,7 @@ def _changes(parts: Sequence[PartWear]) -> dict[tuple[str, str], float]:
 
 
 @compiled_only
-def test_worn_parts_of_several_parts_each_is_found_in_one_swing(bench: SimulatedBench) -> None:
+def test_worn_parts_several_changes_are_found_in_one_swing(bench: SimulatedBench) -> None:
     plant = bench.plant
     band, speed = plant.right_arm.valve.dead_band, plant.wrist.valve.natural_frequency
     friction = {
@@ -91,7 +91,7 @@ def test_worn_parts_of_several_parts_each_is_found_in_one_swing(bench: Simulated
 
 
 @compiled_only
-def test_worn_parts_stopped_arming_names_the_valve_not_its_sensor(bench: SimulatedBench) -> None:
+def test_worn_parts_stopped_arming_names_valve_not_sensor(bench: SimulatedBench) -> None:
     powered = _powered(bench, with_values(bench.plant, {"right_arm.valve.centre": 0.008}))
     with pytest.raises(Refused, match="check its sensor"):
         powered.arm()
@@ -101,7 +101,7 @@ def test_worn_parts_stopped_arming_names_the_valve_not_its_sensor(bench: Simulat
 
 
 @compiled_only
-def test_worn_parts_sensor_that_is_off_names_the_sensor_not_the_valve(bench: SimulatedBench) -> None:
+def test_worn_parts_sensor_offset_names_sensor_not_valve(bench: SimulatedBench) -> None:
     cycles = _swung(bench, bench.plant).copy()
     cycles["chamber_pressure"][:, 2] += 1.5e4
     worn = [one for one in _parts(bench, cycles) if one.is_worn]
@@ -110,7 +110,7 @@ def test_worn_parts_sensor_that_is_off_names_the_sensor_not_the_valve(bench: Sim
 
 
 @compiled_only
-def test_worn_parts_healthy_robot_none_is_worn(bench: SimulatedBench) -> None:
+def test_worn_parts_fault_free_robot_finds_none(bench: SimulatedBench) -> None:
     assert not [one for one in _parts(bench, _swung(bench, bench.plant)) if one.is_worn]
 
 
@@ -120,7 +120,7 @@ def _drifting(values: Values, swings: int, k: int, change: float) -> list[SwingW
     return [SwingWear(values, row, np.full(len(values), 1e-6)) for row in rows]
 
 
-def test_worn_parts_trend_says_how_many_swings_are_left() -> None:
+def test_worn_parts_trend_predicts_swings_left() -> None:
     values = wearing_values(PlantParameters())
     k = next(n for n, one in enumerate(values) if (one.part, one.name) == ("wrist valve", "dead band"))
     first = worn_parts(_drifting(values, 20, k, 0.5 * values[k].most))[0]
@@ -141,7 +141,7 @@ def test_worn_parts_leak_below_zero_is_not_worn() -> None:
         assert worn_parts(rows)[0].is_worn is worn
 
 
-def test_wear_plot_has_axes_for_the_most_worn() -> None:
+def test_wear_plot_shows_most_worn_first() -> None:
     values = wearing_values(PlantParameters())
     figure = wear_plot(_drifting(values, 12, 3, values[3].most), range(1, 13))
     assert len(figure.axes) == 6

@@ -23,7 +23,7 @@ PLANT = build_plant(PlantParameters()).plant[0]
         ((0.0, 0.0), False),
     ],
 )
-def test_vents_that_both_report_shut_are_shut(shown: tuple[float, float], opened: bool) -> None:
+def test_conductance_of_vents_both_reported_shut_is_zero(shown: tuple[float, float], opened: bool) -> None:
     readings = new_record(READINGS)
     readings["vent_open"] = shown
     assert (conductance_of_vents(PLANT, readings[0], PLANT["vent_delay"] + 0.1) > 0.0) is opened

@@ -70,7 +70,7 @@ class Channel:
 
 @settings(max_examples=50, deadline=None)
 @given(start=st.tuples(*(st.floats(low, high) for low, high in TRAVEL)), seed=st.integers(0, 2**32 - 1))
-def test_a_motion_within_the_travel_comes_back_within_half_a_count(
+def test_decode_encoders_motion_in_travel_is_exact_to_half_count(
     start: tuple[float, float, float], seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def test_a_motion_within_the_travel_comes_back_within_half_a_count(
         np.testing.assert_allclose(state["angle"], angle, rtol=0, atol=RESOLUTION * 0.5001)
 
 
-def test_the_wrap_around_is_no_jump() -> None:
+def test_decode_encoders_wrap_around_is_continuous() -> None:
     channel = Channel(zero_count=(0.0, 0.0, 0.0), sign=(1, 1, 1), travel=((-3.0, 3.0),) * 3)
     for k, angle in enumerate(np.linspace(-0.3, 0.3, 61)):
         state = channel.take(k * PERIOD, np.full(3, round(angle / RESOLUTION) % COUNTS))
@@ -93,7 +93,7 @@ def test_the_wrap_around_is_no_jump() -> None:
     assert np.all(channel.record["unwrapped"] > 0)
 
 
-def test_several_turns_are_followed_when_the_range_has_several() -> None:
+def test_decode_encoders_multi_turn_range_follows_turns() -> None:
     """A multi-turn encoder: the joint may travel more than one revolution."""
     span = 4 * COUNTS
     channel = Channel(
@@ -104,7 +104,7 @@ def test_several_turns_are_followed_when_the_range_has_several() -> None:
         assert state["angle"] == pytest.approx(np.full(3, angle), abs=RESOLUTION * 0.51)
 
 
-def test_an_impossible_jump_is_named_and_not_believed() -> None:
+def test_decode_encoders_jump_over_max_speed_is_implausible() -> None:
     channel = Channel()
     here = np.array([0.5, 4.0, 6.0])
     channel.take(0.0, counts(here))
@@ -121,7 +121,7 @@ def test_an_impossible_jump_is_named_and_not_believed() -> None:
     assert state["rejected"][2] == 0
 
 
-def test_a_jump_of_half_a_range_is_implausible() -> None:
+def test_decode_encoders_jump_of_half_range_is_implausible() -> None:
     channel = Channel()
     first = counts((0.0, 4.0, 6.0))
     channel.take(0.0, first)
@@ -130,14 +130,14 @@ def test_a_jump_of_half_a_range_is_implausible() -> None:
 
 
 @pytest.mark.parametrize("count", [-1, COUNTS, 2**40, -(2**40)])
-def test_a_count_outside_the_range_is_implausible(count: int) -> None:
+def test_decode_encoders_count_outside_range_is_implausible(count: int) -> None:
     channel = Channel()
     for time in (0.0, 0.01):  # as the first sample and as a later one
         assert channel.take(time, np.full(3, count))["verdict"].tolist() == [IMPLAUSIBLE] * 3
         channel.take(time + PERIOD, counts((0.0, 4.0, 6.0)))
 
 
-def test_after_a_long_silence_the_travel_decides_the_branch() -> None:
+def test_decode_encoders_after_long_silence_travel_selects_turn() -> None:
     channel = Channel()
     channel.take(0.0, counts((-2.4, 3.2, 4.9)))
     state = channel.take(1.0, counts((2.4, 4.6, 6.2)))
@@ -145,7 +145,7 @@ def test_after_a_long_silence_the_travel_decides_the_branch() -> None:
     assert state["angle"] == pytest.approx([2.4, 4.6, 6.2], abs=RESOLUTION)
 
 
-def test_no_information_is_told_apart_by_its_cause() -> None:
+def test_decode_encoders_verdict_separates_invalid_repeated_and_stale() -> None:
     channel = Channel()
     good = counts((0.0, 4.0, 6.0))
     channel.take(0.0, good)
@@ -162,7 +162,7 @@ def test_no_information_is_told_apart_by_its_cause() -> None:
     assert state["fresh"].tolist() == [0] * 3
 
 
-def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
+def test_decode_encoders_compiled_equals_plain(plain: Callable[..., Any]) -> None:
     rng = np.random.default_rng(7)
     parameters = designed()
     readings = new_record(READINGS)
@@ -195,6 +195,6 @@ def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
         ({"max_age": (1.0, 1.0, 0.0)}, "joint 2: max_age"),
     ],
 )
-def test_a_bad_design_is_refused_by_name(changes: dict[str, Any], named: str) -> None:
+def test_design_encoders_invalid_parameter_is_refused(changes: dict[str, Any], named: str) -> None:
     with pytest.raises(ValueError, match=named):
         designed(**changes)

@@ -123,7 +123,7 @@ def in_window(time: Array) -> Array:
     return (time > IMPACT - 0.004) & (time < IMPACT + 0.008)
 
 
-def test_equals_filterpy_over_a_swing_with_drop_outs_and_an_impact(swing: Callable[..., Any]) -> None:
+def test_estimate_swing_with_drop_outs_and_impact_equals_filterpy(swing: Callable[..., Any]) -> None:
     s = swing()
     rng = np.random.default_rng(1)
     valid = (rng.random(s.angle.shape) > 0.05).astype("u1")
@@ -135,7 +135,7 @@ def test_equals_filterpy_over_a_swing_with_drop_outs_and_an_impact(swing: Callab
     assert_equal_to_filterpy(sampled(s.angle), age, valid, dt, in_window(s.time))
 
 
-def test_equals_filterpy_over_a_recorded_swing_of_the_plant() -> None:
+def test_estimate_simulated_swing_equals_filterpy() -> None:
     profile = load_profile(find_profile("default"))
     parameters = PlantParameters()
     bench = Lockstep(build_plant(parameters), build_controller(parameters, profile), profile.angle[0])
@@ -156,7 +156,7 @@ def test_equals_filterpy_over_a_recorded_swing_of_the_plant() -> None:
     assert_equal_to_filterpy(angle, cycles["encoder_age"].copy(), valid, np.full(len(angle), PERIOD), window)
 
 
-def test_equals_filterpy_with_measured_ticks_and_aged_samples(swing: Callable[..., Any]) -> None:
+def test_estimate_measured_ticks_and_aged_samples_equals_filterpy(swing: Callable[..., Any]) -> None:
     s = swing()
     rng = np.random.default_rng(2)
     keep = np.sort(rng.choice(len(s.time), 900, replace=False))  # missed ticks make long ones
@@ -173,7 +173,7 @@ def test_equals_filterpy_with_measured_ticks_and_aged_samples(swing: Callable[..
     seed=st.integers(0, 2**32 - 1),
     opening=st.integers(0, 249),
 )
-def test_equals_filterpy_whatever_is_missing(
+def test_estimate_random_missing_samples_equals_filterpy(
     silences: list[tuple[int, int, int]], scattered: float, seed: int, opening: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -190,7 +190,7 @@ def test_equals_filterpy_whatever_is_missing(
     assert_equal_to_filterpy(angle, rng.uniform(0, 5e-4, (ticks, 3)), valid, dt, window)
 
 
-def test_design_takes_its_noise_from_filterpy() -> None:
+def test_design_estimator_noise_equals_filterpy() -> None:
     parameters = designed()[0]
     for joint in range(3):
         q = Q_discrete_white_noise(3, PERIOD, CHANGE[joint] ** 2)
@@ -200,7 +200,7 @@ def test_design_takes_its_noise_from_filterpy() -> None:
         assert parameters["quantisation"][joint] == pytest.approx(RESOLUTION**2 / 12, rel=1e-15)
 
 
-def test_a_missing_sample_is_a_prediction_with_growing_covariance() -> None:
+def test_estimate_missing_sample_predicts_and_grows_covariance() -> None:
     state = new_record(ESTIMATOR_STATE)
     parameters = designed()
     ones, zeros = np.ones(3, "u1"), np.zeros(3, "u1")
@@ -223,7 +223,7 @@ def test_a_missing_sample_is_a_prediction_with_growing_covariance() -> None:
     assert np.all(state["without_sample"][0] == 0)
 
 
-def test_nothing_is_estimated_before_the_first_sample() -> None:
+def test_estimate_before_first_sample_is_zero() -> None:
     state = new_record(ESTIMATOR_STATE)
     parameters = designed()
     estimate(state, parameters, np.full(3, 7.0), np.zeros(3), np.array([1, 0, 0], "u1"), PERIOD, False)
@@ -234,7 +234,7 @@ def test_nothing_is_estimated_before_the_first_sample() -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("where", ["angle", "age"])
-def test_a_sample_that_is_not_finite_is_seen_and_not_used(bad: float, where: str) -> None:
+def test_estimate_non_finite_sample_is_ignored_with_nan_innovation(bad: float, where: str) -> None:
     state, twin = new_record(ESTIMATOR_STATE), new_record(ESTIMATOR_STATE)
     parameters = designed()
     ones = np.ones(3, "u1")
@@ -251,7 +251,7 @@ def test_a_sample_that_is_not_finite_is_seen_and_not_used(bad: float, where: str
         np.testing.assert_array_equal(state[name], twin[name])
 
 
-def test_a_tick_that_is_not_finite_shows_in_the_estimate() -> None:
+def test_estimate_nan_tick_returns_nan() -> None:
     state = new_record(ESTIMATOR_STATE)
     parameters = designed()
     for dt in (PERIOD, np.nan):
@@ -259,7 +259,7 @@ def test_a_tick_that_is_not_finite_shows_in_the_estimate() -> None:
     assert np.all(np.isnan(state["angle"][0]))
 
 
-def test_covariance_stays_positive_after_a_silence_of_seconds() -> None:
+def test_estimate_long_silence_keeps_covariance_positive() -> None:
     state = new_record(ESTIMATOR_STATE)
     parameters = designed()
     ones, zeros = np.ones(3, "u1"), np.zeros(3, "u1")
@@ -279,7 +279,7 @@ def test_covariance_stays_positive_after_a_silence_of_seconds() -> None:
     assert state["velocity"][0] == pytest.approx(np.zeros(3), abs=1e-3)
 
 
-def test_an_aged_sample_is_worth_a_fresh_one_at_constant_acceleration() -> None:
+def test_estimate_constant_latency_leaves_no_lag() -> None:
     """A constant, known latency leaves no lag: the angle of 0.7 ms ago is used as just that."""
     state = new_record(ESTIMATOR_STATE)
     parameters = designed(jitter=(0.0, 0.0, 0.0))
@@ -292,7 +292,7 @@ def test_an_aged_sample_is_worth_a_fresh_one_at_constant_acceleration() -> None:
     assert state["velocity"][0] == pytest.approx(np.full(3, 200.0 * times[-1]), abs=1e-6)
 
 
-def test_consistent_with_its_own_model() -> None:
+def test_estimate_nees_and_nis_are_consistent() -> None:
     """Monte Carlo: NEES averages 3, NIS 1, also after drop-outs and after jumps inside the window.
 
     3 joints × 400 runs (40 in slow plain Python) of signals drawn from the filter's model; jumps at a
@@ -335,7 +335,7 @@ def test_consistent_with_its_own_model() -> None:
     assert abs(nis[measured].mean() - 1.0) < 1.0 / np.sqrt(samples)
 
 
-def test_club_speed_before_the_ball_is_right_and_late_by_less_than_a_twentieth_of_a_tick(
+def test_estimate_downswing_velocity_lags_under_twentieth_of_tick(
     swing: Callable[..., Any],
 ) -> None:
     """The figures of the module's text: rms and lag of the wrist's velocity in the downswing."""
@@ -357,7 +357,7 @@ def test_club_speed_before_the_ball_is_right_and_late_by_less_than_a_twentieth_o
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
-def test_the_impact_is_followed_within_three_ticks(swing: Callable[..., Any], phase: float) -> None:
+def test_estimate_impact_velocity_settles_within_three_ticks(swing: Callable[..., Any], phase: float) -> None:
     s = swing(phase)
     n = len(s.time)
     ages, valid, dt = np.zeros((n, 3)), np.ones((n, 3), "u1"), np.full(n, PERIOD)
@@ -376,7 +376,7 @@ def test_the_impact_is_followed_within_three_ticks(swing: Callable[..., Any], ph
     assert inside[first - 3 : first].max() < 0.5
 
 
-def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
+def test_estimate_compiled_equals_plain(plain: Callable[..., Any]) -> None:
     rng = np.random.default_rng(5)
     parameters = designed()
     by_machine, by_hand = new_record(ESTIMATOR_STATE), new_record(ESTIMATOR_STATE).view(np.recarray)
@@ -405,6 +405,6 @@ def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
         ({"initial_acceleration": np.nan}, "initial"),
     ],
 )
-def test_a_bad_design_is_refused_by_name(changes: dict[str, Any], named: str) -> None:
+def test_design_estimator_invalid_parameter_is_refused(changes: dict[str, Any], named: str) -> None:
     with pytest.raises(ValueError, match=named):
         designed(**changes)

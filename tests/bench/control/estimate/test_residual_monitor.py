@@ -68,7 +68,7 @@ def judged(model: Any, estimator: Any, reference: Any = SPEEDS, phase: Phase = P
 @pytest.mark.parametrize("joint", range(3))
 @pytest.mark.parametrize("side", range(2))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_air_fails_above_its_limit(joint: int, side: int, sign: float) -> None:
+def test_model_cause_air_over_limit_reports_sensor_or_air(joint: int, side: int, sign: float) -> None:
     model, estimator = settled()
     name = ("SHOULDER", "ARM", "WRIST")[joint]
     model["residual"][0, 2 * joint + side] = sign * 10.0
@@ -84,7 +84,7 @@ def test_air_fails_above_its_limit(joint: int, side: int, sign: float) -> None:
 @pytest.mark.parametrize("joint", range(3))
 @pytest.mark.parametrize("side", range(2))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_flow_fails_above_its_limit(joint: int, side: int, sign: float) -> None:
+def test_model_cause_flow_over_limit_reports_sensor_or_flow(joint: int, side: int, sign: float) -> None:
     model, estimator = settled()
     name = ("SHOULDER", "ARM", "WRIST")[joint]
     model["flow"][0, 2 * joint + side] = sign * 50.0
@@ -97,7 +97,7 @@ def test_flow_fails_above_its_limit(joint: int, side: int, sign: float) -> None:
     assert judged(model, estimator) is Cause[f"{name}_FLOW"]
 
 
-def test_what_lasts_stays_in_the_smoothed_air_and_what_passes_does_not() -> None:
+def test_observe_flow_keeps_lasting_residual_and_damps_single_sample() -> None:
     model, estimator, readings = still()
     watch(model, estimator, readings, 5)
     readings["chamber_pressure"][0, 0] += 2e4  # one sample
@@ -120,7 +120,7 @@ def test_what_lasts_stays_in_the_smoothed_air_and_what_passes_does_not() -> None
     ("record", "field", "limit", "cause"),
     [(1, "velocity", 20.0, "VELOCITY"), (1, "innovation", 30.0, "JUMP"), (0, "effort", 40.0, "EFFORT")],
 )
-def test_the_others_fail_above_their_limits(
+def test_model_cause_velocity_jump_or_effort_over_limit_reports_cause(
     joint: int, sign: float, record: int, field: str, limit: float, cause: str
 ) -> None:
     state = settled()
@@ -130,20 +130,20 @@ def test_the_others_fail_above_their_limits(
     assert judged(*state) is Cause[f"{('SHOULDER', 'ARM', 'WRIST')[joint]}_{cause}"]
 
 
-def test_velocity_counts_from_its_reference() -> None:
+def test_model_cause_velocity_is_relative_to_reference() -> None:
     model, estimator = settled()
     estimator["velocity"][0, 1] = 50.0
     assert judged(model, estimator, (0.0, 45.0, 0.0)) is Cause.NONE
     assert judged(model, estimator, (0.0, 29.0, 0.0)) is Cause.ARM_VELOCITY
 
 
-def test_what_is_not_had_fails_nothing() -> None:
+def test_model_cause_nan_residual_reports_none() -> None:
     model, estimator = settled()
     model["residual"] = model["effort"] = np.nan
     assert judged(model, estimator) is Cause.NONE
 
 
-def test_nothing_fails_before_it_has_settled_or_when_it_is_off() -> None:
+def test_model_cause_unsettled_or_off_reports_none() -> None:
     model, estimator = settled()
     estimator["innovation"] = 1e3
     assert judged(model, estimator) is Cause.SHOULDER_JUMP
@@ -157,7 +157,7 @@ def test_nothing_fails_before_it_has_settled_or_when_it_is_off() -> None:
 
 @pytest.mark.parametrize("name", ["residual", "flow"])
 @pytest.mark.parametrize(("other", "spool"), [(0.1, False), (0.5, False), (1.1, True)])
-def test_of_a_doubted_joint_only_the_other_chambers_own_limit_shows_a_wrong_spool(
+def test_model_cause_suspect_joint_reports_spool_only_over_second_limit(
     name: str, other: float, spool: bool
 ) -> None:
     """A chamber that leaks draws the other one a little off, too: the shoulder was cut off in its brake."""
@@ -174,14 +174,14 @@ def test_of_a_doubted_joint_only_the_other_chambers_own_limit_shows_a_wrong_spoo
 
 
 @pytest.mark.parametrize("vent", [0.0, 1e-8])
-def test_no_chamber_is_judged_by_open_vents(vent: float) -> None:
+def test_observe_open_vents_follow_measured_pressure(vent: float) -> None:
     model, estimator, readings = still()
     watch(model, estimator, readings, 600, vent=vent)
     followed = model["air"][0, 6:12] == readings["chamber_pressure"][0]
     assert bool(followed.all()) is (vent > 0.0)  # how much they pass is not known well enough to judge by
 
 
-def test_limits_are_those_of_the_phase() -> None:
+def test_model_cause_uses_limits_of_phase() -> None:
     built = limits()
     built["jump"][0, Phase.HOLD] = 0.5
     model, estimator = settled()
@@ -216,7 +216,7 @@ def watch(
         )
 
 
-def test_it_settles_and_begins_anew_after_a_stall() -> None:
+def test_observe_settled_time_restarts_after_stall() -> None:
     model, estimator, readings = still()
     watch(model, estimator, readings, 51)
     assert model["settled"][0] == pytest.approx(0.05)
@@ -233,7 +233,7 @@ def run_into_cushion(model: Any, estimator: Any, readings: Any, joint: int, spee
 
 
 @pytest.mark.parametrize("joint", range(3))
-def test_a_joint_that_runs_into_its_cushion_shakes_all_for_a_while(joint: int) -> None:
+def test_observe_cushion_impact_uses_shock_limits_briefly(joint: int) -> None:
     built = limits()
     built["velocity"][0, SHOCK], built["jump"][0, SHOCK] = 200.0, 300.0
     model, estimator, readings = still()
@@ -264,7 +264,9 @@ def test_a_joint_that_runs_into_its_cushion_shakes_all_for_a_while(joint: int) -
         (-0.5, 0.02, 40.0, False),
     ],
 )
-def test_a_fast_head_at_ball_or_turf_is_a_blow(x: float, over_turf: float, speed: float, blow: bool) -> None:
+def test_observe_fast_head_near_ball_or_turf_sets_blow(
+    x: float, over_turf: float, speed: float, blow: bool
+) -> None:
     model, estimator, readings = still()
     watch(model, estimator, readings, 60)
     head = np.array([x, -1.62 + 0.03 + over_turf, 0.0, speed, 0.0, 0.0])
@@ -273,7 +275,7 @@ def test_a_fast_head_at_ball_or_turf_is_a_blow(x: float, over_turf: float, speed
 
 
 @pytest.mark.parametrize("kind", ["air", "flow", "effort"])
-def test_a_blow_loosens_pressures_and_torques_where_its_limits_are_wider(kind: str) -> None:
+def test_model_cause_blow_uses_wider_shock_limits(kind: str) -> None:
     built = limits()
     built[kind][0, SHOCK] = 1e3
     model, estimator = settled()
@@ -288,7 +290,7 @@ def test_a_blow_loosens_pressures_and_torques_where_its_limits_are_wider(kind: s
     assert model_cause(built, model[0], estimator, SPEEDS, row) == 0  # never tighter than the phase's
 
 
-def test_braking_and_learning_have_limits_of_their_own() -> None:
+def test_model_cause_braking_and_learning_use_separate_limits() -> None:
     built = limits()
     built["jump"][0, BRAKING + Phase.TOP], built["jump"][0, LEARNING + Phase.TOP] = 1.0, 50.0
     model, estimator = settled()
@@ -302,7 +304,7 @@ def test_braking_and_learning_have_limits_of_their_own() -> None:
     assert model_cause(built, model[0], estimator, SPEEDS, top) == 0
 
 
-def test_arming_has_limits_of_its_own_and_the_return_from_a_swing_has_those_of_its_phase() -> None:
+def test_row_of_armed_return_uses_arming_limits() -> None:
     control = new_control_state().control
     control["phase"] = Phase.RETURN
     rows = {}
@@ -319,7 +321,7 @@ def test_arming_has_limits_of_its_own_and_the_return_from_a_swing_has_those_of_i
         assert built["air"][0, first + Phase.RETURN].tolist() == list(default.air["return"])
 
 
-def test_deviations_are_noted_as_they_are_compared() -> None:
+def test_note_deviations_keeps_largest_per_row() -> None:
     largest = np.zeros((5, LEARNING, 3))
     model, estimator = settled()
     model["residual"], model["flow"] = [[3.0, -4.0, np.nan, 1.0, 0.0, 0.0]], 0.0
@@ -339,13 +341,13 @@ def test_deviations_are_noted_as_they_are_compared() -> None:
     assert not largest[:, Phase.HOLD].any()
 
 
-def test_a_joint_that_creeps_into_its_cushion_shakes_nothing() -> None:
+def test_observe_slow_cushion_contact_sets_no_blow() -> None:
     model, estimator, readings = still()
     run_into_cushion(model, estimator, readings, 0, 0.4)
     assert model["blow"][0] == 0.0
 
 
-def test_a_pressure_that_is_not_fitted_leaves_its_actuator_out() -> None:
+def test_observe_missing_chamber_pressure_skips_actuator() -> None:
     model, estimator, readings = still()
     readings["chamber_pressure"][0, 2] = np.nan
     watch(model, estimator, readings, 5)
@@ -355,7 +357,7 @@ def test_a_pressure_that_is_not_fitted_leaves_its_actuator_out() -> None:
     assert model["residual"][0, [0, 1, 4, 5]] == pytest.approx(1e5, rel=0.05)
 
 
-def test_a_joint_whose_zero_is_unknown_has_no_volumes_to_compare_with() -> None:
+def test_observe_unindexed_joint_has_no_residual_and_no_effort() -> None:
     model, estimator, readings = still()
     watch(model, estimator, readings, 80)
     assert model["effort"].all()
@@ -369,7 +371,7 @@ def test_a_joint_whose_zero_is_unknown_has_no_volumes_to_compare_with() -> None:
     assert model["residual"][0, 4:] == pytest.approx(1e5, rel=0.05)
 
 
-def test_without_the_supplys_pressure_no_air_is_compared() -> None:
+def test_observe_missing_supply_pressure_gives_nan_residuals() -> None:
     model, estimator, readings = still()
     readings["supply_pressure"] = np.nan
     watch(model, estimator, readings, 5)
@@ -377,7 +379,7 @@ def test_without_the_supplys_pressure_no_air_is_compared() -> None:
 
 
 @pytest.mark.parametrize("joint", range(3))
-def test_an_observer_that_met_nan_once_begins_again(joint: int) -> None:
+def test_observe_after_nan_recovers(joint: int) -> None:
     model, estimator, readings = still()
 
     def run(ticks: int) -> None:
@@ -412,7 +414,7 @@ def test_an_observer_that_met_nan_once_begins_again(joint: int) -> None:
         (0.14, 0.16, 1.1, True, 0.0),
     ],
 )
-def test_a_braked_head_may_strike_more_slowly(
+def test_observe_braking_lowers_speed_limit_of_blow(
     along: float, above: float, speed: float, braking: bool, blow: float
 ) -> None:
     model, estimator, readings = still()
@@ -436,7 +438,7 @@ def test_a_braked_head_may_strike_more_slowly(
     assert model["blow"][0] == blow
 
 
-def test_a_valve_that_is_told_to_open_fills_its_chamber_in_the_model() -> None:
+def test_observe_valve_command_fills_modelled_chamber() -> None:
     model, estimator, readings = still()
     watch(model, estimator, readings, 5)
     watch(model, estimator, readings, 8, valve=1.0)
@@ -446,7 +448,7 @@ def test_a_valve_that_is_told_to_open_fills_its_chamber_in_the_model() -> None:
     assert abs(model["residual"][0, 4]) < 2e3
 
 
-def test_what_is_measured_is_taken_over() -> None:
+def test_observe_follows_measured_pressure() -> None:
     model, estimator, readings = still()
     watch(model, estimator, readings, 5)
     for k in range(60):
@@ -456,7 +458,7 @@ def test_what_is_measured_is_taken_over() -> None:
 
 
 @needs_speed
-def test_of_a_healthy_swing_the_residuals_stay_far_below_their_limits() -> None:
+def test_residual_monitor_fault_free_swing_stays_below_limits() -> None:
     profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
     envelope = EnvelopeSettings(model=ModelSettings(check="always"))
     parameters = build_controller(PlantParameters(), profile, envelope=envelope)
@@ -480,7 +482,7 @@ def test_of_a_healthy_swing_the_residuals_stay_far_below_their_limits() -> None:
 
 
 @needs_speed
-def test_the_check_changes_nothing_of_a_healthy_swing() -> None:
+def test_model_check_fault_free_swing_keeps_record_identical() -> None:
     profile = load_profile(Path(bench.swing.__path__[0]) / "profiles" / "default.toml")
 
     def record(check: Any) -> bytes:
@@ -496,7 +498,7 @@ def test_the_check_changes_nothing_of_a_healthy_swing() -> None:
 
 
 @needs_speed
-def test_compiled_and_plain_code_agree(plain: Callable[[Callable[..., Any]], Callable[..., Any]]) -> None:
+def test_observe_compiled_equals_plain(plain: Callable[[Callable[..., Any]], Callable[..., Any]]) -> None:
     random = np.random.default_rng(1)
     one, two = new_record(MODEL_STATE), new_record(MODEL_STATE).view(np.recarray)
     robot, plant = ROBOT.view(np.recarray), PLANT.view(np.recarray)

@@ -58,7 +58,7 @@ bars = st.floats(1.1e5, 7.9e5)
     part=st.floats(0.1, 0.9),
     speed=st.floats(-1.0, 1.0),
 )
-def test_the_opening_found_changes_the_force_as_wanted(
+def test_opening_for_gives_wanted_force_rate(
     i: int, pa: float, pb: float, share: float, side: float, part: float, speed: float
 ) -> None:
     p, pressure = MACHINE[0], np.zeros(13)
@@ -75,7 +75,7 @@ def test_the_opening_found_changes_the_force_as_wanted(
     assert abs(opening_for(p, i, rates, rates[0])) < 1e-9
 
 
-def test_constant_gains_are_those_of_half_a_stroke() -> None:
+def test_kane_gains_match_force_rates_at_half_stroke() -> None:
     by_rate, by_speed = kane_gains(MACHINE)
     pressure = np.full(13, 6e5)
     pressure[12] = 8e5
@@ -97,7 +97,7 @@ def swung(period: float = 1e-3) -> tuple[Profile, Array, Array]:
     return replace(STILL, angle=angle, velocity=velocity), velocity, acceleration
 
 
-def test_the_demand_is_kanes_inverse_dynamics_early_by_the_spools_lag() -> None:
+def test_demand_of_leads_inverse_dynamics_by_spool_lag() -> None:
     profile, velocity, acceleration = swung()
     demand = demand_of(PLANT, profile)
     exact = actuator_forces(PLANT, profile.angle, velocity, acceleration)
@@ -114,7 +114,7 @@ def test_the_demand_is_kanes_inverse_dynamics_early_by_the_spools_lag() -> None:
     assert not demand.rate[510:].any()
 
 
-def test_forces_are_joint_torques_over_levers_and_friction() -> None:
+def test_actuator_forces_include_levers_and_friction() -> None:
     angle = np.array([[0.3, 4.2, 5.6]])
     still = np.zeros((1, 3))
     force = actuator_forces(PLANT, angle, still, still)[0]
@@ -126,7 +126,7 @@ def test_forces_are_joint_torques_over_levers_and_friction() -> None:
     assert more - less == pytest.approx(2 * (6.0 + 0.3 * 2.0))
 
 
-def test_planned_openings_leave_the_observer_alone() -> None:
+def test_observer_starts_only_with_pneumatic_feed_forward() -> None:
     puppet = Puppet().swing(50)
     assert not puppet.state.air["started"][0]
     puppet = Puppet(control=replace(QUICK_PNEUMATIC)).swing(50)
@@ -139,7 +139,7 @@ QUICK_PNEUMATIC = ControlSettings(
 
 
 @pytest.mark.parametrize("feed_forward", ["kane", "kane+pneumatic"])
-def test_readings_without_pressures_give_finite_openings(feed_forward: FeedForward) -> None:
+def test_feed_forward_without_pressures_stays_finite(feed_forward: FeedForward) -> None:
     puppet = Puppet(swung()[0], replace(QUICK_PNEUMATIC, feed_forward=feed_forward)).swing(150)
     openings = puppet.run(100)
     assert np.isfinite(openings).all()
@@ -150,7 +150,7 @@ def test_readings_without_pressures_give_finite_openings(feed_forward: FeedForwa
     assert np.isfinite(puppet.run(20)).all()
 
 
-def test_a_stall_and_senseless_steps_do_not_spoil_the_observer() -> None:
+def test_observer_stall_keeps_pressures_finite() -> None:
     puppet = Puppet(control=QUICK_PNEUMATIC).hold()
     puppet.time += 3.0
     puppet.run(3)
@@ -181,7 +181,7 @@ def rms(cycles: Array, first: int, last: int) -> Array:
 
 
 @compiled_only
-def test_the_inverted_valves_follow_the_reference_without_pressure_sensors(shipped: Bench) -> None:
+def test_pneumatic_feed_forward_without_sensors_halves_following_error(shipped: Bench) -> None:
     blind = replace(shipped.model, pressure_sensors=False)
     begins, errors = shipped.profile.begins, {}
     for feed_forward in ("none", "kane+pneumatic"):
@@ -194,7 +194,7 @@ def test_the_inverted_valves_follow_the_reference_without_pressure_sensors(shipp
 
 @compiled_only
 @pytest.mark.parametrize("worn", [False, True], ids=["nominal", "worn"])
-def test_the_observer_knows_the_forces(shipped: Bench, worn: bool) -> None:
+def test_observer_force_error_is_small(shipped: Bench, worn: bool) -> None:
     plant = replace(shipped.model, pressure_sensors=False)
     plant = WORN.applied_to(plant) if worn else plant
     bench = bench_with(shipped, "kane+pneumatic")

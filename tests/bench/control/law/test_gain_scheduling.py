@@ -55,7 +55,7 @@ PLANTS = {
 
 
 @pytest.mark.parametrize("name", release_except({"shipped", "worn"}, PLANTS))
-def test_every_pose_keeps_its_margins(name: str) -> None:
+def test_machine_gains_each_pose_keeps_margins(name: str) -> None:
     """Also between the poses by which the gains were found."""
     plant = PLANTS[name]
     found = found_for(plant)
@@ -76,7 +76,7 @@ def test_every_pose_keeps_its_margins(name: str) -> None:
 
 
 @pytest.mark.release
-def test_a_machine_that_forbids_the_margins_is_named() -> None:
+def test_machine_gains_unreachable_margins_report_worst_margin() -> None:
     late = replace(
         with_valves(SHIPPED, natural_frequency=0.4), encoders=replace(SHIPPED.encoders, latency=0.003)
     )
@@ -86,7 +86,7 @@ def test_a_machine_that_forbids_the_margins_is_named() -> None:
     assert found.delay == pytest.approx(0.003 + 1.5e-3 + 2 * 0.8 / (2 * np.pi * 40.0), rel=1e-6)
 
 
-def test_gains_follow_lever_and_inertia() -> None:
+def test_machine_gains_follow_lever_and_inertia() -> None:
     """A cocked wrist's cylinder has a third of its lever: the same opening turns it three times as fast."""
     found = found_for(SHIPPED)
     straight, cocked = found.table.table[3, 2, -1], found.table.table[3, 2, 0]
@@ -95,20 +95,20 @@ def test_gains_follow_lever_and_inertia() -> None:
     assert cocked[proportional, 2] > 2.0 * straight[proportional, 2]
 
 
-def test_the_dead_band_is_left_within_half_the_time_out() -> None:
+def test_machine_gains_leave_dead_band_within_half_timeout() -> None:
     gains = found_for(SHIPPED).table.table
     opened = (gains[..., 0, :] + gains[..., 1, :] * TIMEOUT / 2) * TOLERANCE
     assert np.all(opened >= 1.2 * SHIPPED.shoulder.valve.dead_band * (1 - 1e-9))
 
 
-def test_the_same_machine_gives_the_same_gains_whatever_its_encoders_zeros() -> None:
+def test_machine_gains_other_encoder_zeros_return_cached_gains() -> None:
     other = replace(
         SHIPPED, seed=5, encoders=replace(SHIPPED.encoders, zero_count=(10.0, 20.0, 30.0), noise=1e-4)
     )
     assert found_for(other) is found_for(SHIPPED)
 
 
-def test_the_controller_takes_them_when_asked() -> None:
+def test_build_controller_gains_machine_uses_gain_schedule() -> None:
     profile = load_profile(find_profile("default"))
 
     def record(source: Any) -> Any:

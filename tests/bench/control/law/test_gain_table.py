@@ -54,12 +54,12 @@ angle = st.floats(-50.0, 50.0)
 
 
 @given(pose=st.tuples(angle, angle, angle))
-def test_gains_set_by_hand_are_exactly_those(pose: tuple[float, float, float]) -> None:
+def test_constant_gains_are_exact_in_each_pose(pose: tuple[float, float, float]) -> None:
     assert gains_at(record(constant_gains(GIVEN)), np.array(pose)) == GIVEN
 
 
 @given(pose=st.tuples(angle, angle, angle))
-def test_between_poses_gains_are_interpolated_and_outside_the_border_holds(
+def test_gains_along_interpolates_and_clamps_at_grid_border(
     pose: tuple[float, float, float],
 ) -> None:
     location = np.clip((np.array(pose) - LOWER) / SPACING, 0.0, np.array(SHAPE) - 1.0)
@@ -68,13 +68,13 @@ def test_between_poses_gains_are_interpolated_and_outside_the_border_holds(
     assert found == pytest.approx(expected, rel=1e-12)
 
 
-def test_an_angle_that_is_no_number_is_taken_as_the_lowest() -> None:
+def test_interpolate_gains_nan_angle_uses_lowest_pose() -> None:
     found, nothing = np.zeros((5, 3)), np.full(3, np.nan)
     interpolate_gains(found, record(linear())[0], nothing, 2.0)
     assert found == pytest.approx(2.0 * np.arange(1, 16).reshape(5, 3))
 
 
-def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
+def test_interpolate_gains_compiled_equals_plain(plain: Callable[..., Any]) -> None:
     by_hand, table = np.zeros((5, 3)), record(linear())
     for pose in np.random.default_rng(4).uniform(-2.0, 8.0, (50, 3)):
         plain(interpolate_gains)(by_hand, table.view(np.recarray)[0], pose, 0.9)
@@ -94,11 +94,11 @@ def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
         (0.0, 5e5, 1.0),
     ],
 )
-def test_gains_follow_the_supply_within_bounds(supply: float, pressure: float, factor: float) -> None:
+def test_supply_factor_follows_pressure_within_bounds(supply: float, pressure: float, factor: float) -> None:
     assert supply_factor(supply, pressure) == pytest.approx(factor)
 
 
-def test_the_supply_at_the_address_holds_for_the_swing() -> None:
+def test_supply_factor_of_address_is_kept_in_swing() -> None:
     """A swing draws the supply down by half a bar: gains that followed it would change what was planned."""
     parameters = build_controller(PlantParameters(), load_profile(find_profile("default")))
     parameters.pid["supply"] = 8e5

@@ -14,7 +14,7 @@ FREQUENCY = np.geomspace(0.01, 1000.0, 20000)
 S: NDArray[np.complex128] = np.asarray(1j * FREQUENCY, dtype=complex)
 
 
-def test_three_equal_lags() -> None:
+def test_margins_of_three_equal_lags_match_closed_form() -> None:
     margins = margins_of(FREQUENCY, np.asarray(4.0 / (1 + S) ** 3))  # grows at 8
     assert margins.gain == pytest.approx(2.0, rel=1e-4)
     crossover = sqrt(4.0 ** (2 / 3) - 1)
@@ -25,14 +25,14 @@ def test_three_equal_lags() -> None:
     assert 0 < margins.modulus < 1 - 1 / margins.gain + 1e-6
 
 
-def test_a_conditionally_stable_loop_may_not_lose_gain() -> None:
+def test_margins_of_conditionally_stable_loop_give_lowest_gain() -> None:
     response = 3.0 * (1 + S) ** 2 / S**3
     margins = margins_of(FREQUENCY, response)
     assert margins.gain == np.inf
     assert margins.lowest_gain == pytest.approx(0.5 / 3.0, rel=1e-3)  # (1 + j)^2 / j^3 = -2 at 1 rad/s
 
 
-def test_a_loop_that_never_comes_near_has_every_margin() -> None:
+def test_margins_of_loop_without_crossover_are_infinite() -> None:
     margins = margins_of(FREQUENCY, 0.1 / (1 + S))
     assert (margins.gain, margins.phase, margins.delay, margins.crossover) == (np.inf, np.inf, np.inf, 0.0)
     assert margins.modulus > 0.99

@@ -42,7 +42,7 @@ def begun(parameters: Array) -> Array:
     return state
 
 
-def test_the_first_step_is_exact() -> None:
+def test_pid_first_step_is_exact() -> None:
     parameters = designed()
     state = begun(parameters)
     reference, reference_velocity = np.array([0.1, 0.2, -0.3]), np.array([1.0, -1.0, 2.0])
@@ -57,14 +57,14 @@ def test_the_first_step_is_exact() -> None:
     assert s["output"] == pytest.approx([0.3505, -0.4, -0.5], abs=1e-15)
 
 
-def test_the_thesis_derivative_acts_on_the_measurement_alone() -> None:
+def test_pid_zero_reference_weight_derivative_uses_measurement_only() -> None:
     parameters = designed(reference_velocity_weight=(0.0, 0.5, 1.0), derivative=(0.1, 0.1, 0.1))
     state = begun(parameters)
     control(state, parameters, ZERO, np.full(3, 2.0), ZERO, np.full(3, 1.0), ZERO, PERIOD)
     assert state["derivative"][0] == pytest.approx([-0.1, 0.0, 0.1], abs=1e-15)
 
 
-def test_equals_the_textbook_while_no_limit_is_met() -> None:
+def test_pid_within_limits_equals_textbook_form() -> None:
     rng = np.random.default_rng(3)
     parameters = designed(lowest=(-1e6,) * 3, highest=(1e6,) * 3)
     state = begun(parameters)
@@ -88,9 +88,7 @@ triple = st.tuples(signal, signal, signal).map(np.array)
     ticks=st.lists(st.tuples(triple, triple, triple, triple, triple, st.floats(1e-4, 0.1)), max_size=40),
     transfer=st.none() | triple,
 )
-def test_the_integral_never_winds_up_and_the_output_never_leaves_its_limits(
-    ticks: list[Any], transfer: Array | None
-) -> None:
+def test_pid_integral_and_output_stay_within_limits(ticks: list[Any], transfer: Array | None) -> None:
     parameters = designed(integral=(1000.0, 50.0, 5.0))
     low, high = parameters["lowest"][0], parameters["highest"][0]
     state = begun(parameters)
@@ -112,7 +110,7 @@ def test_the_integral_never_winds_up_and_the_output_never_leaves_its_limits(
         assert not pushed.any()
 
 
-def test_after_long_saturation_the_output_leaves_its_limit_at_once() -> None:
+def test_pid_after_long_saturation_output_leaves_limit_at_once() -> None:
     parameters = designed()
     state = begun(parameters)
     for _ in range(10_000):
@@ -122,7 +120,7 @@ def test_after_long_saturation_the_output_leaves_its_limit_at_once() -> None:
     assert np.all(state["output"][0] < 0)
 
 
-def test_the_integral_may_bring_the_output_to_its_limit() -> None:
+def test_pid_integral_drives_output_to_limit() -> None:
     """Conditional integration must not stall short of the limit."""
     parameters = designed(integral=(1000.0, 1000.0, 1000.0))
     state = begun(parameters)
@@ -134,7 +132,7 @@ def test_the_integral_may_bring_the_output_to_its_limit() -> None:
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")  # plain Python warns of 0 × inf
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("location", range(6))
-def test_what_is_not_finite_shows_and_leaves_no_trace(bad: float, location: int) -> None:
+def test_pid_non_finite_input_gives_nan_and_keeps_integral(bad: float, location: int) -> None:
     parameters = designed(derivative=(0.1, 0.2, 0.3))
     signals: list[Any] = [np.full(3, 0.01 * k) for k in range(5)]
     state = begun(parameters)
@@ -155,7 +153,7 @@ def test_what_is_not_finite_shows_and_leaves_no_trace(bad: float, location: int)
     assert np.all(np.isfinite(state["output"]))
 
 
-def test_a_reset_empties_integrals_and_terms() -> None:
+def test_reset_integral_clears_all_terms() -> None:
     parameters = designed()
     state = begun(parameters)
     control(state, parameters, np.full(3, 0.1), ZERO, ZERO, np.ones(3), ZERO, PERIOD)
@@ -165,7 +163,7 @@ def test_a_reset_empties_integrals_and_terms() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
-def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
+def test_pid_compiled_equals_plain(plain: Callable[..., Any]) -> None:
     rng = np.random.default_rng(9)
     parameters = designed(integral=(500.0, 20.0, 3.0))
     by_machine, by_hand = begun(parameters), begun(parameters).view(np.recarray)
@@ -191,6 +189,6 @@ def test_compiled_equals_plain(plain: Callable[..., Any]) -> None:
         ({"highest": (np.inf, 1.0, 1.0)}, "highest"),
     ],
 )
-def test_a_bad_design_is_refused_by_name(changes: dict[str, Any], named: str) -> None:
+def test_design_pid_invalid_parameter_is_refused(changes: dict[str, Any], named: str) -> None:
     with pytest.raises(ValueError, match=named):
         designed(**changes)

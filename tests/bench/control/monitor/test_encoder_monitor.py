@@ -15,7 +15,7 @@ each_joint = pytest.mark.parametrize("joint", range(3))
 
 @each_joint
 @pytest.mark.parametrize("jump", [0.012, -0.02, 0.055])
-def test_a_resting_joint_that_jumps_is_no_joint(joint: int, jump: float) -> None:
+def test_encoder_monitor_jump_at_rest_latches_fault(joint: int, jump: float) -> None:
     puppet = reach(State.READY)
     puppet.run(100)
     puppet.offset[joint] = jump
@@ -25,7 +25,7 @@ def test_a_resting_joint_that_jumps_is_no_joint(joint: int, jump: float) -> None
 
 
 @each_joint
-def test_a_joint_that_is_pushed_by_hand_is_fine(joint: int) -> None:
+def test_encoder_monitor_joint_pushed_by_hand_reports_none(joint: int) -> None:
     puppet = reach(State.READY)
     puppet.run(100)
     for _ in range(200):
@@ -35,7 +35,7 @@ def test_a_joint_that_is_pushed_by_hand_is_fine(joint: int) -> None:
 
 
 @each_joint
-def test_lost_counts_are_named_when_the_index_brings_them_back(joint: int) -> None:
+def test_index_cause_lost_counts_at_index_reports_joint(joint: int) -> None:
     puppet = reach(State.READY)
     puppet.parameters.control["home_by_index"] = True
     encoder, estimator = puppet.state.encoder, puppet.state.estimator
@@ -56,7 +56,7 @@ def cause_at_index(puppet: Puppet) -> int:
 
 
 @each_joint
-def test_an_index_that_shows_no_lost_count_is_fine(joint: int) -> None:
+def test_index_cause_small_innovation_reports_none(joint: int) -> None:
     puppet = reach(State.READY)
     puppet.parameters.control["home_by_index"] = True
     puppet.state.encoder["unwrapped"][0] = np.zeros(3)
@@ -65,7 +65,7 @@ def test_an_index_that_shows_no_lost_count_is_fine(joint: int) -> None:
 
 
 @each_joint
-def test_absolute_encoders_have_no_index_to_pass(joint: int) -> None:
+def test_index_cause_absolute_encoder_reports_none(joint: int) -> None:
     puppet = reach(State.READY)
     puppet.state.encoder["unwrapped"][0] = np.zeros(3)
     puppet.state.estimator["innovation"][0, joint] = 0.02

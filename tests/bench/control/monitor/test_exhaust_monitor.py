@@ -79,14 +79,14 @@ POSES = [ADDRESS, ADDRESS + [-1.2, 0.0, -0.8], ADDRESS + [1.5, -0.3, 0.1]]
 @pytest.mark.parametrize("angle", POSES, ids=["address", "top", "follow-through"])
 @pytest.mark.parametrize("share", [1.0, 0.6, 1.2 * SLOWEST])
 @pytest.mark.parametrize("begin", [2e5, 8e5])
-def test_an_exhaust_above_the_stated_share_is_healthy(angle: Any, share: float, begin: float) -> None:
+def test_exhaust_monitor_share_above_slowest_reports_none(angle: Any, share: float, begin: float) -> None:
     assert Exhausts(share, begin, angle).run(10.0).found == []
 
 
 @pytest.mark.parametrize("angle", POSES, ids=["address", "top", "follow-through"])
 @pytest.mark.parametrize("share", [0.1, 0.01, 0.0])
 @pytest.mark.parametrize("chamber", range(6), ids=CHAMBERS)
-def test_a_throttled_exhaust_is_named_by_its_chamber(angle: Any, share: float, chamber: int) -> None:
+def test_exhaust_monitor_throttled_exhaust_reports_chamber(angle: Any, share: float, chamber: int) -> None:
     shares = [1.0] * 6
     shares[chamber] = share
     exhausts = Exhausts(shares, angle=angle).run(6.0)
@@ -95,17 +95,17 @@ def test_a_throttled_exhaust_is_named_by_its_chamber(angle: Any, share: float, c
     assert air_fault(exhausts.control[0]) == 1 << (13 + chamber)
 
 
-def test_the_last_air_behind_a_throttled_exhaust_shows_too() -> None:
+def test_exhaust_monitor_low_start_pressure_finds_throttled_vane_exhausts() -> None:
     """Of the vane's large chambers; what leaks empty through its valve meanwhile holds nothing up."""
     assert {0, 1} <= set(Exhausts(0.01, begin=1.12e5).run(5.0).found)
 
 
-def test_a_healthy_robot_names_no_exhaust() -> None:
+def test_exhaust_cause_fault_free_robot_reports_none() -> None:
     assert exhaust_cause(Exhausts(1.0).run(0.1).control["exhausts"][0]) == 0
 
 
 @pytest.mark.parametrize(("zero", "found"), [(3e3, []), (8e3, [4])])
-def test_a_sensor_whose_zero_is_off_shows_as_an_exhaust(zero: float, found: list[int]) -> None:
+def test_exhaust_monitor_sensor_zero_error_reports_chamber(zero: float, found: list[int]) -> None:
     exhausts = Exhausts(1.0)
     exhausts.shown[4] = zero
     assert exhausts.run(10.0).found == found
@@ -125,14 +125,14 @@ def test_a_sensor_whose_zero_is_off_shows_as_an_exhaust(zero: float, found: list
     ],
     ids=str,
 )
-def test_what_does_not_vent_or_is_not_known_is_not_judged(record: str, values: dict[str, Any]) -> None:
+def test_exhaust_monitor_not_venting_or_unknown_reports_none(record: str, values: dict[str, Any]) -> None:
     exhausts = Exhausts(0.0)
     for name, value in values.items():
         put(getattr(exhausts, record), name, value)
     assert exhausts.run(8.0).found == []
 
 
-def test_an_exhaust_is_judged_from_when_its_vents_are_sure_to_be_open() -> None:
+def test_exhaust_monitor_starts_after_vent_delay() -> None:
     delay = PARAMETERS.supply.vent_delay + SWITCHING
     exhausts = Exhausts(0.0).run(delay - 2.0 * TICK)
     assert not exhausts.control["exhausts"]["late"].any()
@@ -143,13 +143,13 @@ def test_an_exhaust_is_judged_from_when_its_vents_are_sure_to_be_open() -> None:
     assert exhausts.found == [0, 1, 2, 3, 4, 5]
 
 
-def test_without_a_supply_sensor_the_manifold_counts_as_empty() -> None:
+def test_exhaust_monitor_without_supply_sensor_reports_none() -> None:
     exhausts = Exhausts(1.0)
     exhausts.readings["supply_pressure"] = nan
     assert exhausts.run(10.0).found == []
 
 
-def test_a_slow_exhaust_is_latched_until_a_reset_and_lets_nobody_in_without_a_press() -> None:
+def test_slow_exhaust_latches_fault_and_access_requires_press() -> None:
     puppet = reach(State.READY, vent_timeout=5.0, local_reset=True)
     puppet.control["exhausts"]["slow"][3] = 1
     puppet.tick()
@@ -166,7 +166,7 @@ def test_a_slow_exhaust_is_latched_until_a_reset_and_lets_nobody_in_without_a_pr
 
 
 @pytest.mark.parametrize("source", [State.ESTOP, State.FAULT], ids=lambda state: state.name)
-def test_a_slow_exhaust_is_named_in_a_latched_state_and_stays(source: State) -> None:
+def test_slow_exhaust_in_latched_state_replaces_cause(source: State) -> None:
     puppet = reach(source)
     puppet.control["exhausts"]["slow"][0] = 1
     puppet.tick()

@@ -19,20 +19,20 @@ def released(*, locked: bool, **settings: bool) -> Puppet:
     return puppet.give(guard_locked=locked)
 
 
-def test_a_released_guard_that_nobody_opens_is_fine() -> None:
+def test_guard_lock_monitor_released_guard_unopened_stays_in_access() -> None:
     puppet = released(locked=False)
     puppet.run(5 * LATE)
     assert (puppet.bench, puppet.cause, puppet.cycle["air_fault"][0]) == (State.ACCESS, Cause.NONE, 0)
 
 
-def test_a_lock_that_takes_its_time_is_fine() -> None:
+def test_guard_lock_monitor_unlock_within_time_reports_no_cause() -> None:
     puppet = released(locked=True)
     puppet.run(LATE - 30)
     puppet.give(guard_locked=False).run(2 * LATE)
     assert (puppet.bench, puppet.cause) == (State.ACCESS, Cause.NONE)
 
 
-def test_a_lock_that_reads_locked_while_released_is_named() -> None:
+def test_guard_lock_monitor_locked_while_released_latches_fault() -> None:
     puppet = released(locked=True)
     puppet.run(LATE)
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.GUARD_LOCK)
@@ -41,7 +41,7 @@ def test_a_lock_that_reads_locked_while_released_is_named() -> None:
     assert asked(puppet, Request.RESET) is Refusal.LOCK  # it agrees with the command now, and proves nothing
 
 
-def test_it_is_named_with_somebody_inside_who_is_not_locked_in() -> None:
+def test_guard_lock_monitor_fault_with_open_guard_keeps_guard_unlocked() -> None:
     puppet = released(locked=True, local_reset=True)
     puppet.give(guard_closed=False).run(LATE)
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.GUARD_LOCK)
@@ -60,13 +60,13 @@ def test_it_is_named_with_somebody_inside_who_is_not_locked_in() -> None:
 
 
 @pytest.mark.parametrize("request_", [Request.ARM, Request.HOME], ids=lambda request: request.name)
-def test_nothing_moves_behind_a_lock_that_is_not_proven(request_: Request) -> None:
+def test_guard_lock_wrong_refuses_motion(request_: Request) -> None:
     puppet = reach(State.READY)
     puppet.control["lock"]["wrong"] = True
     assert asked(puppet, request_) is Refusal.LOCK
 
 
-def test_a_release_that_follows_is_its_proof() -> None:
+def test_guard_lock_monitor_feedback_following_release_clears_fault() -> None:
     puppet = released(locked=True)
     puppet.run(LATE)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
@@ -76,7 +76,7 @@ def test_a_release_that_follows_is_its_proof() -> None:
 
 
 @pytest.mark.parametrize("state", [State.ESTOP, State.FAULT], ids=lambda state: state.name)
-def test_a_lock_that_reads_locked_beside_an_open_guard_is_named(state: State) -> None:
+def test_guard_lock_monitor_locked_with_guard_open_reports_guard_lock(state: State) -> None:
     puppet = reach(state)
     cause = puppet.cause
     puppet.give(guard_closed=False, guard_locked=True).run(LATE)
@@ -87,7 +87,7 @@ def test_a_lock_that_reads_locked_beside_an_open_guard_is_named(state: State) ->
     assert asked(puppet, Request.RESET) is Refusal.LOCK
 
 
-def test_a_device_that_went_passive_locks_the_guard_by_itself() -> None:
+def test_guard_lock_monitor_passive_device_keeps_lock_trusted() -> None:
     puppet = released(locked=False)
     puppet.give(guard_closed=False).run(10)
     puppet.give(guard_closed=True, guard_locked=True, device_operational=False).run(2 * LATE)

@@ -50,7 +50,7 @@ class Manifold:
 
 
 @pytest.mark.parametrize("constant", [0.02, 0.04, 0.08, 0.15])
-def test_a_manifold_that_empties_as_assumed_or_at_another_rate_is_fine(constant: float) -> None:
+def test_manifold_monitor_plausible_decay_rate_passes(constant: float) -> None:
     manifold = Manifold()
     for _ in range(3000):
         manifold.fall(constant, 1e-3)
@@ -58,11 +58,11 @@ def test_a_manifold_that_empties_as_assumed_or_at_another_rate_is_fine(constant:
 
 
 @pytest.mark.parametrize("end", [SUPPLY, 4e5, 2e5])
-def test_a_manifold_that_keeps_pressure_is_named_within_a_second(end: float) -> None:
+def test_manifold_monitor_pressure_kept_reports_wrong_within_second(end: float) -> None:
     assert Manifold().fall(0.04, 1.0, end).found == (True, False)
 
 
-def test_a_sensor_that_follows_slowly_is_named() -> None:
+def test_manifold_monitor_slow_sensor_reports_wrong() -> None:
     manifold = Manifold()
     named = False
     for _ in range(1500):
@@ -72,14 +72,14 @@ def test_a_sensor_that_follows_slowly_is_named() -> None:
 
 
 @pytest.mark.parametrize("end", [ATMOSPHERE, 1.2e5, 0.5e5])
-def test_a_sensor_that_falls_faster_than_the_manifold_can_is_named_and_stays_in_doubt(end: float) -> None:
+def test_manifold_monitor_decay_faster_than_plant_stays_unproven(end: float) -> None:
     manifold = Manifold().fall(0.0, 0.03, end)
     assert manifold.found[1]
     manifold.fall(0.0, 3.0, ATMOSPHERE)
     assert manifold.found == (False, True)
 
 
-def test_a_venting_that_takes_its_time_proves_the_sensor_again() -> None:
+def test_manifold_monitor_plausible_venting_proves_sensor_again() -> None:
     manifold = Manifold().fall(0.0, 3.0)
     for _ in range(3):
         manifold.tick(SUPPLY, powered=True)
@@ -88,13 +88,13 @@ def test_a_venting_that_takes_its_time_proves_the_sensor_again() -> None:
     assert manifold.fall(0.04, 0.2).found == (False, False)
 
 
-def test_one_of_an_empty_manifold_proves_nothing() -> None:
+def test_manifold_monitor_venting_of_empty_manifold_stays_unproven() -> None:
     manifold = Manifold().fall(0.0, 3.0)
     manifold.tick(1.5e5, powered=True)
     assert manifold.fall(0.04, 3.0).found == (False, True)
 
 
-def test_after_a_stall_of_the_loop_nothing_is_too_fast() -> None:
+def test_manifold_monitor_loop_stall_ignores_fast_decay() -> None:
     manifold = Manifold()
     manifold.tick(SUPPLY)
     manifold.tick(ATMOSPHERE, step=0.5)
@@ -102,28 +102,28 @@ def test_after_a_stall_of_the_loop_nothing_is_too_fast() -> None:
 
 
 @pytest.mark.parametrize("at", [0, 50, 200, 350, 1000])
-def test_a_sensor_that_jumps_to_empty_at_any_time_is_named(at: int) -> None:
+def test_manifold_monitor_jump_to_empty_reports_unproven(at: int) -> None:
     manifold = Manifold()
     for _ in range(at):
         manifold.tick(SUPPLY)  # the supply valve is stuck open
     assert manifold.fall(0.0, 0.03).found[1]
 
 
-def test_one_that_jumps_under_pressure_is_named() -> None:
+def test_manifold_monitor_jump_with_supply_on_reports_unproven() -> None:
     manifold = Manifold()
     for _ in range(30):
         manifold.tick(ATMOSPHERE, powered=True)
     assert manifold.found == (False, True)
 
 
-def test_one_reading_that_is_too_high_is_no_pressure_to_fall_from() -> None:
+def test_manifold_monitor_single_high_readings_reports_nothing() -> None:
     manifold = Manifold()
     for tick in range(200):
         manifold.tick(1.2e6 if tick % 50 == 49 else SUPPLY, powered=True)
     assert manifold.found == (False, False)
 
 
-def test_inputs_that_come_back_after_a_lost_link_are_fine() -> None:
+def test_manifold_monitor_inputs_after_lost_link_reports_nothing() -> None:
     manifold = Manifold()
     manifold.control["encoder_fault"] = 4
     for _ in range(50):
@@ -133,7 +133,7 @@ def test_inputs_that_come_back_after_a_lost_link_are_fine() -> None:
     assert manifold.fall(0.0, 0.5).found == (False, False)
 
 
-def test_noise_and_samples_that_come_seldom_are_fine() -> None:
+def test_manifold_monitor_noise_and_rare_samples_reports_nothing() -> None:
     manifold, held = Manifold(), SUPPLY
     true = SUPPLY
     for tick in range(3000):
@@ -151,7 +151,7 @@ def disarmed(**settings: Any) -> Puppet:
     return puppet
 
 
-def test_a_stuck_supply_valve_is_named_at_the_venting() -> None:
+def test_manifold_monitor_stuck_supply_valve_latches_fault_at_venting() -> None:
     puppet = disarmed(vent_timeout=5.0)
     puppet.give(supply_pressure=SUPPLY).run(NAMED)
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.SUPPLY_VALVE)
@@ -162,7 +162,7 @@ def test_a_stuck_supply_valve_is_named_at_the_venting() -> None:
     assert asked(puppet, Request.RESET) is Refusal.NONE
 
 
-def test_a_sensor_that_jumps_to_empty_lets_nobody_in_until_a_venting_proves_it() -> None:
+def test_access_supply_decay_refused_until_venting_proves_sensor() -> None:
     puppet = reach(State.ARMED)
     puppet.parameters.plant["manifold"] = PLANT["manifold"]  # as large as the assumed one
     puppet.run(50)
@@ -187,14 +187,14 @@ def test_a_sensor_that_jumps_to_empty_lets_nobody_in_until_a_venting_proves_it()
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_a_sensor_that_shows_less_than_the_atmosphere_at_rest_is_dead() -> None:
+def test_chamber_sensor_below_atmosphere_at_rest_reports_dead() -> None:
     puppet = reach(State.READY, vent_timeout=0.3)
     puppet.give(chamber_pressure=(ATMOSPHERE,) * 6).run(400)
     puppet.give(chamber_pressure=(ATMOSPHERE, ATMOSPHERE, 0.7 * ATMOSPHERE, *(ATMOSPHERE,) * 3)).run(150)
     assert puppet.cause is Cause.ARM_A_SENSOR
 
 
-def test_so_is_one_of_the_manifold() -> None:
+def test_supply_sensor_below_atmosphere_at_rest_reports_supply_decay() -> None:
     puppet = reach(State.READY, vent_timeout=0.3)
     puppet.run(400)
     puppet.give(supply_pressure=0.7 * ATMOSPHERE).run(150)

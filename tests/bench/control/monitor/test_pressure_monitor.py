@@ -45,7 +45,7 @@ def revive(puppet: Puppet) -> None:
 
 @each_sensor
 @pytest.mark.parametrize("source", STANDING, ids=lambda state: state.name)
-def test_a_sensor_that_dies_is_named_by_its_place(sensor: Cause, source: State) -> None:
+def test_pressure_monitor_dead_sensor_latches_fault_by_place(sensor: Cause, source: State) -> None:
     puppet = fit(reach(source))
     kill(puppet, sensor)
     puppet.run(DEAD_TICKS)
@@ -60,7 +60,7 @@ def test_a_sensor_that_dies_is_named_by_its_place(sensor: Cause, source: State) 
 
 
 @no_value
-def test_no_value_that_cannot_be_is_believed(value: float) -> None:
+def test_pressure_monitor_impossible_value_reports_dead_sensor(value: float) -> None:
     puppet = fit(reach(State.READY))
     kill(puppet, Cause.ARM_B_SENSOR, value)
     puppet.run(DEAD_TICKS)
@@ -68,7 +68,7 @@ def test_no_value_that_cannot_be_is_believed(value: float) -> None:
 
 
 @each_sensor
-def test_a_fitted_sensor_that_never_was_there_is_missing(sensor: Cause) -> None:
+def test_pressure_monitor_fitted_sensor_never_seen_refuses_reset(sensor: Cause) -> None:
     puppet = reach(State.ESTOP, homed=False)
     puppet.control["sensors"]["seen"] = 0
     kill(puppet, sensor)
@@ -78,14 +78,14 @@ def test_a_fitted_sensor_that_never_was_there_is_missing(sensor: Cause) -> None:
     assert puppet.cycle["air_fault"][0] == 1 << (sensor - Cause.SUPPLY_SENSOR)
 
 
-def test_a_chamber_without_sensor_is_not_missing() -> None:
+def test_pressure_monitor_chamber_without_sensor_reports_nothing() -> None:
     puppet = reach(State.READY, fitted=False)
     puppet.run(DEAD_TICKS)
     assert (puppet.bench, puppet.cycle["air_fault"][0]) == (State.READY, 0)
 
 
 @each_sensor
-def test_a_lost_frame_is_no_death(sensor: Cause) -> None:
+def test_pressure_monitor_lost_frames_reports_nothing(sensor: Cause) -> None:
     puppet = fit(reach(State.READY))
     for _ in range(20):
         kill(puppet, sensor)
@@ -94,7 +94,7 @@ def test_a_lost_frame_is_no_death(sensor: Cause) -> None:
     assert (puppet.bench, puppet.cause) == (State.READY, Cause.NONE)
 
 
-def test_a_sensor_that_is_mostly_away_is_dead() -> None:
+def test_pressure_monitor_frequent_dropouts_reports_dead_sensor() -> None:
     puppet = fit(reach(State.READY))
     for tick in range(1500):
         kill(puppet, Cause.WRIST_A_SENSOR, inf if tick % 10 < 3 else ATMOSPHERE)
@@ -103,7 +103,7 @@ def test_a_sensor_that_is_mostly_away_is_dead() -> None:
 
 
 @each_sensor
-def test_nobody_is_let_in_on_time_alone_past_a_dead_sensor(sensor: Cause) -> None:
+def test_access_dead_sensor_refused_after_any_wait(sensor: Cause) -> None:
     puppet = fit(reach(State.READY))
     kill(puppet, sensor)
     puppet.tick()
@@ -114,7 +114,7 @@ def test_nobody_is_let_in_on_time_alone_past_a_dead_sensor(sensor: Cause) -> Non
 
 
 @each_sensor
-def test_an_open_vent_the_longest_time_and_a_person_prove_what_a_dead_chamber_sensor_cannot(
+def test_access_dead_chamber_sensor_accepts_vent_time_and_press(
     sensor: Cause,
 ) -> None:
     puppet = fit(reach(State.READY, rest_time_without_encoders=0.5, local_reset=True), vents=True)
@@ -129,7 +129,7 @@ def test_an_open_vent_the_longest_time_and_a_person_prove_what_a_dead_chamber_se
     assert asked(puppet, Request.ACCESS) is (Refusal.SENSOR if manifold else Refusal.NONE)
 
 
-def test_a_shut_vent_proves_nothing() -> None:
+def test_access_dead_sensor_with_shut_vents_refused() -> None:
     puppet = fit(reach(State.READY, rest_time_without_encoders=0.5), vents=True)
     puppet.give(vent_open=(0.0, 0.0))
     kill(puppet, Cause.ARM_A_SENSOR)
@@ -137,7 +137,7 @@ def test_a_shut_vent_proves_nothing() -> None:
     assert asked(puppet, Request.ACCESS) is Refusal.SENSOR
 
 
-def test_low_pressure_behind_two_shut_vents_is_no_proof_of_empty_chambers() -> None:
+def test_access_low_pressure_with_both_vents_shut_refused() -> None:
     """The air left below `vented_pressure` carries an arm, which sinks as it leaks away."""
     puppet = fit(reach(State.READY), vents=True)
     puppet.give(vent_open=(0.0, 0.0)).run(20)
@@ -146,7 +146,7 @@ def test_low_pressure_behind_two_shut_vents_is_no_proof_of_empty_chambers() -> N
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_without_chamber_sensors_an_open_vent_is_needed_where_vents_report() -> None:
+def test_access_without_chamber_sensors_requires_open_vent() -> None:
     puppet = reach(State.ARMED, fitted=False, vent_timeout=0.3)
     puppet.give(vent_open=(0.0, 0.0)).tick(Request.DISARM)
     puppet.run(400)
@@ -155,7 +155,7 @@ def test_without_chamber_sensors_an_open_vent_is_needed_where_vents_report() -> 
     assert puppet.control["vented"]
 
 
-def test_a_sensor_that_is_unplugged_in_access_sends_nobody_out() -> None:
+def test_pressure_monitor_sensor_lost_in_access_faults_after_secure() -> None:
     puppet = fit(reach(State.READY, rest_time_without_encoders=0.1), vents=True)
     puppet.run(200)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
@@ -172,7 +172,7 @@ def test_a_sensor_that_is_unplugged_in_access_sends_nobody_out() -> None:
 @pytest.mark.parametrize(
     "sensor", [Cause.SUPPLY_SENSOR, Cause.SHOULDER_B_SENSOR], ids=lambda cause: cause.name
 )
-def test_without_a_proof_a_sensor_that_dies_in_access_is_a_fault(sensor: Cause) -> None:
+def test_pressure_monitor_dead_sensor_in_unproven_access_faults(sensor: Cause) -> None:
     puppet = fit(reach(State.ACCESS))
     kill(puppet, sensor)
     puppet.run(DEAD_TICKS)
@@ -180,7 +180,7 @@ def test_without_a_proof_a_sensor_that_dies_in_access_is_a_fault(sensor: Cause) 
 
 
 @each_sensor
-def test_a_sensor_that_dies_stops_whatever_moves_as_other_trusted_causes_do(sensor: Cause) -> None:
+def test_pressure_monitor_dead_sensor_while_armed_brakes(sensor: Cause) -> None:
     puppet = reach(State.ARMED)
     puppet.give(chamber_pressure=(SUPPLY,) * CHAMBERS).run(3)
     kill(puppet, sensor)
@@ -197,7 +197,7 @@ def test_a_sensor_that_dies_stops_whatever_moves_as_other_trusted_causes_do(sens
 
 @each_sensor
 @pytest.mark.parametrize("request_", [Request.ARM, Request.HOME], ids=lambda request: request.name)
-def test_nothing_begins_to_move_with_a_dead_sensor(sensor: Cause, request_: Request) -> None:
+def test_dead_sensor_refuses_motion(sensor: Cause, request_: Request) -> None:
     puppet = fit(reach(State.READY))
     puppet.control["sensors"]["dead"][sensor - Cause.SUPPLY_SENSOR] = 1
     puppet.control["sensors"]["doubt"][sensor - Cause.SUPPLY_SENSOR] = DEAD_AFTER
@@ -205,7 +205,7 @@ def test_nothing_begins_to_move_with_a_dead_sensor(sensor: Cause, request_: Requ
     assert asked(puppet, request_) is Refusal.SENSOR
 
 
-def test_the_airs_own_causes_stop_as_trusted_ones() -> None:
+def test_table_column_pressure_causes_use_valid_readings() -> None:
     for cause in (Cause.MANIFOLD, *SENSORS, Cause.VENT_1, Cause.VENT_2, Cause.SHUT_OFF):
         assert table_column(cause) == READINGS_VALID
 
@@ -220,7 +220,7 @@ def vented(puppet: Puppet) -> Puppet:
 
 
 @pytest.mark.parametrize("vent", [0, 1])
-def test_a_vent_that_stays_shut_is_named_at_the_next_venting(vent: int) -> None:
+def test_vent_stuck_shut_faults_at_venting(vent: int) -> None:
     puppet = reach(State.ARMED)
     vented(puppet).run(300)
     assert puppet.bench is State.ARMED
@@ -238,7 +238,7 @@ def test_a_vent_that_stays_shut_is_named_at_the_next_venting(vent: int) -> None:
 
 
 @pytest.mark.parametrize("vent", [0, 1])
-def test_a_vent_that_stays_open_is_named_before_the_robot_moves(vent: int) -> None:
+def test_vent_stuck_open_faults_before_motion(vent: int) -> None:
     puppet = reach(State.READY)
     puppet.parameters.control["precharge_time"] = 2.0
     vented(puppet).run(1000)
@@ -251,14 +251,14 @@ def test_a_vent_that_stays_open_is_named_before_the_robot_moves(vent: int) -> No
     assert until(puppet, State.FAULT) is State.FAULT
 
 
-def test_vents_that_an_open_emergency_stop_circuit_releases_are_not_wrong() -> None:
+def test_vents_released_by_emergency_stop_report_nothing() -> None:
     puppet = reach(State.ARMED)
     vented(puppet).run(100)
     puppet.give(vent_open=(1.0, 1.0), emergency_stop_clear=False).run(3000)
     assert puppet.cycle["air_fault"][0] == 0
 
 
-def test_a_shut_off_valve_that_stays_open_is_named_at_the_venting_and_lets_nobody_in() -> None:
+def test_shut_off_valve_stuck_open_faults_and_refuses_access() -> None:
     puppet = reach(State.ARMED, vent_timeout=0.05)
     puppet.give(shut_off_open=1.0).run(300)
     assert puppet.bench is State.ARMED
@@ -275,7 +275,7 @@ def test_a_shut_off_valve_that_stays_open_is_named_at_the_venting_and_lets_nobod
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
 
 
-def test_a_shut_off_valve_that_opens_beside_a_released_guard_ends_the_access() -> None:
+def test_shut_off_valve_opening_in_access_faults() -> None:
     puppet = reach(State.READY, vent_timeout=0.05)
     puppet.give(shut_off_open=0.0).run(100)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE
@@ -285,7 +285,7 @@ def test_a_shut_off_valve_that_opens_beside_a_released_guard_ends_the_access() -
     assert (puppet.bench, puppet.cause) == (State.FAULT, Cause.SHUT_OFF)
 
 
-def test_a_shut_off_valve_that_stays_shut_is_named_before_the_robot_moves() -> None:
+def test_shut_off_valve_stuck_shut_faults_before_motion() -> None:
     puppet = reach(State.READY)
     puppet.parameters.control["precharge_time"] = 2.0
     puppet.give(shut_off_open=0.0).run(1000)
@@ -295,7 +295,7 @@ def test_a_shut_off_valve_that_stays_shut_is_named_before_the_robot_moves() -> N
     assert until(puppet, State.FAULT) is State.FAULT
 
 
-def test_a_feedback_that_is_lost_is_a_vent_that_does_not_obey() -> None:
+def test_vent_lost_feedback_reports_cause() -> None:
     puppet = fit(reach(State.READY), vents=True)
     puppet.give(vent_open=(1.0, inf)).run(2000)
     assert puppet.cause is Cause.VENT_2

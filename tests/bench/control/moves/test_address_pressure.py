@@ -74,7 +74,7 @@ def deviation(bench: LockstepEngine, profile: Profile) -> Array:
 
 
 @pytest.mark.parametrize("factor", [0.85, 1.0, 1.1])
-def test_planned_pressures_hold_the_load_and_stay(factor: float, profile: Profile) -> None:
+def test_planned_air_balances_load_and_flow(factor: float, profile: Profile) -> None:
     plant = replace(PLANT, supply=replace(PLANT.supply, pressure=factor * PLANT.supply.pressure))
     planned, rest = planned_air(plant, profile.angle[0]), np.zeros((1, 3))
     load = actuator_forces(plant, profile.angle[:1], rest, rest)[0]
@@ -94,7 +94,7 @@ def test_planned_pressures_hold_the_load_and_stay(factor: float, profile: Profil
         assert share(a) + share(b) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_the_load_in_the_tick_is_that_of_the_plan(profile: Profile) -> None:
+def test_load_force_equals_actuator_forces_at_rest(profile: Profile) -> None:
     rest = np.zeros((1, 3))
     load = actuator_forces(PLANT, profile.angle[:1], rest, rest)[0]
     machine = build_plant(PLANT).plant
@@ -102,13 +102,13 @@ def test_the_load_in_the_tick_is_that_of_the_plan(profile: Profile) -> None:
         assert load_force(PLANT.robot.record, machine[0], profile.angle[0], i) == pytest.approx(load[i])
 
 
-def test_a_load_that_no_air_holds_is_refused(profile: Profile) -> None:
+def test_planned_air_load_beyond_supply_raises(profile: Profile) -> None:
     heavy = replace(PLANT, robot=replace(PLANT.robot, club=replace(PLANT.robot.club, head_mass=300.0)))
     with pytest.raises(ValueError, match="cannot hold"):
         planned_air(heavy, profile.angle[0])
 
 
-def test_spools_are_swung_beyond_their_dead_band(profile: Profile) -> None:
+def test_dither_amplitudes_exceed_dead_band(profile: Profile) -> None:
     widths = dither_amplitudes(PLANT, build_plant(PLANT).plant, profile.angle[0])
     assert np.all(widths > [actuator.valve.dead_band for actuator in PLANT.actuators])
     assert np.all(widths <= 0.4)
@@ -124,7 +124,7 @@ def test_spools_are_swung_beyond_their_dead_band(profile: Profile) -> None:
     [PLANT, replace(PLANT, pressure_sensors=False), WORN.applied_to(PLANT)],
     ids=["sensors", "observer", "worn"],
 )
-def test_armed_the_chambers_come_to_the_plan_and_a_swing_waits_for_them(
+def test_address_pressure_swing_refused_until_chambers_reach_plan(
     plant: PlantParameters, profile: Profile
 ) -> None:
     bench = bench_on(profile, plant)
@@ -146,7 +146,9 @@ def test_armed_the_chambers_come_to_the_plan_and_a_swing_waits_for_them(
 @compiled_only
 @pytest.mark.parametrize("chamber", range(6))
 @pytest.mark.parametrize("change", [-0.5e5, 0.5e5])
-def test_whatever_was_there_is_brought_to_the_plan(profile: Profile, chamber: int, change: float) -> None:
+def test_address_pressure_disturbed_chamber_returns_to_plan(
+    profile: Profile, chamber: int, change: float
+) -> None:
     bench = bench_on(profile)
     bench.arm()
     bench.advance(1000)
@@ -157,7 +159,7 @@ def test_whatever_was_there_is_brought_to_the_plan(profile: Profile, chamber: in
 
 
 @compiled_only
-def test_a_minute_at_the_address_changes_nothing(profile: Profile) -> None:
+def test_address_pressure_minute_of_hold_stays_in_tolerance(profile: Profile) -> None:
     bench = bench_on(profile)
     bench.arm()
     assert bench.await_air()
@@ -173,14 +175,14 @@ def test_a_minute_at_the_address_changes_nothing(profile: Profile) -> None:
 
 
 @compiled_only
-def test_a_swing_begins_after_waiting_without_being_asked_more_often(profile: Profile) -> None:
+def test_start_swing_waits_for_planned_air(profile: Profile) -> None:
     bench = bench_on(profile)
     bench.arm()
     assert bench.start_swing(1, 10)
 
 
 @compiled_only
-def test_charging_near_the_ground_leaves_the_head_where_it_is(profile: Profile) -> None:
+def test_precharge_near_ground_keeps_head_height(profile: Profile) -> None:
     low = np.array([-0.012, 4.404, 6.271])
     bench = bench_on(profile, NEAR_GROUND, low, NEAR_GROUND)
     height = float(bench.control["head"][0, 1])
@@ -195,7 +197,7 @@ def test_charging_near_the_ground_leaves_the_head_where_it_is(profile: Profile) 
 
 @compiled_only
 @pytest.mark.parametrize("shoulder", [0.107, 0.208])
-def test_a_head_that_lies_low_is_lifted(profile: Profile, shoulder: float) -> None:
+def test_arming_low_head_raises_clearance(profile: Profile, shoulder: float) -> None:
     low = np.array([shoulder, 4.404, 6.275])
     bench = bench_on(profile, NEAR_GROUND, low, NEAR_GROUND)
     bench.reset_peaks()
@@ -208,7 +210,7 @@ def test_a_head_that_lies_low_is_lifted(profile: Profile, shoulder: float) -> No
 
 
 @compiled_only
-def test_a_head_that_lies_low_may_not_come_nearer_to_the_ground(profile: Profile) -> None:
+def test_arming_low_head_pushed_down_reports_ground(profile: Profile) -> None:
     bench = bench_on(profile, NEAR_GROUND, np.array([0.107, 4.404, 6.275]), NEAR_GROUND)
     bench.request(Request.ARM)
     bench.advance(1000)
@@ -224,7 +226,7 @@ def test_a_head_that_lies_low_may_not_come_nearer_to_the_ground(profile: Profile
 
 @compiled_only
 @pytest.mark.parametrize("chamber", range(6))
-def test_a_time_out_names_the_chamber(profile: Profile, chamber: int) -> None:
+def test_pressure_timeout_names_chamber(profile: Profile, chamber: int) -> None:
     air = list(profile.air)
     air[chamber] -= 1.0e5  # no spool that swings leads there
     bench = bench_on(replace(profile, air=tuple(air)))
@@ -238,7 +240,7 @@ def test_a_time_out_names_the_chamber(profile: Profile, chamber: int) -> None:
     assert bench.phase is not Phase.HOLD
 
 
-def test_a_joint_that_never_comes_to_its_band_is_no_fault_of_the_air() -> None:
+def test_pressure_timeout_unsettled_joint_reports_address_timeout() -> None:
     puppet = Puppet(replace(STILL, air=(1.0132e5,) * 6, air_supply=8e5))
     puppet.hold()
     puppet.parameters.control["pressure_timeout"] = 0.05
@@ -257,9 +259,7 @@ def test_a_joint_that_never_comes_to_its_band_is_no_fault_of_the_air() -> None:
     [(0.04, True, Phase.HOLD), (0.1, True, Phase.RETURN), (0.04, False, Phase.RETURN)],
     ids=["near", "too far for the hold", "air as it comes"],
 )
-def test_a_joint_that_hunts_around_its_address_is_left_to_the_hold(
-    miss: float, planned: bool, phase: Phase
-) -> None:
+def test_return_joint_hunting_near_address_enters_hold(miss: float, planned: bool, phase: Phase) -> None:
     """A wrist with little area beside its friction never came back to its address after a swing.
 
     Its PID alone took it from one side to the other.
@@ -277,9 +277,7 @@ def test_a_joint_that_hunts_around_its_address_is_left_to_the_hold(
 
 
 @pytest.mark.parametrize(("waited", "forgotten"), [(1000, False), (2500, True)])
-def test_a_joint_that_slips_far_past_the_end_of_its_move_forgets_its_integral(
-    waited: int, forgotten: bool
-) -> None:
+def test_return_slip_after_move_end_clears_integral(waited: int, forgotten: bool) -> None:
     """A shoulder slipped 0.1 rad to either side of its address, too far for the hold, until it was late."""
     patient = replace(QUICK, move_timeout=6.0)
     profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)
@@ -297,7 +295,7 @@ def test_a_joint_that_slips_far_past_the_end_of_its_move_forgets_its_integral(
 
 
 @pytest.mark.parametrize("planned", [True, False])
-def test_a_dead_band_is_made_up_for_once(*, planned: bool) -> None:
+def test_feed_forward_planned_air_omits_dead_band_opening(*, planned: bool) -> None:
     """Swung spools and openings for the dead band together drove a soft shoulder past its return's limit."""
     profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5) if planned else STILL
     puppet = Puppet(profile, replace(QUICK, gains="machine")).enter(Phase.RETURN)
@@ -316,7 +314,7 @@ def test_a_dead_band_is_made_up_for_once(*, planned: bool) -> None:
 
 @compiled_only
 @pytest.mark.parametrize("seed", release_except({1000002}, [1000001, 1000002, 1000003, 1000006]))
-def test_a_soft_shoulder_comes_to_its_address(seed: int) -> None:
+def test_arming_soft_shoulder_reaches_address(seed: int) -> None:
     """A small vane with low pressure and large dead bands slipped to and fro by 0.1 rad until it was late.
 
     Its widely swung spool moved the force by 15 N m, which a PID as soft as its air could not make up for.
@@ -329,7 +327,7 @@ def test_a_soft_shoulder_comes_to_its_address(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("waited", "caught"), [(50, False), (700, True)])
-def test_a_joint_that_slips_through_its_band_is_caught(waited: int, caught: bool) -> None:
+def test_hold_joint_slipping_through_band_marks_slipped(waited: int, caught: bool) -> None:
     """A shoulder slipped to and fro by 0.03 rad, until it touched the ball; not while it arrives."""
     puppet = Puppet(replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)).hold()
     puppet.follows = False
@@ -343,7 +341,7 @@ def test_a_joint_that_slips_through_its_band_is_caught(waited: int, caught: bool
     assert not any(held & LATE for held in puppet.control["address_air"]["held"])
 
 
-def test_without_planned_air_nothing_of_it_happens() -> None:
+def test_address_pressure_without_planned_air_stays_idle() -> None:
     puppet = Puppet().hold()
     for name in ADDRESS_AIR.names or ():
         assert not np.any(puppet.control["address_air"][name]), name
@@ -364,7 +362,7 @@ def spoil_supply(puppet: Puppet) -> None:
 
 
 @pytest.mark.parametrize("spoil", [spoil_pressures, spoil_supply])
-def test_values_that_are_no_numbers_move_no_valve_beyond_its_swing(spoil: Spoil) -> None:
+def test_address_pressure_nan_readings_keep_openings_bounded(spoil: Spoil) -> None:
     puppet = Puppet(replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)).hold()
     spoil(puppet)
     openings = puppet.run(50)
@@ -400,7 +398,7 @@ def machine(profile: Profile, **valve: float) -> tuple[PlantParameters, Profile]
     ],
     ids=["off centre", "off centre, hardly a dead band", "slow spools", "leaking"],
 )
-def test_known_valves_bring_the_air_in_time(valve: dict[str, float], profile: Profile) -> None:
+def test_address_pressure_known_valves_reach_plan(valve: dict[str, float], profile: Profile) -> None:
     plant, planned = machine(profile, **valve)
     bench = LockstepEngine(
         Lockstep(build_plant(plant), build_controller(plant, planned), hanging_pose(plant))
@@ -413,7 +411,7 @@ def test_known_valves_bring_the_air_in_time(valve: dict[str, float], profile: Pr
 
 @pytest.mark.release
 @compiled_only
-def test_a_joint_that_sticks_and_slips_comes_to_rest_and_stays(profile: Profile) -> None:
+def test_hold_stick_slip_joint_stays_at_address(profile: Profile) -> None:
     """A shoulder with much friction, little area, and a plan far from what its spool swings to.
 
     A commissioned robot had it; it slipped past its address again and again.
@@ -437,9 +435,7 @@ def test_a_joint_that_sticks_and_slips_comes_to_rest_and_stays(profile: Profile)
 
 @compiled_only
 @pytest.mark.parametrize("seed", [1_000_002, 1_000_015])
-def test_leakage_that_the_model_does_not_know_keeps_no_joint_beside_its_address(
-    profile: Profile, seed: int
-) -> None:
+def test_arming_unmodelled_leakage_reaches_planned_air(profile: Profile, seed: int) -> None:
     """An arm with much leakage: what its model missed pushed as hard as its loosening.
 
     A commissioned robot had it; a third of its healthy neighbours never came to its band.
@@ -473,7 +469,7 @@ def test_leakage_that_the_model_does_not_know_keeps_no_joint_beside_its_address(
     assert bench.await_air(), bench.cause.name
 
 
-def test_slow_spools_are_swung_more_slowly() -> None:
+def test_dither_periods_slow_spool_lengthens_period() -> None:
     slow = replace(PLANT.wrist, valve=replace(PLANT.wrist.valve, natural_frequency=2.0 * np.pi * 60.0))
     quick = replace(PLANT.wrist, valve=replace(PLANT.wrist.valve, natural_frequency=2.0 * np.pi * 150.0))
     usual = dither_periods(PLANT)
@@ -482,7 +478,7 @@ def test_slow_spools_are_swung_more_slowly() -> None:
 
 
 @compiled_only
-def test_a_known_centre_does_not_change_the_swing(profile: Profile) -> None:
+def test_swing_known_spool_centre_keeps_delivery(profile: Profile) -> None:
     """Openings are counted from where the spool is centred: a profile holds for other valves, too."""
     delivered = []
     for centre in (0.0, 0.025):
@@ -496,7 +492,7 @@ def test_a_known_centre_does_not_change_the_swing(profile: Profile) -> None:
 
 
 @compiled_only
-def test_a_standing_robot_gets_the_passive_command_whatever_the_centre(profile: Profile) -> None:
+def test_standing_robot_offset_centre_commands_zero(profile: Profile) -> None:
     plant, planned = machine(profile, centre=0.03)
     bench = LockstepEngine(
         Lockstep(build_plant(plant), build_controller(plant, planned), hanging_pose(plant))

@@ -46,7 +46,7 @@ def joints() -> Joints:
     return Joints()
 
 
-def test_bound_before_any_motion_is_a_little_beyond_the_dead_band(joints: Joints) -> None:
+def test_bound_first_before_motion_slightly_exceeds_dead_band(joints: Joints) -> None:
     joints.tick(0.0, 1.0)
     assert joints.bound(1.0) == pytest.approx(BAND + 0.005)
     assert joints.bound(-1.0) == pytest.approx(-BAND - 0.005)
@@ -54,7 +54,7 @@ def test_bound_before_any_motion_is_a_little_beyond_the_dead_band(joints: Joints
     assert isnan(joints.bound(nan))
 
 
-def test_bound_unanswered_joint_grows_for_a_wider_dead_band(joints: Joints) -> None:
+def test_bound_first_unanswered_joint_grows(joints: Joints) -> None:
     for _ in range(12):
         joints.tick(0.2, 1.0)
     joints.tick(0.0, 1.0)  # the reference waits
@@ -63,7 +63,7 @@ def test_bound_unanswered_joint_grows_for_a_wider_dead_band(joints: Joints) -> N
     assert joints.answered == [0, 0, 0]
 
 
-def test_answer_motion_along_with_the_reference_frees_the_valve_gently(joints: Joints) -> None:
+def test_note_answers_motion_with_reference_releases_bound_gradually(joints: Joints) -> None:
     joints.pid["integral"][0] = 0.3
     joints.tick(-0.2, 1.0)
     joints.tick(-0.2, 0.96)
@@ -77,7 +77,7 @@ def test_answer_motion_along_with_the_reference_frees_the_valve_gently(joints: J
     assert joints.bound(1.0) == 1.0
 
 
-def test_answer_motion_against_the_reference_is_none(joints: Joints) -> None:
+def test_note_answers_motion_against_reference_does_not_count(joints: Joints) -> None:
     for angle in (1.0, 1.1, 1.5):
         joints.tick(-0.2, angle)
     assert joints.answered == [0, 0, 0]
@@ -88,27 +88,27 @@ def test_answer_motion_against_the_reference_is_none(joints: Joints) -> None:
     assert joints.answered == [0, 1, 0]
 
 
-def test_answer_zero_set_by_the_index_is_no_motion(joints: Joints) -> None:
+def test_note_answers_zero_shift_does_not_count(joints: Joints) -> None:
     joints.tick(0.2, 1.0)
     joints.state["homing"]["zero_shift"][0, 1] = 2.0
     joints.tick(0.2, 3.01)
     assert joints.answered == [0, 0, 0]
 
 
-def test_bound_clock_that_stands_still_does_not_grow(joints: Joints) -> None:
+def test_bound_first_backward_clock_does_not_grow(joints: Joints) -> None:
     joints.state["measured_step"] = -1.0
     joints.tick(0.2, 1.0)
     assert joints.state["first_motion"]["bound"][0, 1] == 0.0
 
 
-def test_bound_outside_of_slow_moves_is_none(joints: Joints) -> None:
+def test_bound_first_outside_slow_moves_passes_opening(joints: Joints) -> None:
     joints.state["phase"] = Phase.HOLD
     assert joints.bound(1.0) == 1.0
     joints.state["moving"] = True
     assert joints.bound(1.0) == pytest.approx(BAND + 0.005)
 
 
-def test_opened_guard_has_all_joints_answer_again(joints: Joints) -> None:
+def test_forget_answers_resets_answers_and_bound(joints: Joints) -> None:
     for name in ("answered", "way", "bound"):
         joints.state["first_motion"][name] = 1
     forget_answers(joints.state[0])
@@ -117,7 +117,9 @@ def test_opened_guard_has_all_joints_answer_again(joints: Joints) -> None:
 
 
 @pytest.mark.parametrize(("speed", "way"), [(1.51, 1.0), (-1.51, -1.0), (1.91, 0.0), (nan, 0.0), (inf, 1.0)])
-def test_fast_joint_that_has_not_answered_ends_the_motion(joints: Joints, speed: float, way: float) -> None:
+def test_first_motion_cause_fast_unanswered_joint_reports_following(
+    joints: Joints, speed: float, way: float
+) -> None:
     joints.state["first_motion"]["way"][0, 2] = way
     velocity = np.array([1.4, 0.0, speed])
     cause: Any = first_motion_cause(joints.state[0], joints.parameters[0], velocity)

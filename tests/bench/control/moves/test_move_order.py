@@ -40,7 +40,7 @@ def swing_of(name: str, configured: str) -> tuple[Configuration, Profile, Contro
     return c, profile, build_controller(c.plant, profile, c.control, c.envelope, c.estimator)
 
 
-def test_the_order_follows_from_the_way() -> None:
+def test_moves_arm_first_depends_on_head_path() -> None:
     """From where each robot hangs: golfers' would pass 27 mm above what it has to clear, the shipped 36."""
     for name, configured, expected in (("default", "shipped", False), ("tour-male-full", "golfers", True)):
         c, profile, parameters = swing_of(name, configured)
@@ -48,14 +48,14 @@ def test_the_order_follows_from_the_way() -> None:
         assert not moves_arm_first(parameters, profile.angle[0] + [0.5, 0.0, 0.0]), "from above"
 
 
-def test_an_order_that_does_not_lift_the_head_is_not_taken() -> None:
+def test_moves_arm_first_pulled_in_arm_returns_false() -> None:
     """An arm pulled in far already: let down first, it would lead the head lower."""
     c, _, parameters = swing_of("tour-male-full", "golfers")
     assert not moves_arm_first(parameters, hanging_pose(c.plant) + [0.0, -0.35, 0.0])
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_every_joint_comes_from_its_start_to_its_end(*, first: bool) -> None:
+def test_follow_move_joints_run_from_start_to_end(*, first: bool) -> None:
     puppet = Puppet(STILL)
     s, parameters = puppet.control, puppet.parameters
     start = parameters.angle[0] - [0.3, 0.1, 0.2]
@@ -75,7 +75,7 @@ def test_every_joint_comes_from_its_start_to_its_end(*, first: bool) -> None:
         assert np.all(angle[501:, 1:] == parameters.angle[0, 1:])
 
 
-def test_the_whole_way_takes_both_halves() -> None:
+def test_joint_progress_arm_first_moves_joints_in_separate_halves() -> None:
     assert [joint_progress(part, 0, True) for part in (0.0, 0.5, 0.75, 1.0)] == [0.0, 0.0, 0.5, 1.0]
     assert [joint_progress(part, 2, True) for part in (0.0, 0.25, 0.5, 1.0)] == [0.0, 0.5, 1.0, 1.0]
     assert joint_progress(0.3, 0, False) == joint_progress(0.3, 1, False) == 0.3
@@ -83,7 +83,7 @@ def test_the_whole_way_takes_both_halves() -> None:
 
 @compiled_only
 @pytest.mark.parametrize("seed", [54, 75])
-def test_an_arm_that_sticks_does_not_bring_the_head_to_the_ground(seed: int) -> None:
+def test_arming_sticking_arm_keeps_head_above_ground(seed: int) -> None:
     """A right arm held by friction passed 4 mm above the ground on its way, where 5 stop it."""
     c, _, parameters = swing_of("average-male-full", "golfers")
     plant = healthy_plant(c.plant, seed)

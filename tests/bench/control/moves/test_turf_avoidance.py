@@ -51,7 +51,7 @@ def acting(
         (Cause.NONE, -1),
     ],
 )
-def test_an_actuator_that_does_not_obey_is_known_by_the_cause(cause: Cause, joint: int) -> None:
+def test_disobeying_returns_joint_of_cause(cause: Cause, joint: int) -> None:
     assert disobeying(int(cause)) == joint
 
 
@@ -63,7 +63,7 @@ def test_an_actuator_that_does_not_obey_is_known_by_the_cause(cause: Cause, join
         (Cause.WRIST_AIR, [0.0, -1.0, None]),
     ],
 )
-def test_the_other_two_act_for_their_time_only(cause: Cause, expected: list[float | None]) -> None:
+def test_escape_other_joints_act_until_escape_time(cause: Cause, expected: list[float | None]) -> None:
     last = TIMES[disobeying(int(cause))]
     assert acting(cause) == expected
     assert acting(cause, since=0.9 * last) == expected
@@ -72,9 +72,7 @@ def test_the_other_two_act_for_their_time_only(cause: Cause, expected: list[floa
 
 @pytest.mark.parametrize("phase", Phase)
 @pytest.mark.parametrize("reaction", Reaction)
-def test_they_act_in_a_stop_between_downswing_and_follow_through_only(
-    phase: Phase, reaction: Reaction
-) -> None:
+def test_escape_acts_only_in_stop_from_downswing_to_follow_through(phase: Phase, reaction: Reaction) -> None:
     wanted = Phase.DOWNSWING <= phase <= Phase.FOLLOW_THROUGH and reaction in (
         Reaction.BRAKE,
         Reaction.PASSIVE,
@@ -83,7 +81,7 @@ def test_they_act_in_a_stop_between_downswing_and_follow_through_only(
     assert acting(Cause.EMERGENCY_STOP, phase, reaction) == [None] * 3
 
 
-def test_they_act_over_turf_only() -> None:
+def test_escape_time_without_turf_equals_zero() -> None:
     plant = PlantParameters()
     turf = replace(plant, site=replace(plant.site, surface="turf", divot=0.01))
     assert build_controller(plant, STILL).control["escape_time"].tolist() == [[0.0, 0.0, 0.0]]
@@ -118,9 +116,7 @@ def ended(check: SwingCheck, fault: str, tick: int) -> TrialOutcome:
         ("arm valve stuck open in reverse", 1360),
     ],
 )
-def test_an_iron_stays_out_of_the_ground_where_a_valve_sticks_around_the_ball(
-    iron: SwingCheck, fault: str, tick: int
-) -> None:
+def test_escape_stuck_valve_keeps_iron_out_of_ground(iron: SwingCheck, fault: str, tick: int) -> None:
     assert not ended(iron, fault, tick).unsafe
     times = iron.parameters.control["escape_time"].copy()
     iron.parameters.control["escape_time"] = 0.0

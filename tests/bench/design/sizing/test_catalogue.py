@@ -25,14 +25,14 @@ NORMAL = 7.013e5, 6.013e5
 """Pressures of a nominal flow, Pa absolute."""
 
 
-def test_every_part_names_a_source_or_an_assumption() -> None:
+def test_catalogue_each_part_names_source() -> None:
     catalogue = shipped_catalogue()
     parts = [part for kind in fields(catalogue) for part in getattr(catalogue, kind.name).values()]
     assert len(parts) > 15
     assert all(len(part.source) > 10 for part in parts)
 
 
-def test_sizes_rise_within_each_kind_as_smaller_parts_are_looked_for_by_order() -> None:
+def test_catalogue_sizes_rise_within_each_kind() -> None:
     catalogue = shipped_catalogue()
     for kind, size in (
         ("vanes", "displacement"),
@@ -48,7 +48,7 @@ def test_sizes_rise_within_each_kind_as_smaller_parts_are_looked_for_by_order() 
         assert sizes == sorted(sizes)
 
 
-def test_a_shut_off_valve_switches_within_the_time_that_its_timer_leaves() -> None:
+def test_catalogue_shut_off_valves_switch_within_quarter_of_delay() -> None:
     """The timer is twice what a supply valve that stays open takes to show; the valve may not use that up."""
     delay = PlantParameters().supply.shut_off_delay
     parts = shipped_catalogue().shut_offs.values()
@@ -57,25 +57,25 @@ def test_a_shut_off_valve_switches_within_the_time_that_its_timer_leaves() -> No
 
 
 @pytest.mark.parametrize("nominal", [700.0, 2000.0])
-def test_a_valve_of_the_plant_passes_its_nominal_flow(nominal: float) -> None:
+def test_conductance_of_reproduces_nominal_flow(nominal: float) -> None:
     power = flow(conductance_of(nominal), *NORMAL, 0.3)
     mass_flow = power / (GAS_CONSTANT * REFERENCE_TEMPERATURE)
     assert 60e3 * mass_flow / REFERENCE_DENSITY == pytest.approx(nominal, rel=1e-9)
     assert FLOW_TO_PRESSURE > 0
 
 
-def test_the_collected_facts_on_700_litres_are_met() -> None:
+def test_conductance_of_700_litres_matches_reference() -> None:
     # golf.md 8.2: 2.75e-8 m3/(s Pa) at a critical ratio of 0.3.
     assert conductance_of(700.0) == pytest.approx(2.75e-8, rel=2e-3)
 
 
 @pytest.mark.parametrize(("mach", "length"), [(0.3, 5.29925), (0.5, 1.06906), (0.8, 0.07229)])
-def test_flow_with_friction_chokes_where_the_tables_of_gas_dynamics_say(mach: float, length: float) -> None:
+def test_fanno_length_matches_gas_dynamics_tables(mach: float, length: float) -> None:
     """4 f L / D of Fanno flow, ratio of specific heats 1.4 (tables of any textbook on compressible flow)."""
     assert fanno_length(mach) == pytest.approx(length, rel=1e-4)
 
 
-def test_a_hose_without_length_is_a_nozzle_and_a_longer_one_passes_less() -> None:
+def test_hose_conductance_falls_with_length() -> None:
     area = pi / 4 * 0.01**2
     choked = 0.684731 * area / sqrt(GAS_CONSTANT * REFERENCE_TEMPERATURE) / REFERENCE_DENSITY
     lengths = [hose_conductance(0.01, length) for length in (1e-7, 0.1, 0.5, 1.0, 5.0)]
@@ -84,7 +84,7 @@ def test_a_hose_without_length_is_a_nozzle_and_a_longer_one_passes_less() -> Non
     assert hose_conductance(0.008, 1.0) == pytest.approx(6.1e-8, rel=0.03)
 
 
-def test_resistances_in_series_pass_less_than_each() -> None:
+def test_in_series_combines_conductances() -> None:
     assert in_series(3.0, 4.0) == pytest.approx(2.4)
     assert in_series(7.9e-8, 1.0) == pytest.approx(7.9e-8)
 
@@ -108,9 +108,7 @@ def broken(tmp_path: Path, old: str, new: str) -> Path:
         ("inner_diameter = 0.008", "inner_diameter = 8.0", "inner_diameter"),
     ],
 )
-def test_a_mistake_in_a_catalogue_is_refused_with_its_place(
-    tmp_path: Path, old: str, new: str, words: str
-) -> None:
+def test_load_catalogue_mistake_reports_place(tmp_path: Path, old: str, new: str, words: str) -> None:
     with pytest.raises(ExceptionGroup) as caught:
         load_catalogue(broken(tmp_path, old, new))
     text = " ".join(str(fault) for fault in caught.value.exceptions)
@@ -118,6 +116,6 @@ def test_a_mistake_in_a_catalogue_is_refused_with_its_place(
     assert "catalogue.toml" in text
 
 
-def test_a_missing_catalogue_is_refused(tmp_path: Path) -> None:
+def test_load_catalogue_missing_file_raises(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="no such file"):
         load_catalogue(tmp_path / "none.toml")

@@ -32,7 +32,7 @@ def flat(values: dict, path: str = "") -> dict:  # type: ignore[type-arg]
     return found
 
 
-def test_the_shipped_sizes_make_the_shipped_plant_within_their_rounding() -> None:
+def test_candidate_configuration_default_hardware_matches_shipped_plant() -> None:
     made, wanted = flat(asdict(configured(Hardware()).plant)), flat(asdict(SHIPPED.plant))
     assert made.keys() == wanted.keys()
     for key, value in wanted.items():
@@ -41,12 +41,12 @@ def test_the_shipped_sizes_make_the_shipped_plant_within_their_rounding() -> Non
     assert configured(Hardware()).envelope == SHIPPED.envelope
 
 
-def test_every_candidate_of_the_default_grid_is_a_valid_configuration() -> None:
+def test_candidate_configuration_default_grid_loads() -> None:
     for hardware in SizingGrid().candidates(PARTS):
         configured(hardware, 58.1)
 
 
-def test_larger_parts_rub_hold_and_vent_more() -> None:
+def test_hardware_larger_parts_raise_friction_volume_and_vent() -> None:
     small, large = configured(Hardware()).plant, configured(Hardware(vane="V800", arm="C63")).plant
     assert large.shoulder.friction.coulomb == pytest.approx(2 * small.shoulder.friction.coulomb)
     assert large.shoulder.dead_volume == pytest.approx(2 * small.shoulder.dead_volume)
@@ -55,13 +55,13 @@ def test_larger_parts_rub_hold_and_vent_more() -> None:
 
 
 @pytest.mark.parametrize("regulated", [7e5, 8e5, 10e5, 11e5])
-def test_relief_valves_open_above_every_planned_pressure_and_below_the_rating(regulated: float) -> None:
+def test_relief_pressure_lies_between_regulated_and_rated(regulated: float) -> None:
     assert regulated < relief_pressure(regulated) < 12e5
     assert highest_pressure(regulated) > regulated
 
 
 @pytest.mark.parametrize(("pressure", "feed"), [(8e5, "L34"), (10e5, "L100")])
-def test_the_manifolds_relief_valve_passes_what_the_open_regulator_feeds(pressure: float, feed: str) -> None:
+def test_manifold_relief_conductance_exceeds_feed(pressure: float, feed: str) -> None:
     made = configured(replace(Hardware(), pressure=pressure, feed=feed))
     supply = made.plant.supply
     assert supply.manifold_relief_pressure == pytest.approx(made.envelope.max_supply_pressure)
@@ -70,7 +70,7 @@ def test_the_manifolds_relief_valve_passes_what_the_open_regulator_feeds(pressur
     assert supply.manifold_relief_conductance > supply.feed_conductance
 
 
-def test_a_hose_costs_dead_volume_flow_and_a_piece_for_each_chamber() -> None:
+def test_hardware_hose_adds_dead_volume_flow_loss_and_price() -> None:
     hose, own = PARTS.hoses["H12"], replace(Hardware(), hose="H12")
     bare, hosed = configured(Hardware()).plant, configured(own).plant
     for before, after in zip(bare.actuators, hosed.actuators, strict=True):
@@ -82,14 +82,14 @@ def test_a_hose_costs_dead_volume_flow_and_a_piece_for_each_chamber() -> None:
     assert own.name == f"{Hardware().name}-H12"
 
 
-def test_vents_of_the_catalogue_replace_throttles_that_grow_with_the_chambers() -> None:
+def test_hardware_catalogue_vent_replaces_sized_throttle() -> None:
     own = Hardware(vane="V800", vent="T30")
     assert configured(own).plant.supply.vent_conductance == pytest.approx(3.0e-9)
     assert parts_of(PARTS, own).price - parts_of(PARTS, replace(own, vent="")).price == 1000
     assert own.name.endswith("-T30")
 
 
-def test_hoses_and_vents_are_variables_of_the_search() -> None:
+def test_sizing_grid_varies_hoses_and_vents() -> None:
     found = replace(SizingGrid(), hoses=("", "H19"), vents=("", "T50", "T80")).candidates(PARTS)
     assert len(found) == 6 * len(SizingGrid().candidates(PARTS))
     assert len({hardware.name for hardware in found}) == len(found)
@@ -99,16 +99,14 @@ def test_hoses_and_vents_are_variables_of_the_search() -> None:
 
 
 @pytest.mark.parametrize(("single", "pair", "rated"), [("A90", "A90P", 203.7), ("A170", "A170P", 294.0)])
-def test_a_pair_of_absorbers_brakes_as_one_and_takes_the_heat_of_two(
-    single: str, pair: str, rated: float
-) -> None:
+def test_absorber_pair_keeps_stiffness_and_raises_rating(single: str, pair: str, rated: float) -> None:
     one, two = (configured(Hardware(wrist_absorber=name)).plant.wrist.stop for name in (single, pair))
     assert two.stiffness == pytest.approx(one.stiffness, rel=1e-3)
     assert two.travel == pytest.approx(one.travel, rel=1e-3)
     assert two.rating == pytest.approx(rated)
 
 
-def test_a_larger_body_in_the_right_arm_brakes_as_the_shipped_one() -> None:
+def test_arm_absorber_larger_body_keeps_stiffness() -> None:
     shipped, larger = (
         configured(Hardware(arm_absorber=name)).plant.right_arm.stop for name in ("A40", "A40H")
     )
@@ -116,17 +114,17 @@ def test_a_larger_body_in_the_right_arm_brakes_as_the_shipped_one() -> None:
     assert (shipped.rating, larger.rating) == (40.0, pytest.approx(147.0 * 13.86 / 25.0, rel=1e-3))
 
 
-def test_an_unknown_part_is_refused_with_those_that_there_are() -> None:
+def test_parts_of_unknown_part_lists_available_parts() -> None:
     with pytest.raises(BenchError, match="V400"):
         parts_of(PARTS, Hardware(vane="V9"))
 
 
-def test_a_name_tells_every_choice_apart() -> None:
+def test_hardware_names_are_unique_in_grid() -> None:
     grid = SizingGrid().candidates(PARTS)
     assert len({hardware.name for hardware in grid}) == len(grid) == 32
 
 
-def test_each_cheaper_neighbour_differs_in_one_part_and_costs_less() -> None:
+def test_cheaper_changes_one_part_and_lowers_price() -> None:
     own = Hardware("V600", "C63", "C63", "F3500", "F3500", "F3500", "A120", "A170", "L100", "M5")
     found = cheaper(PARTS, own)
     assert len(found) == 10
@@ -136,6 +134,6 @@ def test_each_cheaper_neighbour_differs_in_one_part_and_costs_less() -> None:
     assert cheaper(PARTS, replace(own, vane="V300"))[0].arm == "C40"
 
 
-def test_what_was_tried_is_not_tried_again() -> None:
+def test_without_repeats_drops_tried_hardware() -> None:
     first, second = Hardware(), Hardware(vane="V600")
     assert without_repeats([first, second, second], [first]) == [second]

@@ -33,7 +33,7 @@ def named_hardware(variant: str) -> Hardware:
 
 
 @pytest.mark.parametrize(("name", "speed"), [("high_speed", 58.1), ("golfers", 51.41)])
-def test_a_variant_is_the_hardware_that_it_names(name: str, speed: float) -> None:
+def test_variant_matches_hardware_named_in_comment(name: str, speed: float) -> None:
     hardware, shipped = named_hardware(name), load_configuration(Path("shipped"))
     text = candidate_text(shipped_catalogue(), hardware, shipped, SizingDemand(speed))
     made, variant = candidate_configuration(text), load_configuration(Path(name))
@@ -46,7 +46,7 @@ def test_a_variant_is_the_hardware_that_it_names(name: str, speed: float) -> Non
 @pytest.mark.parametrize(
     "name", release_except({"driver-130mph"}, ["driver-115mph", "driver-130mph", "driver-130mph-level"])
 )
-def test_stops_silence_and_a_missing_ball_end_safely_every_fifth_of_a_second(name: str) -> None:
+def test_swing_check_high_speed_trials_end_safely(name: str) -> None:
     c, profile = load_configuration(Path("high_speed")), load_profile(find_profile(name))
     trials = tuple(trial for trial in TRIALS if "stuck" not in trial.name)
     check = SwingCheck(c.plant, profile, c.control, c.envelope.with_model_check("off"), c.estimator)

@@ -76,7 +76,7 @@ def run(folder: Path, search: SizingSearch, **more: Any) -> list[SizedPoint]:
     return SizingRun(PARTS, SizingDemand(), folder, InProcess(), **more).points(search)
 
 
-def test_only_points_that_none_beats_are_on_the_front() -> None:
+def test_non_dominated_returns_front() -> None:
     def point(price: int, speed: float, failure: str = "") -> SizedPoint:
         return SizedPoint(Hardware(), price, SizedPlan(speed, failure))
 
@@ -86,7 +86,7 @@ def test_only_points_that_none_beats_are_on_the_front() -> None:
     assert [(p.price, p.plan.speed) for p in found] == [(1, 50), (3, 61)]
 
 
-def test_rounds_find_the_cheapest_parts_that_still_do(tmp_path: Path) -> None:
+def test_sizing_run_rounds_find_cheapest_sufficient_parts(tmp_path: Path) -> None:
     points = run(tmp_path, SizingSearch(SizingGrid(), rounds=12, swings=1))
     enough = [p for p in points if p.plan.speed >= 58.1 * 1.05]
     swung = [p for p in points if p.swing is not None]
@@ -100,7 +100,7 @@ def test_rounds_find_the_cheapest_parts_that_still_do(tmp_path: Path) -> None:
     assert PARTS.valves[best.wrist_valve].price == least["valves"]
 
 
-def test_results_are_reused_and_each_candidate_is_planned_once(tmp_path: Path) -> None:
+def test_sizing_run_reuses_results(tmp_path: Path) -> None:
     search = SizingSearch(SizingGrid(), rounds=2)
     first = run(tmp_path, search)
     assert len(ASKED) == len(set(ASKED)) == len(first)
@@ -108,7 +108,7 @@ def test_results_are_reused_and_each_candidate_is_planned_once(tmp_path: Path) -
     assert len(ASKED) == len(first)
 
 
-def test_a_stop_leaves_the_rest_for_the_next_run(tmp_path: Path) -> None:
+def test_sizing_run_stop_leaves_rest_for_next_run(tmp_path: Path) -> None:
     search = SizingSearch(SizingGrid(), rounds=1)
     early = run(tmp_path, search, stop=lambda: len(ASKED) >= 3)
     assert 3 <= len(early) < 32
@@ -117,14 +117,14 @@ def test_a_stop_leaves_the_rest_for_the_next_run(tmp_path: Path) -> None:
     assert len(ASKED) == len(set(ASKED)) == len(whole)
 
 
-def test_a_record_gives_back_what_was_stored() -> None:
+def test_as_json_round_trip_returns_plan_and_swing() -> None:
     plan = SizedPlan(60.0, "", (1.0, 2.0), 9e5, (("time", 0.1),))
     swing = SizedSwing(58.1, "", 0.01, 0.04, 9e5, 0.2, 0.6, 0.6, 10, 1, 2)
     assert plan_of(as_json(plan)) == plan
     assert swing_of(as_json(swing)) == swing
 
 
-def test_the_picture_is_drawn(tmp_path: Path) -> None:
+def test_draw_front_writes_picture(tmp_path: Path) -> None:
     points = run(tmp_path, SizingSearch(SizingGrid()))
     draw_front(points, 58.1, tmp_path / "front.png")
     assert (tmp_path / "front.png").stat().st_size > 10_000

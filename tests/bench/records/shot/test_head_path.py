@@ -19,7 +19,7 @@ def swing(make_swing: Callable[[int], Cycles]) -> Cycles:
     return make_swing(3)
 
 
-def test_the_path_covers_the_last_stretch_up_to_the_ball(robot: RobotParameters, swing: Cycles) -> None:
+def test_path_to_ball_covers_requested_distance_before_ball(robot: RobotParameters, swing: Cycles) -> None:
     path = path_to_ball(robot, swing, BALL_X, 0.1)
     assert path is not None
     x = path.position[:, 0]
@@ -30,7 +30,7 @@ def test_the_path_covers_the_last_stretch_up_to_the_ball(robot: RobotParameters,
     assert 1.180 < path.time[-1] < 1.190
 
 
-def test_coarser_records_give_the_same_path(robot: RobotParameters, swing: Cycles) -> None:
+def test_path_to_ball_half_rate_record_gives_same_path(robot: RobotParameters, swing: Cycles) -> None:
     """Between cycles the cubic through angles and velocities is the motion."""
     fine, coarse = (path_to_ball(robot, swing[::every], BALL_X, 0.1) for every in (1, 2))
     assert fine is not None
@@ -40,7 +40,7 @@ def test_coarser_records_give_the_same_path(robot: RobotParameters, swing: Cycle
 
 
 @pytest.mark.parametrize("early", np.linspace(0.0, 0.9e-4, 7))
-def test_a_velocity_jump_at_the_ball_does_not_bend_the_path_before_it(
+def test_path_to_ball_impact_velocity_jump_keeps_path(
     robot: RobotParameters, swing: Cycles, early: float
 ) -> None:
     """The impact is a jump of the velocities up to 4 mm before the ball's position; angles have none."""
@@ -59,7 +59,7 @@ def test_a_velocity_jump_at_the_ball_does_not_bend_the_path_before_it(
     assert np.allclose(before.position, with_jump.position, atol=1e-4)
 
 
-def test_estimates_serve_where_there_is_no_plant(robot: RobotParameters, swing: Cycles) -> None:
+def test_path_to_ball_without_plant_values_uses_estimates(robot: RobotParameters, swing: Cycles) -> None:
     simulated = path_to_ball(robot, swing, BALL_X, 0.1)
     for name in ("plant_angle", "plant_velocity"):
         swing[name] = np.nan
@@ -69,7 +69,7 @@ def test_estimates_serve_where_there_is_no_plant(robot: RobotParameters, swing: 
     assert np.array_equal(simulated.position, measured.position)
 
 
-def test_a_swing_that_never_reaches_the_ball_has_no_path(robot: RobotParameters, swing: Cycles) -> None:
+def test_path_to_ball_swing_short_of_ball_returns_none(robot: RobotParameters, swing: Cycles) -> None:
     assert path_to_ball(robot, swing[swing["time"] < 1.15], BALL_X, 0.1) is None
     assert path_to_ball(robot, swing[swing["phase"] == Phase.HOLD], BALL_X, 0.1) is None
     assert path_to_ball(robot, swing[:0], BALL_X, 0.1) is None

@@ -40,7 +40,7 @@ def server(request: pytest.FixtureRequest) -> Iterator[LaunchMonitorServer]:
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-def test_every_shot_of_a_monitor_is_valid_with_its_club(
+def test_shot_matcher_each_monitor_dialect_gives_valid_shots(
     dialect: str, server: LaunchMonitorServer, robot: Any, make_swing: Any
 ) -> None:
     site = replace(Site(), ball_x=BALL[0], ball_y=BALL[1])

@@ -25,20 +25,22 @@ def swing(recorded: RecordedShot) -> SwingCourse:
     return course_of_record("swing", recorded)
 
 
-def test_swing_does_not_differ_from_itself(swing: SwingCourse) -> None:
+def test_differences_identical_swings_are_zero(swing: SwingCourse) -> None:
     for row in differences(swing, swing):
         assert row.between == 0.0 or np.isnan(row.between), row
         assert row.rms == 0.0 or np.isnan(row.rms), row
 
 
-def test_head_speed_is_that_of_the_simulated_head(recorded: RecordedShot, swing: SwingCourse) -> None:
+def test_course_of_record_head_speed_matches_simulated_club_speed(
+    recorded: RecordedShot, swing: SwingCourse
+) -> None:
     assert swing.ball is not None
     at_ball = np.interp(swing.ball - 1e-3, swing.time, swing.head_speed)
     assert at_ball == pytest.approx(swing.figures["club_speed_mps"], rel=0.03)
     assert swing.head_speed[0] < 0.2
 
 
-def test_record_lies_over_its_profile_at_the_ball(swing: SwingCourse, plant: PlantParameters) -> None:
+def test_clocks_record_and_profile_align_at_ball(swing: SwingCourse, plant: PlantParameters) -> None:
     planned = course_of_profile(plant, load_profile(find_profile("default")))
     one, two, at_ball = clocks(swing, planned)
     assert at_ball
@@ -50,7 +52,7 @@ def test_record_lies_over_its_profile_at_the_ball(swing: SwingCourse, plant: Pla
     assert np.isnan([tracking.second, tracking.between]).all(), "a plan has no tracking error"
 
 
-def test_clocks_of_a_stopped_swing_are_aligned_at_the_start(swing: SwingCourse) -> None:
+def test_clocks_stopped_swing_aligns_at_start(swing: SwingCourse) -> None:
     stopped = course_of_record("stop", read_shot(STOP))
     assert stopped.ball is None
     assert clocks(swing, stopped)[2] is False

@@ -39,26 +39,26 @@ def _lab(colour: str, vision: Array) -> Array:
 
 
 @pytest.mark.parametrize("vision", VISION)
-def test_no_two_colours_are_alike_for_any_colour_vision(vision: str) -> None:
+def test_plot_colours_are_distinct_for_each_colour_vision(vision: str) -> None:
     seen = np.array([_lab(colour, VISION[vision]) for colour in COLOURS])
     apart = np.linalg.norm(seen[:, None] - seen, axis=-1)[np.triu_indices(len(seen), 1)]
     assert apart.min() > 16.0  # CIELAB; just noticeable is 2.3
     assert seen[:, 0].max() < 82  # not lost on white
 
 
-def test_every_level_has_a_marker_of_its_own() -> None:
+def test_plot_style_levels_have_unique_colour_and_marker() -> None:
     assert len(set(COLOURS)) == len(COLOURS) == len(set(MARKERS)) == len(MARKERS) == 12
     assert len({(colour_of(n), marker_of(n)) for n in range(144)}) == 144
 
 
-def test_a_mark_in_a_table_is_that_of_the_plots() -> None:
+def test_marker_svg_matches_plot_marker_and_colour() -> None:
     marks = {marker_svg(n) for n in range(12)}
     assert len(marks) == 12
     assert all("nan" not in mark and mark.count("<path") == 1 for mark in marks)
     assert colour_of(3) in marker_svg(3)
 
 
-def test_axes_of_nearly_equal_values_are_labelled_without_an_offset() -> None:
+def test_plot_style_nearly_equal_values_show_no_axis_offset() -> None:
     with mpl.rc_context(STYLE):
         figure = styled(1.0)
         axes = figure.subplots()

@@ -44,7 +44,7 @@ def as_json(value: Any) -> Any:
     return json.loads(json.dumps(asdict(value)))
 
 
-def test_a_shot_goes_through_json_and_back(make_records: Records) -> None:
+def test_shot_from_json_restores_shot(make_records: Records) -> None:
     for record in make_records(4):
         told = json.loads(json.dumps(shot_to_json(record.shot)))
         assert shot_from_json(told, "x") == record.shot
@@ -63,7 +63,7 @@ def test_a_shot_goes_through_json_and_back(make_records: Records) -> None:
         {"ball": None},
     ],
 )
-def test_what_is_no_shot_is_told_with_its_place(wrong: dict[str, Any], make_records: Records) -> None:
+def test_shot_from_json_invalid_value_reports_location(wrong: dict[str, Any], make_records: Records) -> None:
     told = shot_to_json(make_records(1)[0].shot) | wrong
     with pytest.raises(BenchError, match="here"):
         shot_from_json(told, "here")
@@ -71,7 +71,7 @@ def test_what_is_no_shot_is_told_with_its_place(wrong: dict[str, Any], make_reco
         shot_from_json([1], "here")
 
 
-def test_a_record_of_a_series_gives_its_figures_and_their_flight(
+def test_read_shot_series_record_restores_shot_and_flight(
     tmp_path: Path, make_records: Records, plant: PlantParameters
 ) -> None:
     record = make_records(1)[0]
@@ -91,7 +91,7 @@ def test_a_record_of_a_series_gives_its_figures_and_their_flight(
     assert read.record.flight.carry > record.flight.carry + 1.0  # wind from behind
 
 
-def test_a_record_of_the_daemon_gives_what_its_cycles_tell(
+def test_read_shot_daemon_record_derives_shot_from_cycles(
     tmp_path: Path, make_swing: Callable[[int], Cycles], plant: PlantParameters
 ) -> None:
     metadata = {
@@ -109,7 +109,7 @@ def test_a_record_of_the_daemon_gives_what_its_cycles_tell(
     assert record.flight is not None
 
 
-def test_no_ball_no_launch_and_a_stop_is_a_failed_shot(
+def test_shot_of_cycles_without_ball_or_stopped_gives_reason(
     make_swing: Callable[[int], Cycles], plant: PlantParameters
 ) -> None:
     def shot(cycles: Cycles) -> ShotRecord:
@@ -132,7 +132,7 @@ def test_no_ball_no_launch_and_a_stop_is_a_failed_shot(
     assert "guard" in shot(stopped).shot.reason
 
 
-def test_a_configuration_that_is_not_taken_names_every_mistake() -> None:
+def test_plant_of_invalid_configuration_reports_every_mistake() -> None:
     given = {"plant": {"substeps": "four", "tick": -1.0}, "air": {"temperature": "warm"}}
     with pytest.raises(ExceptionGroup) as caught:
         plant_of({"configuration": given}, "x.parquet")
@@ -140,7 +140,7 @@ def test_a_configuration_that_is_not_taken_names_every_mistake() -> None:
     assert plant_of({}, "x.parquet") == (PlantParameters(), FlightConditions())
 
 
-def test_a_series_is_a_folder_or_what_is_named(tmp_path: Path) -> None:
+def test_record_files_accepts_folders_and_files(tmp_path: Path) -> None:
     for name in ("b/2.parquet", "b/1.parquet", "a.parquet", "b/x.csv"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
@@ -155,7 +155,7 @@ def test_a_series_is_a_folder_or_what_is_named(tmp_path: Path) -> None:
         record_files([])
 
 
-def test_efforts_from_the_chambers_are_the_plants(make_swing: Callable[[int], Cycles]) -> None:
+def test_efforts_match_chamber_pressures_and_areas(make_swing: Callable[[int], Cycles]) -> None:
     plant, cycles = PlantParameters(), make_swing(1)[:2]
     cycles["chamber_pressure"][0] = plant.supply.atmosphere
     cycles["chamber_pressure"][1] = plant.supply.atmosphere + 1e5 * np.array([1, 0, 1, 0, 1, 0])
@@ -168,7 +168,7 @@ def test_efforts_from_the_chambers_are_the_plants(make_swing: Callable[[int], Cy
     assert effort_limits(plant) == pytest.approx(expected * gauge / 1e5)
 
 
-def test_limits_lie_beside_their_signals(make_swing: Callable[[int], Cycles]) -> None:
+def test_limits_of_share_families_with_signals(make_swing: Callable[[int], Cycles]) -> None:
     signals = signals_of(make_swing(1), PlantParameters())
     families = {name.split("/")[0] for name in signals}
     assert {name.split("/")[0] for name in limits_of(PlantParameters())} <= families

@@ -51,7 +51,7 @@ def watched(watch: SwingWatch, cycles: Cycles, piece: int, *, behind: float) -> 
 
 
 @pytest.mark.parametrize("piece", [1, 7, 20, 5000])
-def test_a_swing_has_one_id_its_impact_and_all_its_cycles(day: Cycles, piece: int) -> None:
+def test_swing_watch_returns_swing_with_id_impact_and_cycles(day: Cycles, piece: int) -> None:
     gone = day["time"][np.flatnonzero(day["ball_present"])[-1] + 1]
     for wall, behind in ((True, 0.004), (False, 4000.0)):
         (swing,) = watched(SwingWatch("run", wall=wall), day, piece, behind=behind)
@@ -62,7 +62,7 @@ def test_a_swing_has_one_id_its_impact_and_all_its_cycles(day: Cycles, piece: in
         assert swing.cycles.tobytes() == day[200:-99].tobytes()
 
 
-def test_in_step_with_the_plant_each_piece_has_its_own_place_on_the_clock(day: Cycles) -> None:
+def test_swing_watch_lock_step_impact_follows_clock_slip(day: Cycles) -> None:
     watch, slipped = SwingWatch("run", wall=False), 0.0
     at = int(np.flatnonzero(day["ball_present"])[-1]) + 1
     found = []
@@ -74,7 +74,7 @@ def test_in_step_with_the_plant_each_piece_has_its_own_place_on_the_clock(day: C
     assert swing.impact == pytest.approx(100.03 + day["time"][at], abs=1e-9)
 
 
-def test_a_swing_without_a_ball_and_one_that_was_stopped(day: Cycles) -> None:
+def test_swing_watch_swing_without_ball_or_stopped_is_not_struck(day: Cycles) -> None:
     empty = day.copy()
     empty["ball_present"] = False
     (swing,) = watched(SwingWatch("run", wall=True), empty, 50, behind=0.0)
@@ -90,7 +90,7 @@ def test_a_swing_without_a_ball_and_one_that_was_stopped(day: Cycles) -> None:
     assert swing.cycles["cause"][-1] == Cause.OPERATOR_STOP
 
 
-def test_what_has_no_beginning_has_no_id(day: Cycles) -> None:
+def test_swing_watch_swing_without_start_is_omitted(day: Cycles) -> None:
     assert watched(SwingWatch("run", wall=True), day[300:], 50, behind=0.0) == []
     watch = SwingWatch("run", wall=True)
     watch.take(day[:400], 0.4)
@@ -125,7 +125,7 @@ def one(told: list[SettledOutcome]) -> SettledOutcome:
     return found
 
 
-def test_a_launch_of_its_time_is_the_swings(book: ShotMatcher, swing: FinishedSwing) -> None:
+def test_shot_matcher_launch_in_window_is_matched(book: ShotMatcher, swing: FinishedSwing) -> None:
     book.note_launches([launch(100.7)])  # told before the robot stands again
     assert book.settle(100.8) == []
     book.note_swing(swing, NOW)
@@ -145,9 +145,7 @@ def test_a_launch_of_its_time_is_the_swings(book: ShotMatcher, swing: FinishedSw
     assert book.settle(200.0) == []  # told once
 
 
-def test_no_launch_no_ball_and_no_swing_through_its_place_are_told_apart(
-    book: ShotMatcher, swing: FinishedSwing
-) -> None:
+def test_shot_matcher_missing_launch_reason_names_cause(book: ShotMatcher, swing: FinishedSwing) -> None:
     book.note_swing(swing, NOW)
     book.note_swing(swing._replace(shot="r-6000", impact=110.0, struck=False), NOW)
     stopped = swing.cycles.copy()
@@ -167,7 +165,7 @@ def test_no_launch_no_ball_and_no_swing_through_its_place_are_told_apart(
     assert all(shot is not None and shot.ball_speed_mps is None for shot in shots)
 
 
-def test_a_launch_of_no_swing_and_one_that_comes_late(book: ShotMatcher, swing: FinishedSwing) -> None:
+def test_shot_matcher_unmatched_or_late_launch_is_no_swing(book: ShotMatcher, swing: FinishedSwing) -> None:
     book.note_launches([launch(50.0)])
     assert one(book.settle(61.0)).outcome is MatchOutcome.NO_SWING
     book.note_swing(swing, NOW)
@@ -178,7 +176,7 @@ def test_a_launch_of_no_swing_and_one_that_comes_late(book: ShotMatcher, swing: 
     assert book.counts[MatchOutcome.NO_SWING] == 2
 
 
-def test_two_monitors_make_a_shot_doubtful(book: ShotMatcher, swing: FinishedSwing) -> None:
+def test_shot_matcher_two_different_launches_exclude_shot(book: ShotMatcher, swing: FinishedSwing) -> None:
     book.note_swing(swing, NOW)
     book.note_launches([launch(100.5), replace(launch(100.9, 52.5), device="another")])
     first, second = book.settle(105.0)
@@ -189,7 +187,7 @@ def test_two_monitors_make_a_shot_doubtful(book: ShotMatcher, swing: FinishedSwi
     assert second.shot is None  # one row a swing
 
 
-def test_a_misread_is_kept_and_does_not_count(book: ShotMatcher, swing: FinishedSwing) -> None:
+def test_shot_matcher_misread_launch_is_kept_but_excluded(book: ShotMatcher, swing: FinishedSwing) -> None:
     book.note_swing(swing, NOW)
     book.note_launches([launch(100.5, 95.0)])  # more than twice the club's speed
     told = one(book.settle(105.0))
@@ -215,7 +213,7 @@ def test_a_misread_is_kept_and_does_not_count(book: ShotMatcher, swing: Finished
 
 
 @pytest.mark.parametrize(("time", "hears"), [(100.4, True), (104.1, False), (99.8, False)])
-def test_a_message_refused_in_the_window_is_the_shots_reason(
+def test_shot_matcher_refused_message_in_window_becomes_reason(
     book: ShotMatcher, swing: FinishedSwing, time: float, hears: bool
 ) -> None:
     book.note_asides([RefusedRecord(time, "no JSON"), RefusedRecord(time, "no JSON")])
@@ -226,7 +224,7 @@ def test_a_message_refused_in_the_window_is_the_shots_reason(
     assert (told.reason, told.shot.reason, told.shot.status) == (reason, reason, ShotStatus.EXCLUDED)
 
 
-def test_a_club_without_a_ball_is_the_shots_reason_and_no_launch(
+def test_shot_matcher_club_record_without_ball_becomes_reason(
     book: ShotMatcher, swing: FinishedSwing
 ) -> None:
     book.note_swing(swing, NOW)
@@ -236,7 +234,7 @@ def test_a_club_without_a_ball_is_the_shots_reason_and_no_launch(
     assert book.settle(300.0) == []  # and nothing else comes of it
 
 
-def test_a_flood_of_launches_is_bounded_and_counted(book: ShotMatcher) -> None:
+def test_shot_matcher_launch_flood_is_bounded_and_counted(book: ShotMatcher) -> None:
     book.note_launches([launch(10.0 + 1e-3 * k, launch_angle=radians(10)) for k in range(1000)])
     assert len(book.settle(10.1)) == 1000 - 64
     assert len(book.settle(30.0)) == 64

@@ -41,7 +41,7 @@ MESSAGE = shot_publication(
 )
 
 
-def test_what_is_sent_is_read_again() -> None:
+def test_read_shot_message_restores_sent_message() -> None:
     read = read_shot_message(json.dumps(MESSAGE).encode())
     assert read == MESSAGE
     assert read["launch"] is not None
@@ -71,21 +71,23 @@ LAUNCH = launch_to_json(FULL)
         ({"launch": {name: v for name, v in LAUNCH.items() if name != "spin"}}, ".launch.spin", "nothing"),
     ],
 )
-def test_what_is_no_shot_is_refused_at_its_place(changes: dict[str, Any], location: str, found: str) -> None:
+def test_read_shot_message_invalid_value_reports_location(
+    changes: dict[str, Any], location: str, found: str
+) -> None:
     with pytest.raises(BenchError) as refused:
         read_shot_message(json.dumps({**MESSAGE, **changes}).encode())
     assert refused.value.location == f"shot message{location}"
     assert refused.value.found.startswith(found)
 
 
-def test_a_shot_message_without_a_key_is_refused() -> None:
+def test_read_shot_message_missing_key_is_refused() -> None:
     for name in MESSAGE.keys() - {"version"}:
         fewer = {key: value for key, value in MESSAGE.items() if key != name}
         with pytest.raises(BenchError, match=name):
             read_shot_message(json.dumps(fewer).encode())
 
 
-def test_a_launch_nested_about_as_deep_as_python_reads_is_refused() -> None:
+def test_read_shot_message_deeply_nested_launch_is_refused() -> None:
     for depth in range(960, 1010):
         nested = "[" * depth + "]" * depth
         with pytest.raises(BenchError, match="shot message"):
@@ -93,12 +95,12 @@ def test_a_launch_nested_about_as_deep_as_python_reads_is_refused() -> None:
 
 
 @given(st.binary(max_size=200) | st.text(max_size=100).map(str.encode))
-def test_nothing_but_a_bench_error_comes_of_any_bytes(payload: bytes) -> None:
+def test_read_shot_message_any_bytes_raise_bench_error(payload: bytes) -> None:
     with pytest.raises(BenchError):
         read_shot_message(payload)
 
 
-def test_long_reasons_are_cut_a_pipe_takes_no_more() -> None:
+def test_launch_to_json_truncates_long_reasons() -> None:
     long = LaunchRecord(1.0, "d" * 64, 1, doubts=("x" * 5000,), absent=(("speed", "y" * 5000),))
     told = launch_to_json(long)
     assert len(json.dumps(told)) < 1500
@@ -109,7 +111,7 @@ def outcome(shot: str | None, record: str | None = None, number: int | None = No
     return shot_publication(shot_id=shot, outcome=MatchOutcome.MATCHED, record=record, number=number)
 
 
-def test_whichever_is_known_first_waits_for_the_other() -> None:
+def test_shot_join_pairs_outcome_and_record_in_either_order() -> None:
     join = ShotJoin()
     join.note_record("a", {"record": "/a", "number": 1})
     join.note_outcome(outcome("b"), 0.0)
@@ -120,7 +122,7 @@ def test_whichever_is_known_first_waits_for_the_other() -> None:
     assert join.take(1.2) == [outcome("b", "/b", 2)]
 
 
-def test_without_a_record_an_outcome_is_told_all_the_same() -> None:
+def test_shot_join_outcome_without_record_is_returned_after_wait() -> None:
     join = ShotJoin()
     join.note_outcome(outcome(None), 0.0)
     join.note_outcome(outcome("a"), 0.0)
@@ -129,7 +131,7 @@ def test_without_a_record_an_outcome_is_told_all_the_same() -> None:
     assert join.take(LONGEST_WAIT + 0.1) == [outcome("a")]
 
 
-def test_what_is_kept_is_bounded() -> None:
+def test_shot_join_pending_entries_are_bounded() -> None:
     join = ShotJoin()
     for k in range(1000):
         join.note_outcome(outcome(str(k)), 0.0)

@@ -53,18 +53,20 @@ shots = st.builds(
 
 @settings(deadline=None)
 @given(st.lists(shots, max_size=4))
-def test_every_shot_comes_back_equal(tmp_path_factory: pytest.TempPathFactory, rows: list[Shot]) -> None:
+def test_write_shot_table_restores_every_shot(
+    tmp_path_factory: pytest.TempPathFactory, rows: list[Shot]
+) -> None:
     path = tmp_path_factory.mktemp("table") / "shots.csv"
     write_shot_table(path, rows)
     assert read_shot_table(path) == rows
 
 
-def test_the_columns_are_those_of_the_export(tmp_path: Path) -> None:
+def test_write_shot_table_header_matches_export_columns(tmp_path: Path) -> None:
     write_shot_table(tmp_path / "shots.csv", [SHOT])
     assert (tmp_path / "shots.csv").read_bytes().split(b"\r\n")[0].decode() == HEADER
 
 
-def test_rows_end_with_crlf_and_numbers_use_points_without_exponent(tmp_path: Path) -> None:
+def test_write_shot_table_uses_crlf_and_plain_decimal_numbers(tmp_path: Path) -> None:
     shot = Shot(2, 1, 1, 'the "old" one', "A, soft", ShotStatus.VALID, spin_axis_deg=1e-7, carry_m=212.0)
     write_shot_table(tmp_path / "shots.csv", [shot])
     text = (tmp_path / "shots.csv").read_bytes().decode()
@@ -74,7 +76,7 @@ def test_rows_end_with_crlf_and_numbers_use_points_without_exponent(tmp_path: Pa
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+A", "-A", "@A", "\tA", "'=A", "''=A"])
-def test_no_text_becomes_a_formula_in_a_spreadsheet(tmp_path: Path, name: str) -> None:
+def test_write_shot_table_escapes_spreadsheet_formulas(tmp_path: Path, name: str) -> None:
     shot = replace(SHOT, ball=name, status=ShotStatus.EXCLUDED, reason=name)
     write_shot_table(tmp_path / "shots.csv", [shot])
     with (tmp_path / "shots.csv").open(encoding="utf-8", newline="") as stream:
@@ -83,12 +85,12 @@ def test_no_text_becomes_a_formula_in_a_spreadsheet(tmp_path: Path, name: str) -
     assert read_shot_table(tmp_path / "shots.csv") == [shot]
 
 
-def test_a_negative_figure_stays_a_number(tmp_path: Path) -> None:
+def test_write_shot_table_negative_number_is_not_escaped(tmp_path: Path) -> None:
     write_shot_table(tmp_path / "shots.csv", [replace(SHOT, club_path_deg=-1.5)])
     assert b",-1.5," in (tmp_path / "shots.csv").read_bytes()
 
 
-def test_times_are_written_in_utc(tmp_path: Path) -> None:
+def test_write_shot_table_converts_times_to_utc(tmp_path: Path) -> None:
     late = datetime(2026, 11, 1, 1, 30, tzinfo=timezone(timedelta(hours=2)))
     write_shot_table(tmp_path / "shots.csv", [Shot(1, 1, 1, "c", "b", ShotStatus.VALID, time_utc=late)])
     assert ",2026-10-31T23:30:00.000000Z,," in (tmp_path / "shots.csv").read_text()
@@ -104,7 +106,7 @@ def test_times_are_written_in_utc(tmp_path: Path) -> None:
         ({"reason": "late"}, "reason"),
     ],
 )
-def test_a_shot_that_no_table_can_hold_is_refused(change: dict[str, Any], match: str) -> None:
+def test_shot_invalid_value_raises_error(change: dict[str, Any], match: str) -> None:
     values: dict[str, Any] = {"status": ShotStatus.VALID} | change
     with pytest.raises(ValueError, match=match):
         Shot(1, 1, 1, "driver", "A", **values)

@@ -39,46 +39,46 @@ def lost(watch: DriftMonitor, share: float, swings: int, tables: str = "a") -> l
     return [watch.take(ObservedImpact(43.0 * (1.0 - share), 0.25), tables).warnings for _ in range(swings)]
 
 
-def test_a_loss_of_two_percent_that_lasts_is_a_warning() -> None:
+def test_drift_monitor_lasting_speed_loss_warns() -> None:
     found = lost(watch_after(REFERENCE, 0.001), 0.02, LASTING)
     assert [len(warnings) for warnings in found] == [0, 1, 1]  # the median of three
     assert "club speed 42.14 m/s" in found[-1][0]
 
 
-def test_one_slow_swing_is_none() -> None:
+def test_drift_monitor_single_slow_swing_gives_no_warning() -> None:
     watch = watch_after(REFERENCE, 0.001)
     assert lost(watch, 0.05, 1) == [()]
     assert lost(watch, 0.0, 5) == [()] * 5
 
 
-def test_too_few_swings_are_no_reference() -> None:
+def test_drift_monitor_insufficient_reference_gives_no_warning() -> None:
     assert lost(watch_after(NEEDED - 1), 0.2, 1) == [()]
 
 
-def test_other_tables_begin_again() -> None:
+def test_drift_monitor_other_tables_restart_reference() -> None:
     assert lost(watch_after(REFERENCE), 0.1, 5, "b") == [()] * 5
 
 
-def test_a_loss_that_creeps_is_not_taken_for_the_usual() -> None:
+def test_drift_monitor_gradual_speed_loss_warns() -> None:
     watch = watch_after(REFERENCE, 0.001)
     found = [lost(watch, share, 1)[0] for share in np.linspace(0.0, 0.03, 60)]
     assert found[-1]
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_swings_that_scatter_by_a_percent_raise_no_alarm(seed: int) -> None:
+def test_drift_monitor_one_percent_scatter_gives_no_warning(seed: int) -> None:
     watch_after(100, 0.01, seed)
 
 
 @pytest.mark.parametrize("off", [0.025, -0.03])
-def test_a_ball_that_is_met_elsewhere_is_a_warning_at_once(off: float) -> None:
+def test_drift_monitor_shifted_ball_position_warns_immediately(off: float) -> None:
     watch = watch_after(REFERENCE)
     (text,) = watch.take(ObservedImpact(43.0, 0.25 + off), "a").warnings
     assert "the head met the ball" in text
     assert watch.take(ObservedImpact(43.0, nan), "a").warnings == ()  # no ball, nothing met
 
 
-def test_json_has_no_nan() -> None:
+def test_drift_monitor_json_replaces_nan_with_null() -> None:
     told = DriftMonitor().take(ObservedImpact(43.0, nan), "a").as_json()
     assert told["club_speed_mps"] == 43.0
     assert told["ball_met_m"] is told["first_ball_met_m"] is None
@@ -104,7 +104,7 @@ def swung(watch: DriftMonitor, series: Series, profile: Any, counts: int) -> tup
 @needs_speed
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("joint", range(3))
-def test_an_encoder_that_slipped_by_twenty_millirad_shows_where_the_ball_is_met(joint: int) -> None:
+def test_drift_monitor_slipped_encoder_warns_of_ball_position(joint: int) -> None:
     series, profile, plant = shipped()
     counts, watch = plant.encoders.counts_per_revolution, DriftMonitor()
     for _ in range(NEEDED + 1):

@@ -43,7 +43,7 @@ def parts(count: int = 2) -> pa.RecordBatch:
 
 
 @given(st.integers(1, LONGEST_BATCH), st.integers(0, 1000), st.integers(1, 2**62), st.floats(0, 1e10))
-def test_a_batch_comes_back_bit_for_bit(count: int, seed: int, sequence: int, time: float) -> None:
+def test_decode_batch_restores_cycles_bit_for_bit(count: int, seed: int, sequence: int, time: float) -> None:
     cycles = some_cycles(count, seed)
     batch = decode_batch(encode_batch(cycles, sequence, seed, time))
     assert batch.cycles.tobytes() == cycles.tobytes()
@@ -51,11 +51,11 @@ def test_a_batch_comes_back_bit_for_bit(count: int, seed: int, sequence: int, ti
     assert (batch.sequence, batch.lost, batch.time) == (sequence, seed, time)
 
 
-def test_the_longest_batch_goes_in_one_piece() -> None:
+def test_encode_batch_longest_batch_fits_size_limit() -> None:
     assert len(encode_batch(some_cycles(LONGEST_BATCH), 2**62, 2**62, 1e9 / 3)) < 65_000
 
 
-def test_any_arrow_reader_finds_names_and_version() -> None:
+def test_encode_batch_stream_carries_names_and_version() -> None:
     with pa.ipc.open_stream(encode_batch(some_cycles(3), 5, 2, 7.5)) as stream:
         batch, facts = stream.read_next_batch_with_custom_metadata()
     assert batch.schema.names == arrow_schema().names
@@ -65,7 +65,7 @@ def test_any_arrow_reader_finds_names_and_version() -> None:
 
 
 @pytest.mark.parametrize("count", [0, LONGEST_BATCH + 1])
-def test_a_batch_has_a_size(count: int) -> None:
+def test_encode_batch_invalid_cycle_count_raises_error(count: int) -> None:
     with pytest.raises(ValueError, match="cycles"):
         encode_batch(np.zeros(count, CYCLE), 1, 0, 0.0)
 
@@ -119,7 +119,7 @@ def _many() -> pa.RecordBatch:
 
 
 @pytest.mark.parametrize("name", bad_messages())
-def test_what_is_no_such_message_is_refused(name: str) -> None:
+def test_decode_batch_invalid_message_is_refused(name: str) -> None:
     message, text = bad_messages()[name]
     with pytest.raises(BenchError, match=text) as error:
         decode_batch(message)
@@ -127,7 +127,7 @@ def test_what_is_no_such_message_is_refused(name: str) -> None:
 
 
 @given(st.data())
-def test_a_damaged_message_is_refused_or_still_cycles(data: st.DataObject) -> None:
+def test_decode_batch_damaged_message_gives_cycles_or_bench_error(data: st.DataObject) -> None:
     message = bytearray(encode_batch(some_cycles(4), 3, 0, 1.0))
     for _ in range(data.draw(st.integers(1, 4))):
         message[data.draw(st.integers(0, len(message) - 1))] = data.draw(st.integers(0, 255))

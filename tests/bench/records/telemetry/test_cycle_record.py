@@ -15,7 +15,7 @@ from drivers.base.records import COMMAND, READINGS
 Cycles = np.ndarray[Any, Any]
 
 
-def test_the_record_is_aligned_and_has_every_field_once() -> None:
+def test_cycle_dtype_is_aligned_with_unique_columns() -> None:
     assert CYCLE.isalignedstruct
     assert CYCLE.names == tuple(field.name for field in FIELDS)
     columns = [column for field in FIELDS for column in field.columns]
@@ -23,11 +23,11 @@ def test_the_record_is_aligned_and_has_every_field_once() -> None:
     assert arrow_schema().names == columns
 
 
-def test_vectors_have_no_nested_booleans_which_compiled_code_cannot_take() -> None:
+def test_cycle_dtype_vectors_have_no_booleans() -> None:
     assert all(field.dtype != "?" for field in FIELDS if field.components)
 
 
-def test_everything_the_driver_reads_and_writes_is_recorded_in_the_same_type() -> None:
+def test_cycle_dtype_covers_readings_and_command_types() -> None:
     renamed = {"valve": "applied_valve"}
     for contract in (READINGS, COMMAND):
         for name in contract.names or ():
@@ -38,7 +38,7 @@ def test_everything_the_driver_reads_and_writes_is_recorded_in_the_same_type() -
             assert CYCLE[renamed.get(name, name)] == contract[name], name
 
 
-def test_every_column_says_its_unit_and_meaning() -> None:
+def test_arrow_schema_columns_have_unit_and_description() -> None:
     for column in arrow_schema():
         assert column.metadata[b"unit"], column.name
         assert column.metadata[b"description"], column.name
@@ -46,23 +46,23 @@ def test_every_column_says_its_unit_and_meaning() -> None:
     assert arrow_schema().field("plant_effort_arm").metadata[b"unit"] == b"N"
 
 
-def test_arrow_gives_back_the_swing_bit_for_bit(make_swing: Callable[[int], Cycles]) -> None:
+def test_from_arrow_restores_swing_bit_for_bit(make_swing: Callable[[int], Cycles]) -> None:
     cycles = make_swing(1)
     assert from_arrow(to_arrow(cycles)).tobytes() == cycles.tobytes()
 
 
 @given(st.lists(st.binary(min_size=8, max_size=8), min_size=1, max_size=4))
-def test_any_float_survives_even_nan_payloads_and_signed_zero(words: list[bytes]) -> None:
+def test_from_arrow_restores_any_float_bit_pattern(words: list[bytes]) -> None:
     cycles = np.zeros(len(words), CYCLE)
     cycles["plant_effort"][:, 1] = np.frombuffer(b"".join(words), "f8")
     assert from_arrow(to_arrow(cycles)).tobytes() == cycles.tobytes()
 
 
-def test_no_cycles_are_a_valid_table() -> None:
+def test_from_arrow_empty_table_gives_no_cycles() -> None:
     assert from_arrow(to_arrow(np.zeros(0, CYCLE))).shape == (0,)
 
 
-def test_a_missing_column_is_named() -> None:
+def test_from_arrow_missing_column_error_names_column() -> None:
     table: pa.Table = to_arrow(np.zeros(2, CYCLE)).drop_columns(["velocity_arm"])
     with pytest.raises(KeyError, match="velocity_arm"):
         from_arrow(table)

@@ -18,7 +18,7 @@ PLAIN = "preset 0, offset 0"
 CALIBRATED = CalibratedShifts("calibration encoders version 3", (PLAIN, PLAIN, ""))
 
 
-def test_a_zero_where_it_was_calibrated_is_no_reason() -> None:
+def test_moved_zero_unchanged_preset_returns_no_reason() -> None:
     assert moved_zero(0, PLAIN, CALIBRATED) == ""
     assert moved_zero(2, "", CALIBRATED) == ""
 
@@ -40,13 +40,13 @@ def test_a_zero_where_it_was_calibrated_is_no_reason() -> None:
     ],
     ids=["moved", "another device", "not known"],
 )
-def test_a_moved_zero_is_named_with_both_values_and_the_action(joint: int, found: str, told: str) -> None:
+def test_moved_zero_changed_preset_reports_values_and_action(joint: int, found: str, told: str) -> None:
     text = moved_zero(joint, found, CALIBRATED)
     assert told in text
     assert "golfbench run --read-only, then golfbench calibrate encoders" in text
 
 
-def test_shifts_are_read_as_written(tmp_path: Path) -> None:
+def test_read_shifts_restores_written_shifts(tmp_path: Path) -> None:
     assert read_shifts(tmp_path / "no bench") is None
     write_shifts(tmp_path, (PLAIN, "", "offset -3"))
     assert read_shifts(tmp_path) == (PLAIN, "", "offset -3")
@@ -54,6 +54,6 @@ def test_shifts_are_read_as_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[", "null", '["a"]', "{}", "3"])
-def test_a_damaged_file_tells_nothing(tmp_path: Path, text: str) -> None:
+def test_read_shifts_damaged_file_returns_none(tmp_path: Path, text: str) -> None:
     (tmp_path / ZERO_SHIFT_FILE).write_text(text)
     assert read_shifts(tmp_path) is None

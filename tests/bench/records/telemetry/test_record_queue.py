@@ -40,7 +40,7 @@ def as_nobody() -> Iterator[None]:
             os.seteuid(0)
 
 
-def test_records_are_stored_in_order_and_folders_made(tmp_path: Path) -> None:
+def test_record_queue_stores_in_order_and_creates_folders(tmp_path: Path) -> None:
     queue = RecordQueue(3, 1.0)
     for number in (1, 2):
         queue.put(record(tmp_path / "swings" / "b", number))
@@ -51,7 +51,7 @@ def test_records_are_stored_in_order_and_folders_made(tmp_path: Path) -> None:
     assert cycles["tick"][0] == 2
 
 
-def test_a_folder_that_cannot_be_written_keeps_the_record_for_later(tmp_path: Path) -> None:
+def test_record_queue_unwritable_folder_keeps_record_and_retries(tmp_path: Path) -> None:
     (sealed := tmp_path / "sealed").mkdir(mode=0o555)
     queue = RecordQueue(3, 1.0)
     queue.put(record(sealed))
@@ -68,7 +68,7 @@ def test_a_folder_that_cannot_be_written_keeps_the_record_for_later(tmp_path: Pa
     assert os.listdir(sealed) == ["1.parquet"]
 
 
-def test_a_full_queue_drops_the_new_record(tmp_path: Path) -> None:
+def test_record_queue_full_drops_newest_record(tmp_path: Path) -> None:
     queue = RecordQueue(3, 1.0)
     for number in range(1, 7):
         queue.put(record(tmp_path, number))
@@ -80,7 +80,7 @@ def test_a_full_queue_drops_the_new_record(tmp_path: Path) -> None:
     assert kept == [1, 2, 3]
 
 
-def test_a_disk_nearly_full_is_told(tmp_path: Path) -> None:
+def test_folder_fault_reports_low_space_and_blocked_path(tmp_path: Path) -> None:
     assert not folder_fault(tmp_path / "new" / "folder", 1)
     assert (tmp_path / "new" / "folder").is_dir()
     assert "MiB left" in folder_fault(tmp_path, 1 << 62)
@@ -88,13 +88,13 @@ def test_a_disk_nearly_full_is_told(tmp_path: Path) -> None:
     assert str(tmp_path / "file") in folder_fault(tmp_path / "file" / "x", 1)
 
 
-def test_names_are_utc_and_sort_by_time(tmp_path: Path) -> None:
+def test_record_path_name_is_utc_time_and_number(tmp_path: Path) -> None:
     time = datetime(2026, 3, 1, 1, 2, 3, 45, timezone(timedelta(hours=2)))
     assert record_path(tmp_path, time, 12).name == "20260228T230203000045Z-12.parquet"
     assert record_path(tmp_path, time.astimezone(UTC), 12) == record_path(tmp_path, time, 12)
 
 
-def test_what_a_killed_recorder_left_is_removed(tmp_path: Path) -> None:
+def test_remove_partial_deletes_partial_files_only(tmp_path: Path) -> None:
     for name in (".x.parquet.0123abcd.partial", "x.parquet", ".hidden"):
         (tmp_path / name).touch()
     remove_partial(tmp_path)

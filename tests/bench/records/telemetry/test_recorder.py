@@ -33,7 +33,9 @@ def largest_file(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_a_swing_comes_back_bit_for_bit(tmp_path: Path, make_swing: Callable[[int], Cycles]) -> None:
+def test_read_swing_restores_written_swing_bit_for_bit(
+    tmp_path: Path, make_swing: Callable[[int], Cycles]
+) -> None:
     cycles = make_swing(2)
     cycles["plant_angle"][3:9] = np.nan
     write_swing(tmp_path / "swing.parquet", cycles, METADATA)
@@ -47,13 +49,13 @@ def test_a_swing_comes_back_bit_for_bit(tmp_path: Path, make_swing: Callable[[in
     assert os.listdir(tmp_path) == ["swing.parquet"]
 
 
-def test_the_same_swing_gives_the_same_bytes(tmp_path: Path, make_swing: Callable[[int], Cycles]) -> None:
+def test_write_swing_same_input_gives_same_bytes(tmp_path: Path, make_swing: Callable[[int], Cycles]) -> None:
     for name in ("a", "b"):
         write_swing(tmp_path / name, make_swing(2), METADATA)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_other_programs_find_plain_columns_with_units(
+def test_write_swing_stores_plain_columns_with_units(
     tmp_path: Path, make_swing: Callable[[int], Cycles]
 ) -> None:
     write_swing(tmp_path / "swing.parquet", make_swing(0), METADATA)
@@ -63,7 +65,7 @@ def test_other_programs_find_plain_columns_with_units(
     assert table.num_rows == 2100
 
 
-def test_a_full_disk_is_told_and_leaves_the_old_file(
+def test_write_swing_full_disk_raises_error_and_keeps_old_file(
     tmp_path: Path, make_swing: Callable[[int], Cycles]
 ) -> None:
     path = tmp_path / "swing.parquet"
@@ -74,13 +76,13 @@ def test_a_full_disk_is_told_and_leaves_the_old_file(
     assert path.read_bytes() == b"before"
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_write_swing_unwritable_folder_raises_error(tmp_path: Path) -> None:
     for folder in (tmp_path / "absent", Path("/proc")):
         with pytest.raises(BenchError, match="folder that can be written"):
             write_swing(folder / "swing.parquet", np.zeros(1, CYCLE), {})
 
 
-def test_a_read_only_folder_is_told(tmp_path: Path) -> None:
+def test_write_swing_read_only_folder_raises_error(tmp_path: Path) -> None:
     (folder := tmp_path / "sealed").mkdir(mode=0o555)
     root = os.geteuid() == 0
     if root:  # root may write anywhere: become nobody for a moment
@@ -94,7 +96,7 @@ def test_a_read_only_folder_is_told(tmp_path: Path) -> None:
     assert os.listdir(folder) == []
 
 
-def test_an_interruption_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_atomic_file_interrupt_leaves_no_file(tmp_path: Path) -> None:
     def interrupted() -> None:
         with atomic_file(tmp_path / "report.html") as stream:
             stream.write(b"half")
@@ -105,7 +107,7 @@ def test_an_interruption_leaves_nothing_behind(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
-def test_metadata_must_be_json_and_cycles_must_be_cycles(tmp_path: Path) -> None:
+def test_write_swing_invalid_metadata_or_cycles_raise_error(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="JSON"):
         write_swing(tmp_path / "x", np.zeros(1, CYCLE), {"speed": float("nan")})
     with pytest.raises(TypeError):
@@ -115,7 +117,7 @@ def test_metadata_must_be_json_and_cycles_must_be_cycles(tmp_path: Path) -> None
     assert os.listdir(tmp_path) == []
 
 
-def test_files_that_are_no_swing_are_refused_by_name(tmp_path: Path) -> None:
+def test_read_swing_missing_or_foreign_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "swing.parquet"
     with pytest.raises(BenchError, match="no such file"):
         read_swing(path)
@@ -132,7 +134,7 @@ def test_files_that_are_no_swing_are_refused_by_name(tmp_path: Path) -> None:
             read_swing(path)
 
 
-def test_a_truncated_file_is_refused(tmp_path: Path, make_swing: Callable[[int], Cycles]) -> None:
+def test_read_swing_truncated_file_is_refused(tmp_path: Path, make_swing: Callable[[int], Cycles]) -> None:
     path = tmp_path / "swing.parquet"
     write_swing(path, make_swing(0), METADATA)
     path.write_bytes(path.read_bytes()[:-1000])
@@ -140,7 +142,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path, make_swing: Callable[[int],
         read_swing(path)
 
 
-def test_the_bytes_are_on_the_disk_before_the_name_and_the_name_before_it_ends(
+def test_write_swing_syncs_file_before_rename_and_folder_after(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What a power cut at any of these steps leaves: nothing, a partial file, or the whole one."""
@@ -171,7 +173,7 @@ def test_the_bytes_are_on_the_disk_before_the_name_and_the_name_before_it_ends(
     assert steps == [("sync partial file", False, size), ("rename", False, size), ("sync folder", True, 0)]
 
 
-def test_the_files_own_metadata_has_the_unit_of_every_column(tmp_path: Path) -> None:
+def test_write_swing_metadata_has_unit_of_every_column(tmp_path: Path) -> None:
     write_swing(tmp_path / "swing.parquet", np.zeros(3, CYCLE), {})
     stored = pq.read_metadata(tmp_path / "swing.parquet").metadata
     units = json.loads(stored[b"units"])

@@ -45,13 +45,13 @@ def reader(write: RingWriter, path: Path) -> Iterator[RingReader]:
     reader.close()
 
 
-def test_an_empty_ring_has_nothing_to_read(reader: RingReader) -> None:
+def test_ring_reader_empty_ring_returns_no_records(reader: RingReader) -> None:
     assert reader.read().shape == (0,)
     assert reader.read().dtype == CYCLE
     assert (reader.newest(), reader.head, reader.lost) == (None, 0, 0)
 
 
-def test_records_come_once_each_and_in_order(write: RingWriter, reader: RingReader) -> None:
+def test_ring_reader_returns_records_once_in_order(write: RingWriter, reader: RingReader) -> None:
     for tick in range(1, 100):
         write(cycles_of(tick))
         if tick % 7 == 0:
@@ -60,14 +60,14 @@ def test_records_come_once_each_and_in_order(write: RingWriter, reader: RingRead
     assert (reader.head, write.head, reader.lost) == (99, 99, 0)
 
 
-def test_a_reader_gets_no_more_than_it_asked_for(write: RingWriter, reader: RingReader) -> None:
+def test_ring_reader_read_limit_bounds_count(write: RingWriter, reader: RingReader) -> None:
     for tick in range(1, 9):
         write(cycles_of(tick))
     assert same(reader.read(5), 1, 2, 3, 4, 5)
     assert same(reader.read(5), 6, 7, 8)
 
 
-def test_a_slow_reader_loses_the_oldest_and_counts_them(write: RingWriter, reader: RingReader) -> None:
+def test_ring_reader_overrun_loses_oldest_and_counts(write: RingWriter, reader: RingReader) -> None:
     for tick in range(1, CAPACITY + 4):
         write(cycles_of(tick))
     assert same(reader.read(), *range(4, CAPACITY + 4))
@@ -77,7 +77,7 @@ def test_a_slow_reader_loses_the_oldest_and_counts_them(write: RingWriter, reade
     assert reader.lost == 3
 
 
-def test_a_late_reader_starts_with_the_newest_or_with_the_oldest(write: RingWriter, path: Path) -> None:
+def test_ring_reader_late_start_position_follows_options(write: RingWriter, path: Path) -> None:
     for tick in range(1, CAPACITY + 4):
         write(cycles_of(tick))
     late, from_oldest = RingReader(path), RingReader(path, from_oldest=True)
@@ -93,7 +93,7 @@ def test_a_late_reader_starts_with_the_newest_or_with_the_oldest(write: RingWrit
     from_oldest.close()
 
 
-def test_the_newest_is_there_for_all_and_moves_nobodys_place(write: RingWriter, reader: RingReader) -> None:
+def test_ring_reader_newest_keeps_read_position(write: RingWriter, reader: RingReader) -> None:
     for tick in (1, 2, 3):
         write(cycles_of(tick))
         assert same(reader.newest(), tick)
@@ -101,7 +101,7 @@ def test_the_newest_is_there_for_all_and_moves_nobodys_place(write: RingWriter, 
     assert same(reader.read(), 1, 2, 3)
 
 
-def test_what_is_read_belongs_to_the_reader(write: RingWriter, reader: RingReader) -> None:
+def test_ring_reader_returns_copies(write: RingWriter, reader: RingReader) -> None:
     write(cycles_of(1))
     newest, read = reader.newest(), reader.read()
     assert newest is not None
@@ -111,37 +111,37 @@ def test_what_is_read_belongs_to_the_reader(write: RingWriter, reader: RingReade
     assert newest["tick"] == read["tick"] == 0
 
 
-def test_a_cycle_of_other_code_is_refused(write: RingWriter, reader: RingReader) -> None:
+def test_ring_writer_wrong_record_size_is_refused(write: RingWriter, reader: RingReader) -> None:
     with pytest.raises(ValueError, match="8 bytes"):
         write(np.zeros(1))
     assert reader.read().shape == (0,)
 
 
-def test_capacity_is_a_power_of_two(path: Path) -> None:
+def test_ring_writer_capacity_not_power_of_two_is_refused(path: Path) -> None:
     for capacity in (0, 1, 3, 1000):
         with pytest.raises(ValueError, match="power of two"):
             RingWriter(path, capacity)
     assert not path.exists()
 
 
-def test_a_second_ring_of_the_name_is_refused(write: RingWriter, path: Path) -> None:
+def test_ring_writer_existing_file_is_refused(write: RingWriter, path: Path) -> None:
     with pytest.raises(NoRing, match="found a file of that name"):
         RingWriter(path, CAPACITY)
 
 
-def test_a_shared_record_is_no_ring(path: Path) -> None:
+def test_ring_reader_shared_record_is_refused(path: Path) -> None:
     record = SharedRecord.create(path, CYCLE)
     with pytest.raises(NoRing, match="found kind b'record', expected kind b'ring'"):
         RingReader(path)
     record.close()
 
 
-def test_a_missing_ring_is_named(path: Path) -> None:
+def test_ring_reader_missing_file_error_names_ring(path: Path) -> None:
     with pytest.raises(NoRing, match="ring: found no such file"):
         RingReader(path)
 
 
-def test_writing_and_reading_keep_no_memory(write: RingWriter, reader: RingReader) -> None:
+def test_ring_write_and_read_do_not_leak_memory(write: RingWriter, reader: RingReader) -> None:
     cycle = cycles_of(1)
 
     def blocks_after(rounds: int) -> int:
@@ -156,7 +156,7 @@ def test_writing_and_reading_keep_no_memory(write: RingWriter, reader: RingReade
 
 
 @pytest.mark.parametrize("rate", [100.0, 999.0, 1000.0, 1024.0, 1025.0, 4000.0, 5000.0])
-def test_a_ring_holds_sixteen_seconds_at_every_rate(rate: float) -> None:
+def test_ring_capacity_holds_sixteen_seconds_at_each_rate(rate: float) -> None:
     capacity = ring_capacity(rate)
     assert capacity & (capacity - 1) == 0
     assert max(CAPACITY, 16.0 * rate) <= capacity <= max(16384, 32.0 * rate)

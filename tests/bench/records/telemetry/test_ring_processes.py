@@ -138,7 +138,7 @@ def end(writer: subprocess.Popen[str]) -> int:
 
 
 @pytest.mark.parametrize("capacity", [8, 1024, 16384])
-def test_a_hostile_reader_gets_nothing_torn_and_counts_what_it_loses(
+def test_ring_reader_fast_writer_gives_no_torn_record_and_counts_losses(
     capacity: int, start: Start, path: Path
 ) -> None:
     writer = start(WRITER, capacity)
@@ -161,7 +161,7 @@ def test_a_hostile_reader_gets_nothing_torn_and_counts_what_it_loses(
     check.reader.close()
 
 
-def test_a_writer_stopped_or_killed_at_any_instant_holds_nobody(start: Start, path: Path) -> None:
+def test_ring_reader_stopped_or_killed_writer_does_not_block(start: Start, path: Path) -> None:
     writer = start(WRITER, 16)
     check, chance, deadline = Check(path), random.Random(3), time.monotonic() + SECONDS / 2
     go(writer)
@@ -189,7 +189,7 @@ def test_a_writer_stopped_or_killed_at_any_instant_holds_nobody(start: Start, pa
     check.reader.close()
 
 
-def test_killed_and_stopped_readers_go_unnoticed(start: Start, path: Path) -> None:
+def test_ring_writer_killed_or_stopped_reader_does_not_block(start: Start, path: Path) -> None:
     writer = start(WRITER, 64)
     stopped, check = start(READER), Check(path)
     go(writer)

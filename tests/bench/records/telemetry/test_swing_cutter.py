@@ -30,7 +30,7 @@ def ticks(cut: RecordSegment) -> tuple[int, int]:
     return int(cut.cycles["tick"][0]), int(cut.cycles["tick"][-1])
 
 
-def test_a_swing_is_recorded_from_before_arming_to_after_standing(make_day: MakeDay) -> None:
+def test_swing_segmenter_swing_includes_lead_and_tail(make_day: MakeDay) -> None:
     day = make_day(SWING)
     (cut,) = cut_up(day)
     assert cut.kind == "swing"
@@ -41,7 +41,9 @@ def test_a_swing_is_recorded_from_before_arming_to_after_standing(make_day: Make
 
 @pytest.mark.parametrize("end", [S.FAULT, S.ESTOP])
 @pytest.mark.parametrize("moving", [S.HOMING, S.ARMED, S.SWINGING, S.RECOVERING])
-def test_a_stop_leaves_a_record_with_what_was_before(make_day: MakeDay, moving: State, end: State) -> None:
+def test_swing_segmenter_stop_in_motion_gives_record_with_lead(
+    make_day: MakeDay, moving: State, end: State
+) -> None:
     before = [(S.READY, 500), *([(S.ARMED, 200)] if moving is S.SWINGING else []), (moving, 300)]
     (cut,) = cut_up(make_day([*before, (end, 500)]))
     assert cut.kind == ("swing" if moving is S.SWINGING else "stop")
@@ -49,21 +51,21 @@ def test_a_stop_leaves_a_record_with_what_was_before(make_day: MakeDay, moving: 
     assert cut.cycles["state"][-1] == end
 
 
-def test_a_brake_that_ends_ready_leaves_a_record_for_its_cause(make_day: MakeDay) -> None:
+def test_swing_segmenter_brake_with_cause_gives_stop_record(make_day: MakeDay) -> None:
     plan = [(S.READY, 500), (S.ARMED, 300), (S.RECOVERING, 200), (S.READY, 500)]
     (cut,) = cut_up(make_day(plan, cause=(850, Cause.SUPERVISOR)))
     assert cut.kind == "stop"
     assert not cut_up(make_day(plan))
 
 
-def test_what_ends_as_asked_leaves_no_record(make_day: MakeDay) -> None:
+def test_swing_segmenter_requested_end_gives_no_record(make_day: MakeDay) -> None:
     homed = [(S.ESTOP, 300), (S.SAFE, 300), (S.HOMING, 900), (S.READY, 900), (S.ACCESS, 300)]
     armed = [(S.READY, 300), (S.ARMED, 900), (S.READY, 900), (S.FAULT, 300), (S.ESTOP, 300)]
     assert not cut_up(make_day(homed))
     assert not cut_up(make_day(armed, cause=(2101, Cause.GUARD)))
 
 
-def test_in_a_series_each_swing_has_its_record(make_day: MakeDay) -> None:
+def test_swing_segmenter_series_gives_record_per_swing(make_day: MakeDay) -> None:
     once = [(S.ARMED, 700), (S.SWINGING, 300), (S.RECOVERING, 400)]
     day = make_day([(S.READY, 500), *once, *once, (S.READY, 500)])
     first, second = cut_up(day)
@@ -72,14 +74,14 @@ def test_in_a_series_each_swing_has_its_record(make_day: MakeDay) -> None:
     assert first.kind == second.kind == "swing"
 
 
-def test_swings_may_follow_one_another_within_the_tail(make_day: MakeDay) -> None:
+def test_swing_segmenter_swings_within_tail_do_not_overlap(make_day: MakeDay) -> None:
     once = [(S.ARMED, 50), (S.SWINGING, 300), (S.RECOVERING, 400)]
     first, second = cut_up(make_day([(S.READY, 500), *once, *once, (S.READY, 500)]))
     assert ticks(first) == (501 - 128, 1250 + 256)
     assert ticks(second)[0] == 1251  # not before the end of the swing before
 
 
-def test_after_a_long_hold_the_record_begins_before_the_swing(make_day: MakeDay) -> None:
+def test_swing_segmenter_long_hold_record_starts_before_swing(make_day: MakeDay) -> None:
     plan = [(S.READY, 500), (S.ARMED, 5000), (S.SWINGING, 300), (S.RECOVERING, 400), (S.READY, 500)]
     (cut,) = cut_up(make_day(plan), room=2048)
     assert ticks(cut) == (5501 - 128, 6200 + 256)
@@ -87,13 +89,13 @@ def test_after_a_long_hold_the_record_begins_before_the_swing(make_day: MakeDay)
     assert not cut.continued
 
 
-def test_a_fault_after_a_long_hold_shows_what_memory_holds(make_day: MakeDay) -> None:
+def test_swing_segmenter_fault_after_long_hold_keeps_memory(make_day: MakeDay) -> None:
     (cut,) = cut_up(make_day([(S.READY, 500), (S.ARMED, 5000), (S.FAULT, 500)]), room=2048)
     assert cut.kind == "stop"
     assert 5501 - 1024 <= ticks(cut)[0] <= 5501 - 1024 + 17
 
 
-def test_a_record_longer_than_memory_goes_on_in_the_next(make_day: MakeDay) -> None:
+def test_swing_segmenter_record_beyond_memory_continues_in_next(make_day: MakeDay) -> None:
     day = make_day([(S.READY, 500), (S.ARMED, 500), (S.SWINGING, 6000), (S.FAULT, 500)])
     cuts = cut_up(day, room=2048)
     assert len(cuts) > 3
@@ -106,7 +108,9 @@ def test_a_record_longer_than_memory_goes_on_in_the_next(make_day: MakeDay) -> N
 
 @pytest.mark.slow
 @given(st.data())
-def test_it_does_not_matter_how_the_cycles_come(make_day: MakeDay, data: st.DataObject) -> None:
+def test_swing_segmenter_records_are_independent_of_chunk_size(
+    make_day: MakeDay, data: st.DataObject
+) -> None:
     states = data.draw(st.lists(st.tuples(st.sampled_from(list(S)), st.integers(1, 400)), max_size=12))
     day = make_day(states) if states else make_day([(S.READY, 1)])
     whole = cut_up(day, chunk=1)
@@ -133,7 +137,7 @@ def _rest(day: Cycles) -> list[RecordSegment]:
     return cutter.finish("over", keep=True)
 
 
-def test_lost_records_are_counted_where_they_are_missing(make_day: MakeDay) -> None:
+def test_swing_segmenter_counts_losses_within_record(make_day: MakeDay) -> None:
     day = make_day(SWING)
     cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
     cuts = cutter.take(day[:300])
@@ -146,7 +150,7 @@ def test_lost_records_are_counted_where_they_are_missing(make_day: MakeDay) -> N
     assert ticks(cut) == (1001 - 128, 2650)
 
 
-def test_finish_keeps_swings_and_what_it_is_told_to(make_day: MakeDay) -> None:
+def test_swing_segmenter_finish_keeps_swings_and_requested_stops(make_day: MakeDay) -> None:
     day = make_day(SWING)
     for end, keep, kind in ((1500, False, ""), (1500, True, "stop"), (1800, False, "swing")):
         cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
@@ -160,7 +164,7 @@ def test_finish_keeps_swings_and_what_it_is_told_to(make_day: MakeDay) -> None:
         assert not cutter.finish("twice", keep=True)
 
 
-def test_a_robot_still_moving_after_finish_opens_a_record_again(make_day: MakeDay) -> None:
+def test_swing_segmenter_motion_after_finish_opens_continued_record(make_day: MakeDay) -> None:
     day = make_day(SWING)
     cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
     cutter.take(day[:1800])
@@ -170,7 +174,7 @@ def test_a_robot_still_moving_after_finish_opens_a_record_again(make_day: MakeDa
     assert cut.continued
 
 
-def test_who_begins_to_record_late_says_so(make_day: MakeDay) -> None:
+def test_swing_segmenter_late_start_marks_record_continued(make_day: MakeDay) -> None:
     day = make_day(SWING)
     for begin, first, continued in ((1050, 1701 - 128, False), (1600, 1701 - 100, False), (1800, 1801, True)):
         (cut,) = cut_up(day[begin:])
@@ -179,7 +183,7 @@ def test_who_begins_to_record_late_says_so(make_day: MakeDay) -> None:
     assert stop.continued
 
 
-def test_finish_in_the_tail_is_no_early_end(make_day: MakeDay) -> None:
+def test_swing_segmenter_finish_in_tail_is_not_early_end(make_day: MakeDay) -> None:
     cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
     assert not cutter.take(make_day(SWING)[:2500])
     (cut,) = cutter.finish("over", keep=False)

@@ -56,7 +56,7 @@ def describe(cut: RecordSegment, **more: Any) -> dict[str, Any]:
 
 
 @given(st.floats(0, 1e9), st.lists(st.floats(0, 1e4), max_size=20), st.floats(-1.0, 0.0))
-def test_the_loops_times_come_back_bit_for_bit(first: float, later: list[float], age: float) -> None:
+def test_since_restores_loop_times_bit_for_bit(first: float, later: list[float], age: float) -> None:
     cycles = np.zeros(1 + len(later), [("time", "f8"), ("encoder_time", "f8", (3,))])
     cycles["time"] = [first, *(first + x for x in sorted(later))]
     cycles["encoder_time"] = (cycles["time"] + age).clip(0)[:, None]
@@ -66,13 +66,13 @@ def test_the_loops_times_come_back_bit_for_bit(first: float, later: list[float],
     assert since(stored, -begin).tobytes() == cycles.tobytes()
 
 
-def test_encoder_times_that_are_absent_stay_so(make_day: MakeDay) -> None:
+def test_since_absent_encoder_times_stay_nan(make_day: MakeDay) -> None:
     cycles = make_day(PLAN)
     cycles["encoder_time"][5] = np.nan
     assert np.isnan(since(cycles, 1000.0)["encoder_time"][5]).all()
 
 
-def test_the_outcome_names_states_and_the_first_cause(make_day: MakeDay) -> None:
+def test_swing_metadata_outcome_lists_states_and_first_cause(make_day: MakeDay) -> None:
     cycles = make_day(PLAN, cause=(400, Cause.WRIST_RANGE))
     cycles["cause"][450:] = Cause.GUARD
     metadata = describe(RecordSegment(cycles, "swing", 0))
@@ -84,7 +84,7 @@ def test_the_outcome_names_states_and_the_first_cause(make_day: MakeDay) -> None
     json.dumps(metadata, allow_nan=False)
 
 
-def test_losses_and_skipped_ticks_are_told_apart(make_day: MakeDay) -> None:
+def test_swing_metadata_separates_lost_records_and_missed_ticks(make_day: MakeDay) -> None:
     cycles = make_day(PLAN)
     metadata = describe(RecordSegment(np.concatenate([cycles[:50], cycles[57:]]), "swing", 4))
     assert (metadata["lost_records"], metadata["missed_ticks"]) == (4, 3)
@@ -97,7 +97,7 @@ def snapshot_at(tick: int) -> np.ndarray[Any, Any]:
     return snapshot
 
 
-def test_the_first_snapshot_within_the_record_is_stored(make_day: MakeDay) -> None:
+def test_swing_metadata_stores_first_snapshot_within_record(make_day: MakeDay) -> None:
     cycles = make_day(PLAN, first_tick=100)
     snapshots = [snapshot_at(t) for t in (99, 400, 200, 699, 5000)]
     metadata = describe(RecordSegment(cycles, "swing", 0), snapshots=snapshots)
@@ -119,7 +119,7 @@ def assert_same_values(before: np.ndarray[Any, Any], after: np.ndarray[Any, Any]
             assert before[name].tobytes() == after[name].tobytes(), name
 
 
-def test_a_snapshot_gives_the_controllers_memory_back() -> None:
+def test_read_snapshot_restores_control_state() -> None:
     state = some_state(1)
     snapshot = np.zeros(1, SNAPSHOT)
     pack_snapshot(state, snapshot)
@@ -133,7 +133,7 @@ def test_a_snapshot_gives_the_controllers_memory_back() -> None:
     assert snapshot["tick"][0] == 150
 
 
-def test_a_snapshot_that_is_no_good_is_refused() -> None:
+def test_read_snapshot_invalid_entry_is_refused() -> None:
     entry = snapshot_entry(snapshot_at(5))
     huge = base64.b64encode(zlib.compress(b"\0" * (SNAPSHOT.itemsize + 1))).decode()
     torn = base64.b64encode(base64.b64decode(entry["data"])[:-9]).decode()
@@ -153,7 +153,7 @@ def test_a_snapshot_that_is_no_good_is_refused() -> None:
             read_snapshot({"snapshot": bad}, "x.parquet")
 
 
-def test_a_profile_comes_back_bit_for_bit(profile: Profile) -> None:
+def test_read_profile_restores_profile_bit_for_bit(profile: Profile) -> None:
     profile.angle[3, 1] += 1e-13  # more than its file would keep
     profile = replace(profile, followed=FOLLOWED)
     again = read_profile(json.loads(json.dumps({"profile": profile_entry(profile)})), "x.parquet")
@@ -163,7 +163,7 @@ def test_a_profile_comes_back_bit_for_bit(profile: Profile) -> None:
         assert np.array_equal(before, after) if isinstance(before, np.ndarray) else before == after
 
 
-def test_a_profile_that_is_no_good_is_refused(profile: Profile) -> None:
+def test_read_profile_invalid_entry_is_refused(profile: Profile) -> None:
     entry = profile_entry(profile)
     for bad in ({}, {"name": "x"}, {**entry, "data": "%"}, {**entry, "data": entry["data"][:400]}):
         with pytest.raises(BenchError, match="profile"):
@@ -172,7 +172,7 @@ def test_a_profile_that_is_no_good_is_refused(profile: Profile) -> None:
         read_profile({}, "x.parquet")
 
 
-def test_what_is_no_json_is_told_at_the_start(profile: Profile) -> None:
+def test_run_metadata_entries_without_json_form_raise_error(profile: Profile) -> None:
     for bad in (float("nan"), object()):
         with pytest.raises(BenchError, match="metadata of records"):
             RunMetadata("b", "r", profile, {"x": bad}, {}, {}, {}).entries()

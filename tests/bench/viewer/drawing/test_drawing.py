@@ -72,7 +72,7 @@ def sampled(solid: Solid) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_a_solid_weighs_what_its_surface_encloses(name: str) -> None:
+def test_solid_volume_and_inertia_match_mesh(name: str) -> None:
     solid = SOLIDS[name]
     volume, centroid, inertia = sampled(solid)
     assert volume == pytest.approx(solid.volume.volume, rel=0.02)  # circles of 32 pieces
@@ -82,7 +82,7 @@ def test_a_solid_weighs_what_its_surface_encloses(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_normals_point_outwards_and_the_surface_is_closed(name: str) -> None:
+def test_solid_mesh_is_closed_with_outward_normals(name: str) -> None:
     mesh = SOLIDS[name].mesh
     assert np.linalg.norm(mesh.normals, axis=1) == pytest.approx(1.0)
     points, corner = np.unique(np.round(mesh.vertices, 9), axis=0, return_inverse=True)
@@ -96,7 +96,7 @@ def test_normals_point_outwards_and_the_surface_is_closed(name: str) -> None:
 # Masses ----------------------------------------------------------------------------------------------
 
 
-def test_links_have_mass_centre_and_inertia_of_the_dynamics(plant: PlantParameters) -> None:
+def test_drawn_links_match_mass_and_inertia_of_dynamics(plant: PlantParameters) -> None:
     for name in ("shoulder_link", "left_arm"):
         drawn = body(plant, name)
         assert drawn.assumed is not None
@@ -106,7 +106,7 @@ def test_links_have_mass_centre_and_inertia_of_the_dynamics(plant: PlantParamete
         assert found.inertia[2, 2] == pytest.approx(drawn.assumed.inertia, rel=1e-9)
 
 
-def test_the_right_arm_has_mass_and_centre_of_the_dynamics(plant: PlantParameters) -> None:
+def test_drawn_right_arm_matches_mass_and_centre_of_dynamics(plant: PlantParameters) -> None:
     for name in ("right_arm_rod", "right_arm_cylinder"):
         drawn = body(plant, name)
         assert drawn.assumed is not None
@@ -114,20 +114,20 @@ def test_the_right_arm_has_mass_and_centre_of_the_dynamics(plant: PlantParameter
         assert drawn.weighed.centroid[0] == pytest.approx(drawn.assumed.centre_of_mass, abs=1e-9)
 
 
-def test_the_club_weighs_what_it_should_and_balances_near_it(plant: PlantParameters) -> None:
+def test_drawn_club_matches_mass_and_balance(plant: PlantParameters) -> None:
     drawn, club = body(plant, "club"), plant.robot.club
     assert drawn.weighed.volume == pytest.approx(club.mass, rel=1e-9)
     assert drawn.weighed.centroid[0] == pytest.approx(club.centre_of_mass, abs=0.02)
     assert drawn.weighed.inertia[2, 2] == pytest.approx(club.inertia, rel=0.1)
 
 
-def test_the_sections_are_the_thesis(shipped: PlantParameters) -> None:
+def test_drawn_links_match_thesis_sections(shipped: PlantParameters) -> None:
     link, arm = bar(shipped, "shoulder_link", "link"), bar(shipped, "left_arm", "arm")
     assert link.size == pytest.approx((17 * INCH, 2 * INCH, 3 / 8 * INCH))
     assert arm.size == pytest.approx((24.5 * INCH, 1.5 * INCH, 5 / 8 * INCH))
 
 
-def test_another_mass_or_length_is_drawn(shipped: PlantParameters) -> None:
+def test_drawn_links_follow_mass_and_length(shipped: PlantParameters) -> None:
     robot = shipped.robot
     heavy = replace(
         robot.shoulder_link, mass=2 * robot.shoulder_link.mass, inertia=2 * robot.shoulder_link.inertia
@@ -142,7 +142,7 @@ def test_another_mass_or_length_is_drawn(shipped: PlantParameters) -> None:
 
 
 @pytest.mark.parametrize("plant", (PLANTS | SIZED).values(), ids=PLANTS | SIZED)
-def test_the_piston_stays_within_the_right_arm(plant: PlantParameters) -> None:
+def test_drawn_piston_stays_within_right_arm(plant: PlantParameters) -> None:
     cylinder, end = body(plant, "right_arm_cylinder"), plant.robot.l56
     rear = tube(plant, "right_arm_cylinder", "right-arm rear cap").end[0]
     front = tube(plant, "right_arm_cylinder", "right-arm front cap").start[0]
@@ -154,7 +154,7 @@ def test_the_piston_stays_within_the_right_arm(plant: PlantParameters) -> None:
         assert length - piston.end[0] >= rear
 
 
-def test_the_wrist_s_yoke_holds_the_lever_s_pin(plant: PlantParameters) -> None:
+def test_drawn_wrist_yoke_holds_lever_pin(plant: PlantParameters) -> None:
     low, high = wrist_ways(plant)
     for theta3 in np.linspace(plant.wrist.lower, plant.wrist.upper, 9):
         along, across = float(plant.wrist_stroke(float(theta3))), -float(plant.wrist_slope(theta3))
@@ -165,14 +165,14 @@ def test_the_wrist_s_yoke_holds_the_lever_s_pin(plant: PlantParameters) -> None:
         assert turn @ pin == pytest.approx((along, across), abs=1e-12)
 
 
-def test_the_wrist_s_cylinder_and_plate_stand_on_the_arm(plant: PlantParameters) -> None:
+def test_drawn_wrist_cylinder_and_plate_lie_on_left_arm(plant: PlantParameters) -> None:
     cylinder = tube(plant, "left_arm", "wrist cylinder")
     assert cylinder.start[0] >= -1e-9
     assert cylinder.end[0] < plant.robot.l23 + wrist_ways(plant)[0]
     assert 0 < bar(plant, "left_arm", "plate").centre[0] <= plant.robot.l23
 
 
-def test_the_sole_is_as_deep_as_the_site_says(plant: PlantParameters) -> None:
+def test_drawn_sole_matches_sole_depth_of_site(plant: PlantParameters) -> None:
     """At address, upright lie: the head's lowest drawn point against the sole of the clearance checks."""
     if abs(plant.robot.lie - plant.robot.club.lie) > 1e-9:
         pytest.skip("the club does not stand on its sole in this plane")
@@ -188,7 +188,7 @@ def test_the_sole_is_as_deep_as_the_site_says(plant: PlantParameters) -> None:
     assert -height.min() == pytest.approx(depth, abs=0.0025 if isinstance(head, Ellipsoid) else 0.012)
 
 
-def test_bodies_pass_each_other_along_the_normal_of_the_plane(plant: PlantParameters) -> None:
+def test_drawn_bodies_are_clear_along_plane_normal(plant: PlantParameters) -> None:
     heights = {
         b.name: (b.mesh.vertices[:, 2].min(), b.mesh.vertices[:, 2].max()) for b in draw(plant).fixed_in_plane
     }
@@ -204,7 +204,7 @@ def test_bodies_pass_each_other_along_the_normal_of_the_plane(plant: PlantParame
 # Placement -------------------------------------------------------------------------------------------
 
 
-def test_the_address_puts_the_face_at_the_ball(plant: PlantParameters) -> None:
+def test_address_puts_face_at_ball(plant: PlantParameters) -> None:
     q = address(plant)
     pose = forward_kinematics(plant.robot, q)
     assert pose[:2] == pytest.approx((plant.site.ball_x, plant.site.ball_y))
@@ -212,13 +212,13 @@ def test_the_address_puts_the_face_at_the_ball(plant: PlantParameters) -> None:
     assert abs(q[2] - (plant.wrist.lower + plant.wrist.upper) / 2) <= pi
 
 
-def test_a_ball_out_of_reach_is_refused(shipped: PlantParameters) -> None:
+def test_address_ball_out_of_reach_is_refused(shipped: PlantParameters) -> None:
     far = replace(shipped, site=replace(shipped.site, ball_x=1.5))
     with pytest.raises(BenchError, match=r"plant\.site"):
         address(far)
 
 
-def test_the_drawn_joints_coincide(plant: PlantParameters) -> None:
+def test_body_poses_joints_coincide(plant: PlantParameters) -> None:
     q = np.random.default_rng(3).uniform([-1, 3.5, 4.9], [2, 4.4, 6.2], (20, 3))
     poses = body_poses(plant, q)
     points = joint_positions(plant.robot, q)
@@ -234,7 +234,7 @@ def test_the_drawn_joints_coincide(plant: PlantParameters) -> None:
         )
 
 
-def test_everything_stands_above_the_ground(plant: PlantParameters) -> None:
+def test_placed_bodies_stand_above_ground(plant: PlantParameters) -> None:
     assert {b.body.name for b in placed(plant)} == {b.name for b in all_bodies(plant)}
     for one in placed(plant):
         assert one.mesh.vertices[:, 1].min() > -0.03, one.body.name

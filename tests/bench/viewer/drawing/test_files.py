@@ -46,14 +46,14 @@ def content(file: bytes) -> dict[str, Any]:
     return found
 
 
-def test_gltf_has_every_body_at_its_place(plant: PlantParameters) -> None:
+def test_gltf_contains_every_placed_body(plant: PlantParameters) -> None:
     found = content(gltf(placed(plant)))
     assert [node["name"] for node in found["nodes"]] == [one.body.name for one in placed(plant)]
     assert all(view["byteOffset"] % 4 == 0 for view in found["bufferViews"])
 
 
 @pytest.mark.release
-def test_another_program_reads_the_gltf(shipped: PlantParameters, tmp_path: Path) -> None:
+def test_gltf_read_by_trimesh_has_same_bounds(shipped: PlantParameters, tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh", reason="needs trimesh (pip install '.[benchmark]')")
     everything = placed(shipped)
     write_gltf(tmp_path / "robot.glb", everything)
@@ -74,7 +74,7 @@ def exact(part: Part) -> float:
 
 @pytest.mark.release
 @pytest.mark.parametrize("name", ["shipped", "iron7"])
-def test_exact_solids_have_the_stated_volume_and_centroid(name: str) -> None:
+def test_solid_shape_has_stated_volume_and_centroid(name: str) -> None:
     b = build123d()
     for body in bodies(PLANTS[name]):
         for part in body.parts:
@@ -99,7 +99,7 @@ def test_step_reads_back_with_names_and_volume(shipped: PlantParameters, tmp_pat
     assert [path.name for path in tmp_path.iterdir()] == ["robot.step"]
 
 
-def test_without_the_extra_step_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_load_build123d_missing_names_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "build123d", None)
     with pytest.raises(BenchError, match=r"golfbench\[cad\]"):
         load_build123d()
@@ -108,7 +108,7 @@ def test_without_the_extra_step_names_it(monkeypatch: pytest.MonkeyPatch) -> Non
 # Masses ----------------------------------------------------------------------------------------------
 
 
-def test_every_body_of_the_dynamics_has_a_row(plant: PlantParameters) -> None:
+def test_mass_rows_cover_every_body_of_dynamics(plant: PlantParameters) -> None:
     rows = {row.body: row for row in mass_rows(plant)}
     robot = plant.robot
     assumed = (robot.shoulder_link, robot.left_arm, robot.club, robot.rod, robot.cylinder)
@@ -129,7 +129,7 @@ def drawn(folder: Path, *arguments: str) -> str:
     return result.output
 
 
-def test_the_command_writes_urdf_gltf_and_masses_without_the_extra(
+def test_draw_command_without_cad_extra_writes_other_formats(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
@@ -147,7 +147,7 @@ def draw_order() -> list[DrawnBody]:
     return [body for body in draw(PlantParameters()).moving if body.assumed is not None]
 
 
-def test_the_command_draws_another_club(tmp_path: Path) -> None:
+def test_draw_command_other_club_changes_gltf(tmp_path: Path) -> None:
     drawn(tmp_path / "driver", "--format", "gltf")
     drawn(tmp_path / "iron", "--format", "gltf", "--club", "iron7")
     names = [{path.name for path in (tmp_path / name).iterdir()} for name in ("driver", "iron")]

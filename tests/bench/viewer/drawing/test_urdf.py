@@ -69,7 +69,7 @@ def relative(found: Array, expected: Array) -> float:
 # The file --------------------------------------------------------------------------------------------
 
 
-def test_links_are_the_bodies_of_the_dynamics(plant: PlantParameters, folder: Path) -> None:
+def test_urdf_links_match_bodies_of_dynamics(plant: PlantParameters, folder: Path) -> None:
     robot, root = plant.robot, ElementTree.parse(folder / "golfbench.urdf").getroot()  # noqa: S314 - our own
     bodies: dict[str | None, Body | Club] = {
         "shoulder_link": robot.shoulder_link,
@@ -95,7 +95,7 @@ def test_links_are_the_bodies_of_the_dynamics(plant: PlantParameters, folder: Pa
         assert moments[0] + moments[1] >= moments[2] * (1 - 1e-12)
 
 
-def test_the_whole_working_range_lies_within_the_joints_limits(plant: PlantParameters) -> None:
+def test_urdf_joint_limits_contain_working_range(plant: PlantParameters) -> None:
     limits = {hinge.name: (hinge.lower, hinge.upper) for hinge in joints(plant)}
     for name, actuator in (("shoulder", plant.shoulder), ("wrist", plant.wrist)):
         assert limits[name][0] < actuator.lower < actuator.upper < limits[name][1]
@@ -117,7 +117,7 @@ def clearances(plant: PlantParameters, outline: CollisionOutline, q: Any) -> tup
     return face[:, 1] - outline.sole_radius - outline.ground, distance
 
 
-def test_the_collision_bodies_are_those_of_the_clearance_checks(plant: PlantParameters) -> None:
+def test_collision_outline_matches_clearance_checks(plant: PlantParameters) -> None:
     outline = collision_outline(plant, FRAME_RADIUS)
     q = np.array([state[0] for state in states(plant)])
     height, distance = clearances(plant, outline, q)
@@ -135,7 +135,7 @@ def test_the_collision_bodies_are_those_of_the_clearance_checks(plant: PlantPara
 
 @pytest.mark.release
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the reader's own calls
-def test_another_reader_shows_the_drawn_robot(plant: PlantParameters, folder: Path) -> None:
+def test_urdf_read_by_yourdfpy_matches_drawn_robot(plant: PlantParameters, folder: Path) -> None:
     yourdfpy = pytest.importorskip("yourdfpy", reason="needs yourdfpy (pip install '.[benchmark]')")
     file, meshes = str(folder / "golfbench.urdf"), str(folder)
     read = yourdfpy.URDF.load(file, mesh_dir=meshes, build_collision_scene_graph=True)
@@ -253,7 +253,7 @@ READERS = (PinocchioReader, MujocoReader)
 
 @pytest.mark.release
 @pytest.mark.parametrize("reader", READERS)
-def test_simulators_have_our_accelerations(
+def test_urdf_simulators_match_forward_dynamics(
     plant: PlantParameters, folder: Path, reader: type[PinocchioReader] | type[MujocoReader]
 ) -> None:
     read = reader(plant, folder)
@@ -266,7 +266,7 @@ def test_simulators_have_our_accelerations(
 
 @pytest.mark.release
 @pytest.mark.parametrize("reader", READERS)
-def test_the_wrist_s_cylinder_at_the_drawn_lever_has_our_accelerations(
+def test_urdf_wrist_cylinder_force_matches_forward_dynamics(
     plant: PlantParameters, folder: Path, reader: type[PinocchioReader] | type[MujocoReader]
 ) -> None:
     """Its force pushes the drawn pin along the arm, and the arm back: the wrist's effort comes from there."""

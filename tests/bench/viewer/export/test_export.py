@@ -61,7 +61,7 @@ def equal(a: Cycles, b: Cycles) -> bool:
     )
 
 
-def test_every_column_has_its_unit_and_its_meaning() -> None:
+def test_columns_have_unit_and_description() -> None:
     units = {column.name: column.unit for column in columns()}
     assert units["angle_wrist"] == "rad"
     assert units["chamber_pressure_right_arm_b"] == "Pa"
@@ -69,7 +69,7 @@ def test_every_column_has_its_unit_and_its_meaning() -> None:
     assert all(column.unit and column.description for column in columns())
 
 
-def test_csv_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecord) -> None:
+def test_csv_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> None:
     path, beside = write_csv(tmp_path / "007.csv", record)
     options = pc.ConvertOptions(column_types=arrow_schema(), null_values=[])
     assert equal(from_arrow(pc.read_csv(path, convert_options=options)), record.cycles)
@@ -84,7 +84,7 @@ def test_csv_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecord
     assert described["golfbench"] == record.metadata
 
 
-def test_mat_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecord) -> None:
+def test_mat_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> None:
     (path,) = write_mat(tmp_path / "007.mat", record)
     read = loadmat(path, simplify_cells=True)
     back = np.zeros(len(record.cycles), CYCLE)
@@ -108,7 +108,7 @@ def read_mcap(path: Path) -> dict[str, list[tuple[Any, Any, Any]]]:
     return found
 
 
-def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecord) -> None:
+def test_mcap_read_back_equals_record(tmp_path: Path, record: ExportRecord) -> None:
     path, _ = write_mcap(tmp_path / "007.mcap", record)
     back, times, properties = np.zeros(len(record.cycles), CYCLE), [], {}
     for n, (schema, message, row) in enumerate(read_mcap(path)["/cycle"]):
@@ -130,7 +130,7 @@ def test_mcap_reads_back_to_the_same_numbers(tmp_path: Path, record: ExportRecor
     assert np.abs(steps).max() <= 1
 
 
-def test_mcap_has_frames_shapes_and_a_log_for_viewers(tmp_path: Path, record: ExportRecord) -> None:
+def test_mcap_contains_frames_shapes_and_log(tmp_path: Path, record: ExportRecord) -> None:
     """The head that the frames place is where the estimate has it; each shape is in a frame that exists."""
     path, _ = write_mcap(tmp_path / "007.mcap", record)
     topics = read_mcap(path)
@@ -155,7 +155,7 @@ def test_mcap_has_frames_shapes_and_a_log_for_viewers(tmp_path: Path, record: Ex
     assert len(topics["/log"]) == len(list(changes(record.cycles)))
 
 
-def test_the_layout_names_what_is_in_the_file(tmp_path: Path, record: ExportRecord) -> None:
+def test_mcap_layout_names_existing_topics_and_fields(tmp_path: Path, record: ExportRecord) -> None:
     path, layout = write_mcap(tmp_path / "007.mcap", record)
     read, topics = json.loads(layout.read_text()), read_mcap(path)
     panels = read["configById"]
@@ -196,7 +196,7 @@ def test_mf4_opens_in_asammdf_with_units_names_and_events(tmp_path: Path, record
     assert (json.loads(text), name.name) == (record.metadata, "golfbench.json")
 
 
-def test_mf4_without_asammdf_names_the_package(
+def test_mf4_without_asammdf_names_package(
     tmp_path: Path, record: ExportRecord, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
@@ -204,7 +204,7 @@ def test_mf4_without_asammdf_names_the_package(
         write_mf4(tmp_path / "007.mf4", record)
 
 
-def test_the_record_itself_opens_in_duckdb_and_polars(record: ExportRecord) -> None:
+def test_record_opens_in_duckdb_and_polars(record: ExportRecord) -> None:
     """Names beside numbers, and units in the file's own metadata."""
     path, phases = record.path, record.cycles["phase"]
     with duckdb.connect() as connection:
@@ -235,7 +235,7 @@ def test_mat_opens_in_octave(tmp_path: Path, record: ExportRecord, tool: Callabl
     assert (unit, float(value)) == ("rad", record.cycles["angle"][1, 0])
 
 
-def test_rrd_holds_every_field_as_it_was(tmp_path: Path, record: ExportRecord) -> None:
+def test_rrd_holds_every_field_unchanged(tmp_path: Path, record: ExportRecord) -> None:
     (path,) = write_rrd(tmp_path / "007.rrd", record)
     values: dict[str, Any] = {}
     units: dict[str, str] = {}
@@ -260,7 +260,7 @@ def test_rrd_holds_every_field_as_it_was(tmp_path: Path, record: ExportRecord) -
     assert np.array_equal(times["angle"], expected)
 
 
-def test_rrd_holds_for_reruns_own_check(tmp_path: Path, record: ExportRecord) -> None:
+def test_rrd_passes_rerun_verify(tmp_path: Path, record: ExportRecord) -> None:
     (path,) = write_rrd(tmp_path / "007.rrd", record)
     check = [sys.executable, "-m", "rerun", "rrd", "verify", str(path)]
     done = subprocess.run(check, capture_output=True, text=True, check=False, timeout=100)
@@ -293,9 +293,7 @@ def assert_readable(schema: dict[str, Any], value: Any) -> None:
         assert type(value) is python
 
 
-def test_mcap_is_readable_by_viewers_that_take_one_type_a_property(
-    tmp_path: Path, record: ExportRecord
-) -> None:
+def test_mcap_schemas_have_one_type_per_property(tmp_path: Path, record: ExportRecord) -> None:
     path, _ = write_mcap(tmp_path / "007.mcap", record)
     for rows in read_mcap(path).values():
         for schema, _, content in rows:
@@ -303,7 +301,7 @@ def test_mcap_is_readable_by_viewers_that_take_one_type_a_property(
 
 
 @pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_mf4, write_rrd])
-def test_a_folder_that_is_not_there_is_told(
+def test_export_missing_folder_raises_not_stored(
     write: Callable[[Path, ExportRecord], list[Path]], record: ExportRecord
 ) -> None:
     with pytest.raises(NotStored):
@@ -311,7 +309,7 @@ def test_a_folder_that_is_not_there_is_told(
 
 
 @pytest.mark.parametrize("write", [write_csv, write_mat, write_mcap, write_mf4, write_rrd])
-def test_a_record_without_cycles_can_be_exported(
+def test_export_record_without_cycles_writes_file(
     write: Callable[[Path, ExportRecord], list[Path]], record: ExportRecord, tmp_path: Path
 ) -> None:
     for path in write(tmp_path / "empty", record._replace(cycles=record.cycles[:0])):

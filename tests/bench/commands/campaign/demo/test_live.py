@@ -46,7 +46,7 @@ def wait_for(process: subprocess.Popen[str], out: Path, pattern: str) -> None:
 
 
 @pytest.mark.release
-def test_a_demo_leaves_report_recording_table_and_swings_and_no_process(tmp_path: Path) -> None:
+def test_demo_live_writes_all_outputs_and_ends_processes(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     with start(out, 2) as process:
         wait_for(process, out, "bench/campaigns/*/swings/000001.parquet")
@@ -70,7 +70,7 @@ def test_a_demo_leaves_report_recording_table_and_swings_and_no_process(tmp_path
     assert "Every figure is simulated" in (out / "report.html").read_text()
 
 
-def test_control_c_completes_the_swing_and_ends_all_that_was_started(tmp_path: Path) -> None:
+def test_demo_live_ctrl_c_completes_swing_and_ends_processes(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     with start(out, 20) as process:
         wait_for(process, out, "bench/campaigns/*/swings/000001.parquet")
@@ -87,7 +87,7 @@ def test_control_c_completes_the_swing_and_ends_all_that_was_started(tmp_path: P
     assert "phase STANDING" in phases[-1]
 
 
-def test_the_demo_swings_what_is_configured_on_a_simulated_bench_of_its_own(tmp_path: Path) -> None:
+def test_demo_configuration_live_uses_separate_simulated_bench(tmp_path: Path) -> None:
     shipped = load_configuration(Path("shipped"))
     configuration = demo_configuration(shipped, tmp_path, live=True)
     assert configuration.bench.id != shipped.bench.id

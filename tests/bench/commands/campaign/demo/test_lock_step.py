@@ -57,14 +57,14 @@ def _swings(folder: Path) -> list[Path]:
     return sorted(folder.glob("bench/campaigns/*/swings/*.parquet"))
 
 
-def test_a_demo_leaves_report_recording_table_database_and_swings(folder: Path) -> None:
+def test_demo_writes_report_recording_table_database_and_swings(folder: Path) -> None:
     top = {path.name for path in folder.iterdir()}
     assert top == {"report.html", "demo.rrd", "shots.csv", "bench"}
     assert [path.name for path in _swings(folder)] == ["000001.parquet", "000002.parquet"]
     assert (folder / "bench" / "golfbench.sqlite").exists()
 
 
-def test_the_table_has_the_exported_columns_and_two_balls_in_turn(folder: Path) -> None:
+def test_demo_shot_table_has_export_columns_and_both_balls(folder: Path) -> None:
     header = (folder / "shots.csv").read_text().splitlines()[0]
     assert header.split(",") == [*COLUMNS]
     shots = read_shot_table(folder / "shots.csv")
@@ -74,19 +74,19 @@ def test_the_table_has_the_exported_columns_and_two_balls_in_turn(folder: Path) 
     assert all(s.club_speed_mps is not None and s.club_speed_mps > 40 for s in shots)
 
 
-def test_the_report_loads_nothing_and_names_the_seed_and_what_was_varied(folder: Path) -> None:
+def test_demo_report_loads_no_external_file_and_names_variation(folder: Path) -> None:
     report = (folder / "report.html").read_text()
     assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", report)
     assert "Two balls" in report or "Tour ball against range ball" in report
     assert "supply pressure" in report
 
 
-def test_the_recording_can_be_read_and_holds_both_shots(folder: Path) -> None:
+def test_demo_recording_has_ball_speed_series(folder: Path) -> None:
     entities = {str(chunk.entity_path) for chunk in RrdReader(str(folder / "demo.rrd")).stream()}
     assert "/signals/ball_speed_mps" in entities
 
 
-def test_a_swing_holds_what_it_was_made_with(folder: Path) -> None:
+def test_demo_swing_record_has_shot_and_varied_supply(folder: Path) -> None:
     cycles, metadata = read_swing(_swings(folder)[1])
     assert len(cycles) == pq.read_metadata(_swings(folder)[1]).num_rows > 1000
     assert metadata["shot"]["shot"] == 2
@@ -94,7 +94,7 @@ def test_a_swing_holds_what_it_was_made_with(folder: Path) -> None:
     assert 0 < abs(supply / load_configuration().plant.supply.pressure - 1) < 0.005
 
 
-def test_the_seed_repeats_the_shots_and_another_one_does_not(
+def test_demo_same_seed_repeats_shots_and_other_seed_differs(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     configuration = load_configuration()
@@ -111,7 +111,7 @@ def test_the_seed_repeats_the_shots_and_another_one_does_not(
     assert _figures(read_shot_table(tmp_path / "other" / "shots.csv")) != _figures(again)
 
 
-def test_a_swing_that_fails_is_shown_with_its_reason(
+def test_demo_failed_swings_are_reported_with_reason(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lame = tmp_path / "lame.toml"
@@ -127,7 +127,7 @@ def test_a_swing_that_fails_is_shown_with_its_reason(
     assert "shots in a row not valid" in " ".join(capsys.readouterr().out.split())
 
 
-def test_a_bad_profile_is_refused_before_anything_is_written(
+def test_demo_invalid_profile_is_refused_without_output(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bad = tmp_path / "bad.toml"
@@ -140,7 +140,7 @@ def test_a_bad_profile_is_refused_before_anything_is_written(
     assert _names(tmp_path) == {"bad.toml", "own.toml"}
 
 
-def test_a_swing_that_is_not_possible_here_is_refused_before_anything_is_written(
+def test_demo_profile_over_speed_limit_is_refused_without_output(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     own = tmp_path / "own.toml"
@@ -150,21 +150,23 @@ def test_a_swing_that_is_not_possible_here_is_refused_before_anything_is_written
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_in_use_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo_output_folder_in_use_is_refused_unchanged(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = _names(folder)
     assert _demo(str(folder)) == ExitCode.REFUSED
     assert "--output" in capsys.readouterr().err
     assert _names(folder) == before
 
 
-def test_a_folder_that_cannot_be_made_is_said_so(tmp_path: Path) -> None:
+def test_demo_output_folder_not_creatable_raises(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BenchError, match=r"--output"):
         run_demo(load_configuration(), tmp_path / "file" / "below", 1, 1, live=False)
 
 
 @pytest.mark.live
-def test_control_c_ends_with_130_and_leaves_whole_files(tmp_path: Path) -> None:
+def test_demo_ctrl_c_exits_interrupted_and_keeps_complete_records(tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "bench", "demo", "--engine", "compiled", "--swings", "200"]
     command += ["--output", str(out)]
