@@ -162,21 +162,23 @@ def swung_slowly(
     return [note, _swung(robot, slow.bench, slow.share, folder)]
 
 
-def _for_slow_swings(known: Configuration) -> Configuration:
-    """Return `known` with openings from the model, and room for what friction holds back near the top.
+def _with_placed_gains(known: Configuration) -> Configuration:
+    """Return `known` with the gains placed by pose, and their damping, also in the downswing.
 
-    Gains are those placed by pose, with their damping: the stiffer ones of a full downswing oscillate at
-    25 Hz in one that lasts longer.
+    The stiffer ones of a full downswing oscillate at 25 Hz in one that lasts longer.
     """
+    return replace(known, control=replace(known.control, downswing_damping=1.0, downswing_gain_factor=1.0))
+
+
+def _along_path(known: Configuration) -> Configuration:
+    """Return `known` with openings from the model, and room for what friction holds back near the top."""
     room = {
         phase: (_ROOM * a, _ROOM * b, _ROOM * c)
         for phase, (a, b, c) in known.envelope.max_following_error.items()
     }
     return replace(
         known,
-        control=replace(
-            known.control, feed_forward=_FEED_FORWARD, downswing_damping=1.0, downswing_gain_factor=1.0
-        ),
+        control=replace(known.control, feed_forward=_FEED_FORWARD),
         envelope=replace(known.envelope, max_following_error=room),
     )
 
@@ -203,7 +205,8 @@ def slow_swing(
         MachineFault: there is no such swing.
         BenchError: the package casadi is not installed.
     """
-    slow, found = _for_slow_swings(known), ""
+    known, found = _with_placed_gains(known), ""
+    slow = _along_path(known)
     for tried in (share + more for more in _MORE):
         if stretched:
             bench = bench_of(slow, slowed(full, tried, slow))

@@ -113,6 +113,8 @@ def test_slow_swing_stopped_in_prediction_is_designed(
     tight = replace(configuration, envelope=replace(configuration.envelope, max_following_error=TIGHT))
     found = slow_swing(tight, default, 0.5, SPEED)
     assert (found.share, found.bench.profile) == (0.5, default)
+    control = found.bench.control
+    assert (control.downswing_damping, control.downswing_gain_factor) == (1.0, 1.0)
     assert found.bench.envelope.max_following_error["backswing"] > TIGHT["backswing"], (
         "the designed one has room"
     )
