@@ -1,6 +1,6 @@
 """A CAN bus between processes of one machine, without any CAN in the kernel: interface `local_socket`.
 
-Every participant listens on a Unix socket of its own in one folder and connects to those of all others; a
+Every participant listens on a separate Unix socket in one folder and connects to those of all others; a
 frame goes to each of them as a Linux `struct can_frame` of 16 bytes. Nothing leaves the machine, and the
 folder belongs to one user alone. Unlike a wire, the bus has no bit timing, arbitration or acknowledgement.
 A participant that does not read loses frames (about 280 of each sender are queued) and delays no other. All

@@ -51,7 +51,7 @@ class MockDriver:
 
     @property
     def operational(self) -> bool:
-        """Always true: there is no device that could go passive by itself."""
+        """Always true: there is no device that could go passive."""
         return True
 
     def open(self) -> None:
@@ -95,7 +95,7 @@ class MockDriver:
         )
 
     def write(self, command: Command) -> Command:
-        """Apply `command` within the device's limits and return what is applied.
+        """Apply `command` within the device's limits and return the applied one.
 
         Raises:
             DriverError: not open.

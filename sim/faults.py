@@ -343,8 +343,8 @@ DEVICE = np.dtype(
     align=True,
 )
 """State of valve electronics and link: time since the start (s); watchdog time (s), silence so far, time
-without inputs (s); whether it went passive, whether a command has been received; what is up in this tick; the
-link's delay (ticks) and the newest of its `late` records."""
+without inputs (s); whether it went passive, whether a command has been received; whether link, inputs and
+loop are up in this tick; the link's delay (ticks) and the newest of its `late` records."""
 
 _OFF, _STUCK, _GARBAGE, _OFFSET, _SCALE, _SLOW, _DELAYED, _INTERMITTENT, _DRIFTING, _LEAKING, _SWAPPED = (
     range(11)
@@ -438,7 +438,7 @@ def own_records(plant: Plant) -> Plant:
 def turn_regulator(plant: Plant, faults: Faults | None, pressure: float) -> None:
     """Turn the regulator of `plant` to `pressure`, Pa absolute, at most its parameters'; 0: back to that.
 
-    Any other number is ignored. A fault of the supply refers to what the healthy regulator gives.
+    Any other number is ignored. A fault of the supply refers to the pressure of the fault-free regulator.
     """
     full = plant.parameters.supply.pressure
     if not pressure >= 0.0:
@@ -630,7 +630,7 @@ def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
             r.ball_present = _switched(f, m, r.ball_present, now, p.tick)
         elif f.signal == _SUPPLY_SENSOR:
             wrong = _wrong(f, m, r.supply_pressure, 0.0, 2.0 * p.regulated, False, now, p.tick)
-            # No reading of a sensor that is fitted; of one that is not, nothing changes.
+            # Only a fitted sensor can fail; the reading of a missing one does not change.
             if np.isfinite(r.supply_pressure):
                 r.supply_pressure = INVALID if _is_out(f, m) else wrong
         elif _CHAMBER <= f.signal < _CHAMBER + 6:
@@ -827,7 +827,7 @@ def _break_relief(p: Any, h: Any, k: int, f: Any, active: bool) -> None:
 
 @compiled
 def _throttle(p: Any, k: int, share: float) -> None:
-    """Leave `share` of the area of exhaust `k`: of a chamber, the manifold, both of a joint, or all."""
+    """Multiply the area of exhaust `k` by `share`: a chamber's, the manifold's, both of a joint, or all."""
     for i in range(EXHAUSTS):
         joint = k - EXHAUSTS  # 3: all
         if i == k or joint == 3 or (joint >= 0 and i // 2 == joint):

@@ -245,7 +245,7 @@ def _settings(
 
 
 State = tuple[float, float, float, float, float, float, float]
-"""(x, y, z, vx, vy, vz, omega) of the ball; the spin's axis is constant in the air and travels beside it."""
+"""(x, y, z, vx, vy, vz, omega) of the ball; the spin's axis is constant in the air and passed separately."""
 
 
 @compiled

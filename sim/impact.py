@@ -20,12 +20,12 @@ lies off centre along the line in which the swing plane cuts the face: one in-pl
 
 Collision: contact lasts 0.45 ms, in which the shaft takes no part: the head is a free rigid body. A club with
 `tangential_stiffness` has the contact of `sim.contact`: springs along and across the face, with friction.
-Without it (0) there is Newton's restitution along the normal; of the friction impulse that would end all
-slip (the ball rolls at exit, Penner 2001) the share `tangential_factor`, less where Coulomb friction does
-not suffice or where it would gain energy. Restitution is that at an approach of 40 m/s and changes by
-`restitution_slope` with it. Gear effect needs no formula: it comes from the head's inertia and the depth of
-its centre of mass, which also lets the head yield to friction and takes about 5 % from the spin of Penner's
-point mass.
+Without it (0), Newton's restitution holds along the normal. The friction impulse is the fraction
+`tangential_factor` of the one that would end all slip (the ball rolls at exit, Penner 2001), less where
+Coulomb friction does not suffice or where it would gain energy. Restitution is that at an approach of 40 m/s
+and changes by `restitution_slope` with it. Gear effect needs no formula: it comes from the head's inertia and
+the depth of its centre of mass, which also lets the head yield to friction and takes about 5 % from the
+spin of Penner's point mass.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ Array: TypeAlias = np.ndarray[Any, Any]
 Source = Literal["simulated", "encoders+model", "launch monitor"]
 
 Axes = tuple[Vector, Vector, Vector]
-"""Unit vectors (n, h, t) of the face: out of it, up it, from heel to toe."""
+"""Unit vectors (n, h, t) of the face: outward normal, up the face, from heel to toe."""
 
 SHAFT_DOWN = 1.5 * pi
 """theta_t of a shaft straight down the swing plane (rad)."""
@@ -490,7 +490,7 @@ class Delivery:
     strike_y: float = 0.0
     in_plane_error: float = float("nan")
     angular_velocity: Vector = (0.0, 0.0, 0.0)
-    """Of the head (rad/s)."""
+    """Angular velocity of the head (rad/s)."""
     source: Source = "simulated"
     shaft_loft: float = 0.0
     """Part of `dynamic_loft` that the shaft's bend adds (rad), where it is stated."""
@@ -582,7 +582,7 @@ def strike(delivery: Delivery, club: Club, ball: Ball | None = None) -> Launch:
 
 
 def launch_from_motion(velocity: Vector, spin: Vector) -> Launch:
-    """Return what a launch monitor reports of a ball with `velocity` (m/s) and `spin` (rad/s), golf frame.
+    """Return a monitor's report of a ball with `velocity` (m/s) and `spin` (rad/s), golf frame.
 
     Spin about the direction of flight (some per mille off centre, none at centre) does nothing
     to the flight in any of our models and is left out.

@@ -37,7 +37,7 @@ def forward_kinematics(robot: RobotParameters, q: ArrayLike) -> Array:
 def inverse_kinematics(robot: RobotParameters, pose: ArrayLike) -> Array:
     """Return joint angles (rad) that reach club `pose` [x m, y m, theta_t rad]; shapes (3,) or (..., 3).
 
-    Thesis Eqs. 5-10 with errata 1 and 2; of the two solutions the one with sin(theta2) < 0, the robot's.
+    Thesis Eqs. 5-10 with errata 1 and 2; the robot's solution is the one with sin(theta2) < 0.
     theta1 is in (-pi, pi], theta2 in (pi, 2 pi), theta3 follows so that the angles sum to theta_t.
 
     Raises:

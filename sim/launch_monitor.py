@@ -258,7 +258,7 @@ class SimulatedMonitor:
         self._waiting.sort(key=lambda outgoing: outgoing.due)
 
     def step(self, time: float) -> None:
-        """Do what is due at `time` (s): connect, send, receive answers."""
+        """Do the work due at `time` (s): connect, send, receive answers."""
         try:
             self._step(time)
         except OSError:  # not reachable or disconnected: retry later

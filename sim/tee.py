@@ -38,7 +38,7 @@ def find_contact(
     """Return the part (0..1) of the substep y..trial at which the face meets the ball; -1.0 if it does not.
 
     `trial` then becomes the state at contact. Illinois method on partial steps, to 1e-12 m of gap. A face
-    whose plane passes the ball beside the face misses it. Other arguments as `sim.dynamics.move`.
+    misses if only its plane, outside its edge, meets the ball. Other arguments as `sim.dynamics.move`.
     """
     x, h, theta, vx, vy, _ = head_geometry(r, p, trial)
     reach = _FACE_REACH + step * sqrt(vx * vx + vy * vy)

@@ -43,13 +43,14 @@ class NetworkSettings:
     """Addresses of the daemon, and the rights of clients on other machines."""
 
     endpoint: str
-    """zenoh endpoint: of the daemon on its own machine; of a client elsewhere, the daemon's `beyond`."""
+    """zenoh endpoint of the daemon on this machine; for a client elsewhere, the daemon's `beyond`."""
     beyond: str = ""
     """TLS endpoint for other machines; empty: none."""
     router: str = ""
     """zenoh router that the daemon connects to; empty: none."""
     identity: str = ""
-    """Path, without ending, of this side's certificate (.pem) and key (.key); authority.pem beside them."""
+    """Path, without ending, of this side's certificate (.pem) and key (.key); authority.pem in the same
+    folder."""
     viewers: tuple[str, ...] = ()
     """Names in certificates of those who may read."""
     operators: tuple[str, ...] = ()
@@ -82,7 +83,7 @@ def load_address(path: Path | None = None) -> BenchAddress:
 
     Raises:
         BenchError: a file is missing, cannot be read, or is not TOML.
-        ExceptionGroup: of BenchErrors, one for each mistake in the address.
+        ExceptionGroup: one BenchError per mistake in the address.
     """
     faults: list[BenchError] = []
     file = find_configuration(path)

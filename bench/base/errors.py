@@ -1,4 +1,4 @@
-"""Errors for users: the place, what was found, what was expected, what to do."""
+"""Errors for users: location, found value, expected value, action."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class BenchError(Exception):
     """Invalid external input, with what its owner needs to correct it. Exits with BAD_INPUT.
 
     Args:
-        place: file and key, option, or device.
+        location: file and key, option, or device.
         found: the value found there.
         expected: valid values, with their unit.
         action: what to do.

@@ -51,7 +51,7 @@ Tree = dict[str, "Tree | TomlValue"]
 
 
 Mistake = tuple[str, str, str, str]
-"""What a rule across keys finds: key, found, expected, action."""
+"""Mistake found by a rule across keys: key, found, expected, action."""
 
 
 def errors_of(mistakes: Iterable[Mistake], tree: Tree, file: Path) -> list[BenchError]:
@@ -144,7 +144,7 @@ def as_tree(tables: Mapping[str, Any], file: Path, faults: list[BenchError], pat
 
 
 def laid_over(base: Tree, over: Tree) -> Tree:
-    """Return `base` with the values of `over` in place of its own."""
+    """Return `base` with the values of `over` added or replaced."""
     merged = dict(base)
     for name, node in over.items():
         below = merged.get(name)
@@ -359,7 +359,7 @@ def _factor(marks: tuple[Any, ...], suffix: str) -> float:
 
 
 def _unit(marks: tuple[Any, ...]) -> str:
-    """Return the unit of a field; of one that depends on the joint ("rad, rod m") the first."""
+    """Return the unit of a field, the first one if it depends on the joint ("rad, rod m")."""
     return next((mark.unit.split(",")[0] for mark in marks if isinstance(mark, Range)), "")
 
 

@@ -15,7 +15,7 @@ from typing import NoReturn
 CLOSING_THREAD = "golfbench closing"
 """Name of threads that `leave` does not wait for."""
 HANGUP = tuple(number for number in signal.Signals if number.name == "SIGHUP")
-"""What a closed terminal or a lost remote login sends; empty on systems without it."""
+"""Signal of a closed terminal or a lost remote login; empty on systems without it."""
 
 _ENDING = (signal.SIGTERM, *HANGUP)
 
@@ -59,7 +59,7 @@ class StopFlag:
 def deferred_interrupt(*, terminate: bool = False) -> Iterator[StopFlag]:
     """Yield a flag that Ctrl-C sets; raise KeyboardInterrupt at the end of the block if it was set.
 
-    With `terminate` SIGTERM and a closed terminal set it, too; the block then ends with Terminated. Child
+    With `terminate` SIGTERM and a closed terminal also set it; the block then ends with Terminated. Child
     processes of the block that are ended by SIGTERM must not inherit this.
 
     Inside the block the robot is brought to rest and files are written whole; `golfbench` then ends with
@@ -99,7 +99,7 @@ def _handled(flag: StopFlag, numbers: Iterable[int]) -> Iterator[None]:
 
 
 def _abandon_terminal() -> None:
-    """Send what is printed from now on nowhere: each write to a closed terminal would raise."""
+    """Discard later output to the terminal: each write to a closed one would raise."""
     with suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         for descriptor in (1, 2):

@@ -1,4 +1,4 @@
-"""JSON Schema of a type, and what a message has that is against it: types are the messages' only definition.
+"""JSON Schema of a type, and violations of it by a message: types are the messages' only definition.
 
 A field's docstring becomes its description. `Annotated` refines where JSON has less than Python:
 `Annotated[str, State]` is a name of that enumeration, `Annotated[dict[str, Any], Shot]` an object with the

@@ -1,8 +1,9 @@
 """States of the bench, phases of a swing, causes of a stop, and the tables of transitions and reactions.
 
-`TRANSITIONS` has the transitions between states, `STOP_REACTIONS` the reaction to a cause: at 40 m/s the
-robot carries about 230 J and the air decides what happens, so the safe reaction depends on the phase and on
-what can still be trusted. The compiled control step reads them as `transition_table` and `reaction_table`.
+`TRANSITIONS` has the transitions between states, `STOP_REACTIONS` the reaction to a cause. At 40 m/s the
+robot carries about 230 J and compressed air governs its motion, so the safe reaction depends on the phase and
+on the sensors and valves that still work. The compiled control step reads them as `transition_table` and
+`reaction_table`.
 """
 
 from __future__ import annotations
@@ -133,7 +134,7 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
     Refusal.NO_LEASE: ("no valid lease", "take it (golfbench lease take), then retry"),
     Refusal.SUPPORT: ("the recorder or the publisher is not running", "nothing is armed without a record"),
     Refusal.NOT_VENTED: ("the chambers are not verified empty yet", "wait, then retry"),
-    Refusal.LOCAL_RESET: ("the reset button beside the robot was not pressed", "press it, then retry"),
+    Refusal.LOCAL_RESET: ("the reset button next to the robot was not pressed", "press it, then retry"),
     Refusal.READ_ONLY: ("this bench was started to observe only", ""),
     Refusal.SUPERVISOR: ("no heartbeat from the supervisor", "read the log, then retry"),
     Refusal.DEVICE: ("the device went passive", "reset first"),
@@ -160,7 +161,7 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
     Refusal.LOOP_SILENT: ("the loop does not answer", "press the emergency stop, read the log"),
     Refusal.FAILED: ("the bench could not do it", "read its log, and report it"),
 }
-"""Of a refusal that says no more; some name what they found instead."""
+"""Default fact and action of each refusal; some refusals report the value found instead."""
 
 
 def in_one(words: Words) -> str:
@@ -173,8 +174,8 @@ REFUSAL_TEXT = {refusal: in_one(words) for refusal, words in REFUSAL_WORDS.items
 PASSING = frozenset(
     {Refusal.MOVING, Refusal.NOT_VENTED, Refusal.MANIFOLD, Refusal.NOT_AT_ADDRESS, Refusal.AIR}
 )
-"""Refusals that pass by themselves: the robot sways or comes to rest, chambers vent or fill. One after a stop
-is none of them: what was asked before a stop is not done after it."""
+"""Refusals that clear without action: the robot sways or comes to rest, chambers vent or fill. Refusals after
+a stop are not among them: the bench does not execute a request from before a stop."""
 
 
 class Phase(IntEnum):
@@ -207,7 +208,7 @@ class Reaction(IntEnum):
     BLIND_BRAKE = 3
     """Bounded, time-indexed valve pattern of the profile, open loop: it uses no sensor."""
     PASSIVE = 4
-    """What the hardware does alone: spools centred, supply shut, throttled vents after a delay."""
+    """Reaction of the hardware alone: spools centred, supply shut, throttled vents after a delay."""
     VENT = 5
     """Supply shut and exhausted, chambers exhausted."""
 
@@ -322,7 +323,7 @@ CAUSE_WORDS: dict[Cause, Words] = {
     Cause.ARM_ENCODER: ("arm encoder R2 without a valid reading", "check cable and supply"),
     Cause.WRIST_ENCODER: ("wrist encoder R3 without a valid reading", "check cable and supply"),
     Cause.TICK_GAP: ("the loop paused for longer than a swing allows", "run `golfbench doctor`"),
-    Cause.SUPPLY_PRESSURE: ("supply pressure outside what a swing allows", "check compressor and regulator"),
+    Cause.SUPPLY_PRESSURE: ("supply pressure outside the range for swings", "check compressor and regulator"),
     Cause.SHOULDER_RANGE: ("shoulder angle outside its working range", ""),
     Cause.ARM_RANGE: ("right-arm rod outside its working range", ""),
     Cause.WRIST_RANGE: ("wrist angle outside its working range", ""),
@@ -516,7 +517,7 @@ TRANSITIONS = (
     Transition(_S.SWINGING, "swing over", _S.RECOVERING, "", "return to the address"),
     Transition(_S.RECOVERING, "back at the address", _S.READY, "", "vent"),
     Transition(
-        _S.RECOVERING, "back at the address", _S.ARMED, "series asked for, lease and recorder never lost"
+        _S.RECOVERING, "back at the address", _S.ARMED, "series requested, lease and recorder never lost"
     ),
     Transition(_S.RECOVERING, "at rest", _S.READY, "was braking", "vent"),
     Transition(_S.SAFE, "access", _S.ACCESS, _ACCESSIBLE, "unlock the guard"),
@@ -535,7 +536,7 @@ TRANSITIONS = (
     *(Transition(s, "stop", _S.FAULT, "at standstill", "stopping table, then vent") for s in _MOVES),
     Transition(_S.FAULT, "emergency stop", _S.ESTOP),
 )
-"""All transitions between states; the control step takes no other. Requests are named as in `Request`."""
+"""All transitions between states; the control step takes no other. Requests have the names in `Request`."""
 
 ACCEPTED_IN: dict[Request, frozenset[State]] = {
     Request.NONE: frozenset(),

@@ -741,8 +741,8 @@ def _into_the_loop(
 ) -> tuple[Profile, Downswing]:
     """Return the profile whose swing in closed loop delivers as `downswing` should, and its downswing.
 
-    The aim is corrected by the loop's effect on the openings, until the head passes the ball as wanted: by
-    what the loop delivers beside the same openings without it, whatever the correction left of its aim.
+    The aim is corrected by the loop's effect, until the head passes the ball as wanted. The effect is the
+    delivery in closed loop less that of the same openings alone, so the correction's remaining error cancels.
 
     Raises:
         LoopFailed: the swing does not run, or misses the ball.

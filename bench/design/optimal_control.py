@@ -3,9 +3,9 @@
 States: joint angles and speeds, six chamber pressures, the manifold's pressure, three openings; controls:
 the rates of the openings. Radau collocation turns the differential equations into equality constraints of a
 sparse nonlinear program that IPOPT solves with exact derivatives from CasADi. Why collocation: the motion
-along the way is unknown of its own, so that a poor guess of the openings does not send the club somewhere
-else, as it does in shooting, and limits along the way (stops, lever, openings) are plain bounds. The same
-input gives the same answer, bit for bit.
+along the way is a separate unknown. A poor guess of the openings does not send the club somewhere else, as it
+does in shooting, and limits along the way (stops, lever, openings) are plain bounds. The same input gives a
+bit-identical answer.
 
 The model is that of the plant with derivatives everywhere: dry friction, flow and metering edges are rounded
 off, spools follow at once, stops are bounds. `bench.design.refine` then works on the plant itself.

@@ -6,10 +6,9 @@ the ball a little early and low. Here a smooth correction of the openings, small
 with which the plant passes the ball as planned: strike point, shaft, velocity and turning, which together are
 the three joints' speeds. The same input gives the same openings; a trial takes milliseconds.
 
-Feed-forward of the backswing: what the feedback had to do in a rehearsal is done beforehand in the next.
-Iterative learning control with the inverse of the loop. On the linear model of
-`bench.control.law.gain_scheduling` an opening u that is added changes the error e of its joint, the others
-held, by
+Feed-forward of the backswing: iterative learning control in simulated iterations. The tracking error, mapped
+through the inverse of the loop, corrects the openings of the next iteration. On the linear model of
+`bench.control.law.gain_scheduling` an added opening u changes the error e of its joint, the others held, by
 
     e''' / b + (m + c / b) e'' + (d + k) e' + p e = -u
 
@@ -49,7 +48,7 @@ _MET = 4
 NEAR = 10.0
 """Remaining error that is still accepted: the closed loop corrects the aim later."""
 _STAY = 0.3
-"""Weight of the correction's size (of the stroke) beside those errors."""
+"""Weight of the correction's size (share of the stroke) relative to those errors."""
 _PASSES = 3
 """Number of passes; each starts from the openings of the one before and may go as far again."""
 _ROUNDS = 30
@@ -137,7 +136,7 @@ def _corrected(shooter: Shooter, plan: Array, wanted: Array, opening: float) -> 
 
 _REHEARSALS = 12
 _SHARE = 0.4
-"""Of the inverse that is taken: friction makes the error answer otherwise than its linear model."""
+"""Share of the inverse that is applied: with friction the error does not follow its linear model."""
 _NEAR = 0.03
 """Max error that is not worth another rehearsal, as a share of its limit."""
 _SMOOTHED = 4
@@ -186,7 +185,7 @@ def learned_backswing(bench: SimulatedBench, pid: NDArray[Any], ticks: int, high
 
 
 def _rehearsed(bench: SimulatedBench, ticks: int) -> Backswing:
-    # A wrist that lags folds beyond the lever's limit: what is learned is to keep it, not each rehearsal.
+    # A wrist that lags folds beyond the lever's limit: the learned swing is to keep it, not each rehearsal.
     free = replace(bench, envelope=replace(bench.envelope, min_lever=0.0))
     rehearsal = Rehearsal(free)
     cycles = rehearsal.advance(ticks)

@@ -1,8 +1,8 @@
 """One trial of a downswing: valve openings played on the plant, to the ball and past it.
 
-Every trial runs on the plant itself with its air, stops, valves, friction and impact, so that no second model
-of the robot has to be kept equal to it. A trial gives the arrival of the head at the ball, and the cushions'
-loads when the ball is struck, when it is missed, and when the bench falls silent on the way.
+Every trial runs on the plant itself with its air, stops, valves, friction and impact, which needs no second
+model of the robot. A trial gives the arrival of the head at the ball, and the cushions' loads when the ball
+is struck, when it is missed, and after a loss of communication on the way.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ class Shooter:
         return head, float(error)
 
     def shoot(self, valve: Array) -> ShootingTrial:
-        """Play openings `valve` (n, 3), one row a tick, and every way to go on: struck, missed, silent."""
+        """Play openings `valve` (n, 3), one row per tick, with each continuation: struck, missed, silent."""
         records, period = self.plant.records, self.plant.parameters.tick
         states, command, contact = self._down(valve)
         passed = contact < len(valve)

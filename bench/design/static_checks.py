@@ -110,7 +110,7 @@ def require_possible(
     """Refuse a swing that is impossible.
 
     Raises:
-        ExceptionGroup: of BenchErrors, one for each reason.
+        ExceptionGroup: one BenchError per reason.
     """
     if faults := profile_faults(profile, plant, envelope, location):
         raise ExceptionGroup(f"{location or profile.name} cannot be swung here", faults)
@@ -187,13 +187,13 @@ def _allowed_steps(plan: MachineSwing) -> Array:
 
 
 def other_rate(profile: Profile, plant: PlantParameters) -> str:
-    """Return what holds where a swing is not made for the loop's tick; empty if it is."""
+    """Return the mismatch of the swing's sample period and the loop's tick; empty without one."""
     if abs(profile.period - plant.tick) <= 1e-9:
         return ""
     return (
         f"swing {profile.name} has a sample every {1e3 * profile.period:g} ms, the loop a tick every "
-        f"{1e3 * plant.tick:g} ms: it is swung with values between the samples, but profile check, "
-        "campaigns, learning and faults need a sample a tick: set loop.rate_hz, or design one for this rate"
+        f"{1e3 * plant.tick:g} ms: values between the samples are interpolated, but profile check, "
+        "campaigns, learning and faults need a sample per tick: set loop.rate_hz, or design one for this rate"
     )
 
 

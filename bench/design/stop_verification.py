@@ -1,10 +1,10 @@
 """`golfbench profile check`: proves a profile's stops on the plant, from every instant of the swing.
 
 The nominal swing runs once with and once without a ball. From each instant of both, each reaction of the
-stopping table is provoked, each valve sticks open either way or shut, and the bench falls silent; each time
-the whole control step goes on against the plant until everything rests. Once for each height, ground and ball
-stand higher than the bench believes, so that the head meets the turf first (a fat shot). The end is judged by
-`bench.simulation.safety`.
+stopping table is provoked, each valve sticks open either way or shut, and communication is lost. Each time
+the complete control step continues against the plant until everything rests. Once for each height, ground and
+ball are higher than the bench assumes, so that the head meets the turf first (a fat shot).
+`bench.simulation.safety` assesses the end.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class SwingCheck:
         self.watched = round(_WATCHED / parameters.tick)
 
     def _bases(self, ticks: Sequence[int], *, ball: bool) -> Iterator[tuple[int, LockstepEngine]]:
-        """Yield the bench at rising `ticks` of a nominal swing, which is swung to its end: (tick, bench)."""
+        """Yield the bench at rising `ticks` of a nominal swing, which runs to its end: (tick, bench)."""
         stepper = Lockstep(self.plant, self.parameters, self.profile.angle[0])
         bench = LockstepEngine(stepper, name=self.profile.name)
         bench.arm()
@@ -162,7 +162,7 @@ class SwingCheck:
         bench = base.copy()
         bench.reset_peaks()
         if trial.faults:
-            bench.stepper.break_with(trial.faults, watchdog=0.0)  # worst case: it lets go at once
+            bench.stepper.break_with(trial.faults, watchdog=0.0)  # worst case: its watchdog acts at once
         if trial.raised:
             _raise_ground(bench, trial.raised)
         request = Request.SWING if tick == 0 and not trial.request else trial.request

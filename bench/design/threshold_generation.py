@@ -1,8 +1,8 @@
 """Limits of the model-based check for one profile, plant and controller, from swings of drawn robots.
 
 Per comparison, row and joint a limit is the largest of: the deviation that one swing in a million exceeds, by
-a Gumbel distribution of the swings' maxima; a quarter more than the largest seen, as rare blows are no
-Gumbel's; and a floor, below which real sensors and encoders deviate by themselves.
+a Gumbel distribution of the swings' maxima; a quarter more than the largest seen, as rare impacts do not
+follow this distribution; and a floor, below which real sensors and encoders deviate without a fault.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from bench.swing.correction import basis_of
 Array = NDArray[np.float64]
 
 DRAWS = 300
-"""Number of known robots; of robots to learn on half as many, as their limits are wide by themselves."""
+"""Number of known robots; half as many for the limits of learning, which are wide already."""
 FIRST_SEED = 1_000_000
 """Seed of the first robot: no test of healthy swings comes there."""
 EXCEEDED = 1e-6
@@ -67,7 +67,7 @@ _DEEPER = (
 
 
 def gumbel_quantile(maxima: Array) -> Array:
-    """Return what the next maximum exceeds with probability EXCEEDED, by column of `maxima` (n, k)."""
+    """Return the value the next maximum exceeds with probability EXCEEDED, by column of `maxima` (n, k)."""
     scale = maxima.std(axis=0, ddof=1) * sqrt(6.0) / pi
     quantile: Array = maxima.mean(axis=0) + scale * (-log(-log(1.0 - EXCEEDED)) - _EULER)
     return quantile

@@ -33,13 +33,13 @@ Value = TypeVar("Value")
 _LONGEST = 40.0
 """Longest watch of a case, s."""
 _LONGEST_SEARCH = 30.0
-"""Additional time for a case that begins in the search and goes on to a swing, s."""
+"""Additional time for a case that starts in the search and continues to a swing, s."""
 _LONGEST_ACCESS = 60.0
-"""Additional time for a case that vents, releases the guard and goes on to a swing, s."""
+"""Additional time for a case that vents, releases the guard and continues to a swing, s."""
 _KEPT = 8
 """Undisturbed benches and runs that are kept: a run has up to 90 s of records, a sweep goes by instants."""
 _ASK_AFTER = 0.2
-"""Time in hold or standing from the fault to the request that goes on, s."""
+"""Time in hold or standing from the fault to the next request, s."""
 
 
 class Workbench:
@@ -132,7 +132,7 @@ class Workbench:
         return bench
 
     def run(self, breakage: Breakage, instant: Instant) -> CaseOutcome:
-        """Return how `breakage` at `instant` ends, and what the next swing finds if nothing noticed it."""
+        """Return the outcome of `breakage` at `instant`, with the report of the next swing if undetected."""
         watch = self._watched(instant, breakage)
         healthy = self._healthy(instant, _event_of(breakage), breakage.event_after)
         outcome = judge_case(self._limits, breakage, instant, watch.run(), healthy)
@@ -186,7 +186,7 @@ class Workbench:
 
 
 def _keep(kept: dict[Key, Value], key: Key, value: Value) -> None:
-    """Keep `value`; of more than _KEPT the oldest goes."""
+    """Keep `value`; drop the oldest of more than _KEPT."""
     kept[key] = value
     if len(kept) > _KEPT:
         del kept[next(iter(kept))]
@@ -200,7 +200,7 @@ _GOING_ON: dict[str, tuple[Request, ...]] = {
     "access before": (Request.DISARM, Request.ACCESS, Request.SECURE, Request.ARM, Request.SWING),
     "access inside": (Request.SECURE, Request.ARM, Request.SWING),
 }
-"""Requests that go on from an instant, by its name or phase."""
+"""Requests that continue from an instant, by its name or phase."""
 _WITH_AND_WITHOUT_BALL: tuple[Event, ...] = ("", "no ball")
 
 

@@ -1,6 +1,6 @@
 """A run of the bench from a fault until everything rests, and the observations made on the way.
 
-They are the plant's truth, not the bench's belief; what the bench reported stands beside it in the records.
+They are the plant's true state, not the bench's estimate; the records also contain the bench's reports.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class WatchedRun:
     rest_tick: int
     """Tick after which no joint moved."""
     rested: bool
-    """Whether all joints rest at the end: a joint that slips stands still for some ticks, too."""
+    """Whether all joints rest at the end: a joint that slips is also at rest for some ticks."""
     vented_tick: int
     """Tick at which the chambers were reported empty after a fault; -1: never."""
     access_pressure: float
@@ -66,7 +66,7 @@ class WatchedRun:
     refusals: tuple[tuple[Request, Refusal], ...]
     """Requests that were refused, each with its reason."""
     device_passive: int
-    """Tick at which the valve node went passive by itself; -1: never."""
+    """Tick at which the valve node went passive by its watchdog; -1: never."""
     frame_distance: float
     """Smallest distance of the club from the shoulder axis, m."""
     contact: NDArray[np.float64] | None
@@ -164,7 +164,7 @@ class Watch:
                     self._leave()
                 if request not in _REPEATED:
                     left.popleft()
-            # Who wants in presses the button beside the robot, again and again, whatever a gauge shows.
+            # For access a person presses the button next to the robot repeatedly, whatever a gauge shows.
             press = request == Request.ACCESS and self.ticks // _CHUNK % 2 == 0
             self.bench.plant_state["local_reset"] = press
             self.advance(_CHUNK, request)
@@ -187,7 +187,7 @@ class Watch:
         return bool(air > _EMPTY or self.ticks - self.rest_tick < round(_STILL_FOR / self.period))
 
     def _is_followed(self, request: Request, swings: int) -> bool:
-        """Return whether `request` was accepted; who is let in opens the guard."""
+        """Return whether `request` was accepted; after ACCESS, open the guard as a person does."""
         if request == Request.ACCESS:
             if self.state is State.ACCESS:
                 self.bench.plant_state["guard_closed"] = False
@@ -216,7 +216,7 @@ class Watch:
         return self.ticks - self.rest_tick >= round(seen / self.period)
 
     def _leave(self) -> None:
-        """Leave: close the guard and press the button beside the robot."""
+        """Leave: close the guard and press the button next to the robot."""
         state = self.bench.plant_state
         state["guard_closed"] = True
         self.advance(_CHUNK)

@@ -10,7 +10,7 @@ from drivers.base import CHAMBERS, JOINTS
 from sim.faults import Fault, Kind, sort_of
 
 Event = Literal["", "stop", "guard opened", "emergency stop", "no ball"]
-"""Event beside the fault: a stop that needs the part, or the event that a stuck switch should report."""
+"""Event added to the fault: a stop that needs the part, or the event that a stuck switch should report."""
 
 EVENT_AFTER = 0.05
 """Time from the fault to the event, s, where the fault comes first."""
@@ -252,7 +252,7 @@ def irrelevant(breakage: Breakage, phase: str, *, model_check: bool) -> str:
 
 
 HARDWARE: tuple[tuple[str, str], ...] = (
-    ("emergency stop", "a hard-wired emergency stop, two channels, that cuts the supply by itself"),
+    ("emergency stop", "a hard-wired emergency stop, two channels, that cuts the supply directly"),
     ("guard closed", "guard switches of two channels, wired into the same circuit"),
     ("guard locked", "guard switches of two channels, wired into the same circuit"),
     (
@@ -260,16 +260,16 @@ HARDWARE: tuple[tuple[str, str], ...] = (
         "the manifold's relief valve; the shut-off valve in series keeps it empty while people are inside",
     ),
     ("shut-off", "the supply valve; the position switch names one that sticks, and access is refused"),
-    ("vents", "each vent's coil on an output of its own, both through the safety relay; a gauge"),
-    ("exhaust", "a gauge beside the guard that a person reads; silencers are changed before they clog"),
+    ("vents", "each vent's coil on a separate output, both through the safety relay; a gauge"),
+    ("exhaust", "a gauge next to the guard that a person reads; silencers are changed before they clog"),
     ("relief", "a proof test: one that stays shut shows only when it is needed"),
     ("safety relay", "two relays with forcibly guided contacts, each read back before a reset"),
     ("vent", "the other vent; the position switch names the one that sticks"),
-    ("vent 1 feedback", "not needed: a wrong position is named as a vent that does not obey"),
-    ("vent 2 feedback", "not needed: a wrong position is named as a vent that does not obey"),
+    ("vent 1 feedback", "not needed: a wrong position shows as a vent that does not follow its command"),
+    ("vent 2 feedback", "not needed: a wrong position shows as a vent that does not follow its command"),
     ("valve", "absorbers for the whole swing's energy; a valve in series acts only from the detection on"),
     ("encoder", "a second encoder on the joint; absorbers for the whole swing's energy"),
-    ("pressure", "a gauge beside the guard that a person reads; the lock's own pressure switch"),
+    ("pressure", "a gauge next to the guard that a person reads; the lock's own pressure switch"),
     ("club head", "a fence that stops a head of 0.2 kg at 50 m/s; inspection of the club"),
     ("link", "a watchdog in the valve electronics (20 ms)"),
     ("clock", "the watchdog's own oscillator in the valve electronics"),

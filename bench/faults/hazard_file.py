@@ -38,7 +38,7 @@ def part_of(signal: str) -> tuple[str, str]:
 
 
 def next_swing_text(summary: Mapping[str, Any]) -> str:
-    """Return how many undetected faults are named before another ball is struck, "" without any."""
+    """Return a sentence on undetected faults that the next swing reports, "" without any."""
     found = summary["next_swing"]
     if not found:
         return ""
@@ -72,7 +72,7 @@ def hazard_table(summary: dict[str, Any], *, brief: bool = False) -> str:
 
 
 def _by_part(rows: Sequence[Mapping[str, Any]]) -> list[tuple[Any, ...]]:
-    """Return part, faults, cases, undetected and unsafe ones, and what only hardware covers."""
+    """Return part, faults, cases, undetected and unsafe ones, and the protection by hardware."""
     parts: dict[tuple[str, str], list[Mapping[str, int]]] = {}
     for row in rows:
         if row["verdicts"]:
@@ -173,7 +173,7 @@ def load_judgement(path: Path = FILE) -> Judgement:
 
     Raises:
         BenchError: the file is missing, unreadable or not TOML.
-        ExceptionGroup: of BenchErrors, one for each mistake in it.
+        ExceptionGroup: one BenchError per mistake in it.
     """
     read = read_toml(path, "the judgement of a hazard file", "Correct the path.")
     faults: list[BenchError] = []
@@ -246,7 +246,7 @@ def hazard_file(summary: Mapping[str, Any], judgement: Judgement) -> str:
     """Return the hazard file as Markdown from the matrix's `summary`.
 
     Raises:
-        ExceptionGroup: of BenchErrors, one for each row of the matrix that no failure or several claim.
+        ExceptionGroup: one BenchError per row of the matrix that no failure or several claim.
     """
     claimed = _claims(summary["rows"], judgement.lists["failures"])
     failures = [

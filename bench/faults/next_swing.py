@@ -1,4 +1,4 @@
-"""What the next swing finds of a fault that nothing noticed, before another ball is struck."""
+"""Detection of an unnoticed fault by the next swing, before another ball is struck."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def next_swing(bench: LockstepEngine) -> str:
             teed = True
         request = _due(bench)
         if request in (Request.RESET, Request.SECURE):
-            plant["local_reset"] = True  # a person presses the button beside the robot
+            plant["local_reset"] = True  # a person presses the button next to the robot
             bench.advance(_LOOK)
             plant["local_reset"] = False
         cycles = bench.advance(_LOOK, request)

@@ -1,4 +1,4 @@
-"""Summary of a matrix: verdicts by breakage and phase, times of the reactions, and what it was made from."""
+"""Summary of a matrix: verdicts by breakage and phase, times of the reactions, and its origin."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def summarise(
     seconds: float,
     origin: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Return the summary of a matrix as a JSON-ready record; `origin` is what it was made from."""
+    """Return the summary of a matrix as a JSON-ready record; `origin` is from `origin_of`."""
     rows = []
     for name in dict.fromkeys([*(o.breakage for o in outcomes), *(s.breakage for s in skipped)]):
         own, left_out = (
@@ -105,7 +105,7 @@ def _reasons(own: Sequence[CaseOutcome]) -> list[str]:
 
 
 def _found_later(outcome: CaseOutcome) -> str:
-    """Return what the next swing finds of an undetected fault."""
+    """Return the report of the next swing on an undetected fault."""
     if outcome.verdict != "undetected":
         return ""
     return f"; next swing: {outcome.next_swing or 'not noticed either'}"
@@ -124,7 +124,7 @@ def _by_reason(outcomes: Sequence[CaseOutcome]) -> dict[str, dict[str, int]]:
 
 
 def _by_next_swing(outcomes: Sequence[CaseOutcome]) -> dict[str, int]:
-    """Return the number of undetected cases by what the next swing names, "" for nothing; the most first."""
+    """Return the number of undetected cases by report of the next swing ("" for none), descending."""
     found = Counter(outcome.next_swing for outcome in outcomes if outcome.verdict == "undetected")
     return dict(found.most_common())
 
@@ -196,7 +196,7 @@ SEED = 1
 
 
 def origin_of(configuration: Configuration, profile: Profile, now: datetime) -> dict[str, Any]:
-    """Return what a matrix made `now` of `profile` and `configuration` can be made from again."""
+    """Return the data to reproduce a matrix made `now` of `profile` and `configuration`."""
     effective = json.dumps(configuration.effective(), sort_keys=True, default=str)
     swing = profile.angle.tobytes() + profile.valve.tobytes()
     return {

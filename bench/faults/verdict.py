@@ -1,6 +1,6 @@
 """The verdict on one case of the matrix: safe, harmless, undetected or unsafe.
 
-Judged by the plant's truth, not by the bench's belief; the bench's detection and message stand beside it.
+It follows the plant's true state, not the bench's estimate; the outcome also has the bench's detection.
 """
 
 from __future__ import annotations

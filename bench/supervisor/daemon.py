@@ -1,6 +1,6 @@
 """`golfbench run`: the supervisor of one bench. It starts and monitors the processes and answers commands.
 
-Nothing here is in real time. The loop decides by itself what is safe; the supervisor sends it heartbeats,
+Nothing here runs in real time. The loop makes all safety decisions; the supervisor sends it heartbeats,
 permissions and requests.
 """
 
@@ -417,7 +417,7 @@ class Daemon:
                 notified = now
 
     def _turn(self, now: float) -> None:
-        """Do what is due at `now` (s)."""
+        """Do the work due at `now` (s)."""
         for supporter in self._attending:
             supporter.turn(now)
         self._grant()

@@ -23,7 +23,7 @@ from bench.base.errors import BenchError, ExitCode, Refused
 
 def try_lock(descriptor: int) -> bool:
     """Lock the open file for this process and those that inherit it; False if locked by another."""
-    import fcntl  # not everywhere: what needs no bench imports this module on any system
+    import fcntl  # on Unix only; this module is imported on every system
 
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -38,12 +38,12 @@ class LoopPlan:
     read_only: bool = False
     """Whether only the passive command is sent."""
     calibrated: CalibratedShifts | None = None
-    """What the encoders said of their zeros at their calibration; None without one."""
+    """Zero shifts that the encoders reported at their calibration; None if not calibrated."""
 
 
 @dataclass(frozen=True)
 class LaunchMonitorPlan:
-    """Parameters sent by the supervisor; a module of its own, without the imports of the process."""
+    """Parameters sent by the supervisor; a separate module, without the imports of the process."""
 
     run: str
     """Id of the bench's run."""

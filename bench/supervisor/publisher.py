@@ -3,8 +3,8 @@
 Plan: a pickled PublisherPlan on stdin. Output on stdout, one JSON line each:
 
 `ready`      connected to the daemon
-`fault`    `text`: the connection is lost; it reconnects by itself
-`recovered`   it is reconnected
+`fault`      `text`: the connection is lost; it reconnects automatically
+`recovered`  it is reconnected
 `failed`     `location`, `found`, `expected`, `action`, `exit_code`: it cannot work at all
 `ended`      `batches`, `lost`
 
@@ -90,7 +90,7 @@ class Publisher:
         key = f"golfbench/{plan.bench}"
         self._telemetry = declare(f"{key}/telemetry", encoding=_ARROW, congestion_control=drop)
         self._loop = declare(f"{key}/loop", encoding=zenoh.Encoding.APPLICATION_JSON, congestion_control=drop)
-        # Last: what the ring loses until somebody could have heard it is no loss.
+        # Opened last: earlier records do not count as lost.
         self._ring = RingReader(plan.ring)
         self.batches = 0
         self._connected = True

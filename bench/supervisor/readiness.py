@@ -1,8 +1,8 @@
 """Readiness of a bench: the only assessment before motion.
 
 Configuration, calibrations in force, profile, club, ball and site are checked together. `golfbench check`,
-the bench at its start and at each arming, and campaigns call it; commands that simulate this bench take its
-faults, too.
+the bench at its start and at each arming, and campaigns call it; commands that simulate this bench also use
+its faults.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Readiness:
         """Refuse a swing that is impossible here.
 
         Raises:
-            ExceptionGroup: of BenchErrors, one for each fault.
+            ExceptionGroup: BenchErrors, one for each fault.
         """
         if faults := self.faults:
             raise ExceptionGroup(f"{self.file} cannot be swung here", faults)
@@ -170,7 +170,7 @@ def assess(
         found.append(
             BenchError(
                 inputs.name,
-                "of other settings of the driver",
+                "a check with other driver settings",
                 "a check of the inputs with the settings in force",
                 f"Run golfbench calibrate {inputs.kind}.",
             )

@@ -216,7 +216,7 @@ class _Item(NamedTuple):
 
 @contextmanager
 def real_time(mode: Mode, *, priority: int = PRIORITY, cpu: int = -1) -> Iterator[RealTime]:
-    """Request real-time settings, yield what was granted, and restore the previous ones at the end.
+    """Request real-time settings, yield the granted ones, and restore the previous ones at the end.
 
     Enter it after imports and warm-up, so that their objects are frozen and their memory is locked, and
     before the first tick. Scheduling and `cpu` (-1: any) are the calling thread's; threads and processes

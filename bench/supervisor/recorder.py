@@ -192,7 +192,7 @@ class Recorder:
         Returns whether there were new cycles. With `ending`, records are retried at once and the heartbeat
         reports ENDING.
         """
-        newest = self._ring.newest()  # is of now; what waits to be read may be seconds old
+        newest = self._ring.newest()  # current; unread cycles may be seconds old
         self._note_snapshot()
         cycles = self._read()
         if len(cycles):
@@ -209,7 +209,7 @@ class Recorder:
         return len(cycles) > 0
 
     def finish(self, why: str, now: float) -> int:
-        """End the current records, store what can be stored, return the number of lost records."""
+        """End the current records, store as many as possible, return the number of lost ones."""
         self._finish(why, keep=False)
         for _ in range(len(self._queue)):
             self._store(now, at_once=True)
@@ -398,7 +398,7 @@ def main() -> int:
             continue
         if ending:
             last = last or now + plan.timeout
-            # A loop whose supervisor is gone stops the robot by itself; that is worth a record.
+            # A loop without its supervisor stops the robot; that is worth a record.
             if now > last or not (recorder.moving if parent.gone else recorder.worth_waiting):
                 break
         time.sleep(POLL)

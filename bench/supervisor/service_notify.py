@@ -47,7 +47,7 @@ class ServiceNotifier:
         return self._send("WATCHDOG=1")
 
     def stopping(self, status: str = "") -> bool:
-        """Report that shutdown has begun; from now on systemd no longer expects `alive`."""
+        """Report the start of shutdown; from then on systemd no longer expects `alive`."""
         return self._send("STOPPING=1", status)
 
     def close(self) -> None:

@@ -78,10 +78,10 @@ def stall_note(
 
 
 def supervisor_note(cause: Cause, gap: float, silence: float) -> str:
-    """Return what explains a stop with `cause` after a supervisor's pause of `gap` s; empty if none.
+    """Return the explanation of a stop with `cause` after a supervisor's pause of `gap` s; empty if none.
 
-    The loop stops after `silence` (s) without a heartbeat. A supervisor that goes on afterwards was not
-    broken: the machine did not run it.
+    The loop stops after `silence` (s) without a heartbeat. A supervisor that continues afterwards was
+    not broken: the machine did not run it.
     """
     if cause is not Cause.SUPERVISOR or gap < silence / 2:
         return ""
@@ -178,8 +178,8 @@ def cause_text(cause: Cause, stall: str) -> str:
 def disarmed_for(cycle: Any, before: State, *, series: bool) -> Cause:
     """Return why the robot was disarmed in the record `cycle`, which follows one in state `before`.
 
-    NONE without a disarming, after one that was asked for or came of a stop, and after a swing that is to
-    vent: with `series` the robot holds its address for the next one.
+    NONE without a disarming, after a requested one or a stop, and after a swing that is to vent. With
+    `series` the robot holds its address for the next swing.
     """
     state, stops = State(int(cycle["state"])), cycle["cause"] != Cause.NONE
     ends = state in (State.READY, State.SAFE)

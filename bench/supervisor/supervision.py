@@ -53,8 +53,8 @@ _MEMORY = np.dtype(
         ("emergency_stop_count", "i8"),
     ]
 )
-"""What the loop remembers: version of the values that it has taken, whether the supervisor was alive then,
-the time-out of the heartbeat (s), the last heartbeat and its time (s), and what it has seen."""
+"""Memory of the loop: version of the last values read, whether the supervisor was alive then, time-out of the
+heartbeat (s), time of the last heartbeat (s), and the last values themselves."""
 _EMERGENCY_STOP, _STOP = int(Request.EMERGENCY_STOP), int(Request.STOP)
 _SLOTS, _VALUES, _MIN_MARGIN, _MEMORY_AT, _CONTROL = range(5)
 """Addresses in the block: that of the file's block, values, memory for a copy, memory, CONTROL_STATE."""
@@ -92,7 +92,7 @@ class Orders:
         return bool(self._values["shutdown"][0])
 
     def put(self, control: np.ndarray[Any, Any], time: float) -> None:
-        """Write what holds at `time` (s) into a CONTROL_STATE: permissions, and at most one request.
+        """Write the permissions at `time` (s) and at most one request into a CONTROL_STATE.
 
         Most ticks have no change and return at once. Written values remain: the step clears the request and
         keeps the permissions.

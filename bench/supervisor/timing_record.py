@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from drivers.base.mapped_slots import SharedMemoryError
 
 STAMPS = ("begin", "read", "estimate", "decide", "limit", "write", "publish")
-"""Time stamps of a tick (ns, CLOCK_MONOTONIC): its begin, then the end of each segment."""
+"""Time stamps of a tick (ns, CLOCK_MONOTONIC): its start, then the end of each segment."""
 
 SEGMENTS = ("wake_up", "orders", *STAMPS[1:], "tick")
 """Histograms: grid point to wake-up, wake-up to begin, each segment, wake-up to the end of the last."""

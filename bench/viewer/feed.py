@@ -1,8 +1,8 @@
 """Subscription of a viewer to a bench over zenoh, with counts of lost messages and their age.
 
 zenoh's threads put messages into bounded queues, which one thread empties. A viewer that is too slow loses
-the oldest messages and counts them; the bench never waits. zenoh reconnects by itself; a publisher that
-counts from 1 again was restarted, which is not a loss.
+the oldest messages and counts them; the bench never waits. zenoh reconnects automatically; a publisher
+that counts from 1 again was restarted, which is not a loss.
 """
 
 from __future__ import annotations

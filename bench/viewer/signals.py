@@ -1,8 +1,8 @@
 """The bench's signals as Rerun entities: names, units, colours and limits, for recordings and live views.
 
 Each vector is one entity with several scalars a row: ten times faster and a third of the size of one entity
-per component. Units stand in the entities' names. Limits are entities of their own: lines from
-one instant at which they are logged to the next.
+per component. Units stand in the entities' names. Limits are separate entities: lines from one instant at
+which they are logged to the next.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def signals_of(cycles: Cycles, plant: PlantParameters) -> dict[str, Array]:
 
 
 def limits_of(plant: PlantParameters) -> dict[str, Array]:
-    """Return the limits drawn beside the signals, by entity below `signals`: (m,) in the unit of the name."""
+    """Return the limits drawn with the signals, by entity below `signals`: (m,) in the unit of the name."""
     torque, force, wrist = effort_limits(plant)
     ratings = [actuator.pressure_rating for actuator in plant.actuators]
     return {

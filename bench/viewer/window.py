@@ -1,4 +1,4 @@
-"""Rerun's viewer as a process of its own, in a window or behind a web page, on the loopback only.
+"""Rerun's viewer as a separate process, in a window or behind a web page, on the loopback only.
 
 By default Rerun listens on all interfaces and sends usage statistics. Therefore it is started with
 `--bind 127.0.0.1` and with a separate configuration folder in which the statistics are disabled, verified

@@ -40,7 +40,7 @@ class CompileProgress:
         self._begin = self._due = 0.0
 
     def note(self, done: object = None) -> None:
-        """Note the begin of a compilation, or the end of that of the function `done`."""
+        """Record the start of a compilation, or the end of that of the function `done`."""
         now = self._clock()
         if not self._begin:
             self._begin, self._due = now, now + _FIRST

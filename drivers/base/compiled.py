@@ -47,11 +47,11 @@ class _Watch(event.Listener):  # type: ignore[misc]  # numba has no types
     """Passes numba's compilations on; a function from the cache is not compiled."""
 
     def on_start(self, event: event.Event) -> None:
-        """Note the begin of a compilation."""
+        """Record the start of a compilation."""
         progress.note()
 
     def on_end(self, event: event.Event) -> None:
-        """Note the end of a compilation."""
+        """Record the end of a compilation."""
         progress.note(event.data["dispatcher"])
 
 

@@ -1,7 +1,7 @@
 """Writer and reader of a mapped file of records (`drivers.base.mapped_slots`) in compiled code.
 
-The same bytes as by Python, copied once, and the same rules. Order is kept by fences, which cost nothing on a
-processor that keeps it by itself.
+The same bytes as by Python, copied once, and the same rules. Fences keep the order; they cost nothing on a
+processor that keeps it without them.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _TABLES = _crc_tables()
 
 @compiled
 def copy_words(source: int, target: int, size: int, start: int) -> int:
-    """Copy `size` bytes, a multiple of 8; return their CRC-32, begun with `start` as `zlib.crc32` is."""
+    """Copy `size` bytes, a multiple of 8; return their CRC-32, started with `start` as in `zlib.crc32`."""
     old, new = carray(pointer(source), size // 8, np.int64), carray(pointer(target), size // 8, np.int64)
     crc: Any = start & 0xFFFFFFFF ^ 0xFFFFFFFF
     for k in range(size // 8):

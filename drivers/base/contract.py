@@ -78,14 +78,14 @@ class Command(NamedTuple):
     """True raises the next ball onto the tee (rising edge)."""
     search_index: bool = False
     """True lets incremental encoders forget an index that has passed and wait for the next one (rising edge);
-    one that has none yet goes on counting."""
+    one that has none yet continues to count."""
 
 
 PASSIVE = Command()
 
 
 class Launch(NamedTuple):
-    """How a ball leaves: what a launch monitor measures.
+    """Start of a ball's flight, as a launch monitor measures it.
 
     `speed` m/s, `launch_angle` rad above the horizontal, `direction` rad (positive to the right of
     the target line), `spin` rad/s (total, >= 0), `spin_axis` rad (tilt of the spin axis from the
@@ -105,7 +105,7 @@ def believed(pressure: float, lowest: float, highest: float) -> float:
 
 
 def device_limited(command: Command) -> Command:
-    """Return what a device applies of `command`: openings within -1..1; PASSIVE if one is not finite."""
+    """Return `command` as a device applies it: valve commands within -1..1; PASSIVE if one is not finite."""
     if not all(map(math.isfinite, command.valve)):
         return PASSIVE
     a, b, c = command.valve
@@ -114,14 +114,14 @@ def device_limited(command: Command) -> Command:
 
 @runtime_checkable
 class Driver(Protocol):
-    """What the loop needs of any hardware or of its stand-in.
+    """Interface between the loop and any hardware or its stand-in.
 
-    Time is given: `read` and `write` get the loop's time and never read a clock of their own.
+    Time is given: `read` and `write` get the loop's time and never read a clock.
     """
 
     @property
     def operational(self) -> bool:
-        """False once the device has gone passive by itself; `close` and `open` set it to work again."""
+        """False once the device has gone passive without a command; `close` and `open` restart it."""
 
     def open(self) -> None:
         """Make ready, read back the device's own fallback on silence; raise DriverError when unfit."""
@@ -148,4 +148,4 @@ class RecordReader(Protocol):
 
 
 class DriverError(RuntimeError):
-    """A driver cannot do its work; the text names the device, what was found, expected, and the action."""
+    """A driver cannot do its work; the text states device, finding, expectation and action."""

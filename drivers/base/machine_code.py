@@ -1,10 +1,10 @@
 """Where the machine code of compiled functions is kept, and for how long.
 
-Numba looks only at the file of the function it loads from its cache. A function whose *callee*, or an enum
-or record layout compiled into it, has changed in another file would be served stale, which is not acceptable
-beside a machine. Each module therefore has a cache folder of its own, whose name carries a digest of every
-source file that the module imports, directly or through others: a change there compiles the functions of
-those modules again that it may touch, and no others.
+Numba checks only the file of the function that it loads from its cache. If a *callee*, or an enum or record
+layout compiled into the function, changes in another file, Numba loads outdated code, which is not acceptable
+for a machine. Each module therefore has a separate cache folder, whose name carries a digest of every source
+file that the module imports, directly or through others. A change recompiles only the modules that it may
+affect.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def compiled_sources(top: Path) -> dict[str, bytes]:
     """Return the sources that machine code depends on, keyed by their path relative to `top`, sorted.
 
     These are the modules with compiled functions and all modules they import, at module level or in
-    functions. Imports are found in the text; one that stands only in a comment is followed, too.
+    functions. Imports are found in the text; an import in a comment is also followed.
     """
     paths, sources = _all_sources(top)
     begin = {module for module, source in sources.items() if _uses_compiled(source)}

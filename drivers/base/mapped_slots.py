@@ -6,7 +6,7 @@ A record with sequence number s (from 1 on) stands in slot s modulo the number o
 
 and the header's head word holds the newest s. The writer stores begin, record, checksum, end, head, in this
 order; a reader looks at end, copies, looks at begin. Where stores and loads of a processor keep their order
-(x86), equal numbers alone prove a whole copy: no later write had begun. Where they do not (ARM), the
+(x86), equal numbers alone prove a complete copy: no later write had started. Where they do not (ARM), the
 checksum, a CRC-32 over record and number, stands in for the missing fences: a mixture passes it once in
 four thousand million times, and only when it also slips through the numbers. A writer that dies or is
 stopped in the middle of a write spoils the oldest slot alone, which the newest record does not use.
@@ -39,7 +39,7 @@ _SHARED = getattr(mmap, "MAP_SHARED", 0) | getattr(mmap, "MAP_POPULATE", 0)
 """All pages at once, so that no tick pays for a page fault; other systems than Linux only import this."""
 
 HEAD, HEAD_WORD = 64, 8
-"""Byte of the head word: on a cache line of its own, as are the slots."""
+"""Byte of the head word: on a separate cache line, as are the slots."""
 FIRST = 128
 """Byte of slot 0."""
 _LINE = 64
@@ -53,7 +53,7 @@ last one that compiled code has read here (0 before the first)."""
 
 
 class SharedMemoryError(RuntimeError):
-    """A shared file cannot be made or used: place, what was found, what was expected, what to do."""
+    """A shared file cannot be created or used: location, finding, expectation, action."""
 
     def __init__(self, location: str, found: str, expected: str, action: str) -> None:
         super().__init__(location, found, expected, action)
@@ -64,7 +64,7 @@ class SharedMemoryError(RuntimeError):
 
 
 class MappedSlots:
-    """The slots of one file. Of all processes that map it, one may `put`.
+    """The slots of one file. Only one of the processes that map it may `put`.
 
     `block` is what compiled code needs to do the same (`drivers.base.compiled_slots`).
     """
@@ -149,7 +149,7 @@ class MappedSlots:
             protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
             return cls(mmap.mmap(descriptor, size, _SHARED, protection), slots, dtype.itemsize)
         finally:
-            os.close(descriptor)  # the map keeps one of its own
+            os.close(descriptor)  # the map keeps a duplicate
 
     @property
     def words(self) -> memoryview[Any]:

@@ -17,7 +17,7 @@ _SIGNATURE = types.int64(types.int64, types.int64, types.int64, types.float64)
 
 
 class NativeFunction:
-    """A function that becomes a C function when its address is first asked for, cached on disk."""
+    """A function that becomes a C function when its address is first read, cached on disk."""
 
     def __init__(self, function: Callable[[int, int, int, float], int]) -> None:
         self._function = function
@@ -44,7 +44,7 @@ def compiled_call(function: Callable[[int, int, int, float], int]) -> NativeFunc
 
 @compiled
 def limit_command(command: Any, applied: Any) -> None:
-    """Write into `applied` (COMMAND) what a device applies of `command`, as `device_limited` does."""
+    """Write `command` as a device applies it into `applied` (COMMAND), as `device_limited` does."""
     given, out = command[0], applied[0]
     finite = True
     for i in range(3):

@@ -1,8 +1,8 @@
 """Native functions: C functions by address, through which a compiled tick calls a driver or publisher.
 
-A native function takes the address of its own block of memory, two addresses of records and the time (s), and
-returns a word. One that returns DECLINED has done nothing: the caller then takes the Python way, which
-handles every case and raises what there is to raise. Both ways give the same bits.
+A native function takes the address of its block of memory, two addresses of records and the time (s), and
+returns a word. One that returns DECLINED has done nothing: the caller then runs the Python code, which
+handles every case and raises any error. Both give bit-identical results.
 """
 
 from __future__ import annotations

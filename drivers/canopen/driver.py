@@ -533,7 +533,7 @@ class CanopenDriver:
         )
 
     def _valve_position(self, mask: int) -> float:
-        """Return what the position switch with the input `mask` says; inputs keep their last values."""
+        """Return the state of the position switch with the input `mask`; inputs keep their last values."""
         if not mask:
             return ABSENT
         return INVALID if self.fault else float(self._inputs & mask != 0)
@@ -711,7 +711,7 @@ class CanopenDriver:
         self._native.store(values, self._pressures, self._pressures_received)
 
     def _take_over(self) -> None:
-        """Go on in Python from the state of compiled code, if that has the newest."""
+        """Continue in Python from the state of compiled code, if that is the newest."""
         if not self._native.leads[0]:
             return
         values = self._native.load()

@@ -75,7 +75,7 @@ class NativeState:
         self.leads = numbers(self._state["leads"])
         """Whether compiled code has the newest state (one number)."""
         self.is_wanted = False
-        """Whether the native functions were asked for."""
+        """Whether the native functions were requested."""
 
     def calls(self) -> NativeCalls:
         """Return the native functions; none on a system with other structures of the kernel."""

@@ -3,8 +3,8 @@
 Frames are received in batches (`recvmmsg`) into one block of memory, parsed there, and packed there. The rest
 is left to `drivers.canopen.driver`: error frames, emergencies, SDO answers, unknown identifiers, wrong
 lengths, frames cut short, nodes that are not operational, silence, failures of the socket. The native
-function then stops in front of that frame or failure and declines, and the driver goes on from the very
-state, frames received already included; it hands the state back at the end of its tick.
+function then stops in front of that frame or failure and declines. The driver continues from exactly
+that state, including frames already received, and hands it back at the end of its tick.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ _CONTROL_SIZE = 32
 _HEADER_WORDS = 8
 """Words of a `struct mmsghdr`: name, its length, vector, 1, control, its size, flags, bytes received."""
 _SIZE_MASK = 0xFFFFFFFF
-"""Of the word of the bytes received; the rest pads."""
+"""Mask of the bytes received in their word; the rest is padding."""
 _DONT_WAIT, _CONFIRM, _INTERRUPTED = 0x40, 0x800, errno.EINTR
 _NOTHING_THERE = errno.EAGAIN
 _READABLE = 1
@@ -145,8 +145,8 @@ LINK_STATE = np.dtype(
 )
 """All that a tick works on. `leads`: compiled code has the newest state, not Python. `waiting`: the SYNC was
 sent, its answers are waited for until `end` (s). The frames from `at` to `count` of the batch are still to be
-taken. `receive_error` and `send_error` (errno) are for Python to act on. The rest is named as in
-`CanopenDriver`."""
+taken. `receive_error` and `send_error` (errno) are for Python to act on. The other names are
+those in `CanopenDriver`."""
 
 
 def _offset(name: str) -> int:
@@ -334,7 +334,7 @@ def _take(states: Any, k: int) -> bool:
 
 @compiled
 def _take_batch(states: Any, block: int, most: int, until_all: bool) -> int:
-    """Take the frames of the batch, at most `most`; return how many, -1 where Python must go on.
+    """Take the frames of the batch, at most `most`; return how many, -1 where Python must continue.
 
     `until_all`: only as long as samples are awaited.
     """
@@ -352,7 +352,7 @@ def _take_batch(states: Any, block: int, most: int, until_all: bool) -> int:
 
 @compiled
 def _drain(states: Any, block: int) -> bool:
-    """Take what was received since the last tick; False where Python must go on."""
+    """Take the frames received since the last tick; False where Python must continue."""
     s, taken, got = states[0], 0, BATCH
     while True:
         n = _take_batch(states, block, MAX_WAITING - taken, False)
@@ -371,7 +371,7 @@ def _drain(states: Any, block: int) -> bool:
 
 @compiled
 def _synchronise(states: Any, block: int) -> bool:
-    """Send the SYNC; False where Python must go on."""
+    """Send the SYNC; False where Python must continue."""
     s = states[0]
     for joint in range(3):
         if s.awaited >> joint & 1:
@@ -390,7 +390,7 @@ def _synchronise(states: Any, block: int) -> bool:
 
 @compiled
 def _await(states: Any, block: int) -> bool:
-    """Take the answers to the SYNC; False where Python must go on."""
+    """Take the answers to the SYNC; False where Python must continue."""
     s = states[0]
     while s.awaited != 0:
         if _take_batch(states, block, MAX_WAITING, True) < 0:

@@ -1,17 +1,17 @@
 """Encoder counts and presets (CiA 406) and polarity of I/O nodes (CiA 401): read, judged and set.
 
-Polarity and masks of an I/O node (CiA 401): what a 1 means, and which outputs and inputs take part. With
+Polarity and masks of an I/O node (CiA 401): meaning of a 1, and the outputs and inputs that take part. With
 inverted outputs the fallback "without energy" energises everything; with an inverted input an open emergency
 stop reads as clear. A masked output follows neither commands nor, in some devices, the fallback. Devices have
 the 8-bit objects, the 16-bit ones, both for the same channels, or none.
 
-What moves an encoder's zero inside the device: preset (6003h) and offset (6509h), read only. A preset that is
-set after the encoder was calibrated turns the robot that the bench believes in. The device computes the
+Values that move an encoder's zero inside the device: preset (6003h) and offset (6509h), read only. A preset
+set after the calibration shifts all angles that the bench reads from the encoder. The device computes the
 offset from the preset; both stay as they are until the next preset.
 
-Meaning of an encoder's counts (CiA 406): direction, scaling and range, read, judged and set. Counts are those
-of the disc (6501h), rising clockwise. With scaling they would be 6001h per revolution, whatever the disc
-resolves, and with the other code sequence they would fall: a controller that believes them opens the wrong
+Meaning of an encoder's counts (CiA 406): direction, scaling and range, read, judged and set. The bench uses
+the counts of the disc (6501h), rising clockwise. With scaling there would be 6001h per revolution, whatever
+the disc resolves. With the other code sequence counts would fall, and the controller would open the wrong
 valve. Objects that a device does not have cannot change its counts.
 """
 

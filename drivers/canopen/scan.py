@@ -225,7 +225,7 @@ class _Scanner:
 
 
 def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:
-    """Return the properties of an I/O node and what the startup sets in it, as text.
+    """Return the properties of an I/O node and the values that the startup changes in it, as text.
 
     Raises:
         DriverError: it lacks an object that the bench needs.
@@ -253,8 +253,8 @@ def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:
         raise ServiceError(
             f"canopen: node {node.number} ({node.role}): found no "
             f"{'error mode of the outputs (6206h, 6306h)' if watchdogs else 'timer (1400h:5, 1016h:1)'}, so "
-            "it does not go passive by itself; use another node, or fit an external watchdog relay and name "
-            "it in canopen.valve_node.watchdog_relay"
+            "it does not go passive automatically; use another node, or fit an external watchdog relay and "
+            "name it in canopen.valve_node.watchdog_relay"
         )
     changes = [f"{one.main_index:04X}h = {one.wanted:#x} ({one.name})" for one in wrong_settings(node)]
     size = node.find(0x6444, chosen.valves[0], "error value of a valve")

@@ -109,7 +109,7 @@ def _set_fallback(node: Node, settings: CanopenSettings) -> None:
     centred spools, not at 0 V.
 
     Raises:
-        DriverError: the node refuses, and no external watchdog relay is named.
+        DriverError: the node refuses, and no external watchdog relay is configured.
     """
     chosen = settings.valve_node
     new, inverted = set_polarity(node)
@@ -129,10 +129,10 @@ def _set_fallback(node: Node, settings: CanopenSettings) -> None:
 
 @contextmanager
 def _excused(chosen: ValveNodeSettings) -> Iterator[None]:
-    """Let the device lack an object of its own fallback if an external relay is there instead.
+    """Let the device lack an object of its fallback if an external relay is configured.
 
     Raises:
-        DriverError: no relay is named, or the device refuses an object that it has.
+        DriverError: no relay is configured, or the device refuses an object that it has.
     """
     try:
         yield
@@ -205,9 +205,9 @@ def _offer(node: Node, index: int, subindex: int, value: int, size: int, name: s
 
 
 def without_fallback(what: object) -> DriverError:
-    """Return the refusal of a node that does not go passive by itself, for the reason `what`."""
+    """Return the refusal of a node that does not go passive automatically, for the reason `what`."""
     return DriverError(
-        f"{what}. A node that does not centre the valves by itself when the bench is silent is refused: "
+        f"{what}. A node that does not centre the valves on a loss of communication is refused: "
         "0 V is full stroke. Use another node, or fit an external watchdog relay that centres the valves and "
         "name it in canopen.valve_node.watchdog_relay"
     )

@@ -6,7 +6,7 @@ whether it is absolute. Three analogue outputs drive the valves; a command is wr
 is decided. Digital lines carry interlocks, air and tee.
 
 The card's watchdog centres the valves and sets every line low when commands stop; `open` reads its settings
-back and lets it trip once. A card without a watchdog is refused unless an external relay is named. The
+back and lets it trip once. A card without a watchdog is refused unless an external relay is configured. The
 watchdog starts with the first command. 0 V is full stroke and never used as a safe value: closing writes the
 centre first, or waits for the watchdog if that fails.
 
@@ -173,7 +173,7 @@ class DaqDriver:
         """Set up the card's watchdog and let it trip once.
 
         Raises:
-            DriverError: the card has no watchdog that centres the valves, and no relay is named.
+            DriverError: the card has no watchdog that centres the valves, and no relay is configured.
         """
         s = self.settings
         valves = [(self._full(channel), centre) for channel, centre in zip(s.valves, s.centre, strict=True)]
@@ -441,7 +441,7 @@ class DaqDriver:
             ]
         )
         fed_back = iter(inputs[len(vars(s.inputs)) :])
-        # Inputs that were not read say False, which is a valve's position, too.
+        # Inputs that were not read are False, which is also a valve's position.
         one, two, shut_off = (
             ABSENT if not name else INVALID if self.fault else float(next(fed_back))
             for name in (*s.vent_feedback, s.shut_off_feedback)

@@ -87,7 +87,7 @@ class ObjectStream:
         return start >= 0
 
     def _find_end(self) -> int | None:
-        """Return the length of the object at the begin of `_part`, None while incomplete."""
+        """Return the length of the object at the start of `_part`, None while incomplete."""
         part = self._part
         while self._seen < len(part):
             mark = (_IN_STRING if self._in_string else _OUTSIDE_STRING).search(part, self._seen)

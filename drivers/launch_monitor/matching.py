@@ -1,7 +1,7 @@
 """Assign launches to swings by the time between impact and the monitor's message.
 
 A monitor reports a shot with a delay, and may report it twice, not at all, or report one without a swing.
-Each case is an outcome of its own; nothing is guessed and nothing is dropped.
+Each case is a separate outcome; nothing is guessed and nothing is dropped.
 """
 
 from __future__ import annotations

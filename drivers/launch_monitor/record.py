@@ -8,7 +8,7 @@ from typing import NamedTuple
 from drivers.base import Launch
 
 SOURCE = "launch monitor"
-"""Source of these figures, beside `encoders+model` and `simulated`."""
+"""Source of these values; the others are `encoders+model` and `simulated`."""
 
 
 class ClubFigures(NamedTuple):

@@ -29,11 +29,11 @@ from sim.plant import PLANT_STATE, PlantParameters
 
 _SIZE = READINGS.itemsize
 _FROZEN, _SURROUNDED, _STRUCK, _HAS_READ = range(4)
-"""What a PacedPlantDriver remembers: whether readings are frozen, the version of the surroundings that are in
-force, whether the ball was struck at the last look, and whether there are readings to freeze."""
+"""Memory of a PacedPlantDriver: whether readings are frozen, the version of the surroundings in force,
+whether the ball was struck at the last check, and whether there are readings to freeze."""
 _SIM, _SURROUNDINGS, _MEMORY, _LAST, _STATE = range(5)
-"""Addresses in its block: SimDriver's block, that of the surroundings' file (0 while closed), what it
-remembers, its last readings, and the plant's state."""
+"""Addresses in its block: SimDriver's block, that of the surroundings' file (0 while closed), its
+memory, its last readings, and the plant's state."""
 
 
 class PacedPlantDriver:
@@ -140,7 +140,7 @@ class PacedPlantDriver:
             self._files = None
 
     def _note_contact(self) -> None:
-        """Report a ball struck since the last look."""
+        """Report a ball struck since the last check."""
         struck = self._struck[0]
         if struck != self._memory[_STRUCK]:
             self._memory[_STRUCK] = struck

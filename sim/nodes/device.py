@@ -41,7 +41,7 @@ _CONSUMER_HEARTBEAT, _PRODUCER_HEARTBEAT = 0x1016, 0x1017
 _ERROR_BEHAVIOUR = 0x1029, 0x67FE
 """Object of CiA 301, and of older devices of CiA 401."""
 SYNC = EMERGENCY = 0x80
-"""Identifier of SYNC; of emergency messages with the node's number added. Default without 1005h, 1014h."""
+"""Identifier of SYNC; an emergency message adds the node's number. Default without 1005h, 1014h."""
 _STORE, _SAVE = 0x1010, int.from_bytes(b"save", "little")
 _INVALID = 0x80000000
 _EVENT = 254
@@ -177,7 +177,7 @@ class CanopenDevice:
             self._watched[identifier - 0x700] = period, now + period
 
     def run_timers(self, now: float) -> None:
-        """Do what is due at `now` (s)."""
+        """Do the work due at `now` (s)."""
         self._now = now
         if self._late_answer and now >= self._storing_until:
             late, self._late_answer = self._late_answer, b""

@@ -1,6 +1,6 @@
 """Device families that the simulated nodes play, read from `personalities.toml`.
 
-A personality is what a family answers otherwise than the plain device of the EDS file: objects that it has or
+A personality lists a family's differences from the plain device of the EDS file: objects that it has or
 lacks, their size and value as delivered, and how its firmware behaves.
 """
 

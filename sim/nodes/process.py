@@ -128,7 +128,7 @@ class BenchNodes:
 
     def __init__(self, plan: NodesPlan, send: Callable[[int, bytes], None]) -> None:
         """Start vented and unpowered; ValueError if the plan is invalid."""
-        # A SYNC latches the count at its own time: what is late or jitters in a polled encoder is not here.
+        # A SYNC latches the count at its own time, without the latency and jitter of a polled encoder.
         encoders = replace(plan.plant.encoders, latency=0.0, jitter=0.0)
         self.plant = plant = WallPlant(replace(plan, plant=replace(plan.plant, encoders=encoders)))
 
@@ -260,7 +260,7 @@ def run_nodes(plan: NodesPlan, ready: Callable[[str], None], stop_requested: Cal
 
 
 def _ask_for_scheduling(plan: NodesPlan) -> str:
-    """Request the plan's core and priority; return what was granted."""
+    """Request the plan's core and priority; return the granted ones as text."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # 1 ns; by default a sleep may last 50 us longer
     granted = []
     if plan.cpu >= 0:

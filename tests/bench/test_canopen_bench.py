@@ -145,7 +145,7 @@ def test_canopen_bench_changed_encoder_preset_is_refused_until_calibrated(tmp_pa
                 with pytest.raises(CommandRefused):
                     bench.client.reset()
                 told = device_when(bench.client, lambda device: "preset" in device["fault"])["fault"]
-                assert "found preset 32768, offset 32768, expected what it was at calibration enc" in told
+                assert "found preset 32768, offset 32768, expected the values at calibration enc" in told
                 assert "preset 0, offset 0. Its zero may have moved" in told
                 with pytest.raises(CommandRefused):
                     bench.client.home()

@@ -66,8 +66,8 @@ HOLDER = "campaign "
 """Prefix of a campaign's name as holder of the lease."""
 _AT_THE_ROBOT = {
     Refusal.GUARD: "Leave the robot and close the guard.",
-    Refusal.LOCAL_RESET: "Press the reset button beside the robot.",
-    Refusal.GAUGE: "Read the gauges, and press the reset button beside them.",
+    Refusal.LOCAL_RESET: "Press the reset button next to the robot.",
+    Refusal.GAUGE: "Read the gauges, and press the reset button next to them.",
 }
 """Refusals that a person at the robot can clear, and the actions."""
 NO_WORD = "the launch monitor's process did not report the swing"

@@ -250,7 +250,7 @@ def load_catalogue(path: Path = FILE) -> Catalogue:
 
     Raises:
         BenchError: the file is missing, unreadable or not TOML.
-        ExceptionGroup: of BenchErrors, one for each mistake in it.
+        ExceptionGroup: one BenchError per mistake in it.
     """
     faults: list[BenchError] = []
     tree = as_tree(read_toml(path, "a catalogue of parts", "Correct the path."), path, faults)

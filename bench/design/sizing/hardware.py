@@ -29,7 +29,7 @@ DESIGN_SPEED = 45.0
 RELIEF = 0.5e5, 11.5e5
 """Opening of the relief valves above the highest planned pressure, and at most, Pa; ratings are 12 bar."""
 MANIFOLD_RELIEF = 4.0 / 3.0
-"""Conductance of the manifold's relief valve over the feed's: it passes what a regulator fully open feeds."""
+"""Conductance of the manifold's relief valve over the feed's: it passes the flow of an open regulator."""
 _CYLINDER_WIDTH = 0.045
 """Width of the right arm's cylinder in its moment of inertia, m, as the thesis has it."""
 _MIN_SUPPLY, _MAX_SUPPLY = 0.8125, 1.1
@@ -160,10 +160,10 @@ def overrides(
 ) -> dict[str, Any]:
     """Return the configuration's tables that make `hardware` of the `shipped` plant, for `speed` (m/s).
 
-    What no part states is scaled from the shipped plant: dry friction, dead volume and, without vents of the
-    catalogue, their throttles with area or displacement, viscous friction with its root, limits of joint
-    speeds with the head speed, speeds that a cushion takes with the root of its energy. Masses of the bodies
-    stay.
+    Values that no part states are scaled from the shipped plant. Dry friction, dead volume and, without vents
+    of the catalogue, their throttles scale with area or displacement, viscous friction with its root. Limits
+    of joint speeds scale with the head speed, speeds that a cushion takes with the root of its energy. Masses
+    of the bodies stay.
     """
     parts = parts_of(catalogue, hardware)
     vane, arm, wrist = parts.vane, parts.arm, parts.wrist

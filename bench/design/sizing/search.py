@@ -106,7 +106,7 @@ class SizingSearch:
 
 
 class SizingRun:
-    """One search in a folder of results, which it goes on from."""
+    """One search, which continues from the results in its folder."""
 
     def __init__(
         self,
@@ -131,7 +131,7 @@ class SizingRun:
         return self._plans.seconds
 
     def points(self, search: SizingSearch) -> list[SizedPoint]:
-        """Return what was found, in the order of price; less when a stop was asked for."""
+        """Return the points found, by price; fewer after a request to stop."""
         tried = search.grid.candidates(self.catalogue)
         points = self._planned("plans of the grid", tried)
         for count in range(search.rounds):

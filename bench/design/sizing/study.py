@@ -67,7 +67,7 @@ class SizedSwing:
 
 @dataclass(frozen=True)
 class SizedPoint:
-    """A hardware with its price and what was found."""
+    """A hardware with its price and results."""
 
     hardware: Hardware
     price: int
@@ -104,7 +104,7 @@ def swing_of(record: dict[str, Any]) -> SizedSwing:
 
 @dataclass(frozen=True)
 class SizingDemand:
-    """What the hardware is sized for."""
+    """Target of the sizing."""
 
     speed: float = 58.1
     """Head speed at the ball, m/s: 130 mph."""
@@ -136,7 +136,7 @@ def candidate_configuration(text: str) -> Configuration:
     """Return the configuration that a file with `text` makes, read as any other.
 
     Raises:
-        ExceptionGroup: of BenchErrors, if the hardware makes no valid configuration.
+        ExceptionGroup: BenchErrors, if the hardware makes no valid configuration.
     """
     with TemporaryDirectory() as folder:
         file = Path(folder) / "candidate.toml"
@@ -193,7 +193,7 @@ def _as_sized(plan: DownswingPlan) -> SizedPlan:
 
 @dataclass(frozen=True)
 class SwingStudy:
-    """The whole swing of each hardware at the demanded speed, and its faults if asked for."""
+    """The whole swing of each hardware at the demanded speed, and its faults if requested."""
 
     catalogue: Catalogue
     demand: SizingDemand

@@ -41,7 +41,7 @@ DELIVERY = {
 }
 """Figures of a shot, and their units."""
 _PLANNED = {"head_speed_mps": "club_speed_mps", "attack_angle_deg": "attack_angle_deg"}
-"""Figures of a profile by what a shot calls them."""
+"""Columns of a shot by the name of the profile's figure."""
 _SWING = (Phase.BACKSWING, Phase.TOP, Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 
 

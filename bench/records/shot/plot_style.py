@@ -29,7 +29,7 @@ COLOURS = (
     "#2D0F1E",
 )
 """Okabe and Ito's six colours, and six more: no two come closer than the closest of the six, whether seen by
-readers with or without a colour deficiency. Each ball has its own marker, too."""
+readers with or without a colour deficiency. Each ball also has its own marker."""
 MARKERS = "os^DvpP<X>*h"
 INK = "#1a1a1a"
 GREY = "#6b7280"
@@ -91,7 +91,7 @@ def marker_svg(index: int) -> str:
 def to_svg(figure: Figure, name: str) -> str:
     """Return `figure` as an SVG element for a page; `name` keeps its ids apart from other figures'."""
     stream = io.StringIO()
-    # Glyphs that the font lacks are left to the fonts of whoever reads the page.
+    # Glyphs that the font lacks are left to the reader's fonts.
     form = "none" if (foreign := _lacks_glyphs(figure)) else "path"
     with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": form}), warnings.catch_warnings():
         if foreign:

@@ -1,7 +1,7 @@
 """A swing's record as a shot: read from its file with plant and figures, for the viewer and exports.
 
 A series stores the shot's figures in the record's metadata. A record of the daemon has no figures: then the
-delivery is that of the estimated angles, launch and flight are what the models make of it, and they say so.
+delivery is that of the estimated angles, and models compute launch and flight, as their sources state.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def read_shot(path: Path, number: int = 1) -> RecordedShot:
 
     Raises:
         BenchError: the file is missing, damaged or no record.
-        ExceptionGroup: of BenchErrors, values of its configuration that this program does not take.
+        ExceptionGroup: one BenchError per value of its configuration that this program rejects.
     """
     return recorded_shot(*read_swing(path), str(path), number)
 
@@ -82,7 +82,7 @@ def recorded_shot(cycles: Cycles, metadata: dict[str, Any], location: str, numbe
 
 
 def warm_up_shots(plant: PlantParameters, around: FlightConditions) -> None:
-    """Run once what is compiled of delivery, impact and flight: the first time it takes many seconds."""
+    """Run the compiled code of delivery, impact and flight once: the first time takes many seconds."""
     robot = plant.robot
     forward_kinematics(robot, np.array([[0.571, 4.141, 2 * pi]]))
     forward_kinematics(robot, np.array([0.571, 4.141, 2 * pi]))
@@ -95,7 +95,7 @@ def plant_of(metadata: Mapping[str, Any], location: str) -> tuple[PlantParameter
     """Return the plant and the surroundings in a record's configuration, today's defaults for missing keys.
 
     Raises:
-        ExceptionGroup: of BenchErrors, one for each value that this program does not take.
+        ExceptionGroup: one BenchError per value that this program rejects.
     """
     given = metadata.get("configuration")
     configuration: dict[str, Any] = dict(given) if isinstance(given, Mapping) else {}

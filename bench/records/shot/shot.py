@@ -66,7 +66,7 @@ class Shot:
     carry_source: str = ""
     time_utc: datetime = datetime(1970, 1, 1, tzinfo=UTC)
     carry_side_m: float | None = None
-    """Where the ball came down beside the target line, positive to the right."""
+    """Distance of the ball's landing from the target line, positive to the right."""
     swing: str = ""
     role: str = "test"
     """"test", "control" or "warm-up"."""
@@ -110,7 +110,7 @@ class Shot:
         carry_source: str = "simulated",
         **more: Any,
     ) -> Shot:
-        """Return the shot of what was measured (SI, radians); what is None stays empty with its source.
+        """Return the shot of measured values (SI, radians); None leaves its columns and source empty.
 
         `more` are further columns.
         """
@@ -149,7 +149,7 @@ class Shot:
         )
 
     def __post_init__(self) -> None:
-        """Refuse what a table cannot hold: non-finite figures, times without zone, a reason missing."""
+        """Refuse values a table cannot hold: non-finite figures, times without zone, a missing reason."""
         for name, value in vars(self).items():
             if isinstance(value, float) and not isfinite(value):
                 raise ValueError(f"{name} is {value}; a figure that is not known is None")

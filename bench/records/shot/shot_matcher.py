@@ -1,7 +1,7 @@
 """Matching of swings and launches of a running bench: pure, time is an argument.
 
-A launch finds its swing by time (`drivers.launch_monitor.matching`); what comes of a match is a shot whose
-club is measured by the encoders and whose ball by the monitor. Its flight is the reference ball's.
+A launch finds its swing by time (`drivers.launch_monitor.matching`); a match gives a shot with the
+club measured by the encoders and the ball by the monitor. Its flight is the reference ball's.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class SwingWatch:
 
 
 def _impact(cycles: Cycles) -> int | None:
-    """Return the first cycle after the impact: the ball is gone, or its window has begun."""
+    """Return the first cycle after the impact: the ball is gone, or its window has started."""
     at_the_ball = np.isin(cycles["phase"], _AT_THE_BALL)
     there = cycles["ball_present"].astype(bool)
     gone = np.flatnonzero(at_the_ball[1:] & there[:-1] & ~there[1:])
@@ -142,7 +142,7 @@ class SettledOutcome(NamedTuple):
     reason: str
     """Why the launch is implausible; empty if it is not."""
     shot: Shot | None
-    """Of a swing: its row, with all that is known of club and ball."""
+    """Row of the swing, with all known values of club and ball."""
 
 
 def reported_columns(launch: LaunchRecord) -> dict[str, Any]:

@@ -101,7 +101,7 @@ def read_shot_message(payload: bytes) -> ShotPublication:
 
 
 def shortened(text: str) -> str:
-    """Return `text`, cut where it is longer than anybody reads."""
+    """Return `text`, cut to the max length of a reason."""
     return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT - 1]}…"
 
 

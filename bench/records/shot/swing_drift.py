@@ -5,9 +5,9 @@ mark in the hall that no encoder knows of: the strike bends the wrist's path, wh
 0.2 ms, and at that instant the head is at the ball. An encoder whose coupling slipped, or that lost counts,
 sees it elsewhere from then on: 0.02 rad are 20 to 35 mm.
 
-Both are compared with the first swings with the same tables, and with their scatter, which differs from swing
-to swing and robot to robot. Of the speed only a loss that lasts for three swings counts. A drift is a warning
-with the record and in the status, not a cause to stop.
+Both are compared with the first swings with the same tables, and with their standard deviation, which differs
+between swings and robots. A change of speed counts only as a loss that lasts for three swings. A drift is a
+warning with the record and in the status, not a cause to stop.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Cycles = np.ndarray[Any, Any]
 SPEED, PLACE = 0.012, 0.015
 """Share of the club speed, and m along the ground, by which swings of a healthy robot may differ at least."""
 SPEED_SCATTER, PLACE_SCATTER = 8.0, 5.0
-"""Standard deviations by which they may differ, too."""
+"""Number of standard deviations by which they may differ if that is more."""
 REFERENCE, NEEDED = 20, 10
 """First swings with the same tables that are compared with, at most and at least."""
 LASTING = 3
@@ -34,16 +34,16 @@ LASTING = 3
 _BEFORE = 6
 """Ticks through which the way to the ball is drawn."""
 _NEAR = 12
-"""Ticks before and after the impact window in which the strike is looked for, too."""
+"""Additional ticks before and after the impact window to search for the strike."""
 
 
 class ObservedImpact(NamedTuple):
     """The head at the ball, as the encoders saw it."""
 
     speed: float
-    """Of the club head, m/s."""
+    """Speed of the club head, m/s."""
     place: float
-    """Of the head along the ground, m; NaN without a ball."""
+    """Position of the head along the ground, m; NaN without a ball."""
 
 
 class SwingDrift(NamedTuple):
@@ -55,7 +55,7 @@ class SwingDrift(NamedTuple):
     warnings: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Return it for a record's metadata; None for what is not known."""
+        """Return it for a record's metadata; None for unknown values."""
         figures = {
             "club_speed_mps": self.seen.speed,
             "first_club_speed_mps": self.usual.speed,

@@ -1,11 +1,11 @@
-"""What is stored of one control cycle, defined once.
+"""Stored record of one control cycle, defined once.
 
 `FIELDS` is the schema: the numpy record `CYCLE`, the Arrow schema (Parquet, telemetry) and every export
 derive from it. A change of FIELDS requires a new SCHEMA_VERSION.
 
 Vectors become one Arrow column per component, named by joint, chamber or axis (`angle_wrist`,
 `chamber_pressure_right_arm_b`): pandas and polars users select, plot and filter plain columns without
-unpacking lists, Parquet compresses each channel by itself, and a reader may load only what it needs.
+unpacking lists, Parquet compresses each channel separately, and a reader may load only some columns.
 """
 
 from __future__ import annotations
@@ -67,10 +67,10 @@ FIELDS = (
     Field("request_number", "i8", "1", "number of the request answered last"),
     Field("answer", "u1", "1", "answer to it: 1 accepted, 2 refused"),
     Field("refusal", "u1", "1", "why it was refused, see enumeration 'refusal'", names="refusal"),
-    Field("lease_held", "?", "1", "somebody holds the bench"),
+    Field("lease_held", "?", "1", "a client holds the lease"),
     Field("support_ready", "?", "1", "recorder and publisher are running"),
     Field("supervisor_alive", "?", "1", "the supervisor's heart beats"),
-    Field("device_operational", "?", "1", "the device has not gone passive by itself"),
+    Field("device_operational", "?", "1", "false once the device has gone passive without a command"),
     Field("homed", "?", "1", "encoders' zeros are proven"),
     Field("vented", "?", "1", "chambers are proven empty"),
     Field("phase", "u1", "1", "phase of the swing, see enumeration 'phase'", names="phase"),
@@ -97,8 +97,8 @@ FIELDS = (
     Field("angle", "f8", "rad", "estimated joint angle", JOINTS),
     Field("velocity", "f8", "rad/s", "estimated joint velocity", JOINTS),
     Field("angle_variance", "f8", "rad^2", "estimator's variance of the joint angle", JOINTS),
-    Field("reference_angle", "f8", "rad", "joint angle asked for", JOINTS),
-    Field("reference_velocity", "f8", "rad/s", "joint velocity asked for", JOINTS),
+    Field("reference_angle", "f8", "rad", "joint angle that the controller follows", JOINTS),
+    Field("reference_velocity", "f8", "rad/s", "joint velocity that the controller follows", JOINTS),
     Field("proportional", "f8", "1", "proportional part of the controller's output", JOINTS),
     Field("integral", "f8", "1", "integral part of the controller's output", JOINTS),
     Field("derivative", "f8", "1", "derivative part of the controller's output", JOINTS),

@@ -101,7 +101,7 @@ def folder_fault(folder: Path, least_free: int) -> str:
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove what a recorder killed while writing left in `folder`; only one recorder may write there."""
+    """Remove the partial files of a killed recorder in `folder`; only one recorder may write there."""
     for path in folder.glob(".*.parquet.*.partial"):
         with suppress(OSError):
             path.unlink()

@@ -1,4 +1,4 @@
-"""One Parquet file a swing: every cycle and what is needed to understand it later."""
+"""One Parquet file per swing: every cycle, and metadata to interpret it later."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def write_swing(path: Path, cycles: np.ndarray[Any, Any], metadata: Mapping[str,
 
     `metadata` holds what JSON can: versions, effective configuration, seed, profile, shot. The schema's
     version and the names of phases, reactions and causes are added; units stand in each column's metadata,
-    and all together as JSON in the file's own (`units`), which is what DuckDB and polars show. Beside each
-    code stands its name ("phase", "phase_name"); readers of cycles take the code.
+    and all together as JSON in the file's own (`units`), which DuckDB and polars show. Each code has a second
+    column with its name ("phase", "phase_name"); readers of cycles take the code.
     Raises BenchError (disk full, folder missing or read-only) and TypeError or ValueError when the
     metadata is not JSON (NaN included) or the cycles are not of CYCLE; then `path` is untouched.
     """

@@ -76,7 +76,7 @@ class RingWriter:
 
 
 class RingReader:
-    """One reader; each has a place of its own in the ring, and its mapping cannot write."""
+    """One reader; each has a separate position in the ring, and its mapping cannot write."""
 
     def __init__(self, path: Path, *, from_oldest: bool = False, past: int = 0) -> None:
         """Open the ring at `path` and start with the newest record, or with the oldest still there.
@@ -109,7 +109,7 @@ class RingReader:
         """Return up to `limit` new records (n,) of CYCLE in their order, possibly none; never waits."""
         slots = self._slots
         found: list[bytes] = []
-        for _ in range(limit):  # a bound on all steps, also over lost records: a faster writer holds nobody
+        for _ in range(limit):  # a bound on all steps, also over lost records: a faster writer cannot block
             if self._next > slots.head:
                 break
             data = slots.fetch(self._next)

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 
 def run_id(start: datetime) -> str:
-    """Return the id of the run of a bench begun at `start`; ticks count from its beginning."""
+    """Return the id of a bench's run from `start` on; ticks count from there."""
     return f"{start.astimezone(UTC):%Y%m%dT%H%M%SZ}"
 
 

@@ -5,8 +5,8 @@ and the way to the address are seen, and a replay finds its snapshot. In a serie
 again after each swing, the next record begins `lead` before its own swing. Kept is what held a swing, a stop
 or a fault; homing or arming that ended as requested leaves no record.
 
-Memory is bounded: of a long hold at the address only the newer half of the room is kept, and what does not
-fit even so is cut into records that say that they go on.
+Memory is bounded: during a long hold at the address only the newer half of it is kept. A record that still
+does not fit is cut into several: all but the last state why they end, all but the first that they continue.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class RecordSegment(NamedTuple):
     ended: str = ""
     """Reason why the record ends before standstill; empty if it does not."""
     continued: bool = False
-    """The robot moved already when it begins: the record before was cut there, or nobody recorded."""
+    """The robot moved already at its start: the previous record was cut there, or no recorder ran."""
 
 
 @dataclass
@@ -51,7 +51,7 @@ class _Part:
     kind: str = ""
     """Kind of the record; empty while there is no reason to keep it."""
     series: bool = False
-    """The bench was armed again by itself: the record is to begin at its swing."""
+    """The bench was armed again automatically: the record is to start at its swing."""
     trimmed: bool = False
     continued: bool = False
     stood: float | None = None
@@ -107,7 +107,7 @@ class SwingSegmenter:
             cut = self._cut(self._open, self._past.end, why)
             cuts.append(cut._replace(kind="stop") if keep and not cut.kind else cut)
         self._closing, self._open = [], None
-        self._state = State.STARTING  # robot still moving: what comes after this opens a record again
+        self._state = State.STARTING  # robot still moving: later cycles open a record again
         return [cut for cut in cuts if cut.kind]
 
     def _take(self, cycles: Cycles) -> list[RecordSegment]:
@@ -132,7 +132,7 @@ class SwingSegmenter:
         part = self._open
         if part is None:
             if state in MOVING:
-                late = before is State.STARTING  # nothing moves in STARTING: the begin was not recorded
+                late = before is State.STARTING  # nothing moves in STARTING: the start was not recorded
                 self._open = part = _Part(self._before(number, time), continued=late, series=late)
         elif state not in MOVING or (state is State.ARMED and before is State.RECOVERING):
             if state in LATCHED and not part.kind:
@@ -217,7 +217,7 @@ class _Past:
         self.end += len(cycles)
 
     def copy(self, begin: int, end: int) -> Cycles:
-        """Return the cycles `begin` to `end` - 1 as an array of their own."""
+        """Return the cycles `begin` to `end` - 1 as a separate array."""
         found = np.empty(end - begin, CYCLE)
         data = found.view(np.uint8).reshape(len(found), CYCLE.itemsize)
         location = begin % self.room

@@ -1,6 +1,6 @@
 """JSON metadata of a record of the daemon: its keys.
 
-Beside `schema_version` and `enumerations` (`bench.records.telemetry.recorder`):
+In addition to `schema_version` and `enumerations` (`bench.records.telemetry.recorder`):
 
 `kind`           "swing"; "stop", a stop or fault without a swing
 `bench`          id of the bench
@@ -13,13 +13,13 @@ Beside `schema_version` and `enumerations` (`bench.records.telemetry.recorder`):
 `complete`       true when every tick's record from first to last is there and the robot stood at the end
 `lost_records`   records the ring lost inside
 `missed_ticks`   ticks that the loop itself skipped inside
-`continued`      the robot moved already when it begins: the record before was cut there, or nobody recorded
+`continued`      the robot moved already at its start: the previous record was cut there, or no recorder ran
 `outcome`        `states`: [tick, name] at the first cycle and at each change; `cause`, `text`: first cause
                  of a stop; `then_found`: names of those found after it; `ended`: why the record ends before
                  the robot stood, else empty
 `configuration`, `versions`, `real_time`, `calibrations`   as the supervisor gave them
 `profile`        `name`, `golfer`, `club`, `impact_time`, and `data`: all of the profile, see `profile_entry`
-                 `correction`, where it was swung with a learned one, which is in `data`: `number`, `weights`
+                 `correction`, if a learned one was applied, which is in `data`: `number`, `weights`
 `snapshot`       null, or the controller's memory after the step of `tick` (which is in the record) at the
                  loop's `time`: `layout`, digest of its type; `data`, base64 of zlib of its bytes
 `replayable`     there is a snapshot, and no record is lost

@@ -1,6 +1,6 @@
 """Shoulder link, left arm with the wrist's actuator, and the club in its mount, as heavy as assumed.
 
-The right arm, rod with eye and piston, and cylinder, lies along x of its own frames.
+The right arm, rod with eye and piston, and cylinder, lies along x of its frames.
 """
 
 from __future__ import annotations

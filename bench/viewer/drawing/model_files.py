@@ -6,7 +6,7 @@ along the target line: the golf frame is glTF's own.
 URDF has inertias of the dynamics, drawn meshes, outlines of the clearance checks. It is a tree, the robot has
 a loop: the right arm's cylinder hangs from its rod, and the two links `right_shoulder` (on the shoulder link)
 and `right_shoulder_of_cylinder` are to coincide. A simulator closes the loop with a point constraint between
-them; `closure.json` beside the file names it.
+them; `closure.json` in the same folder defines it.
 
 Root: `ground`, Z up, X along the target line, the origin below the point of impact. Joint values are those of
 the bench: shoulder, arm, wrist; rod and cylinder follow from them.
@@ -165,7 +165,7 @@ def collision_outline(plant: PlantParameters, min_frame_distance: float) -> Coll
 
 
 MESHES = "meshes"
-"""Folder of the meshes beside the URDF."""
+"""Folder of the meshes, next to the URDF."""
 CLOSURE = ("right_shoulder", "right_shoulder_of_cylinder")
 """Links that the loop holds together."""
 EFFORT, SPEED = 2000.0, 100.0
@@ -246,7 +246,7 @@ def write_urdf(folder: Path, plant: PlantParameters, outline: CollisionOutline) 
 
 
 def _for_mujoco(robot: Element, plant: PlantParameters) -> None:
-    """Say to MuJoCo what URDF has no words for: gravity, and that meshes are beside the file."""
+    """Add the MuJoCo settings that URDF lacks: gravity, and the folder of the meshes."""
     extension = SubElement(robot, "mujoco")
     SubElement(extension, "compiler", meshdir=MESHES, fusestatic="false", balanceinertia="false")
     SubElement(extension, "option", gravity=f"0 0 {-plant.robot.gravity!r}")
@@ -347,7 +347,7 @@ def _write_xml(folder: Path, robot: Element) -> Path:
 
 
 def _write_closure(folder: Path, plant: PlantParameters) -> Path:
-    """Write down the loop, which URDF cannot hold, and what the joints' efforts mean."""
+    """Write the loop, which URDF cannot express, and the meaning of the joints' efforts."""
     path = folder / "closure.json"
     text = {
         "kind": "point",

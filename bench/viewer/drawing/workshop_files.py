@@ -1,4 +1,4 @@
-"""The robot at address as STEP for a workshop, and the masses of its bodies beside those of the dynamics.
+"""The robot at address as STEP for a workshop, and the masses of its bodies next to those of the dynamics.
 
 STEP: exact solids, one labelled assembly a body, millimetres. The only module that needs build123d (extra
 `cad`). Z up, X along the target line, as in the URDF.
@@ -29,7 +29,7 @@ REASONS = {
     "right_arm_rod": "rod, piston and eye over the whole stroke; the thesis has the inertia of a 0.2 m rod",
     "right_arm_cylinder": "caps at both ends; the thesis has a uniform bar",
 }
-"""By body: what a difference comes from."""
+"""Cause of a difference, by body."""
 
 
 class MassRow(NamedTuple):
@@ -138,7 +138,7 @@ def _faceted(b: Any, mesh: Mesh) -> Any:
 
 
 def _one(shape: Any) -> Any:
-    """Return the only solid of what a cut left."""
+    """Return the only solid of `shape`; ValueError unless there is exactly one."""
     solids = shape.solids()
     if len(solids) != 1:
         raise ValueError(f"{len(solids)} solids, expected one")

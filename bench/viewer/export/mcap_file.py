@@ -15,7 +15,7 @@ the messages that an export does not use (meshes, texts, arrows) are left out.
 The schema of `/cycle` carries each value's unit and description and the names of its codes; the metadata
 record `golfbench` is the record's own. JSON has no NaN: an unknown number is left out of its message. It is
 not null, which would make its type a union: viewers of Foxglove's line refuse a channel whose schema has one.
-Time stamps are UTC if the record has its time, else from zero. A layout stands beside the file.
+Time stamps are UTC if the record has its time, else from zero. A layout is stored in the same folder.
 """
 
 from __future__ import annotations
@@ -265,7 +265,7 @@ def _colour(values: tuple[float, ...]) -> Message:
 
 TOPIC = "/cycle"
 LAYOUT = "foxglove_layout.json"
-"""Name of the layout's file, here and beside the exported one."""
+"""Name of the layout's file, in this package and next to the exported file."""
 
 _EVERY = 10
 """Every so many ticks the slow robot's frames are written."""
@@ -274,11 +274,11 @@ _INFO, _ERROR = 2, 4
 
 
 def write_mcap(path: Path, record: ExportRecord) -> list[Path]:
-    """Write `record` to `path` and the layout beside it; return both paths.
+    """Write `record` to `path` and the layout next to it; return both paths.
 
     Raises:
         NotStored: they cannot be stored.
-        ExceptionGroup: of BenchErrors, values of its configuration that this program does not take.
+        ExceptionGroup: BenchErrors, values of its configuration that this program does not take.
     """
     with atomic_file(path) as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD)
@@ -307,7 +307,7 @@ def write_mcap(path: Path, record: ExportRecord) -> list[Path]:
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the JSON schema of a cycle's message, with `unit` beside each number."""
+    """Return the JSON schema of a cycle's message, with the `unit` of each number."""
     return {
         "title": "golfbench.Cycle",
         "type": "object",

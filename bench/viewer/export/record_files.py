@@ -1,9 +1,9 @@
 """A record to export, its columns and changes; its files as CSV (RFC 4180), MATLAB's format 5 and MDF 4.1.
 
-CSV (RFC 4180): a header row, a row a cycle; beside it units and metadata as JSON. Beside `NAME.csv` stands
-`NAME.csv-metadata.json`, where the W3C's "Metadata Vocabulary for Tabular Data" looks for it: names, types,
-descriptions and units of the columns; the record's metadata under `golfbench`. Numbers have the fewest digits
-that read back to the same number; what is not known is `nan`.
+CSV (RFC 4180): a header row, then one row per cycle. `NAME.csv-metadata.json` in the same folder, where the
+W3C's "Metadata Vocabulary for Tabular Data" expects it, holds names, types, descriptions and units of the
+columns, and the record's metadata under `golfbench`. Numbers have the fewest digits that read back to the
+same number; an unknown number is `nan`.
 
 MATLAB's format 5, compressed; `scipy.io.loadmat` and Octave read it too. Variables: `cycles`, a struct with a
 field for each field of the record, (n, 1) or (n, 3) and so on; `units`, `descriptions` and `components`,
@@ -11,7 +11,7 @@ structs with the same fields; `metadata`, the record's as JSON text.
 
 MDF 4.1 (ASAM) by asammdf, for CANape, INCA and NI: a channel a column, with units, names and events. Codes
 have their names as a conversion from value to text. Each change of state, phase, reaction or cause is an
-event, the record's metadata are an attached JSON text. Time is from zero, the file's begin is the record's in
+event, the record's metadata are an attached JSON text. Time is from zero, the file's start is the record's in
 UTC, if it has one. A channel without a measured value, NaN throughout, is left out.
 """
 
@@ -104,7 +104,7 @@ _TYPES = {"double": "number", "int64": "integer", "int32": "integer", "uint8": "
 
 
 def write_csv(path: Path, record: ExportRecord) -> list[Path]:
-    """Write `record` to `path` and its metadata beside it; return both paths.
+    """Write `record` to `path` and its metadata next to it; return both paths.
 
     Raises:
         NotStored: they cannot be stored.

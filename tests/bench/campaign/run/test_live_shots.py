@@ -504,7 +504,7 @@ def test_resume_after_access_prompts_guard_then_reset_button(plan: CampaignPlan)
     asked: list[str] = []
     with shots_of(plan, bench) as source:
         source.resume_after_access(PromptKind.CLUB, asked.append)
-    assert asked == ["Leave the robot and close the guard.", "Press the reset button beside the robot."]
+    assert asked == ["Leave the robot and close the guard.", "Press the reset button next to the robot."]
 
 
 def test_hindrance_missing_monitor_blocks_and_disabled_monitor_suspends(

@@ -29,12 +29,12 @@ def test_moved_zero_unchanged_preset_returns_no_reason() -> None:
         (
             0,
             "preset 9, offset 5",
-            "encoder of the shoulder: found preset 9, offset 5, expected what it was at ",
+            "encoder of the shoulder: found preset 9, offset 5, expected the values at ",
         ),
         (
             1,
             "",
-            "encoder of the arm: found neither preset nor offset, expected what it was at calibration en",
+            "encoder of the arm: found neither preset nor offset, expected the values at calibration en",
         ),
         (2, PLAIN, "calibration encoders version 3: unknown, as no bench was running when it was entered"),
     ],
