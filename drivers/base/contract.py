@@ -29,6 +29,9 @@ INVALID = float("inf")
 """A channel that is fitted and gives no believable value: cable cut, short circuit, device silent. It is no
 smaller than any limit: code that only compares takes a chamber for full, not for empty."""
 
+SPOOL_RANGE = -1.2, 1.2
+"""Lowest and highest believable spool position; a cut cable reads less where the sensor has a live zero."""
+
 Triple = tuple[float, float, float]
 
 
@@ -59,6 +62,9 @@ class Readings(NamedTuple):
     """Feedback of the two vents: 1 open, 0 shut; ABSENT when not fitted, INVALID when not believable."""
     shut_off_open: float = ABSENT
     """Feedback of the shut-off valve before the manifold, as of a vent; shut it exhausts the manifold."""
+    spool_position: Triple = (ABSENT, ABSENT, ABSENT)
+    """Feedback of the spools, -1..1 with the sign of the command; ABSENT when not fitted, INVALID when not
+    believable."""
 
 
 class Command(NamedTuple):
@@ -99,9 +105,9 @@ class Launch(NamedTuple):
     spin_axis: float = 0.0
 
 
-def believed(pressure: float, lowest: float, highest: float) -> float:
-    """Return `pressure` (Pa absolute) if it lies between the two, else INVALID; NaN is INVALID."""
-    return pressure if lowest <= pressure <= highest else INVALID
+def believed(value: float, lowest: float, highest: float) -> float:
+    """Return `value` if it lies between the two, else INVALID; NaN is INVALID."""
+    return value if lowest <= value <= highest else INVALID
 
 
 def device_limited(command: Command) -> Command:

@@ -28,6 +28,7 @@ READINGS = np.dtype(
         ("encoder_indexed", "u1", (3,)),
         ("vent_open", "f8", (2,)),
         ("shut_off_open", "f8"),
+        ("spool_position", "f8", (3,)),
     ],
     align=True,
 )
@@ -89,6 +90,7 @@ def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
         indexed,
         vents,
         shut_off,
+        spools,
     ) = record.item()
     v1, v2, v3 = valid.tolist()
     i1, i2, i3 = indexed.tolist()
@@ -108,6 +110,7 @@ def unpack_readings(record: np.ndarray[Any, Any]) -> Readings:
         (i1 != 0, i2 != 0, i3 != 0),
         tuple(vents.tolist()),
         shut_off,
+        tuple(spools.tolist()),
     )
 
 

@@ -17,12 +17,12 @@ from drivers.canopen.frames import (
     RPDO1,
     SDO_REQUEST,
     SDO_RESPONSE,
+    SPOOLS,
     SYNC,
     TPDO1,
     TPDO2,
-    TPDO3,
+    analogue_groups,
     beat_period,
-    pressure_groups,
 )
 from drivers.canopen.settings import FULL_SCALE, CanopenSettings
 
@@ -125,34 +125,34 @@ def frames(settings: CanopenSettings, period: float, watchdog: float) -> Iterato
         "Interlocks, on change and at least once per period",
         settings.interlock_period,
     )
-    yield from _pressures(settings, period)
+    yield from _analogue(settings, period)
     yield from _services(settings, watchdog)
 
 
-def _pressures(settings: CanopenSettings, period: float) -> Iterator[Frame]:
+def _analogue(settings: CanopenSettings, period: float) -> Iterator[Frame]:
     node = settings.valve_node
-    names = {
-        channel: f"pressure_{_word(name)}"
-        for channel, name in zip(
-            (node.supply_pressure, *node.chamber_pressures), ("supply", *CHAMBERS), strict=True
+    channels = (node.supply_pressure, *node.chamber_pressures, *node.spool_positions)
+    words = ("pressure_supply", *(f"pressure_{_word(c)}" for c in CHAMBERS))
+    names = dict(zip(channels, (*words, *(f"spool_{_word(a)}" for a in ACTUATORS)), strict=True))
+    for group in analogue_groups(settings):
+        low, high, unit, text = (
+            (node.spool_at_zero, node.spool_at_full_scale, "", "Spool positions, share of the full opening")
+            if group.number == SPOOLS
+            else (node.pressure_at_zero, node.pressure_at_full_scale, "Pa", "Absolute pressures")
         )
-    }
-    factor = (node.pressure_at_full_scale - node.pressure_at_zero) / FULL_SCALE
-    for n, (base, group) in enumerate(zip((TPDO2, TPDO3), pressure_groups(node), strict=False), start=1):
+        factor = (high - low) / FULL_SCALE
         signals = tuple(
-            Signal(
-                names[channel], 16 * k, 16, True, factor, node.pressure_at_zero, "Pa", counts=(0, FULL_SCALE)
-            )
-            for k, channel in enumerate(group)
+            Signal(names[channel], 16 * k, 16, True, factor, low, unit, counts=(0, FULL_SCALE))
+            for k, channel in enumerate(group.channels)
         )
         yield Frame(
-            base + node.node,
-            f"PRESSURES_{n}",
-            2 * len(group),
+            group.base + node.node,
+            group.name.upper().replace(" ", "_"),
+            2 * len(signals),
             sender(node.node),
             signals,
-            "Absolute pressures",
-            settings.pressure_ticks * period,
+            text,
+            group.ticks * period,
         )
 
 

@@ -32,6 +32,7 @@ from drivers.base import (
     INVALID,
     JOINTS,
     PASSIVE,
+    SPOOL_RANGE,
     Command,
     DriverError,
     Readings,
@@ -55,12 +56,12 @@ from drivers.canopen.frames import (
     SYNC,
     TPDO1,
     TPDO2,
-    TPDO3,
+    AnalogueGroup,
+    analogue_groups,
     beat_period,
     bus_load,
     frame,
     max_rate,
-    pressure_groups,
 )
 from drivers.canopen.link import BusCounters, FrameLink, SocketcanLink, open_link, whole_frame
 from drivers.canopen.native_state import FIXED, SHARED, NativeState
@@ -151,7 +152,8 @@ class CanopenDriver:
         self._set_scales(valve_node)
         self._max_silence = _MISSED * self.settings.heartbeat
         self._max_input_gap = _MISSED * self.settings.interlock_period
-        self._max_pressure_gap = _MISSED * self.settings.pressure_ticks * period
+        slow = _MISSED * self.settings.pressure_ticks * period
+        self._max_gaps = slow, slow, _MISSED * period
         self._takers = self._make_takers()
         self._native = NativeState(self.settings)
         self._pending: deque[bytes] = deque()
@@ -185,11 +187,16 @@ class CanopenDriver:
         fed_back = inputs.vent_1_open, inputs.vent_2_open, inputs.shut_off_open
         one, two, three = (1 << bit if bit >= 0 else 0 for bit in fed_back)
         self._vent_bits, self._shut_off_bit = (one, two), three
-        self._pressure_zero = valve_node.pressure_at_zero
-        self._believable = valve_node.lowest_pressure, valve_node.highest_pressure
-        self._pressure_scale = (valve_node.pressure_at_full_scale - valve_node.pressure_at_zero) / FULL_SCALE
-        self._pressure_groups = pressure_groups(valve_node)
+        self._groups = analogue_groups(self.settings)
+        # By number of the group, pressures twice: count zero, value of a count, believable values.
+        pressure, spool = valve_node.pressure_at_zero, valve_node.spool_at_zero
+        self._zeros = pressure, pressure, spool
+        per_count = (valve_node.pressure_at_full_scale - pressure) / FULL_SCALE
+        self._scales = per_count, per_count, (valve_node.spool_at_full_scale - spool) / FULL_SCALE
+        believable = valve_node.lowest_pressure, valve_node.highest_pressure
+        self._believable = believable, believable, SPOOL_RANGE
         self._supply, self._chambers = valve_node.supply_pressure, valve_node.chamber_pressures
+        self._spools = valve_node.spool_positions
 
     def _forget(self) -> None:
         """Reset everything known about the bus."""
@@ -205,9 +212,9 @@ class CanopenDriver:
         self._in_time = False
         """Whether answers received now belong to this tick's SYNC."""
         self._inputs = 0
-        self._pressures = dict.fromkeys(self.settings.valve_node.analogue_inputs, INVALID) | {0: ABSENT}
+        self._analogue = dict.fromkeys(self.settings.valve_node.analogue_inputs, INVALID) | {0: ABSENT}
         """By sub-index; 0 where nothing is fitted."""
-        self._pressures_received = [-math.inf] * len(self._pressure_groups)
+        self._analogue_received = [-math.inf] * len(self._groups)
         self._last_heard = [0.0] * 4
         self._listened = 0.0
         """Time for which the loop has received frames (s); the clock for detecting lost nodes."""
@@ -297,10 +304,11 @@ class CanopenDriver:
         shoulder, arm, wrist = (read_zero_shift(node) for node in nodes[:_VALVE_NODE])
         self.zero_shifts = shoulder, arm, wrist
         self._inputs = valve_node.read(0x6000, 1, "inputs")
-        for channel in self.settings.valve_node.analogue_inputs:
-            count = valve_node.read(0x6401, channel, "pressure")
-            self._pressures[channel] = self._pressure_of(count - (count >> 15 << 16))
-        self._pressures_received = [0.0] * len(self._pressure_groups)
+        for group in self._groups:
+            for channel in group.channels:
+                count = valve_node.read(0x6401, channel, group.name)
+                self._analogue[channel] = self._value_of(group, count - (count >> 15 << 16))
+        self._analogue_received = [0.0] * len(self._groups)
         self._states = [-1] * 4
         for node in nodes:
             self._order(_START, node.number)
@@ -510,11 +518,12 @@ class CanopenDriver:
         return link.receive_frame(timeout)
 
     def _readings(self, time: float) -> Readings:
-        inputs, bits, pressures = self._inputs, self._input_bits, self._pressures
+        inputs, bits, analogue = self._inputs, self._input_bits, self._analogue
         seen, faulty = self._seen, self._faulty
         a, b, c = self._sampled
         one, two = self._vent_bits
         p1, p2, p3, p4, p5, p6 = self._chambers
+        s1, s2, s3 = self._spools
         return Readings(
             time,
             (self._count[0], self._count[1], self._count[2]),
@@ -524,12 +533,13 @@ class CanopenDriver:
             inputs & bits[0] != 0,
             inputs & bits[1] != 0,
             inputs & bits[2] != 0,
-            pressures[self._supply],
+            analogue[self._supply],
             inputs & bits[3] != 0,
             inputs & bits[4] != 0,
-            (pressures[p1], pressures[p2], pressures[p3], pressures[p4], pressures[p5], pressures[p6]),
+            (analogue[p1], analogue[p2], analogue[p3], analogue[p4], analogue[p5], analogue[p6]),
             vent_open=(self._valve_position(one), self._valve_position(two)),
             shut_off_open=self._valve_position(self._shut_off_bit),
+            spool_position=(analogue[s1], analogue[s2], analogue[s3]),
         )
 
     def _valve_position(self, mask: int) -> float:
@@ -551,9 +561,9 @@ class CanopenDriver:
             takers[SDO_RESPONSE + number] = partial(self._take_answer, number)
         node = self.settings.valve_node
         takers[TPDO1 + node.node] = self._take_inputs
-        for n, (base, group) in enumerate(zip((TPDO2, TPDO3), self._pressure_groups, strict=False)):
-            packed = struct.Struct(f"<{len(group)}h")
-            takers[base + node.node] = partial(self._take_pressures, n, group, packed)
+        for n, group in enumerate(self._groups):
+            packed = struct.Struct(f"<{len(group.channels)}h")
+            takers[group.base + node.node] = partial(self._take_analogue, n, group, packed)
         return takers
 
     def _take(self, whole: bytes) -> None:
@@ -611,18 +621,19 @@ class CanopenDriver:
         self._counters.inputs += 1
         self._inputs, self._inputs_received = data[0], self._listened
 
-    def _take_pressures(self, n: int, group: tuple[int, ...], packed: struct.Struct, data: bytes) -> None:
+    def _take_analogue(self, n: int, group: AnalogueGroup, packed: struct.Struct, data: bytes) -> None:
         if len(data) != packed.size:
             self._counters.wrong_length += 1
             return
-        self._counters.pressures += 1
-        self._pressures_received[n] = self._listened
-        for channel, count in zip(group, packed.unpack(data), strict=True):
-            self._pressures[channel] = self._pressure_of(count)
+        self._counters.analogue += 1
+        self._analogue_received[n] = self._listened
+        for channel, count in zip(group.channels, packed.unpack(data), strict=True):
+            self._analogue[channel] = self._value_of(group, count)
 
-    def _pressure_of(self, count: int) -> float:
-        """Return the pressure of an analogue `count`, Pa absolute; INVALID if it is not believable."""
-        return believed(self._pressure_zero + self._pressure_scale * count, *self._believable)
+    def _value_of(self, group: AnalogueGroup, count: int) -> float:
+        """Return the value of a `count` in `group`, Pa absolute or share; INVALID if it is not believable."""
+        k = group.number - 1
+        return believed(self._zeros[k] + self._scales[k] * count, *self._believable[k])
 
     def _take_heartbeat(self, index: int, data: bytes) -> None:
         if len(data) != 1:
@@ -683,11 +694,11 @@ class CanopenDriver:
             self._note_fault(f"{who} has sent no heartbeat for {self._max_silence:g} s")
         if now - self._inputs_received > self._max_input_gap:
             self._note_fault("the interlocks have not been received for three of their periods")
-        for n, received in enumerate(self._pressures_received):
-            if now - received > self._max_pressure_gap and received > -math.inf:
-                self._pressures_received[n] = -math.inf
-                for channel in self._pressure_groups[n]:
-                    self._pressures[channel] = INVALID
+        for n, (group, received) in enumerate(zip(self._groups, self._analogue_received, strict=True)):
+            if now - received > self._max_gaps[group.number - 1] and received > -math.inf:
+                self._analogue_received[n] = -math.inf
+                for channel in group.channels:
+                    self._analogue[channel] = INVALID
 
     # Ticks in compiled code ----------------------------------------------------------------------
 
@@ -708,7 +719,7 @@ class CanopenDriver:
         values |= {"sync": words_of(self._sync), "beat": words_of(self._beat), "applied": self._applied}
         values |= {"descriptor": link.descriptor, "echoed": link.echoed, "ahead": link.wall.ns}
         values["sync_timeout"] = self.settings.sync_timeout
-        self._native.store(values, self._pressures, self._pressures_received)
+        self._native.store(values, self._analogue, self._analogue_received)
 
     def _take_over(self) -> None:
         """Continue in Python from the state of compiled code, if that is the newest."""
@@ -717,8 +728,8 @@ class CanopenDriver:
         values = self._native.load()
         for field, name in SHARED.items():
             setattr(self, name, values[field])
-        self._pressures |= values["pressures"]
-        self._pressures_received, self._applied = values["pressures_received"], values["applied"]
+        self._analogue |= values["analogue"]
+        self._analogue_received, self._applied = values["analogue_received"], values["applied"]
         for name, count in values["counters"].items():
             setattr(self._counters, name, getattr(self._counters, name) + count)
         self._waiting_until = values["end"] if values["waiting"] else math.nan

@@ -9,7 +9,7 @@ from drivers.can_bus import FRAME
 from drivers.canopen.settings import FULL_SCALE, CanopenSettings, ValveNodeSettings
 
 NMT, SYNC, EMERGENCY = 0x000, 0x080, 0x080
-TPDO1, TPDO2, TPDO3, RPDO1 = 0x180, 0x280, 0x380, 0x200
+TPDO1, TPDO2, TPDO3, TPDO4, RPDO1 = 0x180, 0x280, 0x380, 0x480, 0x200
 SDO_RESPONSE, SDO_REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
 """Function codes of CiA 301's predefined connection set; the node's number is added."""
 
@@ -21,7 +21,7 @@ COMMAND = struct.Struct("=IB3x3hBx")
 COMMAND_LENGTH = 7
 POSITION_LENGTH = 4
 INPUTS_LENGTH = 1
-PRESSURES_IN_ONE = 4
+ANALOGUE_IN_ONE = 4
 """Analogue inputs per frame."""
 EMERGENCY_LENGTH = 8
 
@@ -55,10 +55,36 @@ class Traffic(NamedTuple):
         return self.rate * worst_bits(self.length)
 
 
-def pressure_groups(node: ValveNodeSettings) -> tuple[tuple[int, ...], ...]:
-    """Return the analogue inputs of TPDO2, and of TPDO3 if more than four are fitted."""
-    fitted = node.analogue_inputs
-    return tuple(fitted[at : at + PRESSURES_IN_ONE] for at in range(0, len(fitted), PRESSURES_IN_ONE))
+class AnalogueGroup(NamedTuple):
+    """Analogue inputs in one PDO of the valve node."""
+
+    name: str
+    number: int
+    """Number of the PDO after TPDO1: 1 and 2 for pressures, SPOOLS for the spools' positions."""
+    channels: tuple[int, ...]
+    """Sub-indices of 6401h."""
+    ticks: int
+    """Ticks between two of its frames."""
+
+    @property
+    def base(self) -> int:
+        """Function code of the PDO."""
+        return (TPDO2, TPDO3, TPDO4)[self.number - 1]
+
+
+SPOOLS = 3
+"""Number of the group with the spools' positions."""
+
+
+def analogue_groups(settings: CanopenSettings) -> tuple[AnalogueGroup, ...]:
+    """Return pressures in TPDO2, in TPDO3 if more than four are fitted, and spool positions in TPDO4."""
+    node, ticks = settings.valve_node, settings.pressure_ticks
+    fitted = node.pressure_inputs
+    split = (fitted[at : at + ANALOGUE_IN_ONE] for at in range(0, len(fitted), ANALOGUE_IN_ONE))
+    groups = [AnalogueGroup(f"pressures {n}", n, part, ticks) for n, part in enumerate(split, start=1)]
+    if node.spool_inputs:
+        groups.append(AnalogueGroup("spools", SPOOLS, node.spool_inputs, 1))
+    return tuple(groups)
 
 
 def traffic(settings: CanopenSettings, period: float, watchdog: float) -> list[Traffic]:
@@ -73,10 +99,8 @@ def traffic(settings: CanopenSettings, period: float, watchdog: float) -> list[T
     sent += [Traffic("command", RPDO1 + node, COMMAND_LENGTH, ticks)]
     sent += [Traffic("inputs", TPDO1 + node, INPUTS_LENGTH, 1.0 / settings.interlock_period)]
     sent += [
-        Traffic(f"pressures {n + 1}", base + node, 2 * len(group), ticks / settings.pressure_ticks)
-        for n, (base, group) in enumerate(
-            zip((TPDO2, TPDO3), pressure_groups(settings.valve_node), strict=False)
-        )
+        Traffic(group.name, group.base + node, 2 * len(group.channels), ticks / group.ticks)
+        for group in analogue_groups(settings)
     ]
     sent += [
         Traffic(f"heartbeat {number}", HEARTBEAT + number, 1, 1.0 / settings.heartbeat) for number in numbers

@@ -41,7 +41,7 @@ class BusCounters:
     duplicates: int = 0
     """Repeated samples of one SYNC."""
     inputs: int = 0
-    pressures: int = 0
+    analogue: int = 0
     heartbeats: int = 0
     boot_ups: int = 0
     emergencies: int = 0

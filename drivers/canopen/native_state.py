@@ -10,7 +10,7 @@ import numba
 from drivers.base.compiled import new_record, numbers
 from drivers.base.native_calls import NativeCall, NativeCalls
 from drivers.base.records import unpack_command
-from drivers.canopen.frames import pressure_groups
+from drivers.canopen.frames import ANALOGUE_IN_ONE, analogue_groups
 from drivers.canopen.native_tick import (
     COUNTED,
     IS_SUPPORTED,
@@ -51,14 +51,14 @@ FIXED = {
     "output_bits": "_output_bits",
     "valve_centre": "_valve_centre",
     "valve_span": "_valve_span",
-    "pressure_zero": "_pressure_zero",
-    "pressure_scale": "_pressure_scale",
+    "zeros": "_zeros",
+    "scales": "_scales",
     "believable": "_believable",
     "max_step": "max_step",
     "beat_period": "_beat_period",
     "max_silence": "_max_silence",
     "max_input_gap": "_max_input_gap",
-    "max_pressure_gap": "_max_pressure_gap",
+    "max_gaps": "_max_gaps",
     "command_identifier": "_command_identifier",
 }
 """Fields that it only reads."""
@@ -71,7 +71,12 @@ class NativeState:
     def __init__(self, settings: CanopenSettings) -> None:
         self._settings = settings
         self._state = new_record(LINK_STATE)
-        self._channels = settings.valve_node.analogue_inputs
+        self._groups = analogue_groups(settings)
+        self._location = {0: NOWHERE} | {
+            channel: ANALOGUE_IN_ONE * (group.number - 1) + k
+            for group in self._groups
+            for k, channel in enumerate(group.channels)
+        }
         self.leads = numbers(self._state["leads"])
         """Whether compiled code has the newest state (one number)."""
         self.is_wanted = False
@@ -85,42 +90,43 @@ class NativeState:
         block = self._state.ctypes.data
         return NativeCalls(NativeCall(read_native.address, block), NativeCall(write_native.address, block))
 
-    def store(self, values: Mapping[str, Any], pressures: Mapping[int, float], received: list[float]) -> None:
+    def store(self, values: Mapping[str, Any], analogue: Mapping[int, float], received: list[float]) -> None:
         """Take the state, whose ticks are compiled from now on.
 
-        `values` are fields of LINK_STATE; `pressures` (Pa) are keyed by analogue input, 0 where none is
+        `values` are fields of LINK_STATE; `analogue` are values keyed by analogue input, 0 where none is
         fitted, and `received` is when each of their groups came (s).
         """
-        state, channels, node = self._state[0], self._channels, self._settings.valve_node
+        state, location, node = self._state[0], self._location, self._settings.valve_node
         for name in ("waiting", "receive_error", "send_error", "at", "count"):
             state[name] = 0
         for name, value in values.items():
             state[name] = value
-        location = {channel: k for k, channel in enumerate(channels)} | {0: NOWHERE}
         for channel, k in location.items():
-            state["pressures"][k] = pressures[channel]
+            state["analogue"][k] = analogue[channel]
         state["supply"] = location[node.supply_pressure]
         state["chambers"] = [location[channel] for channel in node.chamber_pressures]
-        sizes = [len(group) for group in pressure_groups(node)]
-        state["group_sizes"], state["pressures_received"] = (sizes + [0, 0])[:2], (received + [0.0, 0.0])[:2]
+        state["spools"] = [location[channel] for channel in node.spool_positions]
+        state["group_sizes"] = 0
+        for group, time in zip(self._groups, received, strict=True):
+            slot = group.number - 1
+            state["group_sizes"][slot], state["analogue_received"][slot] = len(group.channels), time
         prepare(self._state)
         self.leads[0] = True
 
     def load(self) -> dict[str, Any]:
         """Return the state in plain values and let Python lead.
 
-        `pressures` are keyed by analogue input, `counters` by name, as increments; `pending`
+        `analogue` is keyed by analogue input, `counters` by name, as increments; `pending`
         are the frames received and not taken.
         """
         state = self._state[0]
         self.leads[0] = False
-        groups = len(pressure_groups(self._settings.valve_node))
         values: dict[str, Any] = {name: state[name].tolist() for name in LOADED}
         for name in ("seen", "faulty"):
             values[name] = [one != 0 for one in values[name]]
-        found = state["pressures"].tolist()
-        values["pressures"] = {channel: found[k] for k, channel in enumerate(self._channels)}
-        values["pressures_received"] = state["pressures_received"][:groups].tolist()
+        found, received = state["analogue"].tolist(), state["analogue_received"].tolist()
+        values["analogue"] = {channel: found[k] for channel, k in self._location.items()}
+        values["analogue_received"] = [received[group.number - 1] for group in self._groups]
         values["counters"] = dict(zip(COUNTED, state["counters"].tolist(), strict=True))
         state["counters"] = 0
         values["applied"] = unpack_command(self._state["applied"])

@@ -34,6 +34,7 @@ from drivers.canopen.frames import (
     TPDO1,
     TPDO2,
     TPDO3,
+    TPDO4,
 )
 
 IS_SUPPORTED = sys.platform == "linux" and sys.byteorder == "little" and struct.calcsize("P") == 8
@@ -46,15 +47,15 @@ MAX_WAITING = 64
 """Max frames taken before the SYNC."""
 ALL = 0b111
 OPERATIONAL_STATE = 5
-NOWHERE = 8
-"""Index of a pressure that is not fitted."""
+NOWHERE = 12
+"""Index of an analogue input that is not fitted."""
 
 COUNTED = (
-    *("frames", "positions", "late", "duplicates", "inputs", "pressures", "heartbeats"),
+    *("frames", "positions", "late", "duplicates", "inputs", "analogue", "heartbeats"),
     *("syncs", "missing", "floods"),
 )
 """Counters of `BusCounters` that compiled code raises."""
-_FRAMES, _POSITIONS, _LATE, _DUPLICATES, _INPUTS, _PRESSURES, _HEARTBEATS, _SYNCS, _MISSING, _FLOODS = range(
+_FRAMES, _POSITIONS, _LATE, _DUPLICATES, _INPUTS, _ANALOGUE, _HEARTBEATS, _SYNCS, _MISSING, _FLOODS = range(
     10
 )
 
@@ -97,8 +98,8 @@ LINK_STATE = np.dtype(
         ("faulty", "i8", (3,)),
         ("inputs", "i8"),
         ("inputs_received", "f8"),
-        ("pressures", "f8", (9,)),
-        ("pressures_received", "f8", (2,)),
+        ("analogue", "f8", (13,)),
+        ("analogue_received", "f8", (3,)),
         ("last_heard", "f8", (4,)),
         ("beaten", "f8"),
         ("echoed", "f8"),
@@ -110,24 +111,25 @@ LINK_STATE = np.dtype(
         ("nodes", "i8", (4,)),
         ("counts_per_revolution", "i8"),
         ("range", "i8", (3,)),
-        ("group_sizes", "i8", (2,)),
+        ("group_sizes", "i8", (3,)),
         ("supply", "i8"),
         ("chambers", "i8", (6,)),
+        ("spools", "i8", (3,)),
         ("input_bits", "i8", (5,)),
         ("vent_bits", "i8", (2,)),
         ("shut_off_bit", "i8"),
         ("output_bits", "i8", (5,)),
         ("valve_centre", "f8", (3,)),
         ("valve_span", "f8"),
-        ("pressure_zero", "f8"),
-        ("pressure_scale", "f8"),
-        ("believable", "f8", (2,)),
+        ("zeros", "f8", (3,)),
+        ("scales", "f8", (3,)),
+        ("believable", "f8", (3, 2)),
         ("max_step", "f8"),
         ("sync_timeout", "f8"),
         ("beat_period", "f8"),
         ("max_silence", "f8"),
         ("max_input_gap", "f8"),
-        ("max_pressure_gap", "f8"),
+        ("max_gaps", "f8", (3,)),
         ("command_identifier", "i8"),
         # Memory for the kernel
         ("sync", "i8", (2,)),
@@ -286,15 +288,15 @@ def _take_position(states: Any, joint: int, position: int) -> None:
 
 
 @compiled
-def _take_pressures(states: Any, group: int, data: int) -> None:
+def _take_analogue(states: Any, group: int, data: int) -> None:
     s = states[0]
-    s.counters[_PRESSURES] += 1
-    s.pressures_received[group] = s.listened
+    s.counters[_ANALOGUE] += 1
+    s.analogue_received[group] = s.listened
     for k in range(s.group_sizes[group]):
         count = data >> 16 * k & 0xFFFF
-        pressure = s.pressure_zero + s.pressure_scale * (count - (count >> 15 << 16))
-        believed = s.believable[0] <= pressure <= s.believable[1]
-        s.pressures[4 * group + k] = pressure if believed else INVALID
+        value = s.zeros[group] + s.scales[group] * (count - (count >> 15 << 16))
+        believed = s.believable[group, 0] <= value <= s.believable[group, 1]
+        s.analogue[4 * group + k] = value if believed else INVALID
 
 
 @compiled
@@ -311,12 +313,12 @@ def _take(states: Any, k: int) -> bool:
             s.counters[_FRAMES] += 1
             _take_position(states, joint, data & 0xFFFFFFFF)
             return True
-    for group in range(2):
-        base = TPDO3 if group else TPDO2
+    for group in range(3):
+        base = TPDO2 if group == 0 else TPDO3 if group == 1 else TPDO4
         size = s.group_sizes[group]
         if identifier == base + valve_node and size > 0 and length == 2 * size:
             s.counters[_FRAMES] += 1
-            _take_pressures(states, group, data)
+            _take_analogue(states, group, data)
             return True
     if identifier == TPDO1 + valve_node and length == INPUTS_LENGTH:
         s.counters[_FRAMES] += 1
@@ -412,19 +414,19 @@ def _await(states: Any, block: int) -> bool:
 
 @compiled
 def _supervise(states: Any) -> bool:
-    """Take pressures that are overdue for invalid; False where a node or the interlocks are."""
+    """Take analogue inputs that are overdue for invalid; False where a node or the interlocks are."""
     s = states[0]
     now, silent = s.listened, s.last_heard[0]
     for node in range(1, 4):
         silent = min(silent, s.last_heard[node])
     if now - silent > s.max_silence or now - s.inputs_received > s.max_input_gap:
         return False
-    for group in range(2):
-        received = s.pressures_received[group]
-        if now - received > s.max_pressure_gap and received > -np.inf:
-            s.pressures_received[group] = -np.inf
+    for group in range(3):
+        received = s.analogue_received[group]
+        if now - received > s.max_gaps[group] and received > -np.inf:
+            s.analogue_received[group] = -np.inf
             for k in range(s.group_sizes[group]):
-                s.pressures[4 * group + k] = INVALID
+                s.analogue[4 * group + k] = INVALID
     return True
 
 
@@ -443,9 +445,11 @@ def _fill(states: Any, readings: Any, time: float) -> None:
     out.guard_locked = s.inputs & s.input_bits[2] != 0
     out.local_reset = s.inputs & s.input_bits[3] != 0
     out.ball_present = s.inputs & s.input_bits[4] != 0
-    out.supply_pressure = s.pressures[s.supply]
+    out.supply_pressure = s.analogue[s.supply]
     for i in range(6):
-        out.chamber_pressure[i] = s.pressures[s.chambers[i]]
+        out.chamber_pressure[i] = s.analogue[s.chambers[i]]
+    for i in range(3):
+        out.spool_position[i] = s.analogue[s.spools[i]]
     for i in range(2):
         bit = s.vent_bits[i]
         out.vent_open[i] = ABSENT if bit == 0 else 1.0 if s.inputs & bit != 0 else 0.0

@@ -234,7 +234,9 @@ def judge_io_node(node: Node, settings: CanopenSettings) -> tuple[str, str]:
     needed = [(0x6000, 1, "inputs"), (0x6200, 1, "outputs"), (0x1800, 5, "event timer of the inputs")]
     needed += [(0x1017, 0, "heartbeat")]
     needed += [(0x6411, channel, "analogue output of a valve") for channel in chosen.valves]
-    needed += [(0x6401, channel, "analogue input of a pressure") for channel in chosen.analogue_inputs]
+    needed += [
+        (0x6401, channel, "analogue input of a pressure or spool") for channel in chosen.analogue_inputs
+    ]
     _need(node, needed)
     if not chosen.watchdog_relay:
         fallback = [(0x6443, channel, "error mode of a valve") for channel in chosen.valves]

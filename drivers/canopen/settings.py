@@ -114,6 +114,12 @@ class ValveNodeSettings:
     """Lowest believable pressure, Pa absolute: less is a cut cable."""
     highest_pressure: Annotated[float, Above(1e5), AtMost(1e8)] = 1.55e6
     """Highest believable pressure, Pa absolute: more is a short circuit."""
+    spool_positions: tuple[OptionalSubIndex, OptionalSubIndex, OptionalSubIndex] = (0, 0, 0)
+    """Sub-indices of 6401h with the spools' positions, in the order of the actuators; 0 if not fitted."""
+    spool_at_zero: Annotated[float, AtLeast(-3.0), AtMost(0.0)] = -1.0
+    """Spool position at count 0, share of the full opening."""
+    spool_at_full_scale: Annotated[float, AtLeast(1.0), AtMost(3.0)] = 1.0
+    """Spool position at count 32767, share of the full opening."""
     vent_proof: str = ""
     """Pressure switches on the manifold and on each actuator's exhaust that prove outside the bench, in the
     guard's circuit, that the air has gone. Needed if the manifold or a chamber has no sensor."""
@@ -124,9 +130,19 @@ class ValveNodeSettings:
     outputs: OutputSettings = field(default_factory=OutputSettings)
 
     @property
-    def analogue_inputs(self) -> tuple[int, ...]:
-        """Fitted sub-indices of 6401h: supply, then chambers."""
+    def pressure_inputs(self) -> tuple[int, ...]:
+        """Fitted sub-indices of 6401h with pressures: supply, then chambers."""
         return tuple(channel for channel in (self.supply_pressure, *self.chamber_pressures) if channel)
+
+    @property
+    def spool_inputs(self) -> tuple[int, ...]:
+        """Fitted sub-indices of 6401h with the spools' positions."""
+        return tuple(channel for channel in self.spool_positions if channel)
+
+    @property
+    def analogue_inputs(self) -> tuple[int, ...]:
+        """Fitted sub-indices of 6401h."""
+        return self.pressure_inputs + self.spool_inputs
 
 
 @dataclass(frozen=True)
@@ -183,4 +199,4 @@ class CanopenSettings:
         yield "valve_node.valves", list(node.valves)
         yield "valve_node.inputs", [bit for bit in vars(node.inputs).values() if bit >= 0]
         yield "valve_node.outputs", list(vars(node.outputs).values())
-        yield "valve_node pressures", list(node.analogue_inputs)
+        yield "valve_node pressures and spool positions", list(node.analogue_inputs)

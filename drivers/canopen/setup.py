@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from drivers.base import ACTUATORS, DriverError
-from drivers.canopen.frames import RPDO1, TPDO1, TPDO2, TPDO3, pressure_groups, valve_counts
+from drivers.canopen.frames import RPDO1, TPDO1, TPDO2, analogue_groups, valve_counts
 from drivers.canopen.scaling import check_stored, set_polarity, set_scale
 from drivers.canopen.services import MISSING, Node, ServiceError
 from drivers.canopen.settings import CanopenSettings, EncoderSettings, ValveNodeSettings
@@ -73,9 +73,9 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
     """
     chosen = settings.valve_node
     identify(node, IO_PROFILE, chosen.vendor, chosen.product)
-    groups = pressure_groups(chosen)
+    groups = analogue_groups(settings)
     _silence(node, _RPDO, {0})
-    _silence(node, _TPDO, {0, *range(1, len(groups) + 1)})
+    _silence(node, _TPDO, {0, *(group.number for group in groups)})
     _set_fallback(node, settings)
     valves = [0x6411 << 16 | channel << 8 | 16 for channel in chosen.valves]
     silence = round(1e3 * watchdog)
@@ -95,10 +95,9 @@ def set_up_valve_node(node: Node, settings: CanopenSettings, watchdog: float) ->
             f"{node.location(_TPDO, 5, 'event timer of the inputs')}: missing in the device, so a broken "
             "line would go undetected; use another device"
         )
-    for n, group in enumerate(groups, start=1):
-        base = (TPDO2, TPDO3)[n - 1]
-        mapped = [0x6401 << 16 | channel << 8 | 16 for channel in group]
-        _set_pdo(node, _TPDO + n, _TPDO_MAP + n, base + node.number, settings.pressure_ticks, mapped)
+    for group in groups:
+        n, mapped = group.number, [0x6401 << 16 | channel << 8 | 16 for channel in group.channels]
+        _set_pdo(node, _TPDO + n, _TPDO_MAP + n, group.base + node.number, group.ticks, mapped)
     _set_heartbeat(node, settings)
 
 

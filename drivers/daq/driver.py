@@ -30,6 +30,7 @@ from drivers.base import (
     INVALID,
     JOINTS,
     PASSIVE,
+    SPOOL_RANGE,
     Command,
     DriverError,
     Readings,
@@ -97,9 +98,10 @@ class DaqDriver:
         self._sampled: list[float] = [ABSENT] * 3
         self._ticks = 0
         self._inputs = np.zeros(len(s.input_lines), bool)
-        self._pressures = np.full(len(s.analogue_inputs), np.nan)
+        self._voltages = np.full(len(s.analogue_inputs), np.nan)
         self._volts = np.array(s.centre)
         self._lines = np.zeros(len(s.output_lines), bool)
+        self._has_spools = any(s.spool_positions)
         own = len(vars(s.outputs))
         self._sync = own if s.sync_line else -1
         self._beat = own + bool(s.sync_line) if s.watchdog_line else -1
@@ -248,13 +250,11 @@ class DaqDriver:
         self._interlocks = readers.DigitalMultiChannelReader(lines.in_stream)
         self._analogue = None
         if s.analogue_inputs:
-            pressures = self._task()
+            voltages = self._task()
             for channel in s.analogue_inputs:
-                pressures.ai_channels.add_ai_voltage_chan(
-                    self._full(channel), min_val=0.0, max_val=FULL_SCALE
-                )
-            pressures.start()
-            self._analogue = readers.AnalogMultiChannelReader(pressures.in_stream)
+                voltages.ai_channels.add_ai_voltage_chan(self._full(channel), min_val=0.0, max_val=FULL_SCALE)
+            voltages.start()
+            self._analogue = readers.AnalogMultiChannelReader(voltages.in_stream)
 
     def _first_reading(self) -> None:
         """Read every input once.
@@ -263,7 +263,7 @@ class DaqDriver:
             DriverError: a counter does not answer.
         """
         self._read_inputs()
-        self._read_pressures()
+        self._read_voltages()
         self._interlocks.verify_array_shape = False
         if self._analogue is not None:
             self._analogue.verify_array_shape = False
@@ -337,11 +337,11 @@ class DaqDriver:
         try:
             self._read_counters(time)
             self._read_inputs()
-            if self._ticks % self.settings.pressure_ticks == 0:
-                self._read_pressures()
+            if self._has_spools or self._ticks % self.settings.pressure_ticks == 0:
+                self._read_voltages()
         except self._daq.errors.Error as error:
             self._inputs[:] = False
-            self._pressures[:] = np.nan
+            self._voltages[:] = np.nan
             self._note_fault(f"reading failed: {error_text(error)}")
         self._ticks += 1
         return self._readings(time)
@@ -427,18 +427,24 @@ class DaqDriver:
     def _read_inputs(self) -> None:
         self._interlocks.read_one_sample_one_line(self._inputs, self.settings.sync_timeout)
 
-    def _read_pressures(self) -> None:
+    def _read_voltages(self) -> None:
         if self._analogue is not None:
-            self._analogue.read_one_sample(self._pressures, self.settings.sync_timeout)
+            self._analogue.read_one_sample(self._voltages, self.settings.sync_timeout)
 
     def _readings(self, time: float) -> Readings:
         s, inputs = self.settings, self._inputs.tolist()
         scale = (s.pressure_at_full_scale - s.pressure_at_zero) / FULL_SCALE
-        pressures = iter(
-            [
-                believed(s.pressure_at_zero + scale * volts, s.lowest_pressure, s.highest_pressure)
-                for volts in self._pressures.tolist()
-            ]
+        voltages = iter(self._voltages.tolist())
+        supply, p1, p2, p3, p4, p5, p6 = (
+            believed(s.pressure_at_zero + scale * next(voltages), s.lowest_pressure, s.highest_pressure)
+            if name
+            else ABSENT
+            for name in (s.supply_pressure, *s.chamber_pressures)
+        )
+        scale = (s.spool_at_full_scale - s.spool_at_zero) / FULL_SCALE
+        s1, s2, s3 = (
+            believed(s.spool_at_zero + scale * next(voltages), *SPOOL_RANGE) if name else ABSENT
+            for name in s.spool_positions
         )
         fed_back = iter(inputs[len(vars(s.inputs)) :])
         # Inputs that were not read are False, which is also a valve's position.
@@ -446,8 +452,6 @@ class DaqDriver:
             ABSENT if not name else INVALID if self.fault else float(next(fed_back))
             for name in (*s.vent_feedback, s.shut_off_feedback)
         )
-        supply = next(pressures) if s.supply_pressure else ABSENT
-        p1, p2, p3, p4, p5, p6 = (next(pressures) if name else ABSENT for name in s.chamber_pressures)
         a, b, c = self._sampled
         return Readings(
             time,
@@ -465,4 +469,5 @@ class DaqDriver:
             (self._indexed[0], self._indexed[1], self._indexed[2]),
             (one, two),
             shut_off,
+            (s1, s2, s3),
         )

@@ -67,6 +67,13 @@ class DaqSettings:
     """Analogue input; empty if not fitted."""
     chamber_pressures: tuple[str, str, str, str, str, str] = ("", "", "", "", "", "")
     """Analogue inputs, in the order of the chambers; empty if not fitted."""
+    spool_positions: tuple[str, str, str] = ("", "", "")
+    """Analogue inputs of the spools' positions, in the order of the actuators; empty if not fitted. With one
+    all analogue inputs are read in each tick."""
+    spool_at_zero: Annotated[float, AtLeast(-3.0), AtMost(0.0)] = -1.0
+    """Spool position at 0 V, share of the full opening."""
+    spool_at_full_scale: Annotated[float, AtLeast(1.0), AtMost(3.0)] = 1.0
+    """Spool position at 10 V, share of the full opening."""
     vent_feedback: tuple[str, str] = ("", "")
     """Digital inputs of the two vents' position switches, high when open; empty if not fitted."""
     shut_off_feedback: str = ""
@@ -130,11 +137,11 @@ class DaqSettings:
 
     @property
     def analogue_inputs(self) -> tuple[str, ...]:
-        """Fitted analogue inputs: supply, then chambers."""
-        return tuple(filter(None, (self.supply_pressure, *self.chamber_pressures)))
+        """Fitted analogue inputs: supply, chambers, then spools."""
+        return tuple(filter(None, (self.supply_pressure, *self.chamber_pressures, *self.spool_positions)))
 
     def _distinct(self) -> Iterator[tuple[str, list[str]]]:
         yield "counters", list(self.counters)
         yield "valves", list(self.valves)
         yield "inputs and outputs", [*self.input_lines, *self.output_lines]
-        yield "supply_pressure and chamber_pressures", list(self.analogue_inputs)
+        yield "supply_pressure, chamber_pressures and spool_positions", list(self.analogue_inputs)

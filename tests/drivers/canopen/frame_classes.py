@@ -5,7 +5,7 @@ CLASSES = (
     "late",
     "duplicates",
     "inputs",
-    "pressures",
+    "analogue",
     "heartbeats",
     "boot_ups",
     "emergencies",

@@ -25,6 +25,8 @@ PERIOD = 0.001
 PLANT = PlantParameters()
 START = (0.2, 4.3, 6.0)
 SETTINGS = CanopenSettings(interface="local_socket")
+WITH_SPOOLS = replace(SETTINGS, valve_node=replace(SETTINGS.valve_node, spool_positions=(8, 9, 10)))
+"""With feedback of the spools, as the simulated valve node sends it."""
 _NEAR = 1e-9
 """s within which two instants are one, for rounding."""
 

@@ -90,7 +90,7 @@ class Started(CanopenDriver):
 
     def _begin(self) -> None:
         self._listening, self._states = True, [5] * 4
-        self._pressures_received = [0.0] * len(self._pressure_groups)
+        self._analogue_received = [0.0] * len(self._groups)
 
 
 def call(native: NativeCall, first: np.ndarray, second: np.ndarray | None, now: float) -> int:
@@ -172,9 +172,14 @@ def found(rig: Rig) -> Found:
 
 def canonical(readings: Readings) -> Readings:
     """Return the readings with NaN as text, which equals itself."""
-    text: Any = [tuple(map(repr, part)) for part in (readings.chamber_pressure, readings.vent_open)]
+    parts = (readings.chamber_pressure, readings.vent_open, readings.spool_position)
+    text: Any = [tuple(map(repr, part)) for part in parts]
     supply: Any = repr(readings.supply_pressure)
     shut_off: Any = repr(readings.shut_off_open)
     return readings._replace(
-        chamber_pressure=text[0], vent_open=text[1], shut_off_open=shut_off, supply_pressure=supply
+        chamber_pressure=text[0],
+        vent_open=text[1],
+        spool_position=text[2],
+        shut_off_open=shut_off,
+        supply_pressure=supply,
     )

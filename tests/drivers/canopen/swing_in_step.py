@@ -18,6 +18,7 @@ from bench.simulation.loads import Loads, loads_of, reset_peaks
 from bench.swing.library import find_profile
 from bench.swing.profile import load_profile
 from drivers.base import Driver, DriverError
+from drivers.canopen.settings import CanopenSettings
 from sim.driver import SimDriver, hanging_pose
 from sim.truth import note_truth
 from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, nodes_plan
@@ -129,11 +130,13 @@ class SwingBench:
         return loads_of(self.state, self.plant)
 
 
-def on_canopen(configuration: Configuration) -> tuple[SwingBench, DriverInStep, Wire]:
+def on_canopen(
+    configuration: Configuration, settings: CanopenSettings = SETTINGS
+) -> tuple[SwingBench, DriverInStep, Wire]:
     """Return a bench over the bus, timed as in real time: the plant's tick, the SYNC, then the answers."""
     wire = Wire(replace(nodes_plan(configuration.plant), angle=tuple(hanging_pose(configuration.plant))))
     wire.lead, wire.delay = 0.3e-3, 0.1e-3
-    driver = DriverInStep(wire, SETTINGS)
+    driver = DriverInStep(wire, settings)
     return SwingBench(configuration, driver, wire.nodes.plant.state), driver, wire
 
 

@@ -16,7 +16,7 @@ from drivers.base import CHAMBERS, JOINTS, Command
 from drivers.canopen.dbc import describe
 from drivers.canopen.frames import traffic
 from drivers.canopen.settings import CanopenSettings
-from tests.drivers.canopen.in_step import PERIOD, SETTINGS, make
+from tests.drivers.canopen.in_step import PERIOD, SETTINGS, WITH_SPOOLS, make
 
 
 def database(settings: CanopenSettings) -> Database:
@@ -130,3 +130,12 @@ def test_nodes_command_writes_dbc_file(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["--config", "shipped", "nodes", "--dbc", str(file)], obj=Session())
     assert result.exit_code == 0, result.output
     assert len(cantools.database.load_file(file).messages) == 26  # type: ignore[union-attr]
+
+
+def test_frames_with_spool_feedback_describe_the_positions() -> None:
+    frame = database(WITH_SPOOLS).get_message_by_name("SPOOLS")
+    assert (frame.frame_id, frame.cycle_time) == (0x48A, 1)
+    decoded = frame.decode(b"\x00\x00\x00\x40\xff\x7f")
+    assert isinstance(decoded, dict)
+    names = ("spool_shoulder_vane", "spool_right_arm", "spool_wrist_cylinder")
+    assert [decoded[name] for name in names] == pytest.approx([-1.0, 0.0, 1.0], abs=1e-4)

@@ -7,13 +7,24 @@ import math
 import re
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from drivers.base import INVALID, PASSIVE, Command, DriverError, Readings
 from drivers.canopen.driver import CanopenDriver
 from tests.drivers.canopen.frame_classes import CLASSES
-from tests.drivers.canopen.in_step import PERIOD, SETTINGS, make
+from tests.drivers.canopen.in_step import (
+    PERIOD,
+    PLANT,
+    SETTINGS,
+    WITH_SPOOLS,
+    DriverInStep,
+    Wire,
+    make,
+    nodes_plan,
+)
 
 MOVING = Command(valve=(0.3, -0.2, 0.1), supply_enable=True, exhaust_closed=True, beacon=True)
 
@@ -105,7 +116,7 @@ def test_first_tick_has_inputs_and_pressures(bench: Bench) -> None:
     readings = bench.run(1, PASSIVE)
     assert readings.emergency_stop_clear
     assert readings.chamber_pressure == pytest.approx((101325,) * 6, abs=60)
-    assert bench.driver.counters.pressures == 0
+    assert bench.driver.counters.analogue == 0
 
 
 def test_interlocks_update_on_change_and_pressures_periodically(bench: Bench) -> None:
@@ -117,7 +128,7 @@ def test_interlocks_update_on_change_and_pressures_periodically(bench: Bench) ->
     readings = bench.run(3, PASSIVE)
     assert not readings.emergency_stop_clear
     assert readings.local_reset
-    assert bench.driver.counters.pressures == 4  # two frames every ten ticks
+    assert bench.driver.counters.analogue == 4  # two frames every ten ticks
 
 
 def test_master_heartbeat_is_sent_within_watchdog_time(bench: Bench) -> None:
@@ -253,6 +264,38 @@ def test_lost_pressures_become_invalid(bench: Bench) -> None:
     assert readings.supply_pressure == INVALID
     assert readings.chamber_pressure == (INVALID,) * 6
     assert bench.driver.operational
+
+
+def with_spools() -> Bench:
+    bench = Bench()
+    bench.wire = Wire(nodes_plan(replace(PLANT, spool_feedback=True)))
+    bench.driver = DriverInStep(bench.wire, WITH_SPOOLS)
+    bench.driver.open()
+    return bench
+
+
+def test_spool_positions_of_moving_valves_come_one_tick_late() -> None:
+    bench = with_spools()
+    assert bench.run(1, PASSIVE).spool_position == pytest.approx((0.0,) * 3, abs=0.006)
+    true = []
+    for _ in range(30):
+        bench.run(1, MOVING)
+        true.append(bench.wire.nodes.plant.state["spool"][0].copy())
+    late = [seen.spool_position for seen in bench.readings[2:]]
+    assert np.abs(np.array(late) - np.array(true[: len(late)])).max() < 0.006
+    assert late[-1] == pytest.approx(MOVING.valve, abs=0.006)
+
+
+def test_spool_positions_without_frames_are_invalid_within_4_ms() -> None:
+    bench = with_spools()
+    bench.run(20)
+    bench.wire.meddle = lambda identifier, data: [] if identifier == 0x48A else [(identifier, data)]
+    assert bench.run(5).spool_position == (INVALID,) * 3
+    assert bench.driver.operational
+
+
+def test_spool_positions_not_fitted_are_absent(bench: Bench) -> None:
+    assert all(map(math.isnan, bench.run(20).spool_position))
 
 
 # Encoders that tell of errors ------------------------------------------------------------------------

@@ -41,10 +41,12 @@ PRESSURES = [
     (0x280 + NODE, b"\x10\x27\xff\x7f\x00\x80\xf0\xd8"),
     (0x380 + NODE, b"\x10\x20\x01\x00\x02\x00"),
 ]
+SPOOLS = [(0x480 + NODE, b"\x10\x27\x00\x80\xff\x7f")]
 ODD: dict[int, Frames] = {
     2: [(0x180 + NODE, b"\x0f")],
     4: heartbeats(),
     5: PRESSURES,
+    6: [*SPOOLS, (0x480 + NODE, b"\x10\x27")],
     7: [(0x280 + SETTINGS.encoders.nodes[1], b"\1\2\3")],
     8: [(0x333, b"foreign")],
     10: [(0x80 + SETTINGS.encoders.nodes[0], bytes([0, 0x50, 1, 0, 0, 0, 0, 0]))],
@@ -52,7 +54,8 @@ ODD: dict[int, Frames] = {
     14: [(0x04 | ERROR, bytes([0, 1, 0, 0, 0, 0, 0, 0]))],
     15: positions(3, (1,)),
     16: [(0x580 + NODE, bytes(8))],
-    18: [(0x180 + NODE, b"\xff"), *PRESSURES[:1], *heartbeats()],
+    18: [(0x180 + NODE, b"\xff"), *PRESSURES[:1], *SPOOLS, *heartbeats()],
+    19: SPOOLS,
     20: [(0x180 + NODE, b"")],
     21: [(0x280 + SETTINGS.encoders.nodes[0], b"\xff\xff\xff\xff")],
 }
@@ -65,9 +68,11 @@ def before_and_after(k: int) -> Frames:
     return [*odd, *answers] if k % 48 < 24 else [*answers, *odd]
 
 
-@pytest.fixture(params=[True, False], ids=["six pressures", "none"])
+@pytest.fixture(params=["six pressures", "none", "spools too"])
 def configured(request: pytest.FixtureRequest) -> CanopenSettings:
-    if request.param:
+    if request.param == "spools too":
+        return replace(SETTINGS, valve_node=replace(SETTINGS.valve_node, spool_positions=(8, 10, 9)))
+    if request.param == "six pressures":
         return SETTINGS
     node = replace(SETTINGS.valve_node, supply_pressure=0, chamber_pressures=(0,) * 6)
     return replace(SETTINGS, valve_node=node)

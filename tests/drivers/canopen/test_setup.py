@@ -16,7 +16,7 @@ from drivers.canopen.frames import bus_load, max_rate, traffic, worst_bits
 from drivers.canopen.settings import CanopenSettings, EncoderSettings, ValveNodeSettings
 from sim.nodes.device import CanopenDevice
 from sim.nodes.personality import ObjectChange, Personality
-from tests.drivers.canopen.in_step import SETTINGS, DriverInStep, Wire, make, nodes_plan
+from tests.drivers.canopen.in_step import SETTINGS, WITH_SPOOLS, DriverInStep, Wire, make, nodes_plan
 
 RELAY = replace(SETTINGS.valve_node, watchdog_relay="K7")
 
@@ -357,8 +357,17 @@ def test_setup_unfitted_pressures_are_not_requested() -> None:
     driver.open()
     readings = [driver.read(k * 0.001) for k in range(30)][-1]
     assert math.isnan(readings.supply_pressure)
-    assert driver.counters.pressures == 0
+    assert driver.counters.analogue == 0
     assert wire.nodes.valve_node.number_at(0x1801, 1) & 0x80000000
+
+
+def test_spool_positions_fitted_are_sent_with_each_sync() -> None:
+    driver, wire = make(WITH_SPOOLS)
+    driver.open()
+    node = wire.nodes.valve_node
+    assert [node.number_at(0x1803, n) & 0xFFFF for n in (1, 2)] == [0x480 + WITH_SPOOLS.valve_node.node, 1]
+    assert [node.number_at(0x1A03, n) for n in range(4)] == [3, 0x64010810, 0x64010910, 0x64010A10]
+    assert bus_load(WITH_SPOOLS, 0.001, 0.02) == pytest.approx(0.622, abs=0.005)
 
 
 # Load ------------------------------------------------------------------------------------------------
@@ -415,6 +424,10 @@ def test_missing_can_interface_refusal_names_action(interface: str, channel: str
         (lambda: CanopenSettings(master=3), "node numbers"),
         (lambda: CanopenSettings(valve_node=ValveNodeSettings(valves=(1, 1, 2))), "valves"),
         (lambda: CanopenSettings(valve_node=ValveNodeSettings(supply_pressure=4)), "pressures"),
+        (
+            lambda: CanopenSettings(valve_node=ValveNodeSettings(spool_positions=(8, 9, 7))),
+            "spool positions: different numbers",
+        ),
         (lambda: CanopenSettings(valve_node=ValveNodeSettings(centre=(5.0, 5.2, 5.0))), "full stroke"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,6 +13,7 @@ from bench.base.lifecycle import Cause, Phase, Reaction
 from bench.config import Configuration
 from sim.truth import Contact, contact_in
 from tests.benchmarks.canopen_reactions import FAULTS, run_case
+from tests.drivers.canopen.in_step import WITH_SPOOLS
 from tests.drivers.canopen.swing_in_step import SwingBench, on_canopen, on_plant
 from tests.sampling import release_except
 
@@ -68,6 +70,16 @@ def test_canopen_swing_delivery_matches_sim_driver(configuration: Configuration,
     assert_alike(swung(bench), by_sim, speed=0.03)
     counters = driver.counters
     assert (counters.missing, counters.late, counters.duplicates, driver.fault) == (0, 0, 0, "")
+
+
+def test_swing_over_bus_with_spool_feedback_not_stopped(
+    configuration: Configuration, by_sim: Contact
+) -> None:
+    fitted = replace(configuration, plant=replace(configuration.plant, spool_feedback=True))
+    bench, driver, _ = on_canopen(fitted, WITH_SPOOLS)
+    assert_alike(swung(bench), by_sim, speed=0.03)
+    assert driver.fault == ""
+    assert np.isfinite(bench.kept.cycles["spool_position"]).all()
 
 
 @pytest.mark.release

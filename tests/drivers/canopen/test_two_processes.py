@@ -120,7 +120,7 @@ def wait(holds: Callable[[], bool]) -> None:
 
 def test_nodes_process_receives_commands_and_sends_positions(driver: CanopenDriver, nodes: Nodes) -> None:
     run(driver, lambda: nodes.in_force == MOVING)
-    run(driver, lambda: driver.counters.positions > 300 and driver.counters.pressures > 4)
+    run(driver, lambda: driver.counters.positions > 300 and driver.counters.analogue > 4)
     assert driver.operational
     assert nodes.node["operational"]
 

@@ -147,6 +147,25 @@ def test_pressure_sensor_cut_or_shorted_is_invalid(
     assert math.isnan(seen.chamber_pressure[2])  # not fitted
 
 
+def test_spool_positions_are_read_each_tick(card: Card, bench: Bench) -> None:
+    driver = bench(settings=replace(FULL, spool_positions=("ai6", "", "ai7")))
+    driver.open()
+    card.levels |= {"ai0": 5.0, "ai6": 5.0, "ai7": 7.5}
+    seen = driver.read(0.0)
+    assert seen.supply_pressure == pytest.approx(8e5)
+    assert (seen.spool_position[0], seen.spool_position[2]) == pytest.approx((0.0, 0.5))
+    assert math.isnan(seen.spool_position[1])  # not fitted
+    card.levels["ai7"] = 0.0
+    assert driver.read(0.001).spool_position[2] == pytest.approx(-1.0)
+
+
+def test_spool_position_live_zero_cut_cable_is_invalid(card: Card, bench: Bench) -> None:
+    driver = bench(settings=replace(FULL, spool_positions=("ai6", "", ""), spool_at_zero=-1.5))
+    driver.open()
+    card.levels["ai6"] = 0.0
+    assert driver.read(0.0).spool_position[0] == INVALID
+
+
 def test_vent_feedback_reads_open_closed_or_invalid(card: Card, bench: Bench) -> None:
     driver = bench(settings=replace(FULL, vent_feedback=("port0/line5", "port0/line6")))
     driver.open()
@@ -372,6 +391,7 @@ def test_open_card_in_use_is_refused(bench: Bench, driver: DaqDriver) -> None:
         ({"valves": ("ao0", "ao1", "ao1")}, "valves"),
         ({"sync_line": "port0/line0"}, "inputs and outputs"),
         ({"chamber_pressures": ("ai1", "ai1", "", "", "", "")}, "chamber_pressures"),
+        ({"supply_pressure": "ai1", "spool_positions": ("ai1", "", "")}, "spool_positions"),
         ({"centre": (0.0, 5.0, 5.0)}, "full stroke"),
         ({"watchdog_relay": "K1"}, "the line feeds the relay"),
         ({"watchdog_line": "port0/line6"}, "the line feeds the relay"),
