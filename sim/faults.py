@@ -72,6 +72,7 @@ SIGNALS = (
     "manifold exhaust",
     *(f"{joint} exhaust" for joint in JOINTS),
     "exhausts",
+    *(f"{joint} spool feedback" for joint in JOINTS),
 )
 """Signals and parts that can fail."""
 
@@ -176,6 +177,11 @@ MEANINGS: dict[str, dict[Kind, str]] = {
         "intermittent": "no reading in the share `value` of ticks",
         "drifting": "`value` Pa/s away from the truth",
     },
+    "spool feedback": {
+        "off": "no reading",
+        "stuck": "stays at `value`, or where it is",
+        "offset": "`value` too much, share of the full opening",
+    },
     "club head": {"off": "comes off"},
     "link": {
         "off": "nothing passes",
@@ -219,6 +225,8 @@ def sort_of(signal: str) -> str:
         return "valve"
     if signal in ("vent 1", "vent 2"):
         return "vent"
+    if signal.endswith(" spool feedback"):
+        return "spool feedback"
     if signal.endswith(" relief"):
         return "relief"
     if signal.endswith(" exhaust") or signal == "exhausts":
@@ -360,6 +368,7 @@ SUPERVISOR, RECORDER, LEASE = 25, 26, 27
 _VENT, _VENT_FEEDBACK, _SHUT_OFF, _SHUT_OFF_FEEDBACK, _RELIEF = 29, 31, 33, 34, 35
 _RELAY = _RELIEF + RELIEFS
 _EXHAUST = _RELAY + 1
+_SPOOL = _EXHAUST + EXHAUSTS + 4
 
 _INTERLOCKS_LOST = 0.06
 """Time without inputs after which switches read as de-energised, s: three messages of the valve node."""
@@ -644,6 +653,11 @@ def spoil_readings(faults: Faults, plant: Any, out: Any) -> None:
                 r.vent_open[i] = 1.0 if _switched(f, m, r.vent_open[i] > 0.5, now, p.tick) else 0.0
         elif f.signal == _SHUT_OFF_FEEDBACK and np.isfinite(r.shut_off_open):
             r.shut_off_open = 1.0 if _switched(f, m, r.shut_off_open > 0.5, now, p.tick) else 0.0
+        elif f.signal >= _SPOOL:
+            i = f.signal - _SPOOL
+            wrong = _wrong(f, m, r.spool_position[i], -1.0, 1.0, False, now, p.tick)
+            if np.isfinite(r.spool_position[i]):
+                r.spool_position[i] = INVALID if _is_out(f, m) else wrong
 
 
 @compiled
@@ -666,6 +680,8 @@ def _copy_readings(source: Any, target: Any) -> None:
     b.supply_pressure, b.local_reset, b.ball_present = a.supply_pressure, a.local_reset, a.ball_present
     for i in range(6):
         b.chamber_pressure[i] = a.chamber_pressure[i]
+    for i in range(3):
+        b.spool_position[i] = a.spool_position[i]
 
 
 @compiled
@@ -787,7 +803,7 @@ def break_parts(faults: Faults, robot: Any, plant: Any, state: Any) -> None:
             _break_relief(p, h, f.signal - _RELIEF, f, m.active)
         elif f.signal == _RELAY:
             p.relay_stuck = 0 if not m.active else SHUT if f.value > 0.5 else OPEN
-        elif f.signal >= _EXHAUST:
+        elif _EXHAUST <= f.signal < _SPOOL:
             _throttle(p, f.signal - _EXHAUST, f.value if m.active else 1.0)
         elif f.kind == _LEAKING:
             i = f.signal - _VALVE

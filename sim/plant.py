@@ -178,6 +178,8 @@ class PlantParameters:
     """Whether each of the two vents reports its position."""
     shut_off_feedback: bool = field(default=True, metadata={"optional": True})
     """Whether the shut-off valve reports its position."""
+    spool_feedback: bool = field(default=False, metadata={"optional": True})
+    """Whether the three valves report the positions of their spools."""
     shaft: Shaft = field(default_factory=Shaft)
     site: Site = field(default_factory=Site)
     ball: Ball = field(default_factory=Ball)
@@ -271,6 +273,7 @@ PLANT_PARAMETERS = np.dtype(
         ("vent_feedback", "?"),
         ("vent_stuck", "i8", (2,)),
         ("shut_off_feedback", "?"),
+        ("spool_feedback", "?"),
         ("shut_off_stuck", "i8"),
         ("relay_stuck", "i8"),
         ("exhaust", "f8", (EXHAUSTS,)),
@@ -451,6 +454,7 @@ def _shared_values(parameters: PlantParameters) -> dict[str, Any]:
         "pressure_sensors": parameters.pressure_sensors,
         "vent_feedback": parameters.vent_feedback,
         "shut_off_feedback": parameters.shut_off_feedback,
+        "spool_feedback": parameters.spool_feedback,
         "flexible": shaft.flexible,
         "head_mass": club.head_mass,
         "head_stiffness": club.head_mass * omega**2,

@@ -11,6 +11,8 @@ from sim.random_stream import uniform
 
 HISTORY = 64
 """Substeps of joint angles stored for the encoders' latency."""
+_SPOOL_NOISE = 0.005
+"""Largest error of the spools' feedback, share of the full opening."""
 
 
 @compiled
@@ -56,3 +58,7 @@ def sense(plant: Any, state: Any, readings: Any) -> None:
     out.shut_off_open = float(s.shut_off_open) if p.shut_off_feedback else ABSENT
     for i in range(6):
         out.chamber_pressure[i] = s.pressure[i] if p.pressure_sensors else ABSENT
+    for i in range(3):
+        out.spool_position[i] = ABSENT
+        if p.spool_feedback:
+            out.spool_position[i] = s.spool[i] + _SPOOL_NOISE * (2.0 * uniform(s) - 1.0)

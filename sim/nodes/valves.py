@@ -1,4 +1,4 @@
-"""The node of valves and interlocks (CiA 401): valve voltages, contacts and pressure sensors on the bus."""
+"""The node of valves and interlocks (CiA 401): valve voltages, contacts, pressures and spools on the bus."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ _CENTRE = 5.0
 """Spool-centre voltage, V; 0 V and twice this voltage are full stroke."""
 _PRESSURE_PER_VOLT = 1.6e5
 """Sensitivity of the pressure sensors, Pa absolute per V."""
+_FIRST_SPOOL = 8
+"""Analogue input of the first spool's position: 0 to 10 V for -1 to 1, as the outputs."""
 
 
 class ValveNode401(CanopenDevice):
@@ -29,7 +31,7 @@ class ValveNode401(CanopenDevice):
     Wiring. Digital inputs from bit 0: emergency stop clear, guard closed, guard locked, local reset, ball
     present, vents 1 and 2 open, shut-off valve open. Digital outputs from bit 0: supply, exhaust closed,
     release of the guard's lock, beacon, tee. Analogue outputs: the valves; inputs: supply pressure, then the
-    chambers.
+    chambers, then the spools' positions.
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class ValveNode401(CanopenDevice):
         return self.number_at(index, 1, self.number_at(_GROUPS_OF_16[index], 1) & 0xFF)
 
     def sense(self, readings: Readings) -> None:
-        """Update contacts and pressures from `readings`."""
+        """Update contacts, pressures and spool positions from `readings`."""
         contacts = (
             readings.emergency_stop_clear,
             readings.guard_closed,
@@ -80,15 +82,17 @@ class ValveNode401(CanopenDevice):
         inputs = sum(closed << bit for bit, closed in enumerate(contacts))
         for polarity in _INPUT_POLARITY:
             inputs ^= self.number_at(polarity, 1) & 0xFF
-        self._measure((readings.supply_pressure, *readings.chamber_pressure))
+        pressures = (readings.supply_pressure, *readings.chamber_pressure)
+        self._measure(1, [pressure / _PRESSURE_PER_VOLT for pressure in pressures])
+        self._measure(_FIRST_SPOOL, [_CENTRE * (1.0 + position) for position in readings.spool_position])
         if inputs != self.number_at(_INPUTS, 1):
             self.put(_INPUTS, 1, inputs)
             self.send_changed(_INPUTS)
 
-    def _measure(self, pressures: Sequence[float]) -> None:
-        for channel, pressure in enumerate(pressures, start=1):
+    def _measure(self, first: int, voltages: Sequence[float]) -> None:
+        for channel, volts in enumerate(voltages, start=first):
             # A sensor without a cable gives 0 V.
-            count = round(pressure / _PRESSURE_PER_VOLT / _VOLTS) if isfinite(pressure) else 0
+            count = round(volts / _VOLTS) if isfinite(volts) else 0
             self.put(_VOLTAGE_IN, channel, max(0, min(0x7FFF, count)))
 
     def _drive(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import nan, pi
 
 import numpy as np
@@ -33,11 +34,16 @@ REST = np.array([0.1, 4.4, 6.0])
 SPEED = np.array([3.0, 1.0, -5.0])
 
 
+FITTED = PlantParameters()
+
+
 class Bed:
     """A plant whose joints are moved by hand, behind faults."""
 
-    def __init__(self, *faults: Fault, watchdog: float = 0.02, seed: int = 1) -> None:
-        self.plant: Plant = own_records(build_plant(PlantParameters()))
+    def __init__(
+        self, *faults: Fault, watchdog: float = 0.02, seed: int = 1, parameters: PlantParameters = FITTED
+    ) -> None:
+        self.plant: Plant = own_records(build_plant(parameters))
         self.state = initial_state(self.plant, REST, pressurised=True)
         self.faults: Faults = new_faults(faults, self.plant, watchdog=watchdog, seed=seed)
         self.readings, self.command = new_record(READINGS), new_record(COMMAND)
@@ -308,6 +314,19 @@ def test_pressure_sensor_fault_changes_reading() -> None:
     assert bed.readings["supply_pressure"][0] == INVALID
     expected = true * [0.5, 1, 1, 1, 1, 1] + [0, 0, 0, 0, 0, 1e4]
     assert bed.readings["chamber_pressure"][0] == pytest.approx(expected)
+
+
+def test_spool_feedback_broken_shows_something_else() -> None:
+    faults = (
+        broken("shoulder spool feedback", "off"),
+        broken("arm spool feedback", "stuck", 0.7),
+        broken("wrist spool feedback", "offset", 0.3),
+    )
+    bed = Bed(*faults, parameters=replace(FITTED, spool_feedback=True)).run()
+    shoulder, arm, wrist = bed.readings["spool_position"][0]
+    assert (shoulder, arm) == (INVALID, 0.7)
+    assert wrist == pytest.approx(0.3, abs=0.006)
+    assert np.isnan(Bed(*faults).run().readings["spool_position"]).all()  # not fitted
 
 
 def test_link_fault_off_holds_readings_and_goes_passive() -> None:

@@ -124,3 +124,25 @@ def test_build_plant_latency_beyond_history_raises() -> None:
     ):
         build_plant(parameters)
     build_plant(replace(parameters, substeps=8))
+
+
+def test_sense_spool_feedback_shows_spools_with_little_noise() -> None:
+    plant = build_plant(replace(PlantParameters(), spool_feedback=True))
+    state, command = initial_state(plant, POSE), new_record(COMMAND)
+    command["valve"], readings = (0.5, -1.0, 0.0), new_record(READINGS)
+    seen = []
+    for _ in range(50):
+        advance(*plant.records, state, command)
+        sense(plant.plant, state, readings)
+        seen.append(readings["spool_position"][0] - state["spool"][0])
+    assert 0.004 < np.abs(seen).max() <= 0.005
+    assert readings["spool_position"][0] == pytest.approx((0.5, -1.0, 0.0), abs=0.006)
+
+
+def test_sense_without_spool_feedback_is_absent_and_draws_no_noise() -> None:
+    plant = build_plant(PlantParameters())
+    state, readings = initial_state(plant, POSE), new_record(READINGS)
+    before = state["random"][0]
+    sense(plant.plant, state, readings)
+    assert np.isnan(readings["spool_position"]).all()
+    assert state["random"][0] == before
