@@ -139,7 +139,10 @@ REFUSAL_WORDS: dict[Refusal, Words] = {
     Refusal.SUPERVISOR: ("no heartbeat from the supervisor", "read the log, then retry"),
     Refusal.DEVICE: ("the device went passive", "reset first"),
     Refusal.SENSOR: ("a fitted pressure sensor has no plausible value", "see `golfbench status`"),
-    Refusal.VENT: ("a vent or the shut-off valve does not follow its command", "see `golfbench status`"),
+    Refusal.VENT: (
+        "a vent, the shut-off valve or a spool does not follow its command",
+        "see `golfbench status`",
+    ),
     Refusal.LOCK: (
         "the guard read locked while released or open",
         "check lock and switches, release it again",
@@ -216,8 +219,8 @@ class Reaction(IntEnum):
 class Cause(IntEnum):
     """Why the robot was stopped or disarmed.
 
-    The first cause of a stop is kept, unless an emergency or trapped pressure is found on top. The last three
-    disarm and latch nothing; the supervisor names them until the robot moves again.
+    The first cause of a stop is kept, unless an emergency or trapped pressure is found on top. LEASE,
+    ARMED_TIME and SUPPORT disarm and latch nothing; the supervisor names them until the robot moves again.
     """
 
     NONE = 0
@@ -307,6 +310,9 @@ class Cause(IntEnum):
     LEASE = 84
     ARMED_TIME = 85
     SUPPORT = 86
+    SHOULDER_SPOOL = 87
+    ARM_SPOOL = 88
+    WRIST_SPOOL = 89
 
 
 _WORN_VALVE = "check valve and sensors; if nothing is broken, the valve is worn: see golfbench wear"
@@ -314,6 +320,7 @@ _WORN_OR_SENSOR = (
     "check its sensor: vented, it shows the atmosphere in golfbench status; if it does, the valve is worn: "
     "see golfbench wear"
 )
+_VALVE_OR_FEEDBACK = "check valve, supply of its electronics and the feedback's cable"
 CAUSE_WORDS: dict[Cause, Words] = {
     Cause.NONE: ("none", ""),
     Cause.EMERGENCY_STOP: ("emergency stop circuit open", "release it, then reset"),
@@ -465,6 +472,9 @@ CAUSE_WORDS: dict[Cause, Words] = {
     Cause.LEASE: ("disarmed, as the lease lapsed or was released", "take it, then arm"),
     Cause.ARMED_TIME: ("disarmed, as it was armed for longer than allowed", "arm again"),
     Cause.SUPPORT: ("disarmed, as recorder or publisher stopped", "wait until both run, then arm"),
+    Cause.SHOULDER_SPOOL: ("shoulder valve's spool is not where its command puts it", _VALVE_OR_FEEDBACK),
+    Cause.ARM_SPOOL: ("right arm valve's spool is not where its command puts it", _VALVE_OR_FEEDBACK),
+    Cause.WRIST_SPOOL: ("wrist valve's spool is not where its command puts it", _VALVE_OR_FEEDBACK),
 }
 
 CAUSE_TEXT = {cause: in_one(words) for cause, words in CAUSE_WORDS.items()}

@@ -29,6 +29,8 @@ ENVELOPE_PARAMETERS = np.dtype(
         ("max_slew", "f8"),
         ("encoder_timeout", "f8"),
         ("max_tick_interval", "f8"),
+        ("spool_tolerance", "f8"),
+        ("spool_timeout", "f8"),
         ("min_supply_pressure", "f8"),
         ("max_supply_pressure", "f8"),
         ("ground", "f8"),
@@ -46,9 +48,9 @@ ENVELOPE_PARAMETERS = np.dtype(
 """Limits in joint coordinates (theta1 rad, rod extension m, theta3 rad): working range, speeds (rad/s, m/s,
 rad/s), following error per phase (rad), deceleration that braking can count on and the speed that the cushion
 takes alone; opening and slew (1/s) of the valves; time without a reading that counts as lost (s); longest
-tick while moving (s); supply (Pa); ground line, depth of the sole below the face centre, clearances outside
-and inside the ball's window (m); distance of the club from the shoulder axis (m); min |sin beta| of the
-wrist, and the mounting angle of its lever (rad)."""
+tick while moving (s); deviation of a measured spool from its model, its time (s); supply (Pa); ground line,
+depth of the sole below the face centre, clearances outside and inside the ball's window (m); distance of the
+club from the shoulder axis (m); min |sin beta| of the wrist, and the mounting angle of its lever (rad)."""
 
 
 @compiled

@@ -29,6 +29,7 @@ IGNORED_FIELDS = frozenset(
         "seed",
         "vent_feedback",
         "shut_off_feedback",
+        "spool_feedback",
         "supply.shut_off_delay",
         # No healthy swing reaches them, or no force depends on them.
         "supply.manifold_relief_ratio",

@@ -19,6 +19,7 @@ from bench.base.lifecycle import (
 from bench.control.envelope import motion_cause
 from bench.control.estimate.residual_monitor import BRAKING, model_cause, row_of
 from bench.control.monitor.pressure_monitor import air_cause
+from bench.control.monitor.spool_monitor import spool_cause
 from bench.control.moves.address_pressure import address_air_cause
 from bench.control.moves.first_motion import first_motion_cause
 from bench.control.moves.homing import search_cause
@@ -45,7 +46,9 @@ def table_column(cause: int) -> int:
         return ACTUATOR_FAULT
     if Cause.SHOULDER_AIR <= cause <= Cause.WRIST_FLOW:
         return WRIST_FAULT if (cause - Cause.SHOULDER_AIR) % 3 == 2 else ACTUATOR_FAULT
-    return WRIST_FAULT if cause == Cause.WRIST_FOLLOWING else READINGS_VALID
+    if cause in (Cause.SHOULDER_SPOOL, Cause.ARM_SPOOL):
+        return ACTUATOR_FAULT
+    return WRIST_FAULT if cause in (Cause.WRIST_FOLLOWING, Cause.WRIST_SPOOL) else READINGS_VALID
 
 
 @compiled
@@ -79,6 +82,9 @@ def monitor_motion(
         elif s.homing.index_wrong != 0:
             # From here on the count is right.
             react(state, parameters, int(s.homing.index_wrong), READINGS_VALID, time)
+        misplaced = spool_cause(s)
+        if misplaced != 0:
+            react(state, parameters, misplaced, table_column(misplaced), time)
         # A stop needs its valves and encoders as much as a swing does, so it is also monitored.
         if s.reaction > Reaction.COMPLETE:
             _monitor_braking(state, parameters, readings, time)

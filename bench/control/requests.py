@@ -9,6 +9,7 @@ import numpy as np
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from bench.control.envelope import interlock_cause
 from bench.control.monitor.pressure_monitor import air_cause, all_chambers_are_seen, chambers_show_pressure
+from bench.control.monitor.spool_monitor import spool_cause
 from drivers.base.compiled import compiled
 
 STOP_LOCKOUT_TIME = 1.5
@@ -90,10 +91,12 @@ def _not_vented(p: Any, s: Any, readings: Any) -> int:
 
 @compiled
 def _failing(s: Any, request: int) -> int:
-    """Return the refusal of `request` for a lock, sensor, vent or manifold that fails, or 0."""
+    """Return the refusal of `request` for a lock, spool, sensor, vent or manifold that fails, or 0."""
     cause = air_cause(s)
     if s.lock.wrong:
         return Refusal.LOCK.value
+    if spool_cause(s) != 0:
+        return Refusal.VENT.value
     # A sensor that fell too fast proves itself at the next venting, which takes a reset and air.
     if cause == 0 or (request == Request.RESET and cause == Cause.SUPPLY_DECAY):
         return 0

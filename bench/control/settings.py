@@ -353,6 +353,10 @@ class EnvelopeSettings:
     """Without a fresh reading for this long an encoder is lost (s); five ticks at 1 kHz."""
     max_tick_interval: Positive = 0.010
     """Longest tick while moving, s."""
+    spool_tolerance: Annotated[float, Above(0), AtMost(1)] = 0.1
+    """Max deviation of a measured spool position from its model, share of the full opening."""
+    spool_timeout: Annotated[float, Above(0), AtMost(0.1)] = 0.005
+    """Max time of a greater deviation, s."""
     min_supply_pressure: Positive = 6.5e5
     """Pa absolute, below which no swing begins."""
     max_supply_pressure: Positive = 8.8e5
@@ -628,6 +632,8 @@ def _envelope_record(settings: EnvelopeSettings, plant: PlantParameters, profile
         "max_slew",
         "max_opening",
         "max_tick_interval",
+        "spool_tolerance",
+        "spool_timeout",
         "min_supply_pressure",
         "min_lever",
         "min_deceleration",

@@ -18,6 +18,7 @@ from bench.control.monitor.pressure_monitor import (
     manifold_shows_pressure,
     nothing_is_held_up,
 )
+from bench.control.monitor.spool_monitor import spool_cause
 from bench.control.moves.first_motion import forget_answers
 from bench.control.moves.homing import begin_search
 from bench.control.requests import is_released, manifold_is_full
@@ -213,6 +214,8 @@ def monitor_standstill(
         latch(s, parameters, trapped, time)
     elif air_cause(s) != 0:
         latch(s, parameters, air_cause(s), time)
+    elif spool_cause(s) != 0:
+        latch(s, parameters, spool_cause(s), time)
     elif s.state == State.READY and not s.homed:
         change_state(s, parameters, State.SAFE, time)
     elif s.state == State.HOMING:

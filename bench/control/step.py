@@ -25,6 +25,7 @@ from bench.control.monitor.exhaust_monitor import monitor_exhausts
 from bench.control.monitor.guard_lock_monitor import monitor_guard_lock
 from bench.control.monitor.manifold_monitor import monitor_manifold
 from bench.control.monitor.pressure_monitor import VENTS, air_fault, monitor_pressures
+from bench.control.monitor.spool_monitor import monitor_spools
 from bench.control.motion_monitor import monitor_motion, monitor_permission
 from bench.control.moves.braking import brake, brake_blind, wait_passive
 from bench.control.moves.homing import bounded
@@ -119,11 +120,12 @@ def _observe(state: Any, parameters: Any, readings: Any, elapsed: float) -> None
 
 @compiled
 def _monitor_inputs(state: Any, parameters: Any, readings: Any, elapsed: float, time: float) -> None:
-    """Judge sensors, vents, manifold, guard's lock and index `elapsed` s after the last tick."""
+    """Judge sensors, vents, manifold, spools, guard's lock and index `elapsed` s after the last tick."""
     s, p = state.control[0], parameters.control[0]
     monitor_pressures(s, p, readings, s.exhaust_closed, elapsed, time)
     monitor_manifold(s, p, parameters.plant[0], readings, s.exhaust_closed, elapsed)
     monitor_exhausts(s, p, parameters.robot, parameters.plant[0], state.estimator[0], readings, elapsed)
+    monitor_spools(s, parameters.envelope[0], parameters.plant[0], readings, elapsed)
     monitor_guard_lock(s, readings, is_released(s), time)
     s.homing.index_wrong = index_cause(s, p, state.encoder[0], parameters.encoder[0], state.estimator[0])
 
@@ -273,6 +275,7 @@ def _record(state: ControlState, readings: Any, command: Any, cycle: Any) -> Non
         out.encoder_age[i] = r.encoder_age[i]
         out.encoder_time[i] = r.encoder_time[i]
         out.encoder_indexed[i] = r.encoder_indexed[i]
+        out.spool_position[i] = r.spool_position[i]
         out.angle[i], out.velocity[i] = e.angle[i], e.velocity[i]
         out.angle_variance[i] = e.covariance[i, 0]
         out.reference_angle[i], out.reference_velocity[i] = s.reference[i], s.reference_velocity[i]

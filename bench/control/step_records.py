@@ -180,6 +180,16 @@ EXHAUSTS = _nested(
 )
 """Memory of `bench.control.monitor.exhaust_monitor`."""
 
+SPOOLS = _nested(
+    ("fitted", "u1", (3,)),  # the valve has reported its spool's position
+    ("spool", "f8", (3,)),  # modelled opening
+    ("spool_speed", "f8", (3,)),  # 1/s: its rate
+    ("recent", "f8", (4, 3)),  # modelled openings of this and the ticks before, the latest first
+    ("late", "f8", (3,)),  # s for which the position has been off the model
+    ("wrong", "u1", (3,)),  # for too long, and not seen to agree since
+)
+"""Memory of `bench.control.monitor.spool_monitor`."""
+
 LOCK = _nested(
     ("agreed", "f8"),  # s: when the guard's lock last agreed with its command
     ("wrong", "?"),  # it did not for too long, and has not been seen to since
@@ -292,6 +302,7 @@ CONTROL_STATE = np.dtype(
         ("shut_off", SHUT_OFF),
         ("manifold", MANIFOLD),
         ("exhausts", EXHAUSTS),
+        ("spools", SPOOLS),
         ("lock", LOCK),
         ("address_air", ADDRESS_AIR),
         ("move", MOVE),

@@ -185,7 +185,7 @@ class Cycle:
             r[name] = False
         r["encoder_valid"] = r["encoder_indexed"] = 0
         r["encoder_age"] = r["supply_pressure"] = r["chamber_pressure"] = ABSENT
-        r["vent_open"] = r["shut_off_open"] = ABSENT
+        r["vent_open"] = r["shut_off_open"] = r["spool_position"] = ABSENT
         # A driver that raises is no single lost sample: the stopping table is not to wait for more.
         self.state.estimator["without_sample"] = np.inf
         return False

@@ -240,6 +240,8 @@ class BenchStatus(TypedDict):
     supply_pressure_pa: float | None
     chamber_pressure_pa: Annotated[list[float | None], Count(6)]
     """Six, in the order of `drivers.base.CHAMBERS`, Pa absolute."""
+    spool_positions: Annotated[list[float | None], Count(3)]
+    """Measured positions of the valves' spools, -1 to 1; None without feedback."""
     air_faults: list[str]
     """Texts of the pressure sensors, vents, manifold and guard's lock that fail."""
     drift: list[str]

@@ -69,6 +69,7 @@ INPUTS = frozenset(
         "local_reset",
         "supply_pressure",
         "chamber_pressure",
+        "spool_position",
     }
 )
 """Fields that the cycle takes from the record."""

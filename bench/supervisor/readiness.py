@@ -26,6 +26,11 @@ from sim.robot import Club
 
 NO_MODEL_CHECK = "the model-based check is off (envelope.model.check): a stuck valve is found later"
 
+FEEDBACK_ONLY = (
+    "the model-based check is off (envelope.model.check): the spools' feedback finds stuck valves, no leak "
+    "and no wrong encoder"
+)
+
 HALF_BLIND = (
     "without a sensor in each chamber the model-based check finds some stuck valves too late to keep the "
     "absorbers within their ratings; fit chamber sensors"
@@ -177,7 +182,8 @@ def assess(
         )
     if model.check == "off":
         reason = model.off_reason.strip()
-        warnings.append(f"{NO_MODEL_CHECK}; the reason given: {reason}" if reason else NO_MODEL_CHECK)
+        words = FEEDBACK_ONLY if _valves_have_feedback(c) else NO_MODEL_CHECK
+        warnings.append(f"{words}; the reason given: {reason}" if reason else words)
         if real and not reason:
             found.append(_unwatched(c))
     else:
@@ -203,6 +209,15 @@ def _chambers_have_sensors(c: Configuration) -> bool:
         case "daq":
             return all(c.daq.chamber_pressures)
     return c.plant.pressure_sensors
+
+
+def _valves_have_feedback(c: Configuration) -> bool:
+    match c.driver.name:
+        case "canopen":
+            return all(c.canopen.valve_node.spool_positions)
+        case "daq":
+            return all(c.daq.spool_positions)
+    return c.plant.spool_feedback
 
 
 def _unwatched(c: Configuration) -> BenchError:

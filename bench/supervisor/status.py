@@ -153,6 +153,7 @@ def status_of(
         "joints_deg": [_number(x) for x in np.rad2deg(r["angle"])],
         "supply_pressure_pa": _number(r["supply_pressure"]),
         "chamber_pressure_pa": [_number(x) for x in r["chamber_pressure"]],
+        "spool_positions": [_number(x) for x in r["spool_position"]],
         "air_faults": [CAUSE_TEXT[fault] for fault in _air_faults(int(r["air_fault"]))],
         "vents_open": [_position(x) for x in r["vent_open"]],
         "shut_off_open": _position(r["shut_off_open"]),

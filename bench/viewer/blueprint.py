@@ -241,7 +241,7 @@ def _efforts(window: Window) -> rrb.Container:
 
 
 def _valves(window: Window) -> rrb.TimeSeriesView:
-    return _series(window, "Valve opening, −1 … 1", False, "valve/applied", "valve/limits")
+    return _series(window, "Valve opening, −1 … 1", False, "valve/applied", "valve/measured", "valve/limits")
 
 
 def _pressures(window: Window) -> rrb.TimeSeriesView:

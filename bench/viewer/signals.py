@@ -96,6 +96,7 @@ def signals_of(cycles: Cycles, plant: PlantParameters) -> dict[str, Array]:
         "effort_n": effort[:, [1]],
         "valve/wanted": cycles["desired_valve"],
         "valve/applied": cycles["applied_valve"],
+        "valve/measured": cycles["spool_position"],
         "pressure_bar": np.column_stack([pressure, cycles["supply_pressure"]]) / _BAR,
         "head_speed_mps": cycles["head_speed"][:, None],
         "tick_us": np.column_stack([cycles["wake_latency"], cycles["work_time"]]) / _MICRO,
@@ -213,6 +214,7 @@ def log_styles(recording: rr.RecordingStream) -> None:
     limits("effort_n", ["min", "max"], [_LIMIT] * 2)
     lines("valve/applied", JOINTS, joint)
     lines("valve/wanted", [f"{name} wanted" for name in JOINTS], joint, 1.0)
+    lines("valve/measured", [f"{name} measured" for name in JOINTS], joint, 1.0)
     limits("valve", ["shut", "open"], [_LIMIT] * 2)
     lines("pressure_bar", [*CHAMBERS, "supply"], [*chamber, (150, 155, 165)])
     limits("pressure_bar", ["rating"], [(220, 50, 60)])

@@ -143,6 +143,7 @@ class FakeDesk:
             joints_deg=[32.71, 237.3, None],
             supply_pressure_pa=8.01e5,
             chamber_pressure_pa=[1.013e5, 1.013e5, 1.02e5, 1.013e5, None, None],
+            spool_positions=[0.0, -0.01, None],
             air_faults=[],
             drift=[],
             vents_open=[True, True],

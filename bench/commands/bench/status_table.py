@@ -121,6 +121,7 @@ def _rows(status: BenchStatus) -> list[tuple[str, Text]]:
         ("joints", ", ".join(f"{name} {_degrees(angle)}" for name, angle in joints)),
         ("supply", f"{_bar(status['supply_pressure_pa'])} bar absolute"),
         ("chambers A/B", ", ".join(f"{actuator} {a}/{b}" for actuator, a, b in sides) + " bar"),
+        ("spools", ", ".join(map(_opening, status["spool_positions"]))),
         ("vents", vent_words(status["vents_open"])),
         ("shut-off valve", shut_off_words(status["shut_off_open"])),
         ("air", Text("\n".join(status["air_faults"]), "red") if status["air_faults"] else "no fault found"),
@@ -236,6 +237,10 @@ def _pairs(values: Mapping[str, Any]) -> str:
 
 def _bar(pressure: float | None) -> str:
     return "–" if pressure is None else f"{1e-5 * pressure:.2f}"
+
+
+def _opening(position: float | None) -> str:
+    return "–" if position is None else f"{position:+.2f}"
 
 
 def _degrees(angle: float | None) -> str:

@@ -139,7 +139,7 @@ def observe(
     m.settled = m.settled + step if fresh else 0.0
     m.air[12] = r.supply_pressure
     for i in range(3):
-        _move_spool(m, p, applied[i] - p.centre[i], i)
+        move_spool(m, p, applied[i] - p.centre[i], i)
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         a, b = 2 * i, 2 * i + 1
         # How much open vents pass is not known well enough to judge chambers by it.
@@ -186,8 +186,8 @@ def _is_shown(m: Any, r: Any, k: int) -> bool:
 
 
 @compiled
-def _move_spool(m: Any, p: Any, wanted: float, i: int) -> None:
-    """Move the spool of actuator `i` on by a tick, exactly for an opening `wanted` held over it."""
+def move_spool(m: Any, p: Any, wanted: float, i: int) -> None:
+    """Move spool `i` of `m` by a tick, exactly for an opening `wanted` held over it."""
     for _ in range(2 * p.substeps):
         offset, rate = m.spool[i] - wanted, m.spool_speed[i]
         m.spool[i] = wanted + p.spool[i, 0] * offset + p.spool[i, 1] * rate

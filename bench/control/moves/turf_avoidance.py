@@ -30,12 +30,14 @@ TIMES = (0.03, 0.10, 0.06)
 
 @compiled
 def disobeying(cause: int) -> int:
-    """Return the joint whose air does not follow its valve, by `cause`; -1 if it is another."""
+    """Return the joint whose valve, or air, does not obey, by `cause`; -1 if it is another."""
     encoder = Cause.SHOULDER_JUMP <= cause <= Cause.WRIST_EFFORT
     if Cause.SHOULDER_AIR <= cause <= Cause.WRIST_FLOW and not encoder:
         return int(cause - Cause.SHOULDER_AIR) % 3
     if Cause.SHOULDER_SENSOR <= cause <= Cause.WRIST_SENSOR:
         return int(cause - Cause.SHOULDER_SENSOR)
+    if Cause.SHOULDER_SPOOL <= cause <= Cause.WRIST_SPOOL:
+        return int(cause - Cause.SHOULDER_SPOOL)
     return -1
 
 

@@ -20,7 +20,7 @@ from drivers.base import CHAMBERS, JOINTS
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """Version of FIELDS; stored in every file and message."""
 
 LONGEST_BATCH = 64
@@ -124,6 +124,13 @@ FIELDS = (
         "Pa",
         "chamber pressure, absolute, as above",
         _CHAMBERS,
+    ),
+    Field(
+        "spool_position",
+        "f8",
+        "1",
+        "measured spool position, -1 to 1; NaN: not fitted, infinite: no value",
+        JOINTS,
     ),
     Field("vent_open", "f8", "1", "vent seen open (1) or shut (0); NaN when not fitted", ("1", "2")),
     Field("shut_off_open", "f8", "1", "shut-off valve seen open (1) or shut (0); NaN when not fitted"),

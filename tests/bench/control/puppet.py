@@ -112,7 +112,7 @@ class Puppet:
         """Pressure that the manifold always shows (Pa); None: it follows the supply valve."""
         r["supply_pressure"], r["chamber_pressure"], r["encoder_valid"] = ATMOSPHERE, nan, 1
         r["encoder_indexed"], r["vent_open"] = 1, nan
-        r["shut_off_open"] = nan
+        r["shut_off_open"] = r["spool_position"] = nan
 
     @property
     def control(self) -> Any:

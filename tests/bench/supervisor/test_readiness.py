@@ -33,7 +33,7 @@ from bench.network.command import CommandAnswer, Verb
 from bench.network.status_words import ARMING_BLOCKED
 from bench.store.database import open_database
 from bench.supervisor.daemon import Daemon
-from bench.supervisor.readiness import HALF_BLIND, assess_bench
+from bench.supervisor.readiness import FEEDBACK_ONLY, HALF_BLIND, NO_MODEL_CHECK, assess_bench
 from bench.web.bench_link import state_view
 from tests.bench.fake_bench_service import FakeDesk
 
@@ -96,6 +96,14 @@ def test_assess_bench_without_chamber_sensors_warns(
     blind = replace(configuration, plant=replace(configuration.plant, pressure_sensors=False))
     assert HALF_BLIND in assess_bench(blind, NOW, running=True).warnings
     assert HALF_BLIND not in assess_bench(configuration, NOW, running=True).warnings
+
+
+@pytest.mark.parametrize("fitted", [True, False])
+def test_assess_bench_model_check_off_warns_by_feedback(configuration: Configuration, fitted: bool) -> None:
+    off = replace(configuration, envelope=configuration.envelope.with_model_check("off"))
+    bench = replace(off, plant=replace(off.plant, spool_feedback=fitted))
+    words = FEEDBACK_ONLY if fitted else NO_MODEL_CHECK
+    assert assess_bench(bench, NOW, running=True).warnings == (words,)
 
 
 def test_assess_ball_off_profile_blocks(configuration: Configuration, calibrate: Calibrate) -> None:
