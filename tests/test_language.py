@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -16,36 +16,36 @@ PACKAGES = ("bench", "sim", "drivers")
 
 CEILINGS = {
     "anew": 0,
-    "is none": 11,
-    "told|tells|tell": 10,
-    "heard|hears|hear": 4,
+    "is none": 9,
+    "told|tells|tell": 4,
+    "heard|hears|hear": 0,
     "greatest": 3,
-    "somebody|nobody|whoever": 12,
-    "what is": 38,
+    "somebody|nobody|whoever": 0,
+    "what is": 0,
     "wish|wishes": 1,
 }
 """Max occurrences of each in docstrings and messages of PACKAGES: lower them, never raise them."""
 
 CONSTRUCTIONS = {
     r"\bwhat (a|an|the|it|is|was|no|only|comes?|came|lies|must|may|does|did|can|has|had|holds|follows|remains"
-    r"|needs|keeps)\b": (19, 325),
-    r"\bbeside\b": (15, 129),
-    r"\bby (itself|themselves)\b": (0, 54),
-    r"\b(go|goes|going|went) on\b": (1, 63),
-    r"\bbegun\b|\b(its|the|a) begin\b": (0, 33),
-    r"\bask(s|ed)? (for \w+ )?again\b|\basked for\b": (0, 23),
-    r"\b(nobody|somebody|anybody|whoever)\b": (6, 16),
-    r"\bof (before|then|now)\b": (0, 1),
-    r"\blets? (in|go|off)\b": (0, 14),
-    r"\b(of|on) (its|their) own\b": (7, 60),
-    r", too\b": (0, 29),
-    r"\b(told|tells?|hear[sd]?)\b": (2, 14),
-    r"\b(is|are|was|were) (named|told|believed|doubted|let|swung|meant)\b": (3, 54),
-    r"(?:^|[.:;] )(Of|Beside|Out of) [a-z]": (5, 143),
-    r"\b(swung|swing(s|ing)?) (the )?spools?\b|\bspools? (is|are) swung\b": (0, 9),
-    r"\b(until now|shipped before|as before|had been)\b": (0, 8),
+    r"|needs|keeps)\b": (8, 2, 244),
+    r"\bbeside\b": (5, 3, 45),
+    r"\bby (itself|themselves)\b": (0, 0, 17),
+    r"\b(go|goes|going|went) on\b": (0, 0, 10),
+    r"\bbegun\b|\b(its|the|a) begin\b": (0, 1, 6),
+    r"\bask(s|ed)? (for \w+ )?again\b|\basked for\b": (0, 0, 11),
+    r"\b(nobody|somebody|anybody|whoever)\b": (2, 0, 43),
+    r"\bof (before|then|now)\b": (0, 0, 1),
+    r"\blets? (in|go|off)\b": (0, 0, 18),
+    r"\b(of|on) (its|their) own\b": (6, 2, 34),
+    r", too\b": (0, 0, 12),
+    r"\b(told|tells?|hear[sd]?)\b": (1, 4, 89),
+    r"\b(is|are|was|were) (named|told|believed|doubted|let|swung|meant)\b": (1, 2, 38),
+    r"(?:^|[.:;] )(Of|Beside|Out of) [a-z]": (4, 3, 39),
+    r"\b(swung|swing(s|ing)?) (the )?spools?\b|\bspools? (is|are) swung\b": (0, 0, 3),
+    r"\b(until now|shipped before|as before|had been)\b": (0, 0, 0),
 }
-"""Max occurrences of each in hand-written documents, and in docstrings and messages: never raise them."""
+"""Max occurrences in hand-written documents, strings of PACKAGES, and strings of tests: never raise them."""
 
 MAX_SHORT_ACTIONS = 5
 """Errors whose action has at most three words and no value."""
@@ -81,9 +81,21 @@ def parsed() -> dict[str, ast.Module]:
 @cache
 def texts() -> tuple[str, ...]:
     """Return all strings of more than one word: docstrings and messages."""
-    nodes = (node for tree in parsed().values() for node in ast.walk(tree))
-    strings = (node.value for node in nodes if isinstance(node, ast.Constant))
-    return tuple(text for text in strings if isinstance(text, str) and " " in text)
+    return tuple(strings_of(parsed().values()))
+
+
+@cache
+def texts_of_tests() -> tuple[str, ...]:
+    """Return those of all tests but this one."""
+    paths = (path for path in (PROJECT / "tests").rglob("*.py") if path.name != Path(__file__).name)
+    return tuple(strings_of(ast.parse(path.read_bytes()) for path in paths))
+
+
+def strings_of(trees: Iterable[ast.Module]) -> Iterator[str]:
+    """Yield the strings of more than one word in `trees`."""
+    for node in (node for tree in trees for node in ast.walk(tree)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
+            yield node.value
 
 
 @cache
@@ -116,9 +128,12 @@ def literal(node: ast.expr) -> str | None:
 
 
 @pytest.mark.parametrize(("pattern", "ceilings"), CONSTRUCTIONS.items())
-def test_forbidden_constructions_stay_within_ceilings(pattern: str, ceilings: tuple[int, int]) -> None:
+def test_forbidden_constructions_stay_within_ceilings(pattern: str, ceilings: tuple[int, int, int]) -> None:
     compiled = re.compile(pattern, re.IGNORECASE | re.MULTILINE)
-    found = [sum(len(compiled.findall(text)) for text in group) for group in (documents(), texts())]
+    found = [
+        sum(len(compiled.findall(text)) for text in group)
+        for group in (documents(), texts(), texts_of_tests())
+    ]
     assert [count for count, most in zip(found, ceilings, strict=True) if count > most] == []
 
 

@@ -54,7 +54,7 @@ _MEMORY = np.dtype(
     ]
 )
 """Memory of the loop: version of the last values read, whether the supervisor was alive then, time-out of the
-heartbeat (s), time of the last heartbeat (s), and the last values themselves."""
+heartbeat (s), time of the last heartbeat (s), and the last heartbeat, lease and counters."""
 _EMERGENCY_STOP, _STOP = int(Request.EMERGENCY_STOP), int(Request.STOP)
 _SLOTS, _VALUES, _MIN_MARGIN, _MEMORY_AT, _CONTROL = range(5)
 """Addresses in the block: that of the file's block, values, memory for a copy, memory, CONTROL_STATE."""

@@ -70,7 +70,7 @@ def test_swing_with_stuck_spool_stopped_within_10_ms(
     assert Cause(int(cycles["cause"][-1])) is Cause(Cause.SHOULDER_SPOOL + joint)
 
 
-def test_swing_without_spool_feedback_is_bit_equal_to_one_with_it(default_profile: Profile) -> None:
+def test_swing_spool_feedback_changes_no_bit_of_healthy_swing(default_profile: Profile) -> None:
     with_, without = (swinging(default_profile, p).advance(800) for p in (FITTED, PlantParameters()))
     for name in with_.dtype.names or ():
         if name != "spool_position":

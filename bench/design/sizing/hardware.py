@@ -29,7 +29,7 @@ DESIGN_SPEED = 45.0
 RELIEF = 0.5e5, 11.5e5
 """Opening of the relief valves above the highest planned pressure, and at most, Pa; ratings are 12 bar."""
 MANIFOLD_RELIEF = 4.0 / 3.0
-"""Conductance of the manifold's relief valve over the feed's: it passes the flow of an open regulator."""
+"""Conductance of the manifold's relief valve over the feed's: the flow of a fully open regulator."""
 _CYLINDER_WIDTH = 0.045
 """Width of the right arm's cylinder in its moment of inertia, m, as the thesis has it."""
 _MIN_SUPPLY, _MAX_SUPPLY = 0.8125, 1.1

@@ -5,7 +5,7 @@ and the way to the address are seen, and a replay finds its snapshot. In a serie
 again after each swing, the next record begins `lead` before its own swing. Kept is what held a swing, a stop
 or a fault; homing or arming that ended as requested leaves no record.
 
-Memory is bounded: during a long hold at the address only the newer half of it is kept. A record that still
+Memory is bounded: during a long hold at the address the oldest cycles are dropped. A record that still
 does not fit is cut into several: all but the last state why they end, all but the first that they continue.
 """
 

@@ -37,7 +37,7 @@ def bore_radius(actuator: Actuator) -> float:
 
 
 def rod_radius(actuator: Actuator) -> float:
-    """Return the radius of a cylinder's rod (m), from the areas' difference; at least a third of the bore."""
+    """Return the radius of a rod (m), from the areas' difference; at least a third of the bore's radius."""
     least = bore_radius(actuator) / 3
     return max(sqrt(abs(actuator.area_a - actuator.area_b) / pi), least)
 

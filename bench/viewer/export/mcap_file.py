@@ -278,7 +278,7 @@ def write_mcap(path: Path, record: ExportRecord) -> list[Path]:
 
     Raises:
         NotStored: they cannot be stored.
-        ExceptionGroup: BenchErrors, values of its configuration that this program does not take.
+        ExceptionGroup: one BenchError for each value of its configuration that this program rejects.
     """
     with atomic_file(path) as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD)

@@ -24,7 +24,7 @@ def write_rrd(path: Path, record: ExportRecord) -> list[Path]:
 
     Raises:
         NotStored: it cannot be stored.
-        ExceptionGroup: BenchErrors, values of its configuration that this program does not take.
+        ExceptionGroup: one BenchError for each value of its configuration that this program rejects.
     """
     shot = recorded_shot(record.cycles, record.metadata, str(record.path))
     with writing_recording(path, [shot.record], str(record.path)) as recording:

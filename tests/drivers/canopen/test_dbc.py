@@ -132,7 +132,7 @@ def test_nodes_command_writes_dbc_file(tmp_path: Path) -> None:
     assert len(cantools.database.load_file(file).messages) == 26  # type: ignore[union-attr]
 
 
-def test_frames_with_spool_feedback_describe_the_positions() -> None:
+def test_frames_with_spool_feedback_describe_positions() -> None:
     frame = database(WITH_SPOOLS).get_message_by_name("SPOOLS")
     assert (frame.frame_id, frame.cycle_time) == (0x48A, 1)
     decoded = frame.decode(b"\x00\x00\x00\x40\xff\x7f")

@@ -135,7 +135,7 @@ def test_slow_swing_stopped_in_prediction_is_designed(
         (GOOD._replace(measured=34.0), Cause.NONE, "head speed [+]13 %"),
         (GOOD._replace(measured=26.0), Cause.NONE, "head speed -13 %"),
         (GOOD._replace(measured=float("nan")), Cause.NONE, "head speed"),
-        (GOOD._replace(path=np.array([0.01, 0.4, 0.02])), Cause.NONE, "arm 0.40 rad beside"),
+        (GOOD._replace(path=np.array([0.01, 0.4, 0.02])), Cause.NONE, "arm 0.40 rad off"),
         (GOOD._replace(path=np.full(3, np.nan)), Cause.NONE, "shoulder nan rad"),
         (GOOD._replace(braking=np.array([[3.0, 2.0, 9.0], [3.0, 2.0, 4.0]])), Cause.NONE, "brakes less"),
     ],
@@ -171,7 +171,7 @@ def test_require_as_predicted_lower_share_widens_speed_limit() -> None:
     """In m/s: friction makes a slow swing uncertain, and its energy is low."""
     off = GOOD._replace(measured=1.12 * GOOD.predicted)
     require_as_predicted(off, Cause.NONE, "swing of 60 %", 0.6)
-    with pytest.raises(MachineFault, match="12 % beside"):
+    with pytest.raises(MachineFault, match="12 % off"):
         require_as_predicted(off, Cause.NONE, "swing of 100 %", 1.0)
     with pytest.raises(MachineFault, match="within 13 %"):
         require_as_predicted(GOOD._replace(measured=1.15 * GOOD.predicted), Cause.NONE, "swing of 60 %", 0.6)
