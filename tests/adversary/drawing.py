@@ -50,7 +50,9 @@ _VALUES = {
 }
 _ENDS = frozenset({"supply", "vents", "vent", "shut-off", "switch", "relief", "safety relay"})
 """Sorts that stick at one end or the other."""
-_SIGNALS = tuple(signal for signal in SIGNALS if signal != "launch monitor")
+NOT_SHIPPED = "launch monitor", *(f"{joint} spool feedback" for joint in JOINTS)
+"""Signals that a shipped plant does not have."""
+_SIGNALS = tuple(signal for signal in SIGNALS if signal not in NOT_SHIPPED)
 
 
 def drawn_setup(random: Generator) -> Setup:

@@ -44,7 +44,7 @@ def test_paced_driver_without_surroundings_equals_sim_driver(driver: PacedPlantD
     alone = SimDriver(PlantParameters())
     alone.open()
     for k in range(50):
-        assert driver.read(k * 1e-3) == alone.read(k * 1e-3)
+        assert repr(driver.read(k * 1e-3)) == repr(alone.read(k * 1e-3))  # NaN where no feedback is fitted
         assert driver.write(PASSIVE) == alone.write(PASSIVE)
     assert driver.operational
 
