@@ -53,17 +53,22 @@ def stall_note(
     """
     if cause is Cause.DEVICE_PASSIVE:
         return fault
-    if cause not in _ENCODERS + _JUMPS:
+    homing = cause is Cause.HOMING_FAILED
+    if not (homing or cause in _ENCODERS + _JUMPS):
         return ""
-    last = cycles[-BEFORE:]
-    lost, jump = last["encoder_valid"] == 0, cause in _JUMPS
-    least = period if jump else encoder_timeout / 2  # a moving joint is elsewhere after a single missed tick
+    last = cycles[cycles["phase"] == Phase.HOMING] if homing else cycles[-BEFORE:]
+    if not len(last):
+        return ""
+    lost, jump = last["encoder_valid"] == 0, homing or cause in _JUMPS
+    # A moving joint is elsewhere after a single missed tick; contacts with the stops are found more slowly.
+    least = period if cause in _JUMPS else encoder_timeout / 2
     late = np.all(lost | (last["encoder_age"] >= least + period), axis=1).any()
     missing = np.all(lost[-1] | (last["encoder_age"][-1] >= encoder_timeout))
     gap = float(last["measured_step"].max())
     if gap - period >= least:
+        when = "while homing" if homing else "just before"
         return (
-            f"the loop stood still for {1e3 * gap:.1f} ms just before, a stall of this machine: run "
+            f"the loop stood still for {1e3 * gap:.1f} ms {when}, a stall of this machine: run "
             'golfbench doctor; the simulated robot of driver "sim" waits for the loop'
         )
     if fault and not jump:

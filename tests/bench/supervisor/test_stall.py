@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_WORDS, Cause, Refusal
+from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_WORDS, Cause, Phase, Refusal
 from bench.records.telemetry.cycle_record import CYCLE
 from bench.supervisor.status import cause_text, refusal_words, stall_note, supervisor_note
 
@@ -44,6 +44,16 @@ def test_stall_note_jump_after_stall_names_stall() -> None:
     assert "all three encoders were late at once" in note(cycles, Cause.ARM_JUMP)
     cycles["measured_step"][-4] = 0.006
     assert "the loop stood still for 6.0 ms" in note(cycles, Cause.ARM_JUMP)
+
+
+def test_stall_note_homing_failed_names_stall_anywhere_in_homing() -> None:
+    cycles = np.concatenate([records() for _ in range(5)])
+    cycles["measured_step"][3] = 0.0083  # before the homing
+    cycles["phase"][10:] = Phase.HOMING
+    assert note(cycles, Cause.HOMING_FAILED) == ""
+    assert note(cycles[:10], Cause.HOMING_FAILED) == ""
+    cycles["measured_step"][20] = 0.0083
+    assert "the loop stood still for 8.3 ms while homing" in note(cycles, Cause.HOMING_FAILED)
 
 
 def test_stall_note_device_fault_takes_precedence() -> None:
