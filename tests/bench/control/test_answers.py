@@ -159,6 +159,7 @@ CONDITIONS = (
     Condition("readings", Refusal.READINGS, MOVES_OR_RESETS, "control", {"encoder_fault": Cause.ARM_ENCODER}),
     Condition("supervisor", Refusal.SUPERVISOR, MOVES_OR_RESETS, "control", {"supervisor_alive": False}),
     Condition("lock", Refusal.LOCK, MOVES_OR_RESETS, "control", {"lock.wrong": True}),
+    Condition("spool", Refusal.VENT, MOVES_OR_RESETS, "control", {"spools.wrong": (0, 1, 0)}),
     Condition("manifold's sensor", Refusal.SENSOR, MOVES_OR_RESETS, "control", {"sensors.dead": one_dead(0)}),
     Condition("first vent", Refusal.VENT, MOVES_OR_RESETS, "control", {"vents.wrong": (1, 0)}),
     Condition("second vent", Refusal.VENT, MOVES_OR_RESETS, "control", {"vents.wrong": (0, 1)}),
