@@ -38,6 +38,7 @@ readings = st.builds(
     chamber_pressure=st.tuples(*(number,) * 6),
     vent_open=st.tuples(number, number),
     shut_off_open=number,
+    spool_position=triple,
 )
 commands = st.builds(Command, triple, *(switch,) * 5)
 
