@@ -472,9 +472,9 @@ CAUSE_WORDS: dict[Cause, Words] = {
     Cause.LEASE: ("disarmed, as the lease lapsed or was released", "take it, then arm"),
     Cause.ARMED_TIME: ("disarmed, as it was armed for longer than allowed", "arm again"),
     Cause.SUPPORT: ("disarmed, as recorder or publisher stopped", "wait until both run, then arm"),
-    Cause.SHOULDER_SPOOL: ("shoulder valve's spool is not where its command puts it", _VALVE_OR_FEEDBACK),
-    Cause.ARM_SPOOL: ("right arm valve's spool is not where its command puts it", _VALVE_OR_FEEDBACK),
-    Cause.WRIST_SPOOL: ("wrist valve's spool is not where its command puts it", _VALVE_OR_FEEDBACK),
+    Cause.SHOULDER_SPOOL: ("shoulder valve's spool deviates from its command", _VALVE_OR_FEEDBACK),
+    Cause.ARM_SPOOL: ("right arm valve's spool deviates from its command", _VALVE_OR_FEEDBACK),
+    Cause.WRIST_SPOOL: ("wrist valve's spool deviates from its command", _VALVE_OR_FEEDBACK),
 }
 
 CAUSE_TEXT = {cause: in_one(words) for cause, words in CAUSE_WORDS.items()}

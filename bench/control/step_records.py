@@ -186,7 +186,7 @@ SPOOLS = _nested(
     ("spool_speed", "f8", (3,)),  # 1/s: its rate
     ("recent", "f8", (4, 3)),  # modelled openings of this and the ticks before, the latest first
     ("late", "f8", (3,)),  # s for which the position has been off the model
-    ("wrong", "u1", (3,)),  # for too long, and not seen to agree since
+    ("wrong", "u1", (3,)),  # off the model for too long, and not back on it since
 )
 """Memory of `bench.control.monitor.spool_monitor`."""
 

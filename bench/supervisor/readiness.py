@@ -27,8 +27,8 @@ from sim.robot import Club
 NO_MODEL_CHECK = "the model-based check is off (envelope.model.check): a stuck valve is found later"
 
 FEEDBACK_ONLY = (
-    "the model-based check is off (envelope.model.check): the spools' feedback finds stuck valves, no leak "
-    "and no wrong encoder"
+    "the model-based check is off (envelope.model.check): the spools' feedback detects stuck valves, but no "
+    "leak and no wrong encoder"
 )
 
 HALF_BLIND = (
@@ -180,14 +180,15 @@ def assess(
                 f"Run golfbench calibrate {inputs.kind}.",
             )
         )
+    chambers_have_sensors, valves_have_feedback = _fitted_sensors(c)
     if model.check == "off":
         reason = model.off_reason.strip()
-        words = FEEDBACK_ONLY if _valves_have_feedback(c) else NO_MODEL_CHECK
+        words = FEEDBACK_ONLY if valves_have_feedback else NO_MODEL_CHECK
         warnings.append(f"{words}; the reason given: {reason}" if reason else words)
         if real and not reason:
             found.append(_unwatched(c))
     else:
-        if not _chambers_have_sensors(c):
+        if not chambers_have_sensors:
             warnings.append(HALF_BLIND)
             if real and not model.off_reason.strip():
                 found.append(_half_blind(c))
@@ -202,22 +203,15 @@ def assess(
     return Readiness(c, calibration, profile, file, tuple(found), tuple(checks), limits, tuple(warnings))
 
 
-def _chambers_have_sensors(c: Configuration) -> bool:
+def _fitted_sensors(c: Configuration) -> tuple[bool, bool]:
+    """Return whether each chamber has a pressure sensor, and whether each valve has spool feedback."""
     match c.driver.name:
         case "canopen":
-            return all(c.canopen.valve_node.chamber_pressures)
+            node = c.canopen.valve_node
+            return all(node.chamber_pressures), all(node.spool_positions)
         case "daq":
-            return all(c.daq.chamber_pressures)
-    return c.plant.pressure_sensors
-
-
-def _valves_have_feedback(c: Configuration) -> bool:
-    match c.driver.name:
-        case "canopen":
-            return all(c.canopen.valve_node.spool_positions)
-        case "daq":
-            return all(c.daq.spool_positions)
-    return c.plant.spool_feedback
+            return all(c.daq.chamber_pressures), all(c.daq.spool_positions)
+    return c.plant.pressure_sensors, c.plant.spool_feedback
 
 
 def _unwatched(c: Configuration) -> BenchError:

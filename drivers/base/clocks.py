@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-_MAX_READ = 2_000
+MAX_READ = 2_000
 """Max duration of a reading of both clocks, ns: a longer one was interrupted."""
 
 
@@ -19,6 +19,6 @@ class WallOffset:
     def read(self) -> int:
         """Return the offset now, ns; the last one where the thread was interrupted between the clocks."""
         before, now, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
-        if after - before < _MAX_READ:
+        if after - before < MAX_READ:
             self.ns = now - (before + after) // 2
         return self.ns

@@ -20,6 +20,7 @@ import numpy as np
 from numba import carray, types
 
 from drivers.base import ABSENT, INVALID
+from drivers.base.clocks import MAX_READ
 from drivers.base.compiled import compiled
 from drivers.base.native import compiled_call, limit_command
 from drivers.base.native_calls import DECLINED, DONE, OPERATIONAL
@@ -71,8 +72,6 @@ _READABLE = 1
 _SCM_TIMESTAMPNS = 35
 _REALTIME, _MONOTONIC = 0, 1
 _SECOND = 1_000_000_000
-_MAX_CLOCK_READ = 2_000
-"""ns that reading both clocks takes without interruption."""
 _MAX_ECHO_DELAY = 0.005
 """s after which an echo does not belong to the last SYNC."""
 
@@ -262,7 +261,7 @@ def _note_echo(states: Any, block: int, k: int) -> None:
     """Note when the own SYNC, frame `k` of the batch, was transmitted, as `SocketcanLink` does."""
     s = states[0]
     before, now, after = _now(block, _MONOTONIC), _now(block, _REALTIME), _now(block, _MONOTONIC)
-    if after - before < _MAX_CLOCK_READ:
+    if after - before < MAX_READ:
         s.ahead = now - (before + after) // 2
     at = _CONTROL_SIZE // 8 * k
     size, kind = s.headers[_HEADER_WORDS * k + 5], s.control[at + 1] >> 32

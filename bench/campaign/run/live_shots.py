@@ -314,8 +314,8 @@ class LiveShots:
         return True
 
     def _note_drift(self, warnings: list[str]) -> None:
-        """Note the drift of the robot when it is first reported, and again after swings without it."""
-        if warnings and not self._drift:
+        """Note the drift of the robot whenever more of it is reported than at the swing before."""
+        if len(warnings) > len(self._drift):
             self._events += [("drift", f"{text}; parts: golfbench wear") for text in warnings]
         self._drift = warnings
 

@@ -233,7 +233,7 @@ def inputs(
         typer.echo(f"{entry.name} of bench {entry.bench}; expires {entry.expires:%Y-%m-%d %H:%M} UTC")
     raise_findings(findings)
     typer.echo(f"{len(seen.seen)} inputs seen to change: {', '.join(seen.seen)}.")
-    typer.echo(f"Supply sensor {1e-5 * seen.gauge:+z.2f} bar compared with the gauge.")
+    typer.echo(f"Supply sensor {1e-5 * seen.gauge:+z.2f} bar off the gauge.")
 
 
 def inputs_in_force(configuration: Configuration, now: datetime) -> str | None:

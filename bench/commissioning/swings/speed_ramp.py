@@ -165,7 +165,7 @@ def swung_slowly(
 def _with_placed_gains(known: Configuration) -> Configuration:
     """Return `known` with the gains placed by pose, and their damping, also in the downswing.
 
-    The stiffer ones of a full downswing oscillate at 25 Hz in one that lasts longer.
+    The higher gains of a full downswing oscillate at 25 Hz in a longer one.
     """
     return replace(known, control=replace(known.control, downswing_damping=1.0, downswing_gain_factor=1.0))
 
@@ -477,7 +477,7 @@ class _Marks:
     def text(self) -> str:
         """Finding of the marks, for the report."""
         strange = ", ".join(f"{1e3 * beside:+.1f}" for beside in self._strange)
-        told = f"; rejected marks, {strange} mm off it" if strange else ""
+        told = f"; rejected marks: {strange} mm off the encoders' strike" if strange else ""
         if not self._beside:
             return (
                 "no mark on the face was read: the strike is the encoders', as true as the lengths are" + told

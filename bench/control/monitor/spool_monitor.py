@@ -1,8 +1,8 @@
-"""Watch over the valves' spools: a position that is measured must be where the command puts the spool.
+"""Monitoring of the valves' spools: the measured position against a model of the commanded one.
 
 A model of second order, with the natural frequency and damping of the configured valve, follows the applied
 commands. Bus and driver deliver commands and positions late, so a position is compared with the model's range
-over the last RECENT ticks. A feedback that was fitted and shows no number is as far off as can be.
+over the last RECENT ticks. Fitted feedback without a number counts as a deviation.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def monitor_spools(s: Any, p: Any, plant: Any, readings: Any, step: float) -> No
 
 @compiled
 def spool_cause(s: Any) -> int:
-    """Return the cause that names the first spool that is not where its command puts it, or 0."""
+    """Return the cause that names the first spool that deviates from its command, or 0."""
     for i in range(3):
         if s.spools.wrong[i] != 0:
             return int(Cause.SHOULDER_SPOOL + i)

@@ -850,6 +850,15 @@ def test_live_shots_arming_without_planned_air_adds_practice_swing(
     assert [kind for kind, _ in source._events] == ["practice"] * (practice and not planned)
 
 
+def test_live_shots_second_drift_is_noted(plan: CampaignPlan) -> None:
+    speed, strike = "club speed 43.1 m/s", "the head met the ball +18 mm off"
+    with shots_of(plan, ArmableBench(series=True)) as source:
+        for warnings in ([speed], [speed], [speed, strike], [speed, strike], [strike]):
+            source._note_drift(warnings)
+        noted = [text.partition(";")[0] for kind, text in source._events if kind == "drift"]
+    assert noted == [speed, speed, strike]
+
+
 def test_live_shots_drift_in_status_becomes_one_event(plan: CampaignPlan) -> None:
     bench, noted = ArmableBench(series=True), list[str]()
     with shots_of(plan, bench) as source:
