@@ -48,7 +48,7 @@ MAX_PATH_LENGTH = 100
 
 _DOWN = "down"
 _SETTLED = 50_000_000
-"""ns after a folder's last change from which its modification time shows every further change."""
+"""Time after a folder's last change from which its modification time shows every further change (ns)."""
 _BACKLOG = 64
 
 

@@ -15,7 +15,7 @@ import math
 from drivers.base import ABSENT, PASSIVE, Command, DriverError, Readings, Triple, device_limited
 
 ATMOSPHERE = 101_325.0
-"""Pa."""
+"""Atmospheric pressure (Pa)."""
 
 Travel = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 

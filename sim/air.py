@@ -28,7 +28,7 @@ class Air:
     temperature: Annotated[float, Range(233.15, 333.15, "K")] = 298.15
     """K; 25 deg C by default, to which launch monitors normalise."""
     pressure: Annotated[float, Range(20_000.0, 120_000.0, "Pa")] = _STANDARD_PRESSURE
-    """Pa at the place, not reduced to sea level."""
+    """Pressure at the place, not reduced to sea level (Pa)."""
     relative_humidity: Annotated[float, Range(0.0, 1.0, "as a fraction (0.5 is 50 %)")] = 0.5
     """Share, 0 to 1."""
 

@@ -21,7 +21,7 @@ class Ball:
     mass: Annotated[float, Range(0.02, 0.06, "kg")] = 0.04593
     """kg; the heaviest ball the Rules allow by default."""
     radius: Annotated[float, Range(0.015, 0.03, "m")] = 0.021335
-    """m; the smallest ball the Rules allow by default."""
+    """Radius (m); the smallest ball the Rules allow by default."""
     inertia_factor: Annotated[float, Range(0.2, 2.0 / 3.0, "(hollow shell at most)")] = 0.4
     """I/(m r2); 0.4 is a uniform sphere."""
     restitution_factor: Annotated[float, Range(0.3, 1.2, "")] = 1.0

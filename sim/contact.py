@@ -20,7 +20,7 @@ from sim.vectors import Vector, added, dot, norm, scaled
 
 STEPS = 200
 """Integration steps of the compression: impulses within 2 per mille of the exact ones (tests)."""
-_LONGEST = 40 * STEPS
+_MAX_STEPS = 40 * STEPS
 """Steps after which a contact is taken as ended; usual is 2 STEPS."""
 
 
@@ -53,7 +53,7 @@ def contact_impulse(
     depth, unloaded, gain = 0.0, 0.0, 1.0
     loading = True
     ahead = 0.5 * step  # depth and winding are taken in the middle of a step
-    for _ in range(_LONGEST):
+    for _ in range(_MAX_STEPS):
         speed = dot(velocity, normal)
         depth -= 0.5 * step * speed
         pressure = gain * (depth - unloaded)

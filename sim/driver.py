@@ -60,8 +60,8 @@ _PROGRESS = np.dtype(
         ("offset", "f8"),
     ]
 )
-"""Where a SimDriver is: `ticks` since the first reading after opening, which was at `first` (s of the loop),
-and the tick of the last command; loop time minus plant time is `offset` (s)."""
+"""Progress of a SimDriver: `ticks` since the first reading after opening, which was at `first` (s of the
+loop), and the tick of the last command; loop time minus plant time is `offset` (s)."""
 
 _READINGS_SIZE, _COMMAND_SIZE = READINGS.itemsize, COMMAND.itemsize
 

@@ -34,7 +34,7 @@ STEP = 0.005
 
 _MAX_FLIGHT_TIME = 60.0
 _MAX_BOUNCES = 25
-_LOWEST_BOUNCE = 0.3  # m/s upwards: below this the ball rolls
+_MIN_BOUNCE_SPEED = 0.3  # m/s upwards: below this the ball rolls
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Wind:
     """
 
     velocity: Vector = (0.0, 0.0, 0.0)
-    """m/s along the target line, up, to the right."""
+    """Velocity along the target line, up, to the right (m/s)."""
     reference_height: Annotated[float, Range(0.1, 1000.0, "m")] = 10.0
     """Height at which that blows (m)."""
     exponent: Annotated[float, Range(0.0, 1.0, "")] = 0.0
@@ -396,7 +396,7 @@ def _fly(launch: Array, settings: _Settings, result: Array, path: Array) -> int:
             velocity, spin = bounce(
                 velocity, spin, s.radius, s.turf_friction, s.turf_tilt, s.turf_restitution
             )
-        if velocity[1] < _LOWEST_BOUNCE:
+        if velocity[1] < _MIN_BOUNCE_SPEED:
             break
         axis = unit(spin)
         state = (state[0], 0.0, state[2], velocity[0], velocity[1], velocity[2], norm(spin))

@@ -77,7 +77,7 @@ FACE_HALF_WIDTH, FACE_HALF_HEIGHT = 0.055, 0.030
 
 _USUAL = 40.0
 """Approach (m/s) at which a club's restitution is stated."""
-_LEAST_RESTITUTION = 0.1
+_MIN_RESTITUTION = 0.1
 
 IMPACT = np.dtype(
     [
@@ -298,7 +298,7 @@ def collide(
     second = _response((0.0, 1.0, 0.0), normal, arm, axes, head_inertia, inverse_mass, rolling)
     third = _response((0.0, 0.0, 1.0), normal, arm, axes, head_inertia, inverse_mass, rolling)
     if restitution_slope != 0.0:
-        restitution = min(1.0, max(_LEAST_RESTITUTION, restitution + restitution_slope * (approach - _USUAL)))
+        restitution = min(1.0, max(_MIN_RESTITUTION, restitution + restitution_slope * (approach - _USUAL)))
     if tangential_stiffness > 0.0:
         impulse = contact_impulse(
             (first, second, third),

@@ -21,7 +21,7 @@ from drivers.base import Launch
 from drivers.base.ranges import Range, check_ranges
 
 MPH, RPM, YARD = 0.44704, pi / 30.0, 0.9144
-"""m/s; rad/s; m."""
+"""Units in m/s, rad/s and m."""
 HEARTBEAT, RECONNECT = 2.0, 5.0
 """Heartbeat period and reconnection period, s."""
 _PIECE = 200

@@ -116,4 +116,4 @@ ORIGINS: Mapping[str, str] = {
     "site.surface": "assumption: the driver's ball stands on a tee",
     "site.divot": "assumption: the driver's head touches nothing",
 }
-"""By the dotted name of a field or table of `sim.plant.PlantParameters`."""
+"""Sources by the dotted name of a field or table of `sim.plant.PlantParameters`."""

@@ -217,8 +217,8 @@ class PlantParameters:
 
 
 OPEN, SHUT = 1, 2
-"""Where a vent, the shut-off valve or the safety relay is stuck, in `vent_stuck`, `shut_off_stuck` and
-`relay_stuck` of PLANT_PARAMETERS; 0: it obeys."""
+"""Position in which a vent, the shut-off valve or the safety relay is stuck, in `vent_stuck`,
+`shut_off_stuck` and `relay_stuck` of PLANT_PARAMETERS; 0: it obeys."""
 RELIEFS = 7
 """Number of relief valves: those of the six chambers, and the manifold's."""
 EXHAUSTS = 7

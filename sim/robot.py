@@ -46,7 +46,7 @@ class Club:
     shaft_length: Annotated[float, Range(0.3, 1.5, "m")] = 1.0668
     """R3 to the head's mass point (m); 42 in as in the thesis."""
     shaft_radius: Annotated[float, Range(0.001, 0.03, "m")] = 0.0075
-    """m, as in the thesis."""
+    """Radius of the shaft, as in the thesis (m)."""
     length_to_face: Annotated[float, Range(0.3, 1.5, "m")] = 1.09
     """R3 to the centre of the face (m), l3T of the thesis."""
     name: str = "driver"

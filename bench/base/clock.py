@@ -76,7 +76,7 @@ class PacedClock:
 LATE = 1_000_000
 """Delay after which a tick counts as late, ns."""
 
-LONGEST_SPIN, SPIN_SHARE = 40_000, 0.04
+MAX_SPIN, SPIN_SHARE = 40_000, 0.04
 """Max time (ns) and share of the period for busy waiting at the end of a wait: it covers usual wake-up
 latencies and takes two per cent of a core on average."""
 
@@ -98,7 +98,7 @@ class GridClock:
         """The grid starts one period after the first `wait`; `sleep_until` may return early."""
         self.period_ns, self.period = period_ns, period_ns * 1e-9
         self._now, self._sleep_until = now, sleep_until or absolute_sleep()
-        self._spin = min(LONGEST_SPIN, int(SPIN_SHARE * period_ns))
+        self._spin = min(MAX_SPIN, int(SPIN_SHARE * period_ns))
         self.due = 0
         """Grid point of the current tick, ns of CLOCK_MONOTONIC; 0 before the first."""
         self.woke = 0

@@ -24,7 +24,7 @@ from drivers.base.ranges import Above, AtLeast, AtMost, Range, short
 SUFFIXES: Mapping[str, Mapping[str, float]] = {"deg": {"rad": pi / 180}, "hz": {"Hz": 1.0, "rad/s": 2 * pi}}
 """Suffix of a key -> unit of its field -> factor on the value."""
 
-GREATEST = sys.float_info.max
+MAX_FINITE = sys.float_info.max
 """Max absolute value of a finite number; comparisons with it are false for NaN."""
 
 _SUFFIXED = re.compile(rf"(.+)_({'|'.join(SUFFIXES)})")
@@ -285,7 +285,7 @@ class Builder:
         elif bare is Path:
             ok = isinstance(value, str) and value != ""
         elif bare is float:
-            ok = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= GREATEST
+            ok = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_FINITE
         elif bare in (int, bool, str):
             ok = type(value) is bare
         else:

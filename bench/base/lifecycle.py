@@ -111,7 +111,7 @@ class Refusal(IntEnum):
     GAUGE = 21
     # By the supervisor, before the control step is asked:
     BLOCKED = 22
-    """For a reason of `Block`."""
+    """Refusal that a reason of `Block` explains."""
     CORRECTION = 23
     HELD = 24
     SEQUENCE = 25
@@ -187,7 +187,7 @@ class Phase(IntEnum):
     STANDING = 0
     HOMING = 1
     HOLD = 2
-    """At address, chambers charged."""
+    """Hold of the address, chambers charged."""
     BACKSWING = 3
     TOP = 4
     DOWNSWING = 5
@@ -568,7 +568,7 @@ NEEDS_LEASE = frozenset(Request) - {Request.NONE, Request.STOP, Request.EMERGENC
 
 
 Table = list[list[int]]
-"""For a record of compiled code; without numpy, which clients of a bench do without."""
+"""Rows for a record of compiled code; without numpy, which clients of a bench do not load."""
 
 
 def transition_table() -> Table:

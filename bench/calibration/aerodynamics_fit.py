@@ -25,7 +25,7 @@ from sim.flight import Aerodynamics, Wind, fly, fly_many
 
 Array: TypeAlias = np.ndarray[Any, Any]
 
-FEWEST_FLIGHTS = 3
+MIN_FLIGHTS = 3
 _ROUNDS = 2
 """Fits, each with the covariances at the solution before it."""
 _DIFFERENCE = 1e-3
@@ -34,7 +34,7 @@ _LAUNCH_STEPS = (0.05, 0.001, 5.0)
 """Steps of ball speed (m/s), launch angle (rad) and spin (rad/s) in derivatives."""
 _TIME_STEP = 0.02
 """Integration step of carry, apex and time, s: 12 mm of carry and 0.5 ms at most off the finest (tests)."""
-_LARGEST_ERROR = 0.2
+_MAX_ERROR = 0.2
 """Standard error of a factor from which the data do not determine it."""
 _FIGURES = ("carry", "apex", "time")
 
@@ -69,15 +69,15 @@ class FlightUncertainty:
     speed: float
     """Ball speed, m/s."""
     launch_angle: float
-    """rad"""
+    """Launch angle (rad)."""
     spin: float
-    """rad/s"""
+    """Spin (rad/s)."""
     carry: float
-    """m"""
+    """Carry (m)."""
     apex: float
-    """m"""
+    """Height of the apex (m)."""
     time: float
-    """s"""
+    """Time of flight (s)."""
     point: float
     """Each coordinate of a trajectory's point, m."""
 
@@ -119,10 +119,10 @@ def fit_aerodynamics(
     chi_square = 2.0 * cost / dof
     covariance = _covariance(flights, factors, predict, whiteners, calibration, max(1.0, chi_square))
     errors = np.sqrt(np.diag(covariance))
-    if not np.all(errors < _LARGEST_ERROR):
+    if not np.all(errors < _MAX_ERROR):
         raise ValueError(
             f"standard errors {errors[0]:.3g} of drag and {errors[1]:.3g} of lift, expected below "
-            f"{_LARGEST_ERROR}: the data do not determine both"
+            f"{_MAX_ERROR}: the data do not determine both"
         )
     speeds, spins = ([getattr(f.launch, name) for f in flights] for name in ("speed", "spin"))
     return BallAerodynamics(
@@ -149,8 +149,8 @@ _Predict: TypeAlias = Callable[[Array, Sequence[Launch]], list[Array]]
 
 def _dof(flights: Sequence[MeasuredFlight], scatter: FlightUncertainty) -> int:
     """Return the degrees of freedom of the fit; ValueError when data or scatter do not suffice."""
-    if len(flights) < FEWEST_FLIGHTS:
-        raise ValueError(f"{len(flights)} flights, expected at least {FEWEST_FLIGHTS}")
+    if len(flights) < MIN_FLIGHTS:
+        raise ValueError(f"{len(flights)} flights, expected at least {MIN_FLIGHTS}")
     dof = sum(len(flight.observed) for flight in flights) - 2
     if dof < 1:
         raise ValueError("fewer than 3 observations of carry, apex, time or points")

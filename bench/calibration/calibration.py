@@ -279,7 +279,7 @@ class Calibration:
     """The mounted club; calibrations of other clubs are not in force."""
     when: datetime
     entries: tuple[Entry, ...] = field(default=())
-    """At most one of each kind, in the order of Kind."""
+    """Entries in force, at most one of each kind, in the order of Kind."""
     required: bool = False
     """Whether a missing calibration is a problem: with a machine, not in simulation."""
     later: tuple[Entry, ...] = field(default=())
@@ -454,8 +454,8 @@ def _with_valves(c: Configuration, valves: ValveCentres) -> Configuration:
 
 
 _BALL_MOVED, _CLUB_MOVED = 0.15, 0.05
-"""m from the configured place or length beyond which a measurement is a mistake: a tee has been moved by
-hand's breadths, a club slips in its mount by centimetres."""
+"""Distances from the configured place or length beyond which a measurement is a mistake (m): a tee is moved
+by hand's breadths, a club slips in its mount by centimetres."""
 
 
 def require_plausible(values: Values, configuration: Configuration) -> None:

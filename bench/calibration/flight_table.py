@@ -234,7 +234,7 @@ _SIDES = {"side_spin", "spin_axis"}
 """Either of them gives the total spin from the back spin."""
 _POINT_COLUMNS = ("flight", "time_s", "distance_m", "height_m")
 _NOT_MEASURED = "16777215.000000"
-"""What Foresight writes for a figure that was not measured."""
+"""Foresight's mark of a figure without measurement."""
 _ESTIMATES = ("estimated", "calculated")
 
 

@@ -23,7 +23,7 @@ from drivers.base.records import COMMAND
 from sim.driver import hanging_pose
 from sim.plant import Plant, PlantParameters, advance, build_plant, initial_state
 
-_LEAST = 20
+_MIN_RECORDS = 20
 """Min number of records: fewer mean that the loop hardly runs."""
 
 _STILL = 8
@@ -45,7 +45,7 @@ def standing_counts(ring: Path, counts_per_revolution: int, seconds: float = 0.5
     finally:
         reader.close()
     location = "calibrate encoders --from-pose"
-    if len(cycles) < _LEAST:
+    if len(cycles) < _MIN_RECORDS:
         raise Refused(
             location,
             f"{len(cycles)} cycles in {seconds:g} s",
@@ -78,7 +78,7 @@ Array = NDArray[np.float64]
 
 _NEAR = 0.04
 """Opening beyond an edge up to which the flow counts: further out emptying and filling bend the line."""
-_LEAST_BEYOND = 4
+_MIN_BEYOND = 4
 """Min number of measurements beyond each edge."""
 _CLEAR = 5.0
 """Rate beyond an edge over the fit's scatter from which the edge counts as seen."""
@@ -90,7 +90,7 @@ _NO_ANSWER = (
 SWEEP = np.linspace(-0.3, 0.3, 241)
 """Openings of the ramp."""
 _HOLD = 0.02
-"""s for which each opening is held: the spool's own motion takes a small part of it."""
+"""Time at each opening (s): the spool's own motion takes a small part of it."""
 
 
 class ValveCentre(NamedTuple):
@@ -127,7 +127,7 @@ def _refined(x: Array, rate: Array, lower: float, upper: float) -> tuple[tuple[f
     """Return edges, smaller slope and residual scatter of the best fit near the given edges."""
     near = (x > lower - _NEAR) & (x < upper + _NEAR)
     for beyond, edge in ((x < lower, "lower"), (x > upper, "upper")):
-        if np.count_nonzero(near & beyond) < _LEAST_BEYOND:
+        if np.count_nonzero(near & beyond) < _MIN_BEYOND:
             raise ValueError(f"the {edge} edge lies outside the ramp: ramp further, or in finer steps")
     some, rates = x[near], rate[near]
 
@@ -156,8 +156,8 @@ def _fit(x: Array, rate: Array, lower: float, upper: float) -> tuple[Array, floa
 
 def _coarse_edges(x: Array, rate: Array) -> tuple[float, float]:
     """Return about where the flat middle begins and ends: around the change of sign, a tenth of the ends."""
-    if len(x) < 3 * _LEAST_BEYOND or x[0] == x[-1]:
-        raise ValueError(f"{len(x)} measurements, expected at least {3 * _LEAST_BEYOND} over a ramp")
+    if len(x) < 3 * _MIN_BEYOND or x[0] == x[-1]:
+        raise ValueError(f"{len(x)} measurements, expected at least {3 * _MIN_BEYOND} over a ramp")
     reach = 0.1 * min(rate.max(), -rate.min())
     falling, rising = np.flatnonzero(rate < -reach), np.flatnonzero(rate > reach)
     if reach <= 0.0 or falling[-1] > rising[0]:

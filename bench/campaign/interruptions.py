@@ -20,7 +20,7 @@ PACKAGES = ("golfbench", "numpy", "numba", "scipy", "filterpy", "sqlalchemy")
 _TOP = Path(__file__).parents[2]
 
 
-_MOST = 5
+_MAX_CHANGES = 5
 """Max number of changed values in a line."""
 
 
@@ -101,8 +101,8 @@ def changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 def named(changes: list[str]) -> str:
     """Return `changes` in a line, the first ones if there are many."""
-    more = f" and {len(changes) - _MOST} more" if len(changes) > _MOST else ""
-    return f"{', '.join(changes[:_MOST])}{more}"
+    more = f" and {len(changes) - _MAX_CHANGES} more" if len(changes) > _MAX_CHANGES else ""
+    return f"{', '.join(changes[:_MAX_CHANGES])}{more}"
 
 
 def _value(value: object) -> str:

@@ -96,7 +96,7 @@ COMMANDS: Mapping[str, str] = {
     "campaign": "bench.commands.campaign.campaign:app",
     "faults": "bench.commands.machine.faults:app",
 }
-"""By name: module and attribute, a function, or a Typer app that is the command or has it."""
+"""Commands by name: module and attribute, a function, or a Typer app that is the command or has it."""
 
 
 class _Commands(Mapping[str, "_Command"]):

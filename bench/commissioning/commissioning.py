@@ -48,7 +48,7 @@ from sim.plant import PlantParameters
 
 STATE_FILE = "commissioning.json"
 _VERSION = 1
-_REPEATS = 3
+_REPEATS = 9
 """Max repetitions of a measuring step that a stall of the computer ended."""
 
 INPUTS_STEP = InputsStep()

@@ -37,7 +37,7 @@ NO_CALIBRATION = (
 """Why robot.toml does not replace a calibration, for its reader."""
 
 _WIDTH = 108
-_LEAST = 0.001
+_MIN_UNCERTAINTY_DEG = 0.001
 """Smallest standard uncertainty that is entered for a zero, deg."""
 _CLUB, _SUPPLY, _ENCODERS = "robot.club", "supply.pressure", "encoders"
 
@@ -99,7 +99,7 @@ def _calibration(known: RobotEstimate) -> list[str]:
     return [
         *(f"# {line}" for line in wrap(NO_CALIBRATION, _WIDTH)),
         f"# golfbench --config robot.toml calibrate encoders --zero-counts {zeros} --sign {signs} "
-        f"--uncertainty-deg {max(uncertainty, _LEAST):.2g}",
+        f"--uncertainty-deg {max(uncertainty, _MIN_UNCERTAINTY_DEG):.2g}",
     ]
 
 

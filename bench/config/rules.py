@@ -27,17 +27,17 @@ from drivers.base.ranges import short
 from sim.faults import MAX_DELAY
 from sim.plant import HISTORY
 
-LONGEST_SUBSTEP = 0.00025
-"""s; the plant's delivery is converged up to this internal step."""
+MAX_SUBSTEP = 0.00025
+"""Internal step up to which the plant's delivery is converged (s)."""
 
-LONGEST_ANSWER = 0.7
+MAX_READ_SHARE = 0.7
 """Share of the loop's period that a tick may wait for the encoders; the rest is for deciding."""
 
 COST_OF_A_SYNC = 2.2
 """Ticks without a sample when a SYNC is lost: its own; the next, whose sample might answer the lost one; and
 the max delay of a tick."""
 
-LEAST_RELIEF = 1.1
+MIN_RELIEF_RATIO = 1.1
 """Least opening pressure of the manifold's relief valve over the regulated one."""
 
 
@@ -166,11 +166,11 @@ def _leaf(tree: Tree, path: str) -> TomlValue | None:
 
 def _times(c: Configuration, tree: Tree) -> Iterator[Mistake]:
     substep = c.plant.tick / c.plant.substeps
-    if substep > LONGEST_SUBSTEP * (1 + 1e-9):
-        least = -(-c.plant.tick // LONGEST_SUBSTEP)
+    if substep > MAX_SUBSTEP * (1 + 1e-9):
+        least = -(-c.plant.tick // MAX_SUBSTEP)
         found = f"{c.plant.substeps}, internal steps of {1e3 * substep:.3g} ms at {short(c.loop.rate)} Hz"
         wanted = (
-            f"at least {least:.0f}: steps of {1e3 * LONGEST_SUBSTEP:g} ms, up to which the plant is converged"
+            f"at least {least:.0f}: steps of {1e3 * MAX_SUBSTEP:g} ms, up to which the plant is converged"
         )
         yield "plant.substeps", found, wanted, "Raise it."
     longest = (HISTORY - 2) * substep
@@ -234,11 +234,11 @@ def _air(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         )
         yield "envelope.max_supply_pressure", found, wanted, "Correct the pressure; the unit is Pa absolute."
     rating = min(actuator.pressure_rating for actuator in c.plant.actuators)
-    if supply.manifold_relief_ratio < LEAST_RELIEF or supply.manifold_relief_pressure >= rating:
+    if supply.manifold_relief_ratio < MIN_RELIEF_RATIO or supply.manifold_relief_pressure >= rating:
         yield (
             "plant.supply.manifold_relief_ratio",
             f"{short(supply.manifold_relief_ratio)}, {short(supply.manifold_relief_pressure)} Pa",
-            f"at least {LEAST_RELIEF}, and less than the lowest pressure_rating, {short(rating)} Pa",
+            f"at least {MIN_RELIEF_RATIO}, and less than the lowest pressure_rating, {short(rating)} Pa",
             "Set it; a valve that opens nearer to the regulated pressure takes part in a healthy swing.",
         )
     if c.envelope.absorber_travel_fraction > 1.0:
@@ -318,7 +318,7 @@ def _bus(c: Configuration, tree: Tree) -> Iterator[Mistake]:
         wanted = f"at least {COST_OF_A_SYNC:g} ticks, {least} s: a lost SYNC costs two samples"
         action = f"Set loop.rate to {faster} Hz or more, or raise it: 0.009 s was proven safe."
         yield "envelope.encoder_timeout", found, wanted, action
-    longest = LONGEST_ANSWER * period
+    longest = MAX_READ_SHARE * period
     if bus.sync_timeout > longest:
         found = f"{short(bus.sync_timeout)} s"
         yield "canopen.sync_timeout", found, f"at most {short(longest)} s, part of the period", "Lower it."

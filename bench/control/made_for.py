@@ -62,7 +62,7 @@ TOLERANCES: Values = {
     **{f"{joint}.valve.centre": 0.005 for joint in ("shoulder", "right_arm", "wrist")},
     **{f"{joint}.valve.dead_band": 0.002 for joint in ("shoulder", "right_arm", "wrist")},
 }
-"""By what values of the plant may differ at least, where a share says nothing (m, rad, s, openings)."""
+"""Min relevant difference of a value of the plant, where a share says nothing (m, rad, s, openings)."""
 
 
 class LimitsFingerprint(NamedTuple):

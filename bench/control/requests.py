@@ -13,9 +13,9 @@ from bench.control.monitor.spool_monitor import spool_cause
 from drivers.base.compiled import compiled
 
 STOP_LOCKOUT_TIME = 1.5
-"""s after a stop in which nothing that moves begins: requests on their way when it came are older than it.
-The command plane does no request that has waited for longer than this less half a second, in which the loop
-takes it."""
+"""Time after a stop in which no motion begins (s): requests sent before the stop are older than it. The
+command plane drops a request that has waited for longer than this less half a second, in which the loop takes
+it."""
 
 
 @compiled

@@ -103,9 +103,9 @@ class ControlSettings:
     """Dither amplitude in backswing and top, as an opening. It carries spools through their dead band and
     joints through dry friction, so that every downswing starts in the same pose with the same pressures."""
     dither_period: Positive = 0.03
-    """s"""
+    """Period of the dither (s)."""
     dither_delay: NotNegative = 0.25
-    """From the start of a swing, s: by then the club is away from the ball."""
+    """Time from the start of a swing (s): by then the club is away from the ball."""
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
     """Opening per rad/s of reference speed in slow moves, set by hand."""
     brake_gain: NotNegativeTriple = (0.170, 0.065, 0.093)
@@ -118,7 +118,7 @@ class ControlSettings:
     """Opening per rad by which the follow-through pulls the right arm in on turf or a mat, until a straight
     club passes above the ground; found with `golfbench --config bag profile check`."""
     rest_speed: PositiveTriple = (0.05, 0.05, 0.10)
-    """Below it a joint rests, rad/s."""
+    """Speed below which a joint rests (rad/s)."""
     rest_time: Positive = 0.05
     """Rest that counts as standstill, s."""
     brake_timeout: Positive = 1.5
@@ -155,9 +155,9 @@ class LifecycleSettings:
     """Max pressure of chambers and manifold for a reset, homing and arming, Pa absolute. Access requires a
     pressure that holds nothing up, about 1.05 bar, which follows from the plant."""
     vent_timeout: Positive = 10.0
-    """In which they are to be empty; without chamber sensors the proof itself, s."""
+    """Max time until they are empty; without chamber sensors the proof itself (s)."""
     rest_time_vented: NotNegative = 2.0
-    """For which the robot must rest with empty chambers until they count as vented, s."""
+    """Time at rest with empty chambers until they count as vented (s)."""
     rest_time_without_encoders: NotNegative = 10.0
     """The same without trusted encoders: as long as a raised arm may take to sink, s."""
     access_delay: NotNegative = 7.0
@@ -172,7 +172,7 @@ class LifecycleSettings:
     local_reset_time: Positive = 10.0
     """How long a press of it counts for one reset or secure, s."""
     hold_between_swings: bool = False
-    """After a swing hold the address for the next one instead of venting."""
+    """Whether the address is held for the next swing after a swing, instead of venting."""
     supervisor_timeout: Positive = 0.5
     """Silence of the supervisor that counts as its death, s."""
 
@@ -188,9 +188,9 @@ class HomingSettings:
     moves the robot by hand. It seldom reaches that pose alone: venting chambers and friction leave it up to
     3 rad off. The pose also finds a coupling that slipped by less than the travel."""
     tolerance: PositiveTriple = (0.15, 0.10, 0.15)
-    """rad, beyond the travel or from the pose."""
+    """Max angle beyond the travel or from the pose (rad)."""
     time: Positive = 0.5
-    """s for which the readings must agree."""
+    """Time for which the readings must agree (s)."""
     stops: bool = True
     """Then turn each joint to its end stop, which must be where the encoder says; required with a real robot.
     Reference and index do not show a coupling that slipped by less than the tolerance, or a moved index."""
@@ -198,23 +198,23 @@ class HomingSettings:
     """Max shift of the head at the ball by the error of one encoder zero (m). It sets the angle within which
     a joint pressed against its stop must rest."""
     stop_contact_speed: PositiveTriple = (0.8, 0.5, 1.2)
-    """rad/s, towards the stop and back."""
+    """Speed towards the stop and back (rad/s)."""
     stop_contact_lead: PositiveTriple = (0.15, 0.12, 0.20)
-    """rad that a joint lags behind its reference at its stop: as much as presses it there firmly."""
+    """Lag of a joint behind its reference at its stop, which presses it there firmly (rad)."""
     stop_contact_time: Positive = 0.15
-    """s for which it must rest there."""
+    """Time of rest there (s)."""
     order: tuple[JointName, JointName, JointName] = ("wrist", "arm", "shoulder")
-    """In which the joints search, one at a time."""
+    """Order in which the joints search, one at a time."""
     direction: tuple[Direction, Direction, Direction] = (-1, -1, -1)
     """Direction of the search and to the stop; -1 lowers the angle, which lifts the club off the ground."""
     travel: PositiveTriple = (1.5, 0.7, 1.5)
-    """rad, of the search at most, in either direction; the way from stop to index, if that is longer."""
+    """Max angle of the search in either direction; the way from stop to index, if that is longer (rad)."""
     speed: PositiveTriple = (0.3, 0.2, 0.4)
-    """rad/s, of the search."""
+    """Speed of the search (rad/s)."""
     opening: Annotated[float, Above(0), AtMost(0.5)] = 0.15
     """Greatest valve opening of the search."""
     timeout: Positive = 60.0
-    """s, of search and stops together."""
+    """Timeout of search and stops together (s)."""
 
     def __post_init__(self) -> None:
         """Raise ValueError if a joint occurs twice or a direction is 0."""
@@ -342,7 +342,7 @@ class EnvelopeSettings:
     )
     """Max following error by phase, rad."""
     min_deceleration: PositiveTriple = (60.0, 15.0, 150.0)
-    """What braking can count on: rad/s2, m/s2, rad/s2."""
+    """Deceleration that braking can count on: rad/s2, m/s2, rad/s2."""
     end_stop_max_speed: PositiveTriple = (9.0, 5.2, 34.0)
     """Speed at the end of the range that the cushion alone takes: rad/s, m/s, rad/s."""
     max_opening: Annotated[float, Above(0), AtMost(1)] = 1.0
@@ -350,7 +350,7 @@ class EnvelopeSettings:
     max_slew: Positive = 400.0
     """Change of opening per second."""
     encoder_timeout: Positive = 0.0045
-    """Without a fresh reading for this long an encoder is lost (s); five ticks at 1 kHz."""
+    """Time without a fresh reading after which an encoder is lost, s; five ticks at 1 kHz."""
     max_tick_interval: Positive = 0.010
     """Longest tick while moving, s."""
     spool_tolerance: Annotated[float, Above(0), AtMost(1)] = 0.1
@@ -358,10 +358,10 @@ class EnvelopeSettings:
     spool_timeout: Annotated[float, Above(0), AtMost(0.1)] = 0.005
     """Max time of a greater deviation, s."""
     min_supply_pressure: Positive = 6.5e5
-    """Pa absolute, below which no swing begins."""
+    """Pressure below which no swing begins (Pa absolute)."""
     max_supply_pressure: Positive = 8.8e5
-    """Pa absolute, at most where the manifold's relief valve opens; above it the robot becomes faster than
-    its profile."""
+    """Pressure at most where the manifold's relief valve opens, Pa absolute; above it the robot becomes
+    faster than its profile."""
     clearance: NotNegative = 0.015
     """Head over ground outside the ball's window, m in the swing plane."""
     ball_window: Positive = 0.60
@@ -390,7 +390,7 @@ _CREEP = 1e-3
 _HELD_BY_AIR = 0.2
 """Share of a joint's static friction that the air of a chamber which holds nothing up may carry."""
 _RESOLVED = 3.0e3
-"""Pa over the atmosphere that a pressure sensor is sure to show."""
+"""Pressure over the atmosphere that a sensor is sure to show (Pa)."""
 _FOLLOWED = {
     "homing": Phase.HOMING,
     "hold": Phase.HOLD,

@@ -26,7 +26,7 @@ from bench.control.states import change_state, disarm, is_at_rest, latch, restin
 from drivers.base.compiled import compiled
 
 _SECURING_TIME = 2.0
-"""In which a guard that is to be locked must be seen locked, s."""
+"""Timeout of a guard's lock (s)."""
 
 
 @compiled

@@ -13,7 +13,8 @@ from bench.base.lifecycle import READINGS_LOST, READINGS_VALID, Cause, Phase, Re
 from drivers.base.compiled import compiled
 
 _CALMING = 0.03
-"""s over which a resting robot's velocities are smoothed: an encoder's noise alone passes `rest_speed`."""
+"""Time constant of a resting robot's smoothed velocities (s): an encoder's noise alone passes
+`rest_speed`."""
 _MOVES = 3.0
 """Limit of a velocity before smoothing, in `rest_speed`: rest also shows soon after a fast motion."""
 

@@ -39,8 +39,8 @@ from bench.control.step_records import ControlParameters, ControlState
 from drivers.base.compiled import compiled
 from sim.kinematics import head_motion
 
-LONGEST_STEP = 60.0
-"""s that the filters are predicted over at most; a longer jump leaves no digits to their covariances."""
+MAX_PREDICTION = 60.0
+"""Max prediction of the filters (s); a longer jump leaves no digits to their covariances."""
 
 
 @compiled
@@ -56,7 +56,7 @@ def estimate_tick(state: ControlState, parameters: ControlParameters, readings: 
     else:
         # A fault in this tick; the next step counts from the last finite time.
         s.measured_step, time = 0.0, s.time
-    elapsed = min(max(s.measured_step, 0.0), LONGEST_STEP)
+    elapsed = min(max(s.measured_step, 0.0), MAX_PREDICTION)
     _restart_filters(s, e)
     decode_encoders(state.encoder, parameters.encoder, readings, time)
     _move_to_new_zeros(s, e, state.encoder[0], elapsed)

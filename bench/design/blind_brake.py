@@ -28,13 +28,13 @@ Array = NDArray[np.float64]
 SPACING = 20
 _WATCHED = 0.9
 """Time for which a pattern is followed, s."""
-_LONGEST = 0.4
+_MAX_DURATION = 0.4
 """Longest duration of an opening, s."""
 _GOOD = 0.35
 """Cost below which a candidate is taken: no load above half its rating, and it comes to rest."""
 _STEPS = (0.3, 0.12)
 _ROUNDS = 6
-_LOW, _HIGH = np.array([-1.0] * 3 + [0.0] * 3), np.array([1.0] * 3 + [_LONGEST] * 3)
+_LOW, _HIGH = np.array([-1.0] * 3 + [0.0] * 3), np.array([1.0] * 3 + [_MAX_DURATION] * 3)
 _MOVING = (-0.4, -0.2, -0.2, 0.15, 0.15, 0.15)
 """Pattern from which a search begins where centred spools are not good enough."""
 _NEAR, _TRIED, _SWEEPS = 4, 3, 3
@@ -134,7 +134,7 @@ class _BlindSearch(NamedTuple):
                 for i in range(6):
                     for sign in (1.0, -1.0):
                         trial = found.pattern.copy()
-                        trial[i] += sign * size * (_LONGEST if i >= 3 else 1.0)
+                        trial[i] += sign * size * (_MAX_DURATION if i >= 3 else 1.0)
                         tried = self._found(row, np.clip(trial, _LOW, _HIGH))
                         if tried.cost < found.cost:
                             found, moved = tried, True

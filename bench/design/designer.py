@@ -93,7 +93,7 @@ class SwingDemand:
     """Demand on a swing: the delivery, the loads and the times."""
 
     head_speed: float | None = 45.0
-    """m/s; None: as fast as the robot can."""
+    """Head speed at impact (m/s); None: the robot's highest."""
     attack: float = 0.0
     """Angle of the head's path to the ground at the ball, rad, positive rising."""
     lean: float | None = None
@@ -118,13 +118,13 @@ class SwingDemand:
     address_cock: float = 0.14
     """Wrist at address, rad short of its stop."""
     address_shoulder: float = 0.45
-    """At a ball on a tee, with `_SHORT_OF_STOP`. On turf they follow from the ball's place."""
+    """Angle at a ball on a tee, with `_SHORT_OF_STOP`; on turf it follows from the ball's place."""
     top_shoulder: float = -1.30
     top_extension: float = 0.02
     top_cock: float | None = None
     """Wrist at the top, rad short of its stop; None: `furthest_cock`."""
     follow_time: float = 0.7
-    """From the ball to the end of the profile, s; braking takes about 0.3 s of it."""
+    """Time from the ball to the end of the profile (s); braking takes about 0.3 s of it."""
     no_return_time: float = 0.06
     """Time before the impact window from which on the ball is struck in any case, s."""
     least_lever: float = 0.25

@@ -34,16 +34,16 @@ Array = NDArray[np.float64]
 _TIME = 0.9, 1.2
 """Shortest and longest downswing, as shares of a robot's or Hunt's."""
 TEMPO = 0.004
-"""s by which a downswing may differ from the demanded, or be shorter than a golfer's."""
+"""Max difference of a downswing from the demanded time, or below a golfer's (s)."""
 SLOWER = 1.06
 """Longest downswing as a share of a golfer's: a longer one stays behind the golfer. In the time of the
 fastest golfer a shoulder valve that sticks open overloads the arm's stop."""
 RUN_UP = 0.08
-"""s in which the shoulder reaches the golfer's speed before his or her top, 156 rad/s2 at the most."""
-_LEAST_RUN_UP = 0.02
+"""Time in which the shoulder reaches the golfer's speed before his or her top, 156 rad/s2 at the most (s)."""
+_MIN_RUN_UP = 0.02
 _INSIDE = 0.15, 0.012
-"""From the ends of shoulder (rad) and rod (m) at the top: the loop needs room, and from a rod pressed against
-its stop there is no plan. The wrist cocks no further than where its lever still holds it."""
+"""Distances from the ends of shoulder (rad) and rod (m) at the top: the loop needs room, and from a rod
+pressed against its stop there is no plan. The wrist cocks no further than where its lever still holds it."""
 
 _WRIST_INSIDE = 0.1
 """Distance of the wrist at the top from where its lever holds it (rad): the swing up ends up to 0.06 off."""
@@ -80,7 +80,7 @@ def demand_like(
     turning = float((human.angle[1, 0] - human.angle[0, 0]) / (human.time[1] - human.time[0]))
     room = float(human.angle[0, 0]) - (plant.shoulder.lower + _INSIDE[0])
     run_up = min(RUN_UP, 2.0 * room / turning)
-    if run_up < _LEAST_RUN_UP:
+    if run_up < _MIN_RUN_UP:
         return followed
     time, table = np.linspace(0.0, lasting, len(human.angle)), followed.follow
     at = np.linspace(-run_up, lasting, _ROWS)

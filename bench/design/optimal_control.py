@@ -254,7 +254,7 @@ class DownswingProblem:
     speed: float | None
     """Demanded head speed at the ball, m/s; None: as high as possible."""
     slope: float
-    """In-plane angle of the head's path, rad, positive rising."""
+    """Angle of the head's path in the plane, positive rising (rad)."""
     theta_t: tuple[float, float]
     """Range of the shaft's angle at the ball, rad."""
     time: tuple[float, float]
@@ -301,7 +301,7 @@ class DownswingPlan(NamedTuple):
     solved: bool
     status: str
     binding: dict[str, float]
-    """m/s of head speed gained for one per cent more of each limit; at a demanded speed at equal effort."""
+    """Head speed gained for one per cent more of each limit (m/s); at a demanded speed at equal effort."""
     carried: Array
     """Energies that the model brings to the upper cushions of right arm and wrist, (2,) J."""
 

@@ -149,7 +149,7 @@ class Backswing(NamedTuple):
     """A rehearsed way to the top."""
 
     profile: Profile
-    """With the openings that were learned."""
+    """Profile with the learned openings."""
     rehearsal: Rehearsal
     """The bench at the top."""
     cycles: NDArray[Any]

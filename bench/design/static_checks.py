@@ -31,7 +31,8 @@ SLOPE_TIME = 0.010
 STEP_SHARE = 0.25
 """Share of the envelope's following error that a step of the reference may use up."""
 CONTACT_TOLERANCE = (0.08, 0.02)
-"""m along the path and in height between face and ball at the planned contact: it moves 4 cm in a tick."""
+"""Max distance along the path and in height between face and ball at the planned contact (m): it moves 4 cm
+in a tick."""
 EXCESS_SHARE = 0.05
 EXCESS_TIME = 0.005
 """Force may exceed the air's bound by this share of the actuator's max force, and by more for this long (s):

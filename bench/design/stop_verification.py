@@ -79,7 +79,7 @@ class TrialOutcome:
 
     fault: str
     time: float
-    """s from the start of the swing."""
+    """Time from the start of the swing (s)."""
     phase: Phase
     stop_share: float
     stop: str
@@ -90,7 +90,7 @@ class TrialOutcome:
     head_speed: float
     """Fastest head, m/s."""
     rest_time: float
-    """From the fault until all joints rested, s; inf if they did not."""
+    """Time from the fault until all joints rested (s); inf if they did not."""
     cause: Cause
     unsafe: str
     """Why this end is unsafe; empty if it is safe."""

@@ -53,10 +53,10 @@ _AT_SPEED = frozenset({"downswing", "committed", "impact", "follow_through"})
 MAX_STOPPED = 0.2
 """Max share of fault-free robots that the envelope stops before the profile counts as unfit for the
 controller."""
-_FEWEST = 20
+_MIN_SWINGS = 20
 """Swings that must have come to a row for a distribution of its maxima."""
 _EULER = 0.5772156649
-_LONGEST_CORRECTION = 1.5
+_MAX_CORRECTION = 1.5
 """Longest correction drawn, the norm of its weights: learning's longest first step."""
 
 _DESIGNED_FOR = "Choose the configuration that the profile was designed for, such as `--config bag`."
@@ -164,7 +164,7 @@ def _with_drawn_correction(bench: Bench, parameters: ControlParameters, seed: in
     """Return `parameters` with the tables of a correction in a random direction, drawn with `seed`."""
     random, basis = np.random.default_rng([seed, 3]), basis_of(bench.profile)
     weights = random.standard_normal(basis.size)
-    weights *= _LONGEST_CORRECTION * random.uniform() / np.linalg.norm(weights)
+    weights *= _MAX_CORRECTION * random.uniform() / np.linalg.norm(weights)
     return with_tables_of(
         parameters, basis.corrected(bench.profile, weights.tolist()), bench.control, bench.model
     )
@@ -206,7 +206,7 @@ def floor_of(kind: str, row: str) -> Triple:
 def _limit(maxima: Array, floor: Triple) -> Array | None:
     """Return the limits (3,) from `maxima` (n, 3) of the swings; None if too few came to the row."""
     came = maxima[maxima.max(axis=1) > 0.0]
-    if len(came) < _FEWEST:
+    if len(came) < _MIN_SWINGS:
         return None
     bounds: Array = np.maximum.reduce([gumbel_quantile(came), MARGIN * came.max(axis=0), np.array(floor)])
     return bounds

@@ -30,11 +30,11 @@ from sim.plant import Plant, build_plant
 Key = TypeVar("Key")
 Value = TypeVar("Value")
 
-_LONGEST = 40.0
+_MAX_DURATION = 40.0
 """Longest watch of a case, s."""
-_LONGEST_SEARCH = 30.0
+_MAX_SEARCH_TIME = 30.0
 """Additional time for a case that starts in the search and continues to a swing, s."""
-_LONGEST_ACCESS = 60.0
+_MAX_ACCESS_TIME = 60.0
 """Additional time for a case that vents, releases the guard and continues to a swing, s."""
 _KEPT = 8
 """Undisturbed benches and runs that are kept: a run has up to 90 s of records, a sweep goes by instants."""
@@ -177,8 +177,8 @@ class Workbench:
         watch.advance(event_at, 0)
         _bring_about(event, bench)
         watch.advance(round(_ASK_AFTER / self.period) - event_at, Request.STOP if event == "stop" else 0)
-        longest = _LONGEST + (_LONGEST_SEARCH if instant.phase in ("homing", "start") else 0.0)
-        longest += _LONGEST_ACCESS if instant.phase == "access" else 0.0
+        longest = _MAX_DURATION + (_MAX_SEARCH_TIME if instant.phase in ("homing", "start") else 0.0)
+        longest += _MAX_ACCESS_TIME if instant.phase == "access" else 0.0
         watch.until_rest(
             round(longest / self.period), _GOING_ON.get(instant.name, _GOING_ON.get(instant.phase, ()))
         )

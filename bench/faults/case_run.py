@@ -27,11 +27,11 @@ _INSIDE = 5.0
 """Time for which people stay inside the guard, s."""
 _LEAVING = 3.0
 """Time in which the guard locks behind the last person, s."""
-_LONGEST_VENT = 20.0
+_MAX_VENT_TIME = 20.0
 """Time at rest after which access and arming are given up, s."""
 _STILL, _STILL_FOR = 0.02, 1.0
 """Joint speed below which a joint rests, rad/s, and the time for which it must, s."""
-_EMPTY, _LONGEST_CREEP = 0.05e5, 600.0
+_EMPTY, _MAX_CREEP_TIME = 0.05e5, 600.0
 """Pressure over the atmosphere's at which a chamber carries less than friction holds, Pa, and the time after
 which a stopped robot is not waited for, s: on trapped air that leaks away a joint slips every few seconds."""
 
@@ -181,7 +181,7 @@ class Watch:
 
     def _creeps(self) -> bool:
         """Return whether a stopped robot moves, or may do so, as it stands on air."""
-        if self.state not in _LATCHED or self.ticks >= round(_LONGEST_CREEP / self.period):
+        if self.state not in _LATCHED or self.ticks >= round(_MAX_CREEP_TIME / self.period):
             return False
         air = self.bench.plant_state["pressure"].max() - self.bench.stepper.plant.plant["atmosphere"][0]
         return bool(air > _EMPTY or self.ticks - self.rest_tick < round(_STILL_FOR / self.period))
@@ -212,7 +212,7 @@ class Watch:
 
         With pressure shown in a chamber for as long as it may take to vent, whatever the sensors say.
         """
-        seen = 0.5 * _STILL_FOR if self.bench.shows_no_pressure() else _LONGEST_VENT
+        seen = 0.5 * _STILL_FOR if self.bench.shows_no_pressure() else _MAX_VENT_TIME
         return self.ticks - self.rest_tick >= round(seen / self.period)
 
     def _leave(self) -> None:
@@ -231,7 +231,7 @@ class Watch:
             return False
         if self.state in (State.READY, State.SAFE):
             waits = bool({Request.ACCESS, Request.HOME, Request.ARM}.intersection(left))
-            return not (waits and self.ticks - self.rest_tick < round(_LONGEST_VENT / self.period))
+            return not (waits and self.ticks - self.rest_tick < round(_MAX_VENT_TIME / self.period))
         if self.state is State.ACCESS:
             begin, longest = (
                 (self._released_at, _INSIDE) if Request.SECURE in left else (self._left_at, _LEAVING)

@@ -7,7 +7,7 @@ from bench.simulation.engine import LockstepEngine
 
 _LOOK = 100
 """Ticks between two looks."""
-_LONGEST = 90.0
+_TIMEOUT = 90.0
 """Time after which a swing that never comes is given up, s."""
 
 
@@ -20,7 +20,7 @@ def next_swing(bench: LockstepEngine) -> str:
     plant, latched, refused = bench.plant_state, bench.cause, ""
     plant["emergency_stop_clear"] = plant["guard_closed"] = True
     teed = False
-    for _ in range(round(_LONGEST / (bench.period * _LOOK))):
+    for _ in range(round(_TIMEOUT / (bench.period * _LOOK))):
         if not teed and bench.resting():
             bench.tee_up(ball=True)
             teed = True

@@ -24,7 +24,7 @@ from sim.faults import MEANINGS, sort_of
 
 SCHEMA_VERSION = 3
 VERDICTS = ("irrelevant", "harmless", "safe", "undetected", "unsafe")
-"""From best to worst."""
+"""Verdicts, best first."""
 PHASES = ("start", "access", *map(phase_name, Phase))
 
 

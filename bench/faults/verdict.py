@@ -61,7 +61,7 @@ class CaseOutcome:
     change: str
     """Difference to the undisturbed run at the ball or at rest; empty if it does not matter."""
     next_swing: str = ""
-    """What names an undetected fault before another ball is struck; empty if nothing does."""
+    """Finding that names an undetected fault before another ball is struck; empty without one."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the outcome as a JSON-ready record."""

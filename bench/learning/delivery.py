@@ -32,7 +32,7 @@ class Figures(NamedTuple):
     lean: float
     """Shaft lean, rad."""
     attack: float
-    """rad"""
+    """Attack angle (rad)."""
 
     @property
     def array(self) -> Array:
@@ -56,7 +56,7 @@ class Tolerance(NamedTuple):
     """Errors within which a figure counts as learned."""
 
     strike: float = 0.002
-    """m"""
+    """Distance of the strike from the target (m)."""
     speed: float = 0.003
     """Share of the target."""
     lean: float = radians(0.3)
@@ -112,7 +112,7 @@ a parabola had an error of 0.2 to 0.3 % of the speed with the driver, a cubic ha
 _LATE = 60
 """Ticks by which a robot may come later or earlier than the modelled one."""
 _SEARCHED = (-0.0015, 0.0035)
-"""s around the last reading."""
+"""Searched time around the last reading (s)."""
 _DOWN = (Phase.DOWNSWING, Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 
 

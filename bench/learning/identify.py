@@ -56,10 +56,10 @@ _ANGLE, _OPENING, _PRESSURE = 0.003, 0.03, 5e3
 """Errors of equal weight: rad, opening, Pa; the scatter of swings alike."""
 _PRIOR = 0.4
 """Standard deviation of the parameters before anything was recorded: wear makes 1.4 times the friction."""
-_BOUND, _MOST = 0.5, 1.0
+_MAX_DECREASE, _MAX_INCREASE = 0.5, 1.0
 _STEP = 0.05
 _LATENCY = 5.0
-"""ms that count as much as a factor of two."""
+"""Latency that counts as much as a factor of two (ms)."""
 _ITERATIONS = 40
 _POOR = 10.0
 """Remaining errors, over the scatter of swings alike, from which on a search has failed."""
@@ -73,7 +73,7 @@ class Identified(NamedTuple):
     """Robot identified from records."""
 
     values: Array
-    """In the order of NAMES."""
+    """Values in the order of NAMES."""
     error: Array
     """Standard error of each."""
     before: float
@@ -159,7 +159,7 @@ def identify(
             residual,
             start,
             jac="3-point",
-            bounds=(1.0 - _BOUND, 1.0 + _MOST),
+            bounds=(1.0 - _MAX_DECREASE, 1.0 + _MAX_INCREASE),
             diff_step=np.full(len(free), _STEP),
             max_nfev=_ITERATIONS,
             ftol=1e-4,
@@ -172,7 +172,9 @@ def identify(
     if np.linalg.norm(found.fun[: -len(free)]) > _POOR:
         # The search may have ended at a supply too weak to swing: start from the measured one.
         supply = np.mean([cycles["supply_pressure"][0] for cycles in observed]) / bench.model.supply.pressure
-        start[free == NAMES.index("supply pressure")] = np.clip(supply, 1 - 0.9 * _BOUND, 1 + 0.9 * _MOST)
+        start[free == NAMES.index("supply pressure")] = np.clip(
+            supply, 1 - 0.9 * _MAX_DECREASE, 1 + 0.9 * _MAX_INCREASE
+        )
         found = min(found, searched(start), key=lambda one: float(one.cost))
     before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, found.fun))
     error = _standard_errors(np.asarray(found.jac), after, 1.0 / weight**2, free)

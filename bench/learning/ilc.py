@@ -33,7 +33,7 @@ from bench.base.lifecycle import CAUSE_TEXT
 from bench.learning.delivery import Figures, Tolerance, figures_of
 from bench.simulation.series import Bench, Series, SeriesSwing, quiet
 from bench.swing.correction import Basis
-from bench.swing.correction_terms import GREATEST_WEIGHT
+from bench.swing.correction_terms import MAX_WEIGHT
 from drivers.base.ranges import Above, AtLeast
 from sim.plant import PlantParameters
 
@@ -148,24 +148,24 @@ class LearningSettings:
     path_weight: Annotated[float, AtLeast(0)] = 1.0
     """Weight of a path that is `path_scale` off on average, against one tolerance of one figure."""
     path_scale: Annotated[float, Above(0)] = 0.01
-    """rad"""
+    """Error of the path that counts as one (rad)."""
     effort: Annotated[float, AtLeast(0)] = 0.2
     """Cost of one weight."""
     radius: Annotated[float, Above(0)] = 1.5
     """Longest first step, norm of the weights."""
     greatest_radius: Annotated[float, Above(0)] = 3.0
     least_radius: Annotated[float, Above(0)] = 0.1
-    bound: Annotated[float, Above(0)] = GREATEST_WEIGHT
+    bound: Annotated[float, Above(0)] = MAX_WEIGHT
     """Max size of each weight."""
     scatter: Four = (0.3, 0.4, 0.2, 0.2)
     """Standard deviation between nominally equal swings in strike, speed, lean and attack, as a multiple of
     the tolerances."""
     path_scatter: Annotated[float, Above(0)] = 0.003
-    """rad"""
+    """Standard deviation of the path (rad)."""
     unsettled: Four = (1.0, 7.0, 0.7, 1.5)
     """Standard deviation by which the first swing after arming differs from the next ones, in tolerances."""
     path_unsettled: Annotated[float, Above(0)] = 0.02
-    """rad"""
+    """Standard deviation of the path of the first swing after arming (rad)."""
     doubt: Annotated[float, AtLeast(0)] = 0.5
     """Share by which the robot's response differs from the model's."""
     bend: Annotated[float, AtLeast(0)] = 0.1
@@ -202,9 +202,9 @@ class Beginning(NamedTuple):
     path_offset: float
     """Standard deviation of the expected path, rad."""
     doubt: float
-    """As in `LearningSettings`."""
+    """Present value of `LearningSettings.doubt`."""
     radius: float
-    """As in `LearningSettings`."""
+    """Present value of `LearningSettings.radius`."""
 
 
 class Learner:

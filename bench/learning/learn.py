@@ -202,7 +202,7 @@ class Recorded(NamedTuple):
     cycles: Cycles
     """CYCLE records from its first tick."""
     encoders: Encoders
-    """With the calibration of that time."""
+    """Encoders with the calibration of that time."""
 
 
 def read_recorded(paths: Sequence[Path]) -> list[Recorded]:
@@ -256,7 +256,7 @@ def require_alike(one: Profile, other: Profile, location: str) -> None:
 OFFSET, PATH_OFFSET, DOUBT, RADIUS = (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1
 """Difference of the first delivery from the expected one, tolerances and rad, share by which the response
 differed from the identified one, and radius, found with random and worn robots (benchmark `identified`)."""
-_MOST_LEFT_OVER = 10.0
+_MAX_RESIDUAL = 10.0
 """Max error after identification, tolerances; it was at most one where identification found the robot."""
 _ANYTHING = (1e4,) * 4
 """Replaces the first of them without recorded swings."""
@@ -301,11 +301,11 @@ def require_identified(beyond: Array) -> None:
     Raises:
         BenchError: it does.
     """
-    if np.abs(beyond).max() > _MOST_LEFT_OVER:
+    if np.abs(beyond).max() > _MAX_RESIDUAL:
         raise BenchError(
             "--identified",
             f"a robot that delivers {np.abs(beyond).max():.0f} tolerances off the records",
-            f"at most {_MOST_LEFT_OVER:g}",
+            f"at most {_MAX_RESIDUAL:g}",
             "Identify it again, from swings of this robot.",
         )
 

@@ -38,7 +38,7 @@ class MonitorFigures(NamedTuple):
     """Club data of a launch monitor; None if not measured."""
 
     club_speed: float | None = None
-    """m/s"""
+    """Club speed (m/s)."""
     attack_deg: float | None = None
 
 

@@ -58,13 +58,13 @@ _COUNT = len(_TYPES)
 _READINGS, _COMMAND, _RECORD, _MARKS, _APPLIED, _TRUTH = range(_COUNT - 6, _COUNT)
 """Positions of those that are neither state nor parameters."""
 _LENGTHS, _CALLS = _COUNT, 2 * _COUNT
-"""Where in the block the arrays' lengths and the native calls begin."""
+"""Offsets in the block of the arrays' lengths and of the native calls."""
 _READ, _WRITE, _NOTE_TRUTH, _PUBLISH = range(_CALLS, _CALLS + 8, 2)
 """Each a function and its block; a function of 0 is Python's to do."""
 _NOTHING = -1
 """Function of a stage that there is not."""
 _CLOCK = _CALLS + 8
-"""Where the kernel writes the time, 2 words."""
+"""Offset of the kernel's time, 2 words."""
 _BLOCK = _CLOCK + 2
 """Words of the block."""
 

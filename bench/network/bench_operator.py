@@ -85,7 +85,7 @@ class BenchOperator:
         self._stack, self._lease = ExitStack(), ExitStack()
         self._held, self._resets = False, 0
         self._outcomes: dict[str, ShotPublication] = {}
-        """What became of the shots since the last `begin_swing`, by shot ID."""
+        """Outcomes of the shots since the last `begin_swing`, by shot ID."""
 
     def __enter__(self) -> Self:
         self._next_message = self._stack.enter_context(self.client.shots())

@@ -50,9 +50,9 @@ class CauseStatus(TypedDict):
 
     name: Annotated[str, Cause]
     text: str
-    """For people, without the action."""
+    """Text for people, without the action."""
     action: str
-    """For people; empty where none is known."""
+    """Action for people; empty without a known one."""
 
 
 class LeaseStatus(TypedDict):

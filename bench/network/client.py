@@ -34,7 +34,7 @@ from bench.network.command import (
     parse_answer,
     parse_error,
 )
-from bench.network.lease import DEFAULT
+from bench.network.lease import DEFAULT_SECONDS
 from bench.network.zenoh_session import NoAnswer, close_session, open_client
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ TIMEOUT = 2.0
 """Time-out of an answer, s: longer than a request may wait in the bench for its turn and for the loop."""
 
 REST = 1.0
-"""s at rest at the address before a swing: the air in the chambers settles later than the robot."""
+"""Time at rest at the address before a swing (s): the air in the chambers settles later than the robot."""
 
 SETTLING_TIMEOUT = 10.0
 """Time for which home, arm and reset wait until the robot rests, and arm until no chamber shows pressure, s.
@@ -62,7 +62,7 @@ _LOOK_FOR_REST = 0.1
 _LOOK_AT_SWING = 0.5
 """Period of the status requests during a swing, s."""
 
-LONGEST_STOP = 20.0
+STOP_TIMEOUT = 20.0
 """Max time from a stop until the robot stands, s; a swing that completes and returns takes longest."""
 
 LATCHED = frozenset(state.name for state in status_words.LATCHED)
@@ -302,7 +302,7 @@ class BenchClient:
         wanted = "ARMED, at rest at the address"
         return self._wait(reached, wanted, lambda status: status["state"] == "ARMED", timeout, watch)
 
-    def wait_for_stop(self, *, timeout: float = LONGEST_STOP, watch: Watch | None = None) -> BenchStatus:
+    def wait_for_stop(self, *, timeout: float = STOP_TIMEOUT, watch: Watch | None = None) -> BenchStatus:
         """Wait up to `timeout` s after a stop until the robot stands; return the status.
 
         Raises:
@@ -343,7 +343,7 @@ class BenchClient:
 
     # The lease -----------------------------------------------------------------------------------
 
-    def take_lease(self, holder: str, seconds: float = DEFAULT) -> HeldLease:
+    def take_lease(self, holder: str, seconds: float = DEFAULT_SECONDS) -> HeldLease:
         """Take the bench for `seconds`; later commands carry the lease, and it expires unless renewed."""
         answer = self._ask(Verb.LEASE, action="take", holder=holder, seconds=seconds)
         match answer.content:
@@ -366,7 +366,7 @@ class BenchClient:
         self.held = None
 
     @contextmanager
-    def lease(self, holder: str, seconds: float = DEFAULT) -> Iterator[HeldLease]:
+    def lease(self, holder: str, seconds: float = DEFAULT_SECONDS) -> Iterator[HeldLease]:
         """Hold the lease for a block: taken at its start, renewed in the background, released at its end.
 
         A lease lost on the way (the daemon restarted) is not taken again: commands are refused.

@@ -17,13 +17,13 @@ from bench.base.errors import BenchError
 from bench.base.json_schema import json_object, misfits, shown
 from bench.base.lifecycle import Cause, Refusal, Request, State
 from bench.network.bench_service import ArmingBlock
-from bench.network.lease import DEFAULT, LONGEST, LONGEST_HOLDER, SHORTEST, is_holder
-from bench.swing.correction_terms import GREATEST_WEIGHT, MOST_WEIGHTS
+from bench.network.lease import DEFAULT_SECONDS, MAX_HOLDER_LENGTH, MAX_SECONDS, MIN_SECONDS, is_holder
+from bench.swing.correction_terms import MAX_WEIGHT, MAX_WEIGHTS
 
 VERSION = 1
 """Version of every message."""
 
-LONGEST_MESSAGE = 4096
+MAX_COMMAND_BYTES = 4096
 """Max size of a command, bytes."""
 
 LAST_SEQUENCE = 2**53 - 1
@@ -81,7 +81,7 @@ class TakeLease(NamedTuple):
     """Take the lease."""
 
     holder: str
-    seconds: float = DEFAULT
+    seconds: float = DEFAULT_SECONDS
 
 
 class RenewLease(NamedTuple):
@@ -89,7 +89,7 @@ class RenewLease(NamedTuple):
 
     key: str
     sequence: int
-    seconds: float = DEFAULT
+    seconds: float = DEFAULT_SECONDS
 
 
 class ReleaseLease(NamedTuple):
@@ -145,8 +145,8 @@ _VALUES: Mapping[str, _Value] = {
         "a whole number from 1 to 2^53 - 1", {"type": "integer", "minimum": 1, "maximum": LAST_SEQUENCE}
     ),
     "holder": _Value(
-        f"a name of 1 to {LONGEST_HOLDER} printable characters, no space at its ends",
-        {"type": "string", "minLength": 1, "maxLength": LONGEST_HOLDER},
+        f"a name of 1 to {MAX_HOLDER_LENGTH} printable characters, no space at its ends",
+        {"type": "string", "minLength": 1, "maxLength": MAX_HOLDER_LENGTH},
         is_holder,
     ),
     "profile": _Value(
@@ -154,16 +154,16 @@ _VALUES: Mapping[str, _Value] = {
         {"type": "string", "pattern": "^[0-9a-f]{16}$", "maxLength": 16},
     ),
     "weights": _Value(
-        f"at most {MOST_WEIGHTS} numbers from -{GREATEST_WEIGHT:g} to {GREATEST_WEIGHT:g}",
+        f"at most {MAX_WEIGHTS} numbers from -{MAX_WEIGHT:g} to {MAX_WEIGHT:g}",
         {
             "type": "array",
-            "maxItems": MOST_WEIGHTS,
-            "items": {"type": "number", "minimum": -GREATEST_WEIGHT, "maximum": GREATEST_WEIGHT},
+            "maxItems": MAX_WEIGHTS,
+            "items": {"type": "number", "minimum": -MAX_WEIGHT, "maximum": MAX_WEIGHT},
         },
     ),
     "seconds": _Value(
-        f"{SHORTEST:g} to {LONGEST:g} s, a number",
-        {"type": "number", "minimum": SHORTEST, "maximum": LONGEST},
+        f"{MIN_SECONDS:g} to {MAX_SECONDS:g} s, a number",
+        {"type": "number", "minimum": MIN_SECONDS, "maximum": MAX_SECONDS},
     ),
 }
 
@@ -256,7 +256,7 @@ def _check_keys(
 
 def _read_object(location: str, payload: bytes) -> dict[str, Any]:
     expected, action = "a JSON object in UTF-8", "Send an object as `golfbench` does."
-    if len(payload) > LONGEST_MESSAGE:
+    if len(payload) > MAX_COMMAND_BYTES:
         raise too_long(location, len(payload))
 
     def no_number(text: str) -> NoReturn:
@@ -298,7 +298,7 @@ def _read_object(location: str, payload: bytes) -> dict[str, Any]:
 def too_long(location: str, length: int) -> BenchError:
     """Return the error for a message of `length` bytes."""
     return BenchError(
-        location, f"{length} bytes", f"at most {LONGEST_MESSAGE} bytes", "Send a shorter message."
+        location, f"{length} bytes", f"at most {MAX_COMMAND_BYTES} bytes", "Send a shorter message."
     )
 
 
@@ -342,7 +342,7 @@ class CommandAnswer(NamedTuple):
     reason: str = ""
     """Why it was refused, for people; empty when accepted."""
     action: str = ""
-    """What to do about the refusal, for people."""
+    """Action after the refusal, for people."""
     note: str = ""
     """Further information for the operator."""
     content: Mapping[str, Any] = {}

@@ -24,7 +24,7 @@ from bench.control.requests import STOP_LOCKOUT_TIME
 from bench.network.bench_service import BenchService, BenchStatus, CountStatus, LeaseStatus, Reply
 from bench.network.command import (
     CONVENIENCE,
-    LONGEST_MESSAGE,
+    MAX_COMMAND_BYTES,
     REQUESTS,
     STOPS,
     VERSION,
@@ -50,13 +50,13 @@ from bench.network.status_words import next_step
 QUEUE = 64
 """Max messages waiting in a lane."""
 
-LONGEST_WAIT = STOP_LOCKOUT_TIME - 0.5
+MAX_REQUEST_WAIT = STOP_LOCKOUT_TIME - 0.5
 """Max waiting time of a request in its lane, s; the sender of an older one has given up: it is dropped."""
 
 HEARTBEAT = 0.2
 """Interval of published states without a change, s."""
 
-LONGEST_END = 1.5
+CLOSE_TIMEOUT = 1.5
 """Time `CommandPlane.close` waits for the lanes, s."""
 
 _CHANGES = (
@@ -89,7 +89,7 @@ class Message(NamedTuple):
     """Part of the key after `command/`; an unknown one is answered with an error."""
     payload: bytes
     arrived: float
-    """s, on the plane's clock."""
+    """Arrival on the plane's clock (s)."""
 
 
 class _Lane:
@@ -201,7 +201,7 @@ class CommandPlane:
         lanes = (self._stops, self._requests, self._lookups)
         for lane in lanes:
             lane.close()
-        deadline = time.monotonic() + LONGEST_END
+        deadline = time.monotonic() + CLOSE_TIMEOUT
         ended = [lane.join(deadline - time.monotonic()) for lane in lanes]
         with suppress(zenoh.ZError):
             self._state.undeclare()
@@ -264,7 +264,7 @@ class CommandPlane:
             size = sum(len(part) for part in (query.payload, query.attachment) if part is not None)
             size += len(str(query.parameters))
             lane = self._stops if verb in STOPS else self._requests if verb in _REQUESTED else self._lookups
-            if size > LONGEST_MESSAGE:
+            if size > MAX_COMMAND_BYTES:
                 # It is not to wait in a queue, which holds few messages but could hold long ones.
                 if lane is self._stops:
                     lane.note(verb)
@@ -315,7 +315,7 @@ class CommandPlane:
         for query, verb, payload, arrived in messages:
             if self._closing:
                 self._refuse(query, verb, Refusal.SHUTTING_DOWN)
-            elif self._clock() - arrived > LONGEST_WAIT:
+            elif self._clock() - arrived > MAX_REQUEST_WAIT:
                 self._refuse(query, verb, Refusal.TOO_LATE)
             else:
                 self._do(query, verb, payload)

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 
 from bench.base.lifecycle import REFUSAL_WORDS, Refusal, Words, in_one
 
-LONGEST_HOLDER = 64
+MAX_HOLDER_LENGTH = 64
 """Characters of a holder's name."""
 
-SHORTEST, DEFAULT, LONGEST = 5.0, 30.0, 600.0
+MIN_SECONDS, DEFAULT_SECONDS, MAX_SECONDS = 5.0, 30.0, 600.0
 """Min, default and max duration of a lease, s."""
 
 WARNING = 10.0
@@ -36,7 +36,7 @@ class Lease:
     key: str = field(repr=False)
     """Known to the book and to the holder only."""
     expiry: float
-    """s, on the clock that every call of the book is given."""
+    """Expiry on the clock that every call of the book is given (s)."""
     number: int
     """Counts the leases of a book from 1: no two have the same, also of one holder."""
     seconds: float
@@ -58,12 +58,12 @@ def new_key() -> str:
 
 def is_holder(name: str) -> bool:
     """Return whether `name` is valid in a lease, in logs and on a terminal."""
-    return 0 < len(name) <= LONGEST_HOLDER and name.isprintable() and name == name.strip()
+    return 0 < len(name) <= MAX_HOLDER_LENGTH and name.isprintable() and name == name.strip()
 
 
 def is_duration(seconds: float) -> bool:
     """Return whether `seconds` is a valid duration of a lease."""
-    return SHORTEST <= seconds <= LONGEST
+    return MIN_SECONDS <= seconds <= MAX_SECONDS
 
 
 class LeaseBook:

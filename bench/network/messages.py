@@ -16,7 +16,7 @@ from bench.network.bench_service import STATUS_VERSION, BenchStatus
 from bench.network.command import (
     FORMS,
     LAST_SEQUENCE,
-    LONGEST_MESSAGE,
+    MAX_COMMAND_BYTES,
     PLAIN,
     REQUESTS,
     VERSION,
@@ -27,10 +27,10 @@ from bench.network.command import (
     Verb,
     form_schema,
 )
-from bench.network.lease import DEFAULT, LONGEST, SHORTEST
+from bench.network.lease import DEFAULT_SECONDS, MAX_SECONDS, MIN_SECONDS
 from bench.records.shot.shot import ShotStatus
 from bench.records.shot.shot_message import SHOT_VERSION, ShotPublication
-from bench.records.telemetry.cycle_record import FIELDS, LONGEST_BATCH, SCHEMA_VERSION, unit_of
+from bench.records.telemetry.cycle_record import FIELDS, MAX_BATCH_CYCLES, SCHEMA_VERSION, unit_of
 from bench.records.telemetry.enumerations import ENUMERATIONS
 from drivers.launch_monitor.matching import MatchOutcome
 
@@ -241,15 +241,15 @@ def wire_contract(bench: str = "BENCH") -> dict[str, Any]:
         "loss": list(_LOSS),
         "lease": {
             "rules": list(_LEASE),
-            "min_seconds": SHORTEST,
-            "default_seconds": DEFAULT,
-            "max_seconds": LONGEST,
+            "min_seconds": MIN_SECONDS,
+            "default_seconds": DEFAULT_SECONDS,
+            "max_seconds": MAX_SECONDS,
             "last_sequence": LAST_SEQUENCE,
         },
         "published": _published(root),
         "commands": {
             "encoding": _JSON,
-            "longest_message": LONGEST_MESSAGE,
+            "longest_message": MAX_COMMAND_BYTES,
             "error": _message(
                 {"type": "object", "properties": {"error": schema_of(ErrorParts)}, "required": ["error"]},
                 VERSION,
@@ -338,7 +338,7 @@ def _telemetry() -> dict[str, Any]:
     return {
         "form": "one Arrow IPC stream of one record batch a message",
         "version": {"golfbench_schema": f"cycle/{SCHEMA_VERSION}"},
-        "max_rows": LONGEST_BATCH,
+        "max_rows": MAX_BATCH_CYCLES,
         "batch_metadata": {
             "sequence": "number of the message, from 1 on, as text",
             "lost": "cycles lost before they could be sent, as text",

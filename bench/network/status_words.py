@@ -61,7 +61,7 @@ ARMING_BLOCKED = "Remove what blocks arming, then arm; or open the access."
 """Next step of a bench that configuration, calibrations or profile keep from being armed."""
 
 NO_BALL = "No ball is on the tee: raise one with Tee, or swing without."
-"""Before the next step of an armed bench."""
+"""Hint before the next step of an armed bench."""
 
 PHASE_WORDS = {
     Phase.STANDING: "standing",

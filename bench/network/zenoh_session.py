@@ -29,13 +29,13 @@ from bench.base.interrupt import CLOSING_THREAD
 if TYPE_CHECKING:
     from bench.base.address import NetworkSettings
 
-LONGEST_MESSAGE = 2**20
+MAX_TRANSPORT_BYTES = 2**20
 """Max size of a message, bytes; the transport drops longer ones."""
 
-LONGEST_WAIT = 0.1
+MAX_SEND_WAIT = 0.1
 """Max time a send waits for a blocked peer before the link to it is closed, s."""
 
-LONGEST_CLOSE = 1.0
+SESSION_CLOSE_TIMEOUT = 1.0
 """Max time for which the end of a session waits for peers that do not read, s; zenoh's own is ten."""
 
 TLS = "tls/"
@@ -46,9 +46,9 @@ _QUEUE = 16
 stall of a busy machine costs messages."""
 
 _TIMEOUT = 0.02
-"""s that the daemon's publication waits for room in a full queue; once in vain, the next ones to that peer do
-not wait, so a dead subscriber costs it once. A client may wait for `LONGEST_WAIT`. Without any wait, messages
-were lost whenever zenoh's threads stood still on a busy machine for longer than the queue lasts."""
+"""Time that the daemon's publication waits for room in a full queue (s). Once in vain, the next ones to that
+peer do not wait, so a dead subscriber costs it once. A client may wait for `MAX_SEND_WAIT`. Without any wait,
+messages were lost whenever zenoh's threads stood still on a busy machine for longer than the queue lasts."""
 
 
 class NoAnswer(BenchError):
@@ -106,7 +106,7 @@ def close_session(session: zenoh.Session) -> None:
     """
     closing = Thread(target=_close, args=(session,), name=CLOSING_THREAD)
     closing.start()
-    closing.join(LONGEST_CLOSE)
+    closing.join(SESSION_CLOSE_TIMEOUT)
 
 
 def _close(session: zenoh.Session) -> None:
@@ -137,14 +137,14 @@ def _configuration(
     connect: Sequence[str],
     listen: Sequence[str] = (),
 ) -> dict[str, Any]:
-    timeout = round(1e6 * (_TIMEOUT if listen else LONGEST_WAIT))
+    timeout = round(1e6 * (_TIMEOUT if listen else MAX_SEND_WAIT))
     # drop: a publication; block: a query or an answer waits this long for a stuck peer, then its link goes.
     congestion = {
         "drop": {"wait_before_drop": timeout, "max_wait_before_drop_fragments": timeout},
-        "block": {"wait_before_close": round(1e6 * LONGEST_WAIT)},
+        "block": {"wait_before_close": round(1e6 * MAX_SEND_WAIT)},
     }
     link: dict[str, Any] = {
-        "rx": {"max_message_size": LONGEST_MESSAGE},
+        "rx": {"max_message_size": MAX_TRANSPORT_BYTES},
         "tx": {"queue": {"size": {"data": _QUEUE}, "congestion_control": congestion}},
     }
     if any(endpoint.startswith(TLS) for endpoint in (*listen, *connect)):

@@ -25,9 +25,9 @@ from bench.simulation.code_version import code_digest
 from bench.simulation.sweep import IN_FLIGHT, BatchDone, CaseBatch, Study, prepare, run_batch
 
 CONNECT_TIMEOUT = 10.0
-"""s to wait for the scheduler, and for a first worker."""
+"""Timeout of the scheduler, and of a first worker (s)."""
 _LOOK = 1.0
-"""s between two looks at how many workers there are."""
+"""Period of counting the workers (s)."""
 _TRIES = 4
 """Max number of times that a batch is handed out; each time dask also retries it automatically."""
 _ONE_AT_A_TIME = Lock()

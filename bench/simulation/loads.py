@@ -43,7 +43,7 @@ class Loads:
     lowest_clearance: float
     """Sole over ground, m."""
     peak_head_speed: float
-    """m/s"""
+    """Peak head speed (m/s)."""
     stop_share: float
     """Energy of the most loaded cushion."""
     stop: str

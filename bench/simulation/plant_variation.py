@@ -15,7 +15,7 @@ from bench.control.estimate.residual_monitor import KINDS, LEARNING
 from bench.control.step_records import ControlParameters
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.swing_operator import LONGEST_RETURN
+from bench.simulation.swing_operator import RETURN_TIMEOUT
 from bench.swing.profile import PHASES, Profile
 from sim.driver import hanging_pose
 from sim.plant import PlantParameters, build_plant
@@ -216,9 +216,9 @@ Array = NDArray[np.float64]
 
 _BEGIN, _HOLD = 200, 400
 """Ticks before arming, and at the address before a swing."""
-_LONGEST_STOP, _LOOK = 6_000, 20
+_MAX_STOP_TICKS, _LOOK = 6_000, 20
 """Ticks of a stop at most, and between two looks at it."""
-_LONGEST_VENT = 15.0
+_MAX_VENT_TIME = 15.0
 """Time for the chambers to empty after a stop, s."""
 
 
@@ -228,7 +228,7 @@ class HealthyRun(NamedTuple):
     largest: Array
     """(5, LEARNING, 3) largest deviations by comparison, row and joint; 0 where a row was not seen."""
     cause: Cause
-    """What stopped a swing; NONE when both came back to the address."""
+    """Cause of a stopped swing; NONE when both came back to the address."""
     stops: int
     """Number of stops."""
     escalated: tuple[str, ...]
@@ -264,7 +264,7 @@ def healthy_run(
             request, at = 0, tick
             if tick in instants and not bench.cause:
                 trial.stop(stepper)
-        bench.run_until(bench.holding, LONGEST_RETURN)
+        bench.run_until(bench.holding, RETURN_TIMEOUT)
         if bench.cause:
             break
     return HealthyRun(largest, bench.cause, trial.number, tuple(trial.escalated))
@@ -301,7 +301,7 @@ class _StopTrial:
             copy.plant_state["emergency_stop_clear"] = False
         copy.advance(1, 0 if emergency else Request.STOP)
         severe = False
-        for _ in range(_LONGEST_STOP // _LOOK):
+        for _ in range(_MAX_STOP_TICKS // _LOOK):
             severe = severe or control["reaction"][0] in (Reaction.PASSIVE, Reaction.BLIND_BRAKE)
             if control["phase"][0] == Phase.STANDING:
                 break
@@ -321,7 +321,7 @@ def _arm_again(stepper: Lockstep) -> Cause:
     """
     bench = LockstepEngine(stepper)
     stepper.plant_state["emergency_stop_clear"] = True
-    bench.wait_for(lambda: bool(bench.control["venting"]["emptied"][0]), _LONGEST_VENT)
+    bench.wait_for(lambda: bool(bench.control["venting"]["emptied"][0]), _MAX_VENT_TIME)
     if bench.request(Request.RESET):
         with suppress(Refused):  # some robots do not reach their address in time
             bench.arm()

@@ -139,7 +139,7 @@ class Difference(NamedTuple):
     tick: int | None = None
     """First of these ticks; the values there follow."""
     time: float | None = None
-    """s, on the record's clock."""
+    """Time on the record's clock (s)."""
     component: str = ""
     recorded: float = 0.0
     replayed: float = 0.0

@@ -22,7 +22,7 @@ from bench.control.step_records import ControlParameters
 from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
-from bench.simulation.swing_operator import LONGEST_RETURN, LONGEST_STOP, joined
+from bench.simulation.swing_operator import RETURN_TIMEOUT, STANDSTILL_TIMEOUT, joined
 from bench.swing.profile import Profile
 from sim.faults import Fault
 from sim.impact import Delivery
@@ -33,8 +33,8 @@ HOLD = 1.0
 """Time at the address before a swing, s: the air in the chambers comes to rest later than the robot."""
 ADDRESS_TRIES = 3
 """Times that a robot may take its address for one swing."""
-_LONGEST_VENT = 15.0
-"""s"""
+_MAX_VENT_TIME = 15.0
+"""Max time of venting (s)."""
 _REQUESTS = 300
 """Max requests for a swing, until the robot is still enough at its address."""
 _CHUNK = 10
@@ -49,7 +49,7 @@ class SeriesSwing(NamedTuple):
     delivery: Delivery | None
     """Delivery at the plant's contact; None without one."""
     contact_time: float
-    """s from the swing's first tick; NaN without contact."""
+    """Time from the swing's first tick (s); NaN without contact."""
     cause: Cause
     """Cause of a stop; NONE without one."""
     air_used: float
@@ -215,14 +215,14 @@ class Series:
     def _returned(self) -> bool:
         """Let the robot return; return whether it holds the address again, without a reaction."""
         engine = self._engine
-        reached = engine.run_until(lambda: engine.phase is Phase.HOLD, LONGEST_RETURN)
+        reached = engine.run_until(lambda: engine.phase is Phase.HOLD, RETURN_TIMEOUT)
         return reached and not engine.control["reaction"][0]
 
     def _recover(self) -> None:
         """Come to rest, reset and arm again."""
         engine = self._engine
-        engine.wait_for(lambda: engine.phase is Phase.STANDING, LONGEST_STOP)
-        engine.wait_for(lambda: bool(engine.control["venting"]["emptied"][0]), _LONGEST_VENT)
+        engine.wait_for(lambda: engine.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
+        engine.wait_for(lambda: bool(engine.control["venting"]["emptied"][0]), _MAX_VENT_TIME)
         cause = engine.cause
         if not engine.request(Request.RESET):
             raise Refused(

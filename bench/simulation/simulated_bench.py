@@ -30,7 +30,7 @@ from bench.simulation.engine import LockstepEngine
 from bench.simulation.loads import Loads
 from bench.simulation.lockstep import Lockstep
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
-from bench.simulation.swing_operator import LONGEST_RETURN, never
+from bench.simulation.swing_operator import RETURN_TIMEOUT, never
 from bench.swing.profile import Profile
 from drivers.base import Launch
 from drivers.base.compiled import new_record
@@ -45,7 +45,7 @@ _LOOK = 0.02
 """Time between two looks at the phase and at Ctrl-C, s."""
 _POWER_UP = 10
 """Ticks before arming: the estimators settle."""
-_LONGEST_SETTLING = 3.0
+_SETTLING_TIMEOUT = 3.0
 """Time for which a refused swing is requested again, s."""
 _SETTLING = 1.0
 """Time at the address before the instant at which all swings of an ArmedBench begin, s: joints and
@@ -71,7 +71,7 @@ class SwingResult:
     launch: Launch | None
     flight: Flight | None
     contact_time: float | None
-    """s on the record's clock; None without contact."""
+    """Time on the record's clock (s); None without contact."""
     loads: Loads
     """Since the swing's record began."""
     begin: float
@@ -207,7 +207,7 @@ class PoweredBench:
         """Tee `ball` up, swing, return to address, and collect the result."""
         engine = self.engine
         begun = self.begin(ball)
-        back = begun and engine.run_until(engine.holding, self.bench.profile.duration + LONGEST_RETURN)
+        back = begun and engine.run_until(engine.holding, self.bench.profile.duration + RETURN_TIMEOUT)
         interrupted = engine.stop()
         if interrupted or not back:
             engine.rest()
@@ -227,7 +227,7 @@ class PoweredBench:
         pack_snapshot(engine.stepper.state, self._snapshot)
         hold = max(round(self.bench.hold / engine.period), 1)
         engine.advance(hold)
-        return engine.start_swing(1 + round(_LONGEST_SETTLING / max(self.bench.hold, _LOOK)), hold)
+        return engine.start_swing(1 + round(_SETTLING_TIMEOUT / max(self.bench.hold, _LOOK)), hold)
 
     def _result(self, ball: Ball | None, begun: bool, interrupted: bool) -> SwingResult:
         engine = self.engine

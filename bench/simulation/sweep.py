@@ -50,7 +50,7 @@ class BatchDone(NamedTuple):
     number: int
     results: list[Any]
     duration: float
-    """s in the worker."""
+    """Duration in the worker (s)."""
 
 
 class Engine(Protocol):

@@ -19,14 +19,14 @@ from bench.control.step_records import ControlParameters, ControlState
 from bench.loop.loop import Cycles, bring_to_rest
 from bench.records.telemetry.cycle_record import CYCLE
 
-LONGEST_ARMING = 30.0
-"""s; the bench's own time-outs are shorter"""
+ARMING_TIMEOUT = 30.0
+"""Timeout of arming (s); the bench's own time-outs are shorter."""
 SETTLING_TIMEOUT = 10.0
 """Until the standing robot rests, s."""
-LONGEST_RETURN = 10.0
-"""From the end of a profile back to its address, s."""
-LONGEST_STOP = 6.0
-"""From a stop to standstill, s."""
+RETURN_TIMEOUT = 10.0
+"""Max time from the end of a profile back to its address (s)."""
+STANDSTILL_TIMEOUT = 6.0
+"""Max time from a stop to standstill (s)."""
 
 
 class OperatedStepper(Protocol):
@@ -172,7 +172,7 @@ class SwingOperator(Generic[AnyStepper]):
 
     def reach_address(self, *, at_rest: bool = True) -> bool:
         """Wait until the armed robot holds its address, as `arm` does."""
-        if self.run_until(self.resting if at_rest else self.holding, LONGEST_ARMING):
+        if self.run_until(self.resting if at_rest else self.holding, ARMING_TIMEOUT):
             return True
         if self.stop():
             self.rest()
@@ -188,7 +188,7 @@ class SwingOperator(Generic[AnyStepper]):
         return Refused(
             f"arming with profile {self.name!r}",
             found,
-            f"hold at address {address} rad within {LONGEST_ARMING:g} s",
+            f"hold at address {address} rad within {ARMING_TIMEOUT:g} s",
             "Check the profile's address against the plant, or start nearer to it.",
         )
 
@@ -224,7 +224,7 @@ class SwingOperator(Generic[AnyStepper]):
 
     def rest(self) -> None:
         """Bring the robot to rest as the stopping table says."""
-        self._kept += bring_to_rest(self.stepper, round(LONGEST_STOP / self.period))
+        self._kept += bring_to_rest(self.stepper, round(STANDSTILL_TIMEOUT / self.period))
 
 
 def joined(parts: list[Cycles]) -> Cycles:

@@ -164,8 +164,9 @@ SHOTS = _of_campaign(
         Column("set_aside", Boolean, nullable=False, server_default=false()),
     ),
 )
-"""With the record of a shot's cycles below `data_dir`, whole before its row exists, and its size; empty: the
-robot did not swing. Set aside: its block was restarted after it; it is kept and excluded."""
+"""Shots. `file`, below `data_dir`, has the record of a shot's cycles, whole before its row exists, and
+`bytes` its size; empty: the robot did not swing. Set aside: its block was restarted after it; it is kept and
+excluded."""
 
 EVENTS = _of_campaign("campaign_events", Event)
 RUNS = _of_campaign("campaign_runs", CampaignRun, "number")
@@ -212,7 +213,7 @@ class LearnedSwingRow(Row):
     """Digest of the profile's tables."""
     club: Mapped[str]
     supply_pressure: Mapped[float]
-    """Pa absolute, regulated."""
+    """Regulated pressure (Pa absolute)."""
     temperature: Mapped[float]
     """K"""
     within: Mapped[bool]
@@ -235,7 +236,7 @@ class AirReadingRow(Row):
     temperature: Mapped[float]
     """K"""
     pressure: Mapped[float]
-    """Pa"""
+    """Ambient pressure (Pa)."""
     relative_humidity: Mapped[float]
     by: Mapped[str]
 

@@ -81,7 +81,7 @@ class CampaignRun(NamedTuple):
     """One run of a campaign: from its start or resumption until the runner ends."""
 
     number: int
-    """From 1, within its campaign."""
+    """Number within its campaign, from 1."""
     began: datetime
     by: str
     versions: Mapping[str, Any]
@@ -116,7 +116,7 @@ class Prompt(NamedTuple):
     """A prompt to the operator before a shot."""
 
     number: int
-    """From 1, within its campaign."""
+    """Number within its campaign, from 1."""
     before_shot: int
     kind: str
     text: str

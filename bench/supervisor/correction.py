@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from bench.swing.correction import Basis
-from bench.swing.correction_terms import MOST_WEIGHTS
+from bench.swing.correction_terms import MAX_WEIGHTS
 from bench.swing.profile import Profile
 from drivers.base.shared_record import SharedRecord
 
 CORRECTION_FILE, CORRECTED_FILE = "correction", "corrected"
 
-CORRECTION = np.dtype([("number", "i8"), ("size", "i8"), ("weights", "f8", (MOST_WEIGHTS,))], align=True)
+CORRECTION = np.dtype([("number", "i8"), ("size", "i8"), ("weights", "f8", (MAX_WEIGHTS,))], align=True)
 """Order of a correction with `size` weights, 0 for the profile as designed; a new `number` is a new order."""
 
 CORRECTED = np.dtype([("asked", "i8"), ("tick", "i8"), ("order", CORRECTION)], align=True)

@@ -147,7 +147,7 @@ class Daemon:
         self._disarmed = Cause.NONE
         """Why the robot was disarmed since it last moved."""
         self._lease: LeaseStatus | None = None
-        """As last reported."""
+        """Lease as last reported."""
         self._ending = False
         self._started = time.monotonic()
 

@@ -31,7 +31,7 @@ from bench.base.errors import BenchError, ExitCode
 from bench.network.messages import LOOP_VERSION
 from bench.network.zenoh_session import close_session, open_client
 from bench.records.telemetry.batches import encode_batch
-from bench.records.telemetry.cycle_record import LONGEST_BATCH
+from bench.records.telemetry.cycle_record import MAX_BATCH_CYCLES
 from bench.records.telemetry.ring import RingReader
 from bench.supervisor.child_process import (
     Condition,
@@ -107,13 +107,13 @@ class Publisher:
         newest = None if self._wall else self._ring.newest()
         loop_now = now if newest is None else float(newest["time"][0])
         for part in range(_MAX_BATCHES):
-            cycles = self._ring.read(LONGEST_BATCH)
+            cycles = self._ring.read(MAX_BATCH_CYCLES)
             if len(cycles):
                 if part:
                     time.sleep(_GAP)
                 self._send(cycles, utc - max(0.0, loop_now - float(cycles["time"][-1])))
             # Bounded: a batch takes longer than a tick, so there would always be another one.
-            if len(cycles) < LONGEST_BATCH:
+            if len(cycles) < MAX_BATCH_CYCLES:
                 break
         if now >= self._statistics_at:
             self._statistics_at = now + _STATISTICS

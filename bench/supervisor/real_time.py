@@ -44,7 +44,7 @@ class MemoryMapping:
     start: int
     size: int
     access: str
-    """As the kernel writes it, `rw-p`."""
+    """Access as the kernel writes it, `rw-p`."""
     name: str
     """File, kernel's name, or empty."""
     resident: int = 0

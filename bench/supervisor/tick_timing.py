@@ -29,7 +29,7 @@ from bench.supervisor.timing_record import (
 from drivers.base.compiled import compiled
 from drivers.base.mapped_slots import SharedMemoryError
 
-_PERIOD, _TICKS, _SKIPPED, _LATE, _DUE, _LONGEST, _COUNT = (
+_PERIOD, _TICKS, _SKIPPED, _LATE, _DUE, _MAX_DURATION, _COUNT = (
     int(TIMING.fields[name][1]) // 8  # type: ignore[index]
     for name in ("period", "ticks", "skipped", "late", "due", "longest", "count")
 )
@@ -65,7 +65,7 @@ def bucket(duration: int) -> int:
 @compiled
 def _count(words: Any, segment: int, duration: int) -> None:
     words[_COUNT + segment * BUCKETS + bucket(duration)] += 1
-    words[_LONGEST + segment] = max(words[_LONGEST + segment], duration)
+    words[_MAX_DURATION + segment] = max(words[_MAX_DURATION + segment], duration)
 
 
 @compiled

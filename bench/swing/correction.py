@@ -20,9 +20,9 @@ class Correction:
     """Additions to a profile's tables, each (n, 3), joints in order."""
 
     angle: Array
-    """rad"""
+    """Shift of the angles (rad)."""
     velocity: Array
-    """rad/s"""
+    """Shift of the velocities (rad/s)."""
     valve: Array
     """Opening."""
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-GREATEST_WEIGHT = 1.5
+MAX_WEIGHT = 1.5
 """Max weight of a function of a correction, in units of its opening or shift."""
-MOST_WEIGHTS = 128
+MAX_WEIGHTS = 128
 """Max number of weights of a correction: a downswing of half a second."""
 
 

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 _MPH = 0.44704
 _STEP = 2.5e-4
-_LONGEST = 1.6
+_MAX_LENGTH = 1.6
 """Length of a motion with its continuation past the end, in downswings."""
 _STEPS = 1000
 """Rows of a measured downswing."""
@@ -51,7 +51,7 @@ _COCK_AT_TOP = 1.769
 _WRIST = 2 * np.pi - radians(105.0), 2 * np.pi + radians(5.0)
 """Range of the human wrist (thesis), as theta3."""
 _RIGHT_ARM_AT_ADDRESS = -0.03032
-_LOWEST_AT_BALL = -0.9
+_MIN_HEIGHT_AT_BALL = -0.9
 """Height y (m) above which a crossing of the ball's x does not count: the head crosses it again over the
 shoulder."""
 
@@ -70,9 +70,9 @@ class Golfer:
     name: str
     text: str
     head_speed: float
-    """m/s"""
+    """Head speed (m/s)."""
     backswing: float
-    """s"""
+    """Duration of the backswing (s)."""
     as_hunt: bool = False
     """Hunt's published functions, not scaled to a head speed."""
 
@@ -122,7 +122,7 @@ class HumanDownswing(NamedTuple):
     head: Array
     """(n, 2) m"""
     head_speed: float
-    """m/s at its end."""
+    """Head speed at its end (m/s)."""
 
 
 @compiled
@@ -156,7 +156,7 @@ def human_downswing(plant: PlantParameters, golfer: Golfer) -> HumanDownswing:
     pose = forward_kinematics(plant.robot, angle)
     passing = np.flatnonzero(
         np.diff(pose[:, 0] >= plant.site.ball_x)
-        & (pose[1:, 1] < _LOWEST_AT_BALL)
+        & (pose[1:, 1] < _MIN_HEIGHT_AT_BALL)
         & (pose[1:, 0] > pose[:-1, 0])
     )
     if not len(passing):
@@ -177,7 +177,7 @@ def _measured_motion() -> tuple[Array, Array]:
     """Return time (n,), 1 s from the top to the ball, and angles (n, 3; rad) of the measured downswing."""
     degrees = np.array(MEASURED, dtype=float).T
     spline = CubicSpline(np.linspace(0.0, 1.0, len(degrees)), degrees, bc_type=("clamped", "not-a-knot"))
-    time: Array = np.arange(round(_LONGEST * _STEPS), dtype=float) / _STEPS
+    time: Array = np.arange(round(_MAX_LENGTH * _STEPS), dtype=float) / _STEPS
     past = np.maximum(time - 1.0, 0.0)[:, None]
     return time, np.radians(spline(np.minimum(time, 1.0)) + spline(1.0, 1) * past)
 
@@ -185,7 +185,7 @@ def _measured_motion() -> tuple[Array, Array]:
 def _hunts_motion(plant: PlantParameters) -> tuple[Array, Array]:
     """Return time (n,; s) and angles (n, 3; rad) of Hunt's downswing, with a free wrist."""
     robot = plant.robot
-    time: Array = np.arange(round(_LONGEST * DOWNSWING_DURATION / _STEP), dtype=float) * _STEP
+    time: Array = np.arange(round(_MAX_LENGTH * DOWNSWING_DURATION / _STEP), dtype=float) * _STEP
     own = BACKSWING_DURATION + np.minimum(time, DOWNSWING_DURATION)
     past = np.maximum(time - DOWNSWING_DURATION, 0.0)
     extension = _ADDRESS[1] + right_arm_length(own) - _RIGHT_ARM_AT_ADDRESS

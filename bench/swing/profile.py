@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, did_you_mean
-from bench.base.from_toml import GREATEST, format_value, read_toml
+from bench.base.from_toml import MAX_FINITE, format_value, read_toml
 from bench.base.json_schema import require_fit
 from bench.base.lifecycle import Phase
 from bench.base.to_toml import toml_value
@@ -86,7 +86,7 @@ class Profile:
     blind_spacing: int
     blind_brake: Array
     ball: tuple[float, float]
-    """Where the face centre meets the ball in the swing plane (m)."""
+    """Place of the ball in the swing plane when the face centre meets it (m)."""
     impact_time: float
     """Planned contact, s from the start."""
     delivery: dict[str, float] = field(default_factory=dict)
@@ -154,7 +154,7 @@ _TABLES = {
 _ADDRESS = {"supply_pressure_pa": 1, "chamber_pressures_pa": 6}
 """Keys of the table `address`, which a profile may have, and how many pressures each holds."""
 _PRESSURES = (1.0e5, 2.0e6)
-"""Pa absolute, of a planned pressure."""
+"""Range of a planned pressure (Pa absolute)."""
 _BESIDE: dict[str, tuple[type, str]] = {"table": _TEXT, "table_sha256": _TEXT}
 _GROUPS = ("delivery", "limits")
 _ACTION = "Correct the profile, or design it again with `golfbench profile design`."
@@ -235,7 +235,7 @@ def _check_keys(
     for key in _GROUPS:
         group = raw[key]
         if not isinstance(group, dict) or not all(
-            type(v) in {int, float} and abs(v) <= GREATEST for v in group.values()
+            type(v) in {int, float} and abs(v) <= MAX_FINITE for v in group.values()
         ):
             raise BenchError(f"{path}: {key}", repr(group), "a table of finite numbers", _ACTION)
 

@@ -38,7 +38,7 @@ from sim.kinematics import forward_kinematics, head_motion, right_arm_length, th
 from sim.robot import Body, RobotParameters, thesis_robot
 
 TOP = 0.686
-"""s; the downswing's first sample"""
+"""Time of the downswing's first sample (s)."""
 ADDRESS_ROD = 0.22
 """Rod stroke at zero displacement, m (ASSUMPTION). At the full stroke of Appendix B the right arm is
 0.34 + 0.22 = 0.56 m = l23: both arms are equally long and the hands hang below the middle of the
@@ -137,7 +137,7 @@ FRICTION = 10.0
 is stable and every oscillation of the loop decays to a quarter in a period or faster, the classical rule
 for loops tuned by experiment (Ziegler and Nichols 1942)."""
 DURATION, TIME_STEP = 1.0, 2e-4
-"""s; the tables end at 0.846 s."""
+"""Duration and time step (s); the tables end at 0.846 s."""
 
 
 @dataclass(frozen=True)
@@ -148,19 +148,19 @@ class ExperimentSummary:
     """All values are finite, and theta2 stayed between the two singular, stretched positions of the parallel
     arm."""
     top_time: float
-    """s; the instant at which theta1 turns round"""
+    """Time at which theta1 turns round (s)."""
     contact_time: float | None
-    """s; the instant at which the head passes the ball's x, None when it does not"""
+    """Time at which the head passes the ball's x (s), None when it does not."""
     height_error: float | None
-    """m; y of the head above the ball at that instant"""
+    """Height y of the head above the ball at that time (m)."""
     club_speed: float | None
-    """m/s; speed of the head at that instant"""
+    """Head speed at that time (m/s)."""
     largest_error: Triple
-    """rad; largest |reference - angle| of each joint"""
+    """Max |reference - angle| of each joint (rad)."""
     saturated: Triple
     """Share of the time in saturation, 0 to 1, of each actuator"""
     rod_range: tuple[float, float]
-    """m; reached without end stops"""
+    """Range of the rod without end stops (m)."""
 
 
 @dataclass(frozen=True)

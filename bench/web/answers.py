@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-LONGEST_NAME = 64
+MAX_NAME_LENGTH = 64
 """Max length of a person's name, characters."""
 
 
@@ -39,7 +39,7 @@ class Asked(NamedTuple):
     check: Callable[[str, float | None], None]
     """Takes each number once, as `CommandNumbers.check`."""
 
-    def text(self, name: str, longest: int = LONGEST_NAME, shortest: int = 1) -> str:
+    def text(self, name: str, longest: int = MAX_NAME_LENGTH, shortest: int = 1) -> str:
         """Return the text `name` of the body; raises as `text_in`."""
         return text_in(self.body, name, longest, shortest)
 

@@ -273,7 +273,7 @@ class RunningCampaigns:
         return self._details[name][1]
 
 
-LONGEST_COMMENT = 200
+MAX_COMMENT_LENGTH = 200
 STARTED = "{}: its runner starts, checks plan and bench, then takes the bench"
 
 
@@ -355,7 +355,7 @@ class CampaignService:
                 asked.once(fresh=True)  # the robot moves then
                 return {"note": f"Done: {self._archive.answer(campaign, prompt, by, balls)}"}
             case "mark":
-                shot, comment = int(asked.number("shot")), asked.text("comment", LONGEST_COMMENT, 0)
+                shot, comment = int(asked.number("shot")), asked.text("comment", MAX_COMMENT_LENGTH, 0)
                 asked.once()
                 self._archive.mark(campaign, shot, by, comment)
                 return {"note": f"Shot {shot} marked."}

@@ -29,9 +29,9 @@ NICE = 10
 """Nice value of a command, equal to that of the page's service."""
 MAX_COMMANDS = 2
 """Max number of commands at a time."""
-LONGEST_COMMAND = 180.0
+COMMAND_TIMEOUT = 180.0
 """Time after which a command is ended, s."""
-_LONGEST_WORDS = 2000
+_MAX_WORDS_LENGTH = 2000
 
 
 class CommandLine:
@@ -93,11 +93,11 @@ class CommandLine:
             self._running.add(process)
         try:
             lower_priority(process.pid)
-            output, said = process.communicate(timeout=LONGEST_COMMAND)
+            output, said = process.communicate(timeout=COMMAND_TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
-            expected = f"an end within {LONGEST_COMMAND:g} s"
+            expected = f"an end within {COMMAND_TIMEOUT:g} s"
             raise BenchError(location, "still running", expected, "Use the command line.") from None
         finally:
             with self._lock:
@@ -144,7 +144,7 @@ def fault_of(location: str, code: int, text: str) -> BenchError:
 
 
 def _cut(text: str) -> str:
-    return text if len(text) <= _LONGEST_WORDS else f"{text[:_LONGEST_WORDS]} ..."
+    return text if len(text) <= _MAX_WORDS_LENGTH else f"{text[:_MAX_WORDS_LENGTH]} ..."
 
 
 _TAIL = 20_000
@@ -241,7 +241,7 @@ START = 120.0
 """Time within which the viewer is to listen, s; the first start compiles."""
 _END = 10.0
 _LOOK = 0.1
-_LONGEST = 20_000
+_MAX_OUTPUT_LENGTH = 20_000
 _URL = re.compile(r"http://127\.0\.0\.1:[0-9]{1,5}/\?url=[A-Za-z0-9%._~+-]+")
 
 
@@ -296,7 +296,7 @@ class ViewerProcess:
             deadline = time.monotonic() + START
             while True:
                 running = process.poll() is None
-                text = os.pread(said.fileno(), _LONGEST, 0).decode("utf-8", "replace")
+                text = os.pread(said.fileno(), _MAX_OUTPUT_LENGTH, 0).decode("utf-8", "replace")
                 if url := _URL.search(text):
                     return url[0]
                 if not running or time.monotonic() > deadline:

@@ -143,7 +143,7 @@ def _steps(state: Commissioning) -> list[dict[str, Any]]:
     return found
 
 
-LONGEST_FOLDER = 121
+MAX_FOLDER_LENGTH = 121
 
 
 class CommissioningService:
@@ -166,7 +166,7 @@ class CommissioningService:
 
     def stop(self, asked: Asked) -> dict[str, Any]:
         """End the process of a commissioning; the step under way is done again when it is resumed."""
-        wanted = asked.text("name", LONGEST_FOLDER)
+        wanted = asked.text("name", MAX_FOLDER_LENGTH)
         asked.once()
         listed = self._shelf.view()["commissionings"]
         process = next((one["process"] for one in listed if one["name"] == wanted), None)
@@ -197,7 +197,7 @@ class CommissioningService:
 
 def _wanted(asked: Asked) -> tuple[str, str]:
     """Return the names of robot and resumed commissioning; empty: the configured one, a new one."""
-    return asked.text("robot", LONGEST_FOLDER, 0), asked.text("resume", LONGEST_FOLDER, 0)
+    return asked.text("robot", MAX_FOLDER_LENGTH, 0), asked.text("resume", MAX_FOLDER_LENGTH, 0)
 
 
 TOPIC = "commissioning"

@@ -18,8 +18,8 @@ from bench.store.air_readings import newest_reading
 from bench.store.database import is_there, open_database
 from bench.web.answers import InvalidBody, text_in
 
-LONGEST_NOTE = 200
-LONGEST_DAYS = 3650
+MAX_NOTE_LENGTH = 200
+MAX_DAYS = 3650
 _NAMES = ("shoulder", "arm", "wrist")
 
 
@@ -42,7 +42,7 @@ class EntryForm(NamedTuple):
     title: str
     command: tuple[str, ...]
     steps: tuple[str, ...]
-    """What hands do, in order."""
+    """Steps done by hand, in order."""
     fields: tuple[FormField, ...]
     club: bool = False
     """Whether it is of one club."""
@@ -166,16 +166,16 @@ def form_arguments(form: EntryForm, body: Mapping[str, Any], by: str) -> list[st
         for field in form.fields:
             found += _option(field, given.get(field.name))
     if form.lasting:
-        if method := text_in(given, "method", LONGEST_NOTE, 0):
+        if method := text_in(given, "method", MAX_NOTE_LENGTH, 0):
             found.append(f"--method={method}")
-        if note := text_in(given, "note", LONGEST_NOTE, 0):
+        if note := text_in(given, "note", MAX_NOTE_LENGTH, 0):
             found.append(f"--note={note}")
         if (days := given.get("days")) is not None:
-            if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= LONGEST_DAYS:
-                raise InvalidBody(f"days: 1 to {LONGEST_DAYS}")
+            if isinstance(days, bool) or not isinstance(days, int) or not 1 <= days <= MAX_DAYS:
+                raise InvalidBody(f"days: 1 to {MAX_DAYS}")
             found.append(f"--expires-days={days}")
     if form.club:
-        found += ["--", text_in(given, "club", LONGEST_NOTE)]
+        found += ["--", text_in(given, "club", MAX_NOTE_LENGTH)]
     return found
 
 

@@ -23,7 +23,7 @@ from bench.base.from_toml import read_text
 if TYPE_CHECKING:
     from bench.config import Configuration
 
-SHORTEST_TOKEN = 20
+MIN_TOKEN_LENGTH = 20
 """Min length of a token, characters."""
 MAX_SESSIONS = 64
 SESSION = 12 * 3600.0
@@ -109,8 +109,8 @@ def read_tokens(file: Path) -> dict[str, PageRole]:
         if not line or line.startswith("#"):
             continue
         role, _, token = line.partition(" ")
-        if role not in ("viewer", "operator") or len(token.strip()) < SHORTEST_TOKEN:
-            expected = f"viewer or operator, and a token of {SHORTEST_TOKEN} characters or more"
+        if role not in ("viewer", "operator") or len(token.strip()) < MIN_TOKEN_LENGTH:
+            expected = f"viewer or operator, and a token of {MIN_TOKEN_LENGTH} characters or more"
             action = 'Make one: python -c "import secrets; print(secrets.token_urlsafe(24))"'
             raise BenchError(f"{file}, line {number}", "another line", expected, action)
         tokens[token.strip()] = PageRole[role.upper()]

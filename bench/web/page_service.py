@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from bench.base.errors import BenchError
 from bench.network.command import CommandAnswer
-from bench.network.lease import LONGEST_HOLDER
+from bench.network.lease import MAX_HOLDER_LENGTH
 from bench.web.answers import Asked, InvalidBody, UnknownName, body_of, json_answer, refusal_answer, text_in
 from bench.web.bench_link import BenchLink
 from bench.web.broadcaster import EventStream, PageBroadcaster
@@ -143,7 +143,7 @@ class PageService:
         """Take, renew or release the lease."""
         match asked.body.get("action"):
             case "take":
-                return self._leases.take(asked.text("holder", LONGEST_HOLDER))._asdict()
+                return self._leases.take(asked.text("holder", MAX_HOLDER_LENGTH))._asdict()
             case "renew":
                 return {"seconds": self._leases.renew(asked.ticket)}
             case "release":

@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
 MAX_PLANS = 100
 """Max number of listed plans of the bench."""
-LONGEST_PLAN = 1 << 20
+MAX_PLAN_BYTES = 1 << 20
 """Max size of a plan's file, bytes."""
 
-_LONGEST_ABOUT = 400
-_LONGEST_NAME = 80
+_MAX_ABOUT_LENGTH = 400
+_MAX_NAME_LENGTH = 80
 _MAX_LACKS = 20
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,80}")
 
@@ -79,7 +79,7 @@ class PlanCatalogue:
 def is_toml_to_name(path: Path) -> bool:
     """Return whether `path` is a file itself, no link, of a plan's size, with a name that is safe to show."""
     try:
-        plain = path.is_file() and not path.is_symlink() and path.stat().st_size <= LONGEST_PLAN
+        plain = path.is_file() and not path.is_symlink() and path.stat().st_size <= MAX_PLAN_BYTES
     except OSError:
         return False
     return plain and bool(_NAME.fullmatch(path.stem))
@@ -91,7 +91,7 @@ def _described(name: str, file: Path, known: Mapping[str, Collection[str]]) -> d
     try:
         text = read_text(file, "a plan", "Correct the path.")
         lines = takewhile(lambda line: line.startswith("#"), text.splitlines())
-        about = " ".join(line.removeprefix("#").strip() for line in lines)[:_LONGEST_ABOUT]
+        about = " ".join(line.removeprefix("#").strip() for line in lines)[:_MAX_ABOUT_LENGTH]
         plan = parse_toml(text, str(file))
         campaign = plan.get("campaign")
         if isinstance(campaign, dict) and isinstance(campaign.get("title"), str) and campaign["title"]:
@@ -114,7 +114,7 @@ def _lacking(plan: Mapping[str, Any], section: str, known: Collection[str]) -> l
     wanted = design.get(section) if isinstance(design, dict) else None
     if not isinstance(wanted, list) or not isinstance(own, dict):
         return []
-    names = [one[:_LONGEST_NAME] for one in wanted if isinstance(one, str) and one not in own]
+    names = [one[:_MAX_NAME_LENGTH] for one in wanted if isinstance(one, str) and one not in own]
     return [one for one in names if one not in known][:_MAX_LACKS]
 
 
@@ -127,7 +127,7 @@ def _chosen(body: Mapping[str, Any], key: str) -> list[str]:
     names = body.get(f"{key}s", [])
     if not isinstance(names, list) or len(names) > MAX_NAMES:
         raise InvalidBody(f"{key}s: at most {MAX_NAMES} names")
-    return [f"--{key}={text_in({key: name}, key, _LONGEST_NAME)}" for name in names]
+    return [f"--{key}={text_in({key: name}, key, _MAX_NAME_LENGTH)}" for name in names]
 
 
 MAX_NAMES = 50
@@ -172,7 +172,7 @@ class StartService:
 
     def write_plan(self, asked: Asked) -> dict[str, Any]:
         """Write a plan from a form with `save`; else only return its duration and resolution in words."""
-        name, compared = asked.text("name", _LONGEST_NAME), asked.text("compare", 8)
+        name, compared = asked.text("name", _MAX_NAME_LENGTH), asked.text("compare", 8)
         if not _NAME.fullmatch(name):
             raise InvalidBody("name: letters, digits, dots, - and _")
         given = [f"--compare={compared}"]

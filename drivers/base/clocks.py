@@ -14,7 +14,7 @@ class WallOffset:
     def __init__(self) -> None:
         """Read it."""
         self.ns = time.time_ns() - time.monotonic_ns()
-        """By which the wall clock is ahead, ns."""
+        """Lead of the wall clock (ns)."""
 
     def read(self) -> int:
         """Return the offset now, ns; the last one where the thread was interrupted between the clocks."""

@@ -50,11 +50,12 @@ class Readings(NamedTuple):
     guard_closed: bool
     guard_locked: bool
     supply_pressure: float
-    """Pa absolute; ABSENT when not fitted, INVALID when not believable."""
+    """Supply pressure (Pa absolute); ABSENT when not fitted, INVALID when not believable."""
     local_reset: bool
     ball_present: bool
     chamber_pressure: tuple[float, float, float, float, float, float]
-    """Pa absolute in the order of CHAMBERS; ABSENT when not fitted, INVALID when not believable."""
+    """Pressures in the order of CHAMBERS (Pa absolute); ABSENT when not fitted, INVALID when not
+    believable."""
     encoder_indexed: tuple[bool, bool, bool] = (True, True, True)
     """The count is absolute. An incremental encoder's is once its index has passed, which zeroes it, until
     `Command.search_index` rises."""

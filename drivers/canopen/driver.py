@@ -133,7 +133,8 @@ class CanopenDriver:
         self._has_failed = False
         """A fault occurred that reopening has not cleared yet."""
         self.zero_shifts: tuple[str, str, str] = "", "", ""
-        """What moves the zero inside each encoder (`read_zero_shift`), as read by the last `open`."""
+        """Sources of a shift of the zero inside each encoder (`read_zero_shift`), as read by the last
+        `open`."""
         self.load = bus_load(self.settings, period, watchdog)
         """Maximum bus load as a share."""
         self._applied = PASSIVE
@@ -213,7 +214,7 @@ class CanopenDriver:
         """Whether answers received now belong to this tick's SYNC."""
         self._inputs = 0
         self._analogue = dict.fromkeys(self.settings.valve_node.analogue_inputs, INVALID) | {0: ABSENT}
-        """By sub-index; 0 where nothing is fitted."""
+        """Analogue inputs by sub-index; 0 where nothing is fitted."""
         self._analogue_received = [-math.inf] * len(self._groups)
         self._last_heard = [0.0] * 4
         self._listened = 0.0

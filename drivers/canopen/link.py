@@ -81,7 +81,7 @@ _RECEIVE_BUFFER = 8 * 2**20
 _STAMP = struct.Struct("@ll")
 _ANCILLARY_SIZE = socket.CMSG_SPACE(_STAMP.size)
 _MAX_ECHO_DELAY = 0.005
-"""s after which an echo does not belong to the last SYNC."""
+"""Age from which an echo does not belong to the last SYNC (s)."""
 
 
 def whole_frame(received: bytes) -> bytes:

@@ -73,7 +73,7 @@ _SCM_TIMESTAMPNS = 35
 _REALTIME, _MONOTONIC = 0, 1
 _SECOND = 1_000_000_000
 _MAX_ECHO_DELAY = 0.005
-"""s after which an echo does not belong to the last SYNC."""
+"""Age from which an echo does not belong to the last SYNC (s)."""
 
 LINK_STATE = np.dtype(
     [

@@ -162,7 +162,7 @@ class EncoderScale(NamedTuple):
     resolution: int | None
     """Counts per revolution of the disc."""
     revolutions: int
-    """At least 1."""
+    """Number of revolutions, at least 1."""
 
     @property
     def scaled(self) -> bool:

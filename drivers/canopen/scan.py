@@ -59,13 +59,13 @@ class ScannedNode(NamedTuple):
     device: str
     """Name, vendor, product and profile as the device gives them; empty without an answer."""
     properties: str
-    """What its objects say of counts, polarity or fallback."""
+    """Counts, polarity and fallback by its objects."""
     taken: bool
     """Whether the startup would take it in its role, as far as reading shows."""
     verdict: str
     """Objects that the startup sets, or the reason and action of a refusal."""
     zero_shift: str = ""
-    """What moves the zero inside an encoder (`read_zero_shift`)."""
+    """Source of a shift of the zero inside an encoder (`read_zero_shift`)."""
 
 
 def scan(

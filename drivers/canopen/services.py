@@ -50,7 +50,7 @@ _SPECIFIER, _TOGGLE = 0xE0, 0x10
 _SEGMENTS = frozenset({0x00, 0x60})
 """Specifiers of requests that name no object."""
 _NO_OBJECT = bytes(3)
-"""What some devices name in every abort."""
+"""Object that some devices name in every abort."""
 
 
 class ServiceError(DriverError):

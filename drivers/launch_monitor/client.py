@@ -28,7 +28,7 @@ RECONNECT = 5.0
 """Time between two connection attempts, s."""
 HEARTBEAT = 10.0
 """Time without a shot after which a heartbeat is sent, s."""
-LONGEST_WAIT = 10.0
+MAX_FORWARD_WAIT = 10.0
 """Time after which a shot that could not be forwarded is dropped, s."""
 _POLL = 0.25
 """Polling period for answers, s."""
@@ -160,7 +160,7 @@ class SimulatorClient:
 
     def _forget_old(self) -> None:
         with self._lock:
-            oldest = self._clock() - LONGEST_WAIT
+            oldest = self._clock() - MAX_FORWARD_WAIT
             while self._queue and self._queue[0].since < oldest:
                 self._queue.popleft()
                 self._out_of_date += 1

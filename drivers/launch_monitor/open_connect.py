@@ -23,11 +23,11 @@ from drivers.launch_monitor.quirks import MonitorQuirk, quirk_of
 from drivers.launch_monitor.record import NO_CLUB, ClubFigures, ClubRecord, LaunchRecord
 
 MPH = 0.44704
-"""m/s."""
+"""Mile per hour (m/s)."""
 YARD = 0.9144
-"""m."""
+"""Yard (m)."""
 RPM = pi / 30.0
-"""rad/s."""
+"""Revolution per minute (rad/s)."""
 
 SHOT_TAKEN, PLAYER, READY, ENDED, FAILURE, TOO_LARGE = 200, 201, 202, 203, 501, 413
 """Answer codes."""

@@ -123,6 +123,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         stack.callback(terminal.close)
         code = terminal.watch()
         minutes = (time.monotonic() - begun) / 60.0
+    (folder / "terminal.txt").write_text(terminal.text)
     print(terminal.text[-4000:])
     return [
         Row(_TITLE, "exit code", code, "", f"robot drawn with seed {options.seed}", at_most=0),

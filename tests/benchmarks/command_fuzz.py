@@ -28,7 +28,7 @@ from bench.network.bench_service import CountStatus
 from bench.network.client import BenchClient
 from bench.network.command import (
     LAST_SEQUENCE,
-    LONGEST_MESSAGE,
+    MAX_COMMAND_BYTES,
     Verb,
     encode_command,
     parse_answer,
@@ -101,7 +101,7 @@ def messages(source: random.Random, key: str) -> Iterator[Sent]:
         ("deep", lambda: (source.choice(VERBS), source.choice((b"[", b'{"a":')) * source.randrange(1, 800))),
         ("unknown verb", lambda: (_word(source), _valid(source, "status", key))),
         ("wild verb", lambda: (source.choice(("*", "**", "a/b", "*/stop", "status/*")), b"{}")),
-        ("too long", lambda: (source.choice(VERBS), b" " * source.randrange(LONGEST_MESSAGE + 1, 60_000))),
+        ("too long", lambda: (source.choice(VERBS), b" " * source.randrange(MAX_COMMAND_BYTES + 1, 60_000))),
         ("much too long", lambda: _seldom(source, lambda: (source.choice(VERBS), b"x" * 900_000), 200)),
         ("no lease", lambda: _keyed(source, new_key(), source.randrange(1, 1000))),
         ("out of order", lambda: _keyed(source, key, source.randrange(1, LAST_SEQUENCE))),
@@ -160,7 +160,7 @@ def _holds(source: random.Random) -> tuple[str, bytes]:
 
 
 def _seldom(source: random.Random, make: Callable[[], tuple[str, bytes]], share: int) -> tuple[str, bytes]:
-    return make() if source.randrange(share) == 0 else (source.choice(VERBS), b" " * (LONGEST_MESSAGE + 1))
+    return make() if source.randrange(share) == 0 else (source.choice(VERBS), b" " * (MAX_COMMAND_BYTES + 1))
 
 
 def fuzz(

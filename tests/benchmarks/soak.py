@@ -33,7 +33,7 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, State
 from bench.network.client import BenchClient
 from bench.network.free_port import free_port
-from bench.network.lease import LONGEST
+from bench.network.lease import MAX_SECONDS
 from bench.records.telemetry.recorder import read_swing
 from bench.records.telemetry.ring import RingReader
 from bench.supervisor.child_process import HEARTBEAT
@@ -291,7 +291,7 @@ class Course:
         with ExitStack() as stack:
             for attempt in range(_ATTEMPTS):
                 try:
-                    stack.enter_context(self._bench.client.lease("soak", LONGEST))
+                    stack.enter_context(self._bench.client.lease("soak", MAX_SECONDS))
                     break
                 except BenchError:
                     if attempt == _ATTEMPTS - 1:

@@ -138,7 +138,7 @@ class HandWork:
     """Time that work by hand takes, for the expected duration."""
 
     club_change: Annotated[float, Range(0.0, 36000.0, "s")]
-    """From the prompt until the guard is locked again."""
+    """Time from the prompt until the guard is locked again."""
     feeder_fill: Annotated[float, Range(0.0, 36000.0, "s")]
 
 

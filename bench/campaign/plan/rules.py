@@ -23,10 +23,10 @@ class RuleSetUp:
     """Set-up of a rule: means of the control ball and the half widths of their windows."""
 
     ball_speed: float
-    """m/s"""
+    """Ball speed (m/s)."""
     ball_speed_window: float
     launch_angle: float
-    """rad"""
+    """Launch angle (rad)."""
     launch_angle_window: float
     spin_rpm: float
     spin_window_rpm: float

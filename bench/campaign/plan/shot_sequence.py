@@ -44,11 +44,11 @@ class PlannedShot(NamedTuple):
 
     role: Role
     section: int
-    """From 1."""
+    """Number of the section, from 1."""
     block: int
-    """From 1 over all sections; 0 in a warm-up."""
+    """Number of the block, from 1 over all sections; 0 in a warm-up."""
     position: int
-    """In its block, from 1."""
+    """Position in the block, from 1."""
     arm: Arm
 
 

@@ -82,7 +82,7 @@ class UncertaintyBudget:
     expanded: float | None
     """None where type B is not known."""
     missing: str
-    """What type B lacks; empty if it is known."""
+    """Reason for an unknown type B; empty if it is known."""
 
 
 class _Stated(NamedTuple):

@@ -88,7 +88,7 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no digest")
 
 
-LONGEST_REASON = 500
+MAX_REASON_LENGTH = 500
 """Max number of characters of a reason."""
 
 
@@ -118,9 +118,9 @@ def exclude_shot(
         Refused: the shot is not there or does not count already; name or reason are missing or too long.
     """
     place, reason, by = f"campaign {campaign}, shot {shot}", reason.strip(), by.strip()
-    if not 1 <= len(reason) <= LONGEST_REASON:
+    if not 1 <= len(reason) <= MAX_REASON_LENGTH:
         found = f"a reason of {len(reason)} characters"
-        raise Refused(place, found, f"1 to {LONGEST_REASON}", "Give the reason in short, with --reason.")
+        raise Refused(place, found, f"1 to {MAX_REASON_LENGTH}", "Give the reason in short, with --reason.")
     if not by:
         raise Refused(place, "no name", "the name of who decides", "Name the person with --by.")
     taken = {stored.shot.shot: stored.shot for stored in store.shots(campaign)}
@@ -159,7 +159,7 @@ class CampaignRecord:
     notes: Sequence[ShotNote] = ()
     runs: Sequence[CampaignRun] = ()
     exclusions: Sequence[ShotExclusion] = ()
-    """By hand, in the order in which they were made."""
+    """Exclusions by hand, oldest first."""
 
     @property
     def issues(self) -> list[Event]:

@@ -66,7 +66,7 @@ from bench.campaign.report.report_tables import (
 )
 from bench.campaign.report.verdicts import confidence_words, quantity_name
 from bench.campaign.statistics.analysis import Level, SectionAnalysis
-from bench.campaign.statistics.control_chart import LEAST_VALUES, NELSON
+from bench.campaign.statistics.control_chart import MIN_VALUES, NELSON
 from bench.records.shot.plot_style import marker_svg
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.records.telemetry.atomic_file import atomic_file
@@ -141,7 +141,7 @@ def render_campaign_report(record: CampaignRecord, found: Findings, units: UnitS
         units=units,
         column_unit=lambda column: display_unit(column, units).unit,
         nelson=NELSON,
-        least_controls=LEAST_VALUES,
+        least_controls=MIN_VALUES,
         quantity=compared,
         carry=carry_words(shots),
         roles=_roles(shots),

@@ -323,13 +323,13 @@ class Findings:
     views: tuple[SectionViews, ...]
     """One for each section."""
     verdicts: tuple[tuple[Verdict, ...], ...]
-    """For each section."""
+    """Verdicts of each section."""
     needed: tuple[tuple[SeriesSize | None, SeriesSize | None], ...]
-    """For each section: balls and hits of each level to find a difference, and to call them the same."""
+    """Balls and hits of each level, by section, to find a difference and to show equivalence."""
     notes: tuple[tuple[str, ...], ...]
-    """For each section, in sentences: interim looks, covariates, and the benefit of more shots."""
+    """Sentences of each section: interim looks, covariates, and the benefit of more shots."""
     repeatability: Mapping[tuple[str, str], Sequence[Repeatability]]
-    """For each (swing, club)."""
+    """Repeatability of each (swing, club)."""
     rules: tuple[RuleFinding, ...]
     looks: tuple[int, ...] | None = None
     """Numbers of shots after which results were looked at, as they were given."""

@@ -23,7 +23,7 @@ from bench.campaign.report.findings import findings, findings_record
 from bench.campaign.report.report_format import UnitSystem
 from bench.store.campaigns import StoredShot
 
-_MOST = 20
+_MAX_DIFFERENCES = 20
 """Max number of reported differences of one kind."""
 _TOLERANCE = 1e-9
 """Share by which a figure may differ: libraries of another machine round differently."""
@@ -159,5 +159,5 @@ def _lasting(page: str) -> str:
 
 
 def _first(found: Sequence[str]) -> list[str]:
-    more = len(found) - _MOST
-    return [*found[:_MOST], f"... and {more} more"] if more > 0 else list(found)
+    more = len(found) - _MAX_DIFFERENCES
+    return [*found[:_MAX_DIFFERENCES], f"... and {more} more"] if more > 0 else list(found)

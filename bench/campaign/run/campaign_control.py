@@ -14,7 +14,7 @@ from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignState, Standing
 from bench.supervisor.ownership import try_lock
 
-SHORTEST_PREFIX = 4
+MIN_PREFIX_LENGTH = 4
 """Min number of characters of an abbreviated campaign id."""
 
 
@@ -152,7 +152,7 @@ def find_campaign(store: CampaignStore, wanted: str) -> CampaignEntry:
     """Return the campaign with id `wanted`, or the only one of that name or whose id begins so.
 
     Raises:
-        BenchError: no campaign, several campaigns, or fewer than `SHORTEST_PREFIX` characters to go by.
+        BenchError: no campaign, several campaigns, or fewer than `MIN_PREFIX_LENGTH` characters to go by.
     """
     location = f"campaign {wanted}"
     found = [entry for entry, _, _ in store.entries() if entry.id.startswith(wanted)]
@@ -160,18 +160,18 @@ def find_campaign(store: CampaignStore, wanted: str) -> CampaignEntry:
         if entry.id == wanted:
             return entry
     if not found:
-        expected = f"an id, or at least its first {SHORTEST_PREFIX} characters"
+        expected = f"an id, or at least its first {MIN_PREFIX_LENGTH} characters"
         raise BenchError(location, "no such campaign", expected, "See golfbench campaign list.")
     named = [entry for entry in found if entry.name == wanted]
     if len(named) == 1:
         return named[0]
-    if len(found) > 1 or len(wanted) < SHORTEST_PREFIX:
+    if len(found) > 1 or len(wanted) < MIN_PREFIX_LENGTH:
         shown = ", ".join(entry.id for entry in found[:5]) + ", ..." * (len(found) > 5)
         number = "1 campaign begins" if len(found) == 1 else f"{len(found)} campaigns begin"
         raise BenchError(
             location,
             f"{number} so: {shown}",
-            f"an id, or enough of its beginning to fit one campaign, at least {SHORTEST_PREFIX} characters",
+            f"an id, or enough of its beginning to fit one campaign, at least {MIN_PREFIX_LENGTH} characters",
             f"Give the id: for the newest, {found[0].id}.",
         )
     return found[0]

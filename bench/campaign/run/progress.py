@@ -254,7 +254,7 @@ WAITS = (0.0, 3.0, 15.0, 60.0)
 """Times before the attempts at a notification, s."""
 LAST_TIMEOUT = 10.0
 """Max time for notifications that are still on their way at the end of a run, s."""
-_MOST = 50
+_MAX_WAITING = 50
 """Max number of waiting notifications; a newer one is dropped."""
 _WORDS = {
     CampaignState.WAITING: "waits for a person",
@@ -326,7 +326,7 @@ class Notifier(Watcher):
     ) -> None:
         """`say` shows that a notification could not be sent."""
         self._entry, self._services, self._say, self._waits = entry, services, say, waits
-        self._queue: Queue[tuple[str, str]] = Queue(_MOST)
+        self._queue: Queue[tuple[str, str]] = Queue(_MAX_WAITING)
         self._closing = Event()
         self._thread = Thread(target=self._work, name="notifier", daemon=True)
         self._thread.start()

@@ -213,7 +213,7 @@ class Runner:
         self._block: list[Shot] = []
         """Shots so far of the block in progress."""
         self._restarts: Counter[tuple[int, int]] = Counter()
-        """By section and block."""
+        """Restarts by section and block."""
         self._interrupted: Callable[[], bool] = lambda: False
         self._locked_for = 0.0
         """Time waited for the database since the last shot, s."""

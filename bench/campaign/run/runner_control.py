@@ -39,7 +39,7 @@ from bench.campaign.statistics.analysis import decide
 from bench.config import Configuration
 from bench.network.bench_service import BenchStatus
 from bench.network.client import BenchClient
-from bench.network.lease import LONGEST_HOLDER
+from bench.network.lease import MAX_HOLDER_LENGTH
 from bench.store.air_readings import newest_reading
 from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, CampaignState
@@ -161,7 +161,7 @@ def run_campaign(
                     corrections,
                     configuration.clubs,
                     client,
-                    f"{HOLDER}{entry.id}"[:LONGEST_HOLDER],
+                    f"{HOLDER}{entry.id}"[:MAX_HOLDER_LENGTH],
                     simulated=entry.simulated,
                     monitored=bool(entry.real_time.get("launch_monitor")),
                     measured=measured,

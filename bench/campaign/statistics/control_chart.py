@@ -30,7 +30,7 @@ from bench.records.shot.shot import Shot, ShotStatus
 
 SHARE = 0.95
 """Share of a level's shots that its ellipse holds."""
-LEAST_POINTS = 4
+MIN_POINTS = 4
 """Min number of landing points of an ellipse."""
 
 
@@ -50,7 +50,7 @@ class DispersionEllipse:
     """Full length of the longer axis, m."""
     short_axis: float
     tilt: float
-    """From the target line to the longer axis, positive to the right, rad in (-pi/2, pi/2]."""
+    """Angle from the target line to the longer axis, positive to the right, in (-pi/2, pi/2] (rad)."""
     area: float
     """Unbiased, m²."""
     area_low: float
@@ -59,7 +59,7 @@ class DispersionEllipse:
 
 
 def dispersion_ellipses(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[DispersionEllipse, ...]:
-    """Return the ellipses of a section's levels that have `LEAST_POINTS` valid landing points."""
+    """Return the ellipses of a section's levels that have `MIN_POINTS` valid landing points."""
     found = []
     for name in levels(plan):
         rows = [
@@ -71,7 +71,7 @@ def dispersion_ellipses(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[Disp
             and shot.carry_m is not None
             and shot.carry_side_m is not None
         ]
-        if len(rows) >= LEAST_POINTS:
+        if len(rows) >= MIN_POINTS:
             values = np.array(rows, dtype=float)
             ball = np.unique(values[:, 2], return_inverse=True)[1]
             found.append(_ellipse(name, values[:, :2], ball, plan.analysis.confidence))
@@ -131,7 +131,7 @@ def total_covariance(points: Array, ball: Codes) -> tuple[Array, float]:
 
 _MEAN_RANGE = 1.128379167
 """Mean range of two normal values over their standard deviation."""
-LEAST_VALUES = 8
+MIN_VALUES = 8
 """Min number of values for limits."""
 
 NELSON: Mapping[int, str] = {
@@ -172,7 +172,7 @@ class ControlChart:
 def control_charts(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[ControlChart, ...]:
     """Return a section's charts: the compared quantity, and the ball speed, to which the machine is set.
 
-    Empty without a control ball, or with fewer than `LEAST_VALUES` of its values.
+    Empty without a control ball, or with fewer than `MIN_VALUES` of its values.
     """
     controls = [shot for shot in shots if shot.role == Role.CONTROL and shot.status is ShotStatus.VALID]
     column = COLUMN.get(plan.analysis.quantity, plan.analysis.quantity)
@@ -182,7 +182,7 @@ def control_charts(plan: CampaignPlan, shots: Sequence[Shot]) -> tuple[ControlCh
 
 def _chart(column: str, controls: Sequence[Shot]) -> ControlChart | None:
     measured = [(shot.shot, value) for shot in controls if (value := getattr(shot, column)) is not None]
-    if len(measured) < LEAST_VALUES:
+    if len(measured) < MIN_VALUES:
         return None
     values = np.array([value for _, value in measured], dtype=float)
     centre, sd = float(values.mean()), float(np.abs(np.diff(values)).mean()) / _MEAN_RANGE

@@ -29,7 +29,7 @@ from bench.campaign.statistics.block_model import Array, Codes, are_pooled, enou
 from bench.campaign.statistics.unequal_variances import Draws, UnitLayout, drawn_pairs, together, units_of
 from bench.records.shot.shot import Shot
 
-_MOST = 1_000_000
+_MAX_BLOCKS = 1_000_000
 """Max number of blocks that is searched."""
 
 
@@ -68,7 +68,7 @@ def blocks_needed(chance: Callable[[int], float], power: float) -> int | None:
     high = 2
     while chance(high) < power:
         high *= 2
-        if high > _MOST:
+        if high > _MAX_BLOCKS:
             return None
     low = max(2, high // 2)
     while low < high:
@@ -90,7 +90,7 @@ class Look(NamedTuple):
     share: float
     """Share of the section's planned shots that are done."""
     number: int
-    """From 1, looks at fewer shots counted."""
+    """Number of the look, from 1, looks at fewer shots counted."""
     alpha: float
     """Error level of this look, two-sided."""
 

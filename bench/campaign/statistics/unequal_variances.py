@@ -30,16 +30,16 @@ from bench.records.shot.shot import Shot, ShotStatus
 
 Single = NDArray[np.float32]
 
-_MOST_UNITS = 480
+_MAX_UNITS = 480
 """Max number of separate units; above it, some of one level are combined."""
 
-_MOST_CELLS = 2_400_000
+_MAX_CELLS = 2_400_000
 """Max number of shots times units, so that ten thousand shots take some ten megabytes."""
 
 _SINGULAR = 0.05
 """Share of the largest singular value below which variances of levels cannot be separated."""
 
-_LEAST = 0.1
+_MIN_VARIANCE_SHARE = 0.1
 """Lower bound of a difference's variance, as a share of the likely variance."""
 
 _FEW_UNITS = 64
@@ -113,7 +113,7 @@ class UnitErrors(NamedTuple):
         """Return standard error and degrees of freedom of a difference."""
         each = self.weights(first, second)
         # The sum of two unbiased variances is rarely negative; it is bounded by a tenth of the likely sum.
-        variance = max(float(each @ self.variances), _LEAST * float(each @ self.assumed))
+        variance = max(float(each @ self.variances), _MIN_VARIANCE_SHARE * float(each @ self.assumed))
         error, made = sqrt(max(variance, 0.0)), each @ self.inverse
         spread = float(made @ self.spread @ made)
         if spread <= 0:
@@ -123,7 +123,7 @@ class UnitErrors(NamedTuple):
 
 def units_of(level: Codes, ball: Codes, levels: int) -> Units:
     """Return the units of shots of `ball` (any codes), the same code of two levels being two balls."""
-    kept = min(_MOST_UNITS, _MOST_CELLS // max(len(level), 1))
+    kept = min(_MAX_UNITS, _MAX_CELLS // max(len(level), 1))
     most = max(kept // max(levels, 1), 4)
     of_shot = np.zeros(len(level), dtype=np.intp)
     of_level: list[int] = []
@@ -346,7 +346,7 @@ def drawn_pairs(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: floa
         squares = _squares(errors, unit, drawn[:, width:])
     first, second = np.array(pairs).T
     weights = np.array([errors.weights(one, two) for one, two in pairs])
-    share = 0.0 if errors.pooled else _LEAST  # a pooled variance is the assumed one: no bound
+    share = 0.0 if errors.pooled else _MIN_VARIANCE_SHARE  # a pooled variance is the assumed one: no bound
     least = (share / unit * (weights @ errors.assumed)).astype(np.float32)
     variances = np.maximum(squares @ (weights @ errors.inverse).T.astype(np.float32), least)
     dof = np.array([min(errors.of_pair(one, two)[1], most, 1e6) for one, two in pairs])

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from sim.plant import PlantParameters
 
 _LOOK = 0.005
-"""s between two looks at the plant."""
+"""Period of reading the plant (s)."""
 _ATTACH = 0.5
-"""s between two looks whether there is a plant."""
+"""Period of looking for a plant (s)."""
 
 
 def _share(of: str) -> Any:

@@ -194,7 +194,7 @@ def take_lease(
     """Take the lease; the commands that follow use and renew it."""
     from bench.commands.bench.lease_file import open_lease_file
     from bench.network.client import CommandRefused
-    from bench.network.lease import DEFAULT
+    from bench.network.lease import DEFAULT_SECONDS
 
     name = holder or user_name()
     with _client(context) as bench, open_lease_file(_folder(), bench.bench) as file:
@@ -210,7 +210,7 @@ def take_lease(
                 file.write(replace(kept, sequence=kept.sequence + _MIN_MARGIN))
                 typer.echo(f"bench {bench.bench}: {name} holds it for {left:g} s more")
                 return
-        held = bench.take_lease(name, DEFAULT if seconds is None else seconds)
+        held = bench.take_lease(name, DEFAULT_SECONDS if seconds is None else seconds)
         file.write(held)
         typer.echo(
             f"bench {bench.bench}: {name} holds it for {held.seconds:g} s; each command renews it, "

@@ -35,10 +35,10 @@ from bench.network.status_words import (
 from drivers.base import ACTUATORS, JOINTS
 
 REDRAW = 0.2
-"""s between two pictures of `watch_status`."""
+"""Period of `watch_status` (s)."""
 
 SILENT = 1.0
-"""s without a state after which the bench counts as silent; it publishes every 0.2 s."""
+"""Time without a state after which the bench counts as silent (s); it publishes every 0.2 s."""
 
 _STALLS = {
     "preemption": "other programs",

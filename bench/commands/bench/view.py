@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from sim.plant import PlantParameters
 
 _TURN = 0.2
-"""s between two looks whether the window is still open."""
+"""Period of checking that the window is open (s)."""
 
 
 def view(

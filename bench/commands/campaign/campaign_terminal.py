@@ -33,7 +33,7 @@ from bench.commands.campaign.campaign_screen import CampaignBar
 from bench.commands.common.session import user_name
 from bench.store.records import Prompt, ShotNote
 
-LONGEST = 200
+MAX_COMMENT_LENGTH = 200
 """Max length of a comment, characters."""
 HINT = "m: mark the last shot"
 _LOOK = 0.1
@@ -91,7 +91,7 @@ def _edited(text: str, key: str) -> str:
         return text[:-1]
     if key == _CLEAR:
         return ""
-    return text + key if key.isprintable() and len(text) < LONGEST else text
+    return text + key if key.isprintable() and len(text) < MAX_COMMENT_LENGTH else text
 
 
 class MarkKeys:
@@ -121,7 +121,7 @@ class MarkKeys:
     def mark(self, text: str) -> None:
         """Mark the last shot with a comment that was typed elsewhere."""
         if last := self._last():
-            self._kept.append(ShotNote(last, datetime.now(UTC), self._line.by, text[:LONGEST]))
+            self._kept.append(ShotNote(last, datetime.now(UTC), self._line.by, text[:MAX_COMMENT_LENGTH]))
 
     def pause(self) -> None:
         """Give the terminal back for lines; a mark that is being typed is stored as it is."""

@@ -51,7 +51,7 @@ class Session:
     """Requested configuration, a path or a variant's name; None means the default one."""
     debug: bool = False
     kept: Callable[[bool], BenchClient] | None = None
-    """In the console: returns a client on its connection, for a stop (True) also of a silent bench."""
+    """Client of the console's connection, for a stop (True) also of a silent bench."""
 
     def configuration(self) -> Configuration:
         """Return the checked configuration.

@@ -209,7 +209,7 @@ def user_name() -> str:
 
 
 SIMULATED_TIMEOUT = 2.0
-"""s in which simulated hands have acted."""
+"""Timeout of simulated hands (s)."""
 
 
 def inputs(

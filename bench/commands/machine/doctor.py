@@ -86,7 +86,7 @@ class Probe(NamedTuple):
     item: str
     look: Callable[[], ItemResult]
     required: bool = False
-    """Without it nothing works, not even the simulation."""
+    """Whether everything needs it, even the simulation."""
 
 
 class Finding(NamedTuple):

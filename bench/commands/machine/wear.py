@@ -29,8 +29,8 @@ _PARTS = {
     "jump": "encoder of the {joint}: coupling, cable, latency",
     "effort": "head and shaft, or scale of the {joint} encoder",
 }
-"""Where a residual comes from, by comparison."""
-_MOST_FITTED = 40
+"""Sources of a residual, by comparison."""
+_MAX_FITTED = 40
 """Swings whose parts are fitted, evenly over all of them: 1 s each."""
 _CLEAR = 0.5
 """Share of the worn change from which a part is reported as the source of its joint's residual."""
@@ -111,7 +111,7 @@ def _worn_parts(files: Sequence[Path], plot: Path | None) -> list[PartWear]:
     from bench.commissioning.swings.wear import swing_wear, wear_plot, worn_parts
     from bench.records.telemetry.recorder import read_swing
 
-    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _MOST_FITTED)).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _MAX_FITTED)).round().astype(int))
     swings = []
     with progress_of("fitting parts", len(chosen)) as show:
         for done, k in enumerate(chosen.tolist()):

@@ -42,19 +42,19 @@ from sim.plant import PlantParameters, build_plant
 _SPEED_SPAN = 5
 """Ticks over which a speed is taken."""
 _REST = 5e-4
-"""rad by which a joint at rest moves at most."""
+"""Max movement of a joint at rest (rad)."""
 _EMPTY = 0.1e5
-"""Pa above the atmosphere at which a chamber counts as empty."""
+"""Pressure above the atmosphere at which a chamber counts as empty (Pa)."""
 _LOOK = 0.4
-"""s without motion after which a vented robot rests."""
+"""Time without motion after which a vented robot rests (s)."""
 _LOST = 5
 """Ticks for which sensors may fail in a row: a bus may lose a frame."""
 _STALL, _STALL_FELT = 5.0, 0.5
 """Ticks without one that are a stall, and the time after one for which it explains lost readings (s)."""
 _STIRRED = 0.05
-"""rad by which a joint of a measured robot moves at most while the spools are centred with air on."""
+"""Max movement of a measured robot's joint while the spools are centred with air on (rad)."""
 _READY = 3.0
-"""s in which a device that was opened gives its first readings and the guard locks."""
+"""Timeout of an opened device's first readings and of the guard's lock (s)."""
 
 
 _RESUME = "continue with --resume."
@@ -296,11 +296,13 @@ class DriverMachine:
             self._next()
 
     def _revive(self) -> None:
-        """Set a device to work again that went passive by its watchdog, while the passive command holds."""
+        """Open a device again that went passive by its watchdog; wait for readings lost in a stall."""
         if not self._driver.operational:
             self._driver.close()
             self._driver.open()
-            self._await_readings()
+        elif not self._fault.text:
+            return
+        self._await_readings()
 
     def _await_readings(self) -> None:
         """Send the passive command until the machine may move.

@@ -237,8 +237,8 @@ Regulator = Callable[[float], None]
 
 SERVICE = "service"
 """Word for the pressure of service, to a program."""
-_LONGEST = 60.0
-"""s in which a program turns it."""
+_PROGRAM_TIMEOUT = 60.0
+"""Timeout of a program that turns it (s)."""
 
 
 class RegulatorNotTurned(BenchError):
@@ -286,7 +286,7 @@ def by_program(command: str) -> Regulator:
         value = SERVICE if math.isinf(pressure) else f"{1e-5 * pressure:.3f}"
         try:
             done = subprocess.run(
-                [*words, value], capture_output=True, text=True, timeout=_LONGEST, check=False
+                [*words, value], capture_output=True, text=True, timeout=_PROGRAM_TIMEOUT, check=False
             )
             found = (
                 "" if done.returncode == 0 else f"exit code {done.returncode}: {done.stderr.strip()[-200:]}"

@@ -35,7 +35,7 @@ from bench.swing.profile import Profile
 from drivers.base import Command, Readings
 
 _START, _END = 120.0, 20.0
-"""s in which the process is ready, and in which it brings the robot to rest at its end."""
+"""Timeouts of the process: ready, and robot at rest at its end (s)."""
 _LOOK = 0.1
 """Period of polling the process for events, s."""
 

@@ -32,9 +32,9 @@ from bench.loop.loop import Cycle, Cycles, Loop
 from bench.simulation.loads import Loads
 from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, return_failed
 from bench.simulation.swing_operator import (
-    LONGEST_RETURN,
-    LONGEST_STOP,
+    RETURN_TIMEOUT,
     SETTLING_TIMEOUT,
+    STANDSTILL_TIMEOUT,
     SwingOperator,
     joined,
 )
@@ -45,17 +45,17 @@ from drivers.base import Command, Driver, DriverError, Readings
 _TIMEOUT = 30.0
 """Time for which a request is repeated that the bench refuses for a passing reason (s)."""
 _ACCESS = 60.0
-"""s in which the chambers are proven empty for people."""
+"""Timeout of the proof that the chambers are empty for people (s)."""
 _PERSON = 600.0
-"""s in which a person comes to the local reset, or closes the guard."""
+"""Timeout of a person at the local reset or the guard (s)."""
 _AGAIN = 0.2
-"""s between two requests."""
+"""Time between two requests (s)."""
 _WARM_UP = 0.2
 """Time for the estimators to settle and the code to compile, before the first request, s."""
 _HOMED = 90.0
 """Max duration of homing, s."""
 _FEED = 3.0
-"""s of a ball to the tee."""
+"""Time for a ball to reach the tee (s)."""
 _REPEATED = 10
 """Max tries of an arming or a swing that stalls of this machine end, or that leave gaps in the record."""
 _SWINGS, _CHUNK = 300, 10
@@ -182,7 +182,7 @@ class LiveSeries:
         Return the stop's cause, and the stall of this machine that explains it better.
         """
         operator = self._operator
-        back = operator.run_until(lambda: operator.phase is Phase.HOLD, LONGEST_RETURN)
+        back = operator.run_until(lambda: operator.phase is Phase.HOLD, RETURN_TIMEOUT)
         cause, stall = operator.cause, self._stall()
         if not back or operator.control["reaction"][0]:
             self._require_no_stop()
@@ -217,7 +217,7 @@ class LiveSeries:
         operator = self._operator
         if operator.phase is not Phase.STANDING:
             self._ask(Request.DISARM)
-        operator.wait_for(lambda: operator.phase is Phase.STANDING, LONGEST_STOP)
+        operator.wait_for(lambda: operator.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
         self._ask(Request.ACCESS, _ACCESS)
 
     def lock(self) -> None:
@@ -260,7 +260,7 @@ class LiveSeries:
 
     def _arm_once(self) -> None:
         operator = self._operator
-        operator.wait_for(lambda: operator.phase is Phase.STANDING, LONGEST_STOP)
+        operator.wait_for(lambda: operator.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
         if self._state in _LATCHED:
             self._revive()
             self._ask(Request.RESET)
@@ -342,18 +342,18 @@ class WatchInputs(NamedTuple):
     command: Command
     before: Readings | None
     air: float
-    """Pa absolute in the manifold that end it."""
+    """Manifold pressure that ends it (Pa absolute)."""
     settled: float
-    """s"""
+    """Time without a change that ends it (s)."""
     timeout: float
-    """s"""
+    """Max duration (s)."""
 
 
 class Vent(NamedTuple):
     """Be passive until the chambers are empty; answered with the MotionTrace."""
 
     duration: float
-    """s"""
+    """Duration (s)."""
 
 
 class MakePassive(NamedTuple):

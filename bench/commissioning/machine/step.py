@@ -43,13 +43,13 @@ PARKING = 0.03
 _LADDER = (0.03, 0.05, 0.08, 0.12, 0.16)
 """Openings beyond the edge, one after the other until the joint does not move any more."""
 _RESTED, _LEVEL = 0.8, 6.0
-"""s without motion that end a level, and its max duration, s."""
+"""Time without motion that ends a level, and its max duration (s)."""
 _FILLING = 15.0
 """Max time for the driving chamber to fill, s."""
 _OWN_SHARE = 0.2
 """Share of another joint's way below which an encoder does not follow its own."""
 _JUMP = 100.0
-"""rad/s beyond which a count has jumped."""
+"""Speed beyond which a count has jumped (rad/s)."""
 _CUSHION_SHARE = 0.5
 """Share of a cushion's energy that a joint at the speed bound carries."""
 

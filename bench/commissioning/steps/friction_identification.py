@@ -65,7 +65,7 @@ _HELD = (2, 4)
 _FULL, _HALF = 2.7e5, 1.8e5
 """Pressures up to which the two are filled, Pa absolute."""
 _HOLD, _SHORT_HOLD, _DECAY = 2.5, 0.6, 1.6
-"""s"""
+"""Durations of the holds and of the decay (s)."""
 MAX_LEAKAGE = 0.008
 """Max leakage of a valve that is right, as a share of its full opening."""
 MAX_CROSS_LEAKAGE = 2e-10
@@ -186,13 +186,13 @@ _PAUSES = (0.3, 0.6)
 _SMOOTH, _SPAN = 11, 40
 """Rows of the parabola that gives a speed, and of an equation."""
 _SEEN = 1e-4
-"""rad by which a joint has moved that broke loose."""
+"""Movement of a joint that broke loose (rad)."""
 _SPACING = 10
 """Rows between those that count."""
 _CONTACT = 0.02
-"""rad from the stops in which a joint may touch them."""
+"""Distance from the stops within which a joint may touch them (rad)."""
 _SLIDING = 0.02
-"""rad/s from which a joint slides."""
+"""Speed from which a joint slides (rad/s)."""
 MASSES = (
     *(f"robot.{body}.{what}" for body in _BODIES for what in ("mass", "inertia")),
     "robot.club.head_mass",
@@ -201,16 +201,16 @@ MASSES = (
 """Masses and inertias that are fitted, by their keys."""
 _TOLERANCE = 0.07
 """Standard deviation of masses and inertias before anything was measured, as a share."""
-_LEAST_TORQUE = 0.01
+_MIN_TORQUE_SCATTER = 0.01
 """Smallest scatter of torques, N m."""
 _FRICTION = ("coulomb", "static", "viscous")
-LOWEST_SUPPLY = 6.3e5
+MIN_SUPPLY = 6.3e5
 """Min pressure in service, Pa absolute."""
 _ACCELERATION = 0.02
 """Standard deviation of the error of an acceleration that encoders give, as a share."""
 _DELAY = 0.0015
 """Standard deviation of the time, s, by which encoders may lag behind pressures."""
-_LEAST_BREAKS = 3
+_MIN_BREAKS = 3
 """Min number of break-aways of a joint for the static friction to be their median."""
 _GAUGE = 500.0
 """Min error of the supply pressure, Pa: the flow through leaking valves causes it."""
@@ -284,11 +284,11 @@ class SlowMoves:
 def _supply(trace: MotionTrace) -> ParameterEstimate:
     last = trace.supply[len(trace.supply) // 2 :]
     pressure = float(np.median(last))
-    if pressure < LOWEST_SUPPLY:
+    if pressure < MIN_SUPPLY:
         raise MachineFault(
             "supply",
             f"{1e-5 * pressure:.2f} bar absolute in service",
-            f"at least {1e-5 * LOWEST_SUPPLY:.1f} bar absolute",
+            f"at least {1e-5 * MIN_SUPPLY:.1f} bar absolute",
             "The supply is too low: check compressor, regulator, filter and hoses.",
         )
     error = max(_GAUGE, float(np.ptp(last)))
@@ -349,7 +349,9 @@ def fit_slow_moves(traces: Sequence[Sequence[MotionTrace]], plant: PlantParamete
     for _ in range(6):
         x = _solved(design, torque, weight, mean, prior)
         left = design @ x - torque
-        noise = np.array([max(1.4826 * _median(np.abs(left[joint == i])), _LEAST_TORQUE) for i in range(3)])
+        noise = np.array(
+            [max(1.4826 * _median(np.abs(left[joint == i])), _MIN_TORQUE_SCATTER) for i in range(3)]
+        )
         weight = 1.0 / np.maximum(np.abs(left) / (3.0 * noise[joint]), 1.0) / noise[joint]
     rows = np.concatenate([design * weight[:, None], np.diag(1.0 / prior)])
     error = robust_errors(rows, np.concatenate([left * weight, (x - mean) / prior]), np.concatenate(clusters))
@@ -376,7 +378,7 @@ def _static(
     """Return static friction and its error: where the joint broke loose, else by sliding friction's rise."""
     static, error = float(found[0] + found[1]), float(np.hypot(errors[0], errors[1]))
     broke = [value for trace in traces for value in break_away(trace, plant, joint)]
-    if len(broke) < _LEAST_BREAKS:
+    if len(broke) < _MIN_BREAKS:
         return static, error
     own = float(np.median(broke))
     own_error = float(np.std(broke, ddof=1)) / np.sqrt(len(broke)) + VENT_TOLERANCE * own

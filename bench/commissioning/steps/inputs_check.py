@@ -31,13 +31,13 @@ from drivers.base import CHAMBERS, Command, Readings
 PRESSURES = (2.5e5, 4.0e5)
 """Pressures at which the gauge is read, Pa absolute."""
 TOLERANCE, TOLERANCE_SHARE = 0.1e5, 0.02
-"""Pa, and share of the pressure on top, by which a sensor may differ: a gauge of class 1 to 10 bar."""
+"""Max deviation of a sensor (Pa), and share of the pressure on top: a gauge of class 1 to 10 bar."""
 _EMPTY = 0.5e5
-"""Pa above the atmosphere that the manifold may keep with the regulator turned down."""
-_LEAST_SHARE = 0.7
+"""Max manifold pressure above the atmosphere with the regulator turned down (Pa)."""
+_MIN_SHARE = 0.7
 """Share of the wanted pressure that the gauge shows at least: two readings of no air prove no span."""
 _SETTLED, _FILLED = 1.0, 3.0
-"""s without a change beyond the valves' own delays, and in which the manifold is filled."""
+"""Time without a change beyond the valves' own delays, and to fill the manifold (s)."""
 
 
 _WARNING = Command(beacon=True)
@@ -206,7 +206,7 @@ def _beside_the_gauge(
                 "check of the inputs", "the guard or the emergency stop", "closed, and clear", action
             )
         over = gauge()
-        if not over >= _LEAST_SHARE * (pressure - atmosphere):
+        if not over >= _MIN_SHARE * (pressure - atmosphere):
             raise Refused(
                 "check of the inputs",
                 f"{1e-5 * over:.2f} bar on the gauge",

@@ -44,21 +44,21 @@ _UNIT_STEPS = (1.0, 1.0, 1.0, 1.0, 0.1, 0.01, 0.01, 1e-3, 2e-11)
 """Sizes of one unit of the search: shares of the nominal value, or absolute."""
 _PRIOR = (0.3, 0.3, 0.5, 0.5, 3.0, 5.0, 5.0, 6.0, 6.0)
 """Standard deviations of the values before anything was measured, in units of the search."""
-_LOWEST = (0.3, 0.3, 0.2, 0.3, 0.5, -20.0, 0.0, 0.0, 0.0)
-_HIGHEST = (3.0, 3.0, 4.0, 3.0, 9.0, 20.0, 50.0, 100.0, 1000.0)
+_LOWER_BOUNDS = (0.3, 0.3, 0.2, 0.3, 0.5, -20.0, 0.0, 0.0, 0.0)
+_UPPER_BOUNDS = (3.0, 3.0, 4.0, 3.0, 9.0, 20.0, 50.0, 100.0, 1000.0)
 VENT_TOLERANCE = 0.02
 """Standard error of the vents' throttles, as a share."""
 _WINDOW = 0.02
 """Length of a window, s."""
 _SETTLED = 0.03
-"""s after a jump of an opening in which the spool may still move."""
+"""Time after a jump of an opening in which the spool may still move (s)."""
 _ERROR = 200.0
-"""Pa, error of a pressure at a window's end that counts as one."""
+"""Error of a pressure at a window's end that counts as one (Pa)."""
 _ZERO_ERROR = 0.005
-"""rad, error of an encoder's zero before it was found."""
+"""Error of an encoder's zero before homing (rad)."""
 _ALIKE = 5.0
 """Neighbouring windows that err alike and count as one."""
-_LEAST_SHARE = 0.01
+_MIN_ERROR = 0.01
 """Smallest standard error in units of the search: no model is truer."""
 
 
@@ -249,13 +249,13 @@ def fit_air(
         ]
         return np.concatenate([np.concatenate(measured) / _ERROR, (x - mean) / prior])
 
-    low, high = np.append(_LOWEST, -10.0), np.append(_HIGHEST, 10.0)
+    low, high = np.append(_LOWER_BOUNDS, -10.0), np.append(_UPPER_BOUNDS, 10.0)
     found = least_squares(
         residual, np.clip(mean, low + 1e-6, high - 1e-6), bounds=(low, high), xtol=1e-10, ftol=1e-10
     )
     error = robust_errors(np.asarray(found.jac), np.asarray(found.fun), clusters)
     values = (np.asarray(found.x) * unit)[:-1]
-    errors = (np.hypot(error, _LEAST_SHARE) * unit)[:-1]
+    errors = (np.hypot(error, _MIN_ERROR) * unit)[:-1]
     errors = np.where(_SCALED, np.hypot(errors, VENT_TOLERANCE * values), errors)
     # A coordinate that is wrong by opposite amounts at the two stops looks like dead volume.
     errors[2] = np.hypot(errors[2], unit[-1] * max(values[0], values[1]))

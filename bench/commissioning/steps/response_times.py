@@ -47,25 +47,25 @@ from sim.driver import joint_travel
 _STEP, _PUSH = 0.15, 0.08
 """Valve commands beyond the dead band: step of a spool, push before a joint coasts."""
 _OPEN, _BETWEEN, _PULSES = 0.06, 0.4, 5
-"""s for which a step lasts, s between two, and their number."""
+"""Duration of a step, pause between two (s), and their number."""
 _COAST, _PUSHES = 0.3, (0.3, 0.2)
 """Duration of coasting, s, and shares of the travel at which it starts."""
 _SEEN = 0.08
-"""s of a step's answer that count."""
-_SLOWEST = 2.0 * np.pi * 20.0
+"""Part of a step's response that counts (s)."""
+_MIN_FREQUENCY = 2.0 * np.pi * 20.0
 """Natural frequency of a spool below which it sticks, rad/s."""
 _MIN_COAST_SPEED = 0.05
-"""rad/s, mean speed below which a coasting joint says nothing about its encoder."""
-_LONGEST_LATENCY = 0.005
-"""s"""
-_LONGEST_DEAD_TIME = 0.010
-"""s"""
+"""Mean speed below which a coasting joint says nothing about its encoder (rad/s)."""
+_MAX_LATENCY = 0.005
+"""Max latency of an encoder (s)."""
+_MAX_DEAD_TIME = 0.010
+"""Max dead time of a valve (s)."""
 _SUBSTEPS = 8
 """Steps of a tick in which a spool's motion and the flow through it are computed."""
-_LEAST_LATENCY_ERROR = 3e-5
+_MIN_LATENCY_ERROR = 3e-5
 """Smallest standard error of the latency, s: a small part of the tick between two readings."""
 _PRESSURE_ERROR = 100.0
-"""Pa"""
+"""Standard error of a pressure (Pa)."""
 
 
 class ResponseTimes:
@@ -102,11 +102,11 @@ class ResponseTimes:
         for i, key in enumerate(ACTUATOR_KEYS):
             (value, error), dead_time = fit_spool(traces[f"{JOINTS[i]} steps"], known, i)
             dead_times.append(dead_time)
-            if value < _SLOWEST:
+            if value < _MIN_FREQUENCY:
                 raise MachineFault(
                     f"{JOINTS[i]} valve",
                     f"its spool follows with {value / (2 * np.pi):.0f} Hz only",
-                    f"at least {_SLOWEST / (2 * np.pi):.0f} Hz",
+                    f"at least {_MIN_FREQUENCY / (2 * np.pi):.0f} Hz",
                     "The spool sticks: clean the valve, check the air's filter, or replace the valve.",
                 )
             values.append(
@@ -127,7 +127,7 @@ class ResponseTimes:
         )
         if latencies:
             value, error = _weighted(np.array(latencies))
-            value, error = value + dead, float(np.hypot(np.hypot(error, dead_error), _LEAST_LATENCY_ERROR))
+            value, error = value + dead, float(np.hypot(np.hypot(error, dead_error), _MIN_LATENCY_ERROR))
             values.append(ParameterEstimate("encoders.latency", max(value, 0.0), error, "s", self.name))
         else:
             notes.append("no joint coasted: the encoders' latency stays a guess")
@@ -136,11 +136,11 @@ class ResponseTimes:
 
 def _require_quick(joint: str, latency: float, error: float) -> None:
     """Raise MachineFault if the encoder of `joint` lags by more than an encoder may."""
-    if latency - 3.0 * error > _LONGEST_LATENCY:
+    if latency - 3.0 * error > _MAX_LATENCY:
         raise MachineFault(
             f"{joint} encoder",
             f"{1e3 * latency:.1f} ms later than the pressures",
-            f"at most {1e3 * _LONGEST_LATENCY:.0f} ms",
+            f"at most {1e3 * _MAX_LATENCY:.0f} ms",
             "Check the encoder's cycle time and filters on the bus.",
         )
 
@@ -194,7 +194,7 @@ def fit_spool(
             plant, {f"{ACTUATOR_KEYS[actuator]}.valve.natural_frequency": nominal * float(x[0])}
         ).actuators[actuator]
         path = spool_path(air.command, valve.valve.half_step_matrix(air.tick).ravel())
-        air.spool = np.interp(time - _LONGEST_DEAD_TIME * x[2], time, path)
+        air.spool = np.interp(time - _MAX_DEAD_TIME * x[2], time, path)
         scaled = values.copy()
         scaled[3] *= x[1]
         content, added = air.content(scaled)
@@ -209,7 +209,7 @@ def fit_spool(
     error = robust_errors(np.asarray(found.jac), np.asarray(found.fun), clusters)
     relative = float(np.hypot(error[0], 0.01))
     frequency = nominal * float(found.x[0]), nominal * relative
-    return frequency, (_LONGEST_DEAD_TIME * float(found.x[2]), _LONGEST_DEAD_TIME * float(error[2]))
+    return frequency, (_MAX_DEAD_TIME * float(found.x[2]), _MAX_DEAD_TIME * float(error[2]))
 
 
 def _refined(trace: MotionTrace, tick: float) -> MotionTrace:

@@ -55,13 +55,13 @@ _REACH = 0.15
 _RAMP, _BASELINE = 4.0, 1.0
 """Time of a ramp from one side to the other, and of the wait before it (s)."""
 _FOOT = 1.5e3
-"""Pa by which a chamber rises where its valve begins to open."""
+"""Rise of a chamber where its valve begins to open (Pa)."""
 _ANSWER = 8e3
-"""Pa by which a chamber changes that is connected to the valve."""
+"""Change of a chamber that is connected to the valve (Pa)."""
 _SENSOR = 8e3
-"""Pa by which a sensor may differ from the atmosphere."""
+"""Max difference of a sensor from the atmosphere (Pa)."""
 _LEFT = 2e4
-"""Pa that a chamber may keep at the end of a ramp."""
+"""Max pressure of a chamber at the end of a ramp (Pa)."""
 _SUPPLY_SHARE = 0.8
 """Min share of the set gauge pressure."""
 MAX_CENTRE, MAX_BAND = 0.06, 0.10
@@ -403,7 +403,7 @@ def _stop_errors(plant: PlantParameters) -> Array:
 _BELOW, _ABOVE = 0.02, 0.08
 """Openings on this side of the rough edge and beyond it."""
 _EDGE_RAMP, _REST = 1.6, 0.8
-"""s"""
+"""Durations of the ramp over an edge and of the rest after it (s)."""
 
 
 class ValveEdges:

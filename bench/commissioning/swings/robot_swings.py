@@ -45,10 +45,10 @@ _STEP, _FINE = 1.08, 1.04
 """Factors between two speeds that are tried, and between the fastest found and the slowest failed one."""
 _TEMPI = ((0.85, 0.25), (1.1, 0.25), (1.1, 0.4))
 """Durations of backswing and top that are tried in turn, s: the first is too fast for some robots."""
-_LEAST_LEVER = 0.34
+_MIN_LEVER = 0.34
 """Min |sin beta| of the plan, 0.2 rad before the envelope's 0.15: right robots were seen 0.12 rad off."""
-_SLOWEST, _FASTEST = 20.0, 60.0
-"""m/s between which speeds are tried."""
+_MIN_SPEED, _MAX_SPEED = 20.0, 60.0
+"""Range of the speeds that are tried (m/s)."""
 
 Progress = Callable[[str], None]
 
@@ -58,7 +58,7 @@ class FastestSwing(NamedTuple):
 
     profile: Profile
     speed: float
-    """m/s"""
+    """Head speed (m/s)."""
     limit: str
     """Why a higher speed failed."""
 
@@ -73,9 +73,7 @@ def design_at(configuration: Configuration, speed: float, name: str, start: Prof
         BenchError: the package casadi is not installed.
     """
     c, near = configuration, load_profile(find_profile(_NEAR))
-    demand = demand_near(
-        c.plant, near, SwingDemand(head_speed=speed, attack=ATTACK, least_lever=_LEAST_LEVER)
-    )
+    demand = demand_near(c.plant, near, SwingDemand(head_speed=speed, attack=ATTACK, least_lever=_MIN_LEVER))
     slower = near.delivery["head_speed_mps"] / speed
     shortest, longest = demand.downswing_time
     demand = replace(demand, downswing_time=(shortest * slower, longest * max(slower, 1.0)))
@@ -99,7 +97,7 @@ def fastest_swing(configuration: Configuration, progress: Progress = lambda what
     found: Profile | None = None
     speed = load_profile(find_profile(_NEAR)).delivery["head_speed_mps"]
     done, failed, limit = 0.0, float("inf"), "faster swings are not tried"
-    while _SLOWEST <= speed <= _FASTEST and failed > _FINE * done:
+    while _MIN_SPEED <= speed <= _MAX_SPEED and failed > _FINE * done:
         progress(f"{speed:.1f} m/s")
         try:
             found = design_at(configuration, speed, "fastest", found)

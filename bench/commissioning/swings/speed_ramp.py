@@ -61,17 +61,17 @@ _MORE = (0.0, 0.1, 0.2)
 """Shares of the full speed that are added where a slow swing of the share itself is not found."""
 RESERVE = 0.95
 """Share of the fastest designed swing's speed used for 100 %: a robot is not quite as it was measured."""
-_MOST_SPEED, _MOST_PATH = 0.08, (0.15, 0.12, 0.25)
+_MAX_SPEED_ERROR, _MAX_PATH_ERROR = 0.08, (0.15, 0.12, 0.25)
 """Max error of the prediction: highest head speed, as a share of the full swing's, which loads the shock
 absorbers; joint angles up to the ball, rad."""
-_MOST_BRAKE = 0.15, 1.5
+_MAX_BRAKE_EXCESS = 0.15, 1.5
 """Max excess of a joint's speed while it brakes, as a share of the predicted one and rad/s."""
 _PREDICTIONS = 4
 """Swings of the model that predict one of the robot: friction and dead bands make each a little different."""
 _STOPPED = "stopped: "
 """Begin of the text about a swing that the bench stopped."""
 _BRAKED = 0.1
-"""s after the ball, when speeds are compared."""
+"""Time after the ball at which speeds are compared (s)."""
 _FEED_FORWARD: FeedForward = "kane+pneumatic"
 """Feed-forward of slow swings, whose valve commands are not planned."""
 _ROOM = 3.0
@@ -99,7 +99,7 @@ class RisingSwings:
     bounds_text = (
         "each designed for the robot as measured, within its shock absorbers if the ball is missed or "
         "communication is lost; the next one only if the speed differed from its prediction by at most "
-        f"{100 * _MOST_SPEED:g} % of the full one"
+        f"{100 * _MAX_SPEED_ERROR:g} % of the full one"
     )
 
     def swing(
@@ -301,8 +301,8 @@ def nearest(found: Sequence[SwingDeviation]) -> SwingDeviation:
     """Return the deviation (of at least one) from the prediction that the made swing is most like."""
 
     def off(one: SwingDeviation) -> float:
-        speed = abs(one.measured / one.predicted - 1.0) / _MOST_SPEED
-        worst = float(np.max([speed, *(one.path / _MOST_PATH)]))
+        speed = abs(one.measured / one.predicted - 1.0) / _MAX_SPEED_ERROR
+        worst = float(np.max([speed, *(one.path / _MAX_PATH_ERROR)]))
         return worst if np.isfinite(worst) else np.inf
 
     return min(found, key=off)
@@ -354,16 +354,16 @@ def require_as_predicted(
         raise SwingStopped(location, f"{_STOPPED}{CAUSE_TEXT[cause]}", "a whole swing", action)
     off = found.measured / found.predicted - 1.0
     spread = spread or PredictionSpread()
-    most = _MOST_SPEED / share + spread.speed
+    most = _MAX_SPEED_ERROR / share + spread.speed
     if not abs(off) <= most:
         said = f"head speed {100 * off:+.0f} % off its prediction"
         raise MachineFault(location, said, f"within {100 * most:.0f} %", action)
     for i, joint in enumerate(JOINTS):
-        if not found.path[i] <= (bound := _MOST_PATH[i] + spread.path[i]):
+        if not found.path[i] <= (bound := _MAX_PATH_ERROR[i] + spread.path[i]):
             away = f"the {joint} {found.path[i]:.2f} rad off its prediction"
             raise MachineFault(location, away, f"at most {bound:.2f} rad", action)
         measured, predicted = found.braking[:, i].tolist()
-        if measured > (1.0 + _MOST_BRAKE[0]) * predicted + _MOST_BRAKE[1]:
+        if measured > (1.0 + _MAX_BRAKE_EXCESS[0]) * predicted + _MAX_BRAKE_EXCESS[1]:
             raise MachineFault(
                 f"{location}, {joint}",
                 f"{measured:.1f} rad/s {1e3 * _BRAKED:.0f} ms after the ball",

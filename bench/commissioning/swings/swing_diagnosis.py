@@ -106,7 +106,7 @@ class SwingMisfit:
         self.effects = np.stack([effect(recorded, plant, self.base, one) for one in uncertain], axis=-1)
         """(k, QUANTITIES, p) by standard error."""
         self.none = self.of(self.base)
-        """Without a cause."""
+        """Misfit without a cause."""
 
     def since(self, errors: Array) -> tuple[int, Misfit]:
         """Return the first window in which the model with `errors` is the better one, and the misfit.
@@ -155,7 +155,7 @@ class FittedCause(NamedTuple):
     cause: SwingCause
     value: float
     since: float
-    """s of the record from which it acts."""
+    """Time in the record from which it acts (s)."""
     misfit: float
 
 
@@ -167,7 +167,7 @@ class Diagnosis(NamedTuple):
     fitted: tuple[FittedCause, ...]
     """The best of each place and kind, best first; none where the measured model fits."""
     misfit: float
-    """Without a cause, measured values free within their errors."""
+    """Misfit without a cause, measured values free within their errors."""
     speed: Array
     """RMS error of the joints' speeds (3,) predicted over a window, rad/s."""
     pressure: Array

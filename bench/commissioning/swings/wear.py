@@ -32,11 +32,11 @@ _ROUNDS = 2
 """Linearisations at most: large changes bend their effects."""
 _SMALL = 0.15
 """Changes, as shares of the prior, up to which one linearisation will do."""
-_LONGEST = 5.0
-"""s of a record that are fitted: a swing, or the way to a stop."""
+_MAX_FITTED_TIME = 5.0
+"""Fitted part of a record (s): a swing, or the way to a stop."""
 _CERTAIN = 3.0
 """Standard errors by which a change has to exceed zero."""
-_LOWEST = 0.05
+_MIN_SHARE = 0.05
 """Least share of a configured value that a change leaves."""
 _LITRES = 6e4
 """Litres a minute of a m3/s."""
@@ -72,7 +72,7 @@ class WearingValue(NamedTuple):
         for key in self.keys:
             value = float(value_at(plant, key))
             if self.is_share:
-                values[key] = value * max(1.0 + change, _LOWEST)
+                values[key] = value * max(1.0 + change, _MIN_SHARE)
             else:
                 values[key] = value + change if key.endswith("centre") else max(value + change, 0.0)
         return recorded, with_values(plant, values)
@@ -161,7 +161,7 @@ def fitted_wear(cycles: Cycles, plant: PlantParameters) -> SwingWear:
     moving = np.flatnonzero(cycles["phase"] != Phase.STANDING)
     end = int(moving[-1]) + 1 if len(moving) else len(cycles)
     # Also from standing: how far the supply's soft start has come is not measured.
-    used = cycles[max(end - round(_LONGEST / plant.tick), 0) : end]
+    used = cycles[max(end - round(_MAX_FITTED_TIME / plant.tick), 0) : end]
     recorded, values = RecordedSwing(used, plant), wearing_values(plant)
     prior, change = np.array([one.prior for one in values]), np.zeros(len(values))
     left, covariance = np.zeros(1), np.eye(len(values))

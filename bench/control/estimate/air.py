@@ -43,12 +43,12 @@ MOTION_MEMORY = 0.100
 """Time constant with which it follows the force that the motion needs (s): long against the noise of an
 estimated acceleration, short against a swing."""
 _LAG = 0.003
-"""s that the estimated acceleration is late."""
+"""Delay of the estimated acceleration (s)."""
 _MOVING = 0.3
-"""rad/s from which on friction is that of sliding."""
+"""Speed from which friction is that of sliding (rad/s)."""
 _CLOSE = 1e-4
-_LONGEST = 0.02
-"""s that are made up for at most after a stall."""
+_MAX_STEP = 0.02
+"""Max time that one tick makes up for after a stall (s)."""
 
 
 @compiled
@@ -122,7 +122,7 @@ def observe_air(
         supply = p.regulated if exhaust_closed else p.atmosphere
     a.pressure[12] = supply
     part = p.tick / p.substeps
-    count = int(min(step, _LONGEST) / part + 0.5)
+    count = int(min(step, _MAX_STEP) / part + 0.5)
     for i in range(3):
         position, speed = actuator_motion(robot, p, e.angle, e.velocity, i)
         wanted = applied[i] - p.centre[i]

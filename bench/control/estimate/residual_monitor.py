@@ -89,27 +89,29 @@ _MEMORY = 0.010
 _SETTLING = 0.050
 """Settling time of the observer after its start or a stall of the loop (s)."""
 _SMOOTHING = 0.020
-"""s over which torques are smoothed: the estimated acceleration is noisy, and late in a jerk."""
+"""Time constant of smoothed torques (s): the estimated acceleration is noisy, and late in a jerk."""
 _FLOW_SMOOTHING = 0.050
-"""s over which chambers are smoothed: long against noise and the shocks of a swing, short against a swing."""
+"""Time constant of smoothed chambers (s): long against noise and the shocks of a swing, short against a
+swing."""
 _BOTH = 0.2
 """Fraction of the limit that the other chamber must also exceed to identify a valve fault."""
 _CLOSE = 1e-4
 _BLOW = 0.030
-"""s for which a blow shakes all joints."""
+"""Time for which a shock shakes all joints (s)."""
 _FAST = 0.5
-"""rad/s from which on running into a cushion is a blow."""
+"""Speed from which running into a cushion is a shock (rad/s)."""
 _FAST_HEAD = 3.0
-"""m/s from which on ball or turf give the head a blow."""
+"""Head speed from which ball or turf are a shock (m/s)."""
 _NEAR_BALL = (0.08, 0.12)
-"""m to either side of the ball, and over the turf: the head's way in a tick and the ball's size."""
+"""Distances to either side of the ball, and over the turf (m): the head's way in a tick and the ball's
+size."""
 _NEAR_TURF = 0.010
-"""m"""
+"""Height over the turf (m)."""
 _BRAKED_HEAD = 1.0
 """The same in BRAKE, m/s: a stop past the no-return instant may still strike the ball, slowly, and keeps the
 limits of the phase that it began in."""
 _BRAKED_NEAR = 0.15
-"""m to either side of the ball, and over the ground."""
+"""Distance to either side of the ball, and over the ground (m)."""
 
 
 @compiled

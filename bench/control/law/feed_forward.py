@@ -25,7 +25,7 @@ from sim.pneumatics import flow
 Array = NDArray[np.float64]
 FeedForward = Literal["none", "planned", "kane", "kane+pneumatic"]
 CODES: tuple[FeedForward, ...] = ("none", "planned", "kane", "kane+pneumatic")
-"""In the order of their codes in the control record."""
+"""Feed-forwards in the order of their codes in the control record."""
 NONE, PLANNED, KANE, PNEUMATIC = range(4)
 
 _CHARGED = 0.75

@@ -22,9 +22,9 @@ from sim.plant import PlantParameters
 Array = NDArray[np.float64]
 
 _SPAN = 0.014
-"""s over which a slope is smoothed."""
+"""Time over which a slope is smoothed (s)."""
 _TURNING = 0.05
-"""rad/s over which friction changes sides."""
+"""Speed over which friction changes sides (rad/s)."""
 
 
 class ForceDemand(NamedTuple):

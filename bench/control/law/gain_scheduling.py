@@ -55,7 +55,7 @@ _ENDS = 0.02
 _JUDGED = (1, 2, 2)
 """Every so many poses of the grid bandwidths are chosen by."""
 _COARSE = 2 * np.pi * np.geomspace(1.0, 450.0, 160)
-"""rad/s"""
+"""Frequencies of the first search (rad/s)."""
 _STIFFNESS = 1.2
 _BEGIN = (
     ((0.1, 2.0), (0.14, 3.0), (0.28, 0.25)),
@@ -66,7 +66,7 @@ _BEGIN = (
 _KEPT = 1.05
 """Share of the required margins that is kept where it is judged: between those poses it may be less."""
 _SHAPES = (0.125, 4.0)
-"""Above it joints would follow a little more stiffly, and swing on for longer."""
+"""Range of the shapes; above it joints follow a little more stiffly and oscillate for longer."""
 _STEPS = (1.4, 1.12)
 _TOGETHER = ((0,), (1,), (2,), (0, 1, 2), (0, 1), (0, 2), (1, 2))
 _INTEGRAL = 0.125
@@ -204,7 +204,7 @@ class _Opened(NamedTuple):
     tolerance: Array
     """(3,) rad"""
     time: float
-    """s"""
+    """Integral time (s)."""
 
 
 def _placed(local: JointChains, bandwidths: Bandwidths, opened: _Opened) -> Array:

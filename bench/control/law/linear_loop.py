@@ -1,6 +1,6 @@
 """The closed loop of a robot linearised at an instant: estimator and PIDs, tick by tick.
 
-Modes slower than `_SLOWEST` are not judged: within a swing they do not come to show.
+Modes slower than `_MIN_FREQUENCY` are not judged: within a swing they do not come to show.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from bench.control.law.linear_plant import Complex, LinearPlant
 
 Array = NDArray[np.float64]
 
-_SLOWEST = 2 * np.pi
-"""rad/s"""
+_MIN_FREQUENCY = 2 * np.pi
+"""Lowest natural frequency of a loop (rad/s)."""
 
 
 class Estimator(NamedTuple):
@@ -108,5 +108,5 @@ def least_damping(frozen: LinearPlant, estimator: Estimator, gains: Gains, perio
     moved[:, :n] = frozen.transition
     poles = np.linalg.eigvals(np.vstack([moved + frozen.input @ opened, estimated, summed]))
     rates = np.log(poles[np.abs(poles) > 1e-9]) / period
-    rates = rates[np.abs(rates) > _SLOWEST]
+    rates = rates[np.abs(rates) > _MIN_FREQUENCY]
     return float((-rates.real / np.abs(rates)).min())

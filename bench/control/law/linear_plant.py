@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FREQUENCIES = 2 * np.pi * np.geomspace(1.0, 450.0, 600)
-"""rad/s at which responses are taken."""
+"""Frequencies of the responses (rad/s)."""
 _MOTION = 12
 """Angles, speeds, pressures."""
 _OPENED = 0.005

@@ -18,7 +18,7 @@ class Margins(NamedTuple):
     lowest_gain: float
     """Factor to which the gain may fall; 0 where it may be switched off."""
     phase: float
-    """rad"""
+    """Phase margin (rad)."""
     delay: float
     """Delay that may be added, s."""
     modulus: float

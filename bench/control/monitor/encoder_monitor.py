@@ -15,9 +15,9 @@ from bench.base.lifecycle import Cause, Phase
 from drivers.base.compiled import compiled
 
 AT_REST = 0.01
-"""rad by which no resting joint turns in a tick."""
+"""Max turn of a resting joint in a tick (rad)."""
 AT_INDEX, IN_A_BLOW = 0.005, 0.05
-"""rad by which no moving joint turns beyond what its velocity says; while the ball is struck."""
+"""Max turn of a moving joint in a tick beyond its velocity's (rad); while the ball is struck."""
 _COUNTS = 2.0
 """Counts of rounding."""
 

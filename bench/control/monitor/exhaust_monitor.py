@@ -1,8 +1,8 @@
 """Monitor of the chambers' exhausts: with the vents open a pressure must fall, also while the arms sink.
 
 The bound falls from the pressure at which the vents opened, as in a simulated chamber whose exhaust passes
-the fraction SLOWEST of its assumed flow. A chamber above it has a clogged silencer, a kinked hose or a sensor
-with a zero error. A vent's position switch shows none of these faults.
+the fraction MIN_FLOW_SHARE of its assumed flow. A chamber above it has a clogged silencer, a kinked hose or a
+sensor with a zero error. A vent's position switch shows none of these faults.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from bench.control.monitor.pressure_monitor import SWITCHING, is_alive
 from drivers.base.compiled import compiled
 from sim.dynamics import chambers
 
-SLOWEST = 1.0 / 3.0
+MIN_FLOW_SHARE = 1.0 / 3.0
 """Share of an exhaust's assumed flow below which it is a fault."""
 MARGIN = 2e3
-"""Pa between the bound and a violation: a sensor's noise and zero."""
+"""Margin between the bound and a violation (Pa): a sensor's noise and zero."""
 LATE = 0.1
 """Time above the bound after which an exhaust is too slow (s)."""
 CHAMBERS = 6
-_LONGEST = 0.02
+_MAX_STEP = 0.02
 """Longest time, s, by which a tick moves the bounds: a stalled loop has read nothing."""
 
 
@@ -36,7 +36,7 @@ def monitor_exhausts(s: Any, p: Any, robot: Any, plant: Any, e: Any, readings: A
     incremental ones are homed, a chamber's volume is unknown: none is judged, and earlier findings stay.
     """
     opened = s.venting.timer - SWITCHING
-    vent = SLOWEST * conductance_of_vents(plant, readings[0], opened)
+    vent = MIN_FLOW_SHARE * conductance_of_vents(plant, readings[0], opened)
     known = s.encoder_fault == 0 and not s.encoders_suspect and (s.homed or not p.home_by_index)
     known = known and np.isfinite(e.angle.sum() + e.velocity.sum())
     judged = vent > 0.0 and s.phase == Phase.STANDING and known
@@ -44,7 +44,7 @@ def monitor_exhausts(s: Any, p: Any, robot: Any, plant: Any, e: Any, readings: A
     s.exhausts.bound[12] = supply if p.lowest_pressure <= supply <= p.highest_pressure else plant.atmosphere
     for i in range(3):
         if judged:
-            _let_fall(s, robot, plant, e, vent, min(step, _LONGEST), i)
+            _let_fall(s, robot, plant, e, vent, min(step, _MAX_STEP), i)
         for k in range(2 * i, 2 * i + 2):
             shown, alive = s.sensors.shown[1 + k], is_alive(s.sensors, 1 + k)
             if not (judged and alive):

@@ -19,22 +19,22 @@ import numpy as np
 from drivers.base.compiled import compiled
 from sim.pneumatics import flow
 
-SLOWEST, FASTEST = 0.25, 3.0
+MIN_FLOW_SHARE, MAX_FLOW_SHARE = 0.25, 3.0
 """Fractions of the assumed dump valve's flow: silencers clog, and spools still open also take air."""
 SHUTTING = 0.3
-"""s that the supply valve may take to shut."""
+"""Max closing time of the supply valve (s)."""
 MARGIN = 0.3e5
-"""Pa between a bound and a violation: noise, and samples as old as a message."""
+"""Margin between a bound and a violation (Pa): noise, and samples as old as a message."""
 LATE, EARLY = 0.1, 0.02
 """Times above and below the bounds that count as a fault (s)."""
 PROOF_FROM = 3e5
-"""Pa from which on a venting that takes its time proves the sensor."""
+"""Pressure from which slow venting proves the sensor (Pa)."""
 PROOF_TIME = 1.5
-"""s from the shutting until a venting is over."""
+"""Time from closing until a venting is over (s)."""
 _CHOKED = 0.3
 """Critical pressure ratio of the dump valve."""
-_LONGEST = 0.02
-"""s; a longer tick does not show how fast the pressure fell."""
+_MAX_STEP = 0.02
+"""Max tick that shows how fast the pressure fell (s)."""
 
 
 @compiled
@@ -57,7 +57,7 @@ def monitor_manifold(s: Any, p: Any, plant: Any, readings: Any, powered: bool, s
     else:
         m.shut += step
         if m.shut > SHUTTING:
-            m.slow = _fallen(plant, m.slow, SLOWEST, step)
+            m.slow = _fallen(plant, m.slow, MIN_FLOW_SHARE, step)
         elif known:
             m.slow = max(m.slow, shown)
     if not known:
@@ -78,11 +78,11 @@ def _is_too_low(s: Any, plant: Any, shown: float, known: bool, step: float) -> b
     Inputs that did not arrive keep their values, and a stalled loop saw none: no fall is judged across that.
     """
     m = s.manifold
-    bound = _fallen(plant, m.fast, FASTEST, step)
+    bound = _fallen(plant, m.fast, MAX_FLOW_SHARE, step)
     if not known:
         m.fast = bound
         return False
-    if s.encoder_fault != 0 or not s.device_operational or step > _LONGEST:
+    if s.encoder_fault != 0 or not s.device_operational or step > _MAX_STEP:
         bound = -np.inf
     # One reading that is too high is no pressure to fall from.
     m.fast = max(bound, min(shown, m.before))

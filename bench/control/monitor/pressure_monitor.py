@@ -31,19 +31,19 @@ FAULTS = (
     Cause.SHUT_OFF,
     *(Cause(Cause.SHOULDER_A_EXHAUST + k) for k in range(SENSORS - 1)),
 )
-"""What `air_fault` names, by bit; the manifold by `bench.control.monitor.manifold_monitor`, the lock by
-`bench.control.monitor.guard_lock_monitor`, exhausts by `bench.control.monitor.exhaust_monitor`."""
+"""Causes of `air_fault`, by bit; the manifold is `bench.control.monitor.manifold_monitor`'s, the lock
+`bench.control.monitor.guard_lock_monitor`'s, exhausts `bench.control.monitor.exhaust_monitor`'s."""
 
 DEAD_AFTER = 0.1
 """Time without a plausible value after which a sensor counts as failed (s)."""
 RECOVERY = 0.25
-"""s of doubt that a second of believable values takes away: one value in five may be missing for ever."""
+"""Suspicion that a second of believable values takes away (s): one value in five may be missing for ever."""
 SWITCHING = 0.5
 """Max time for a vent to follow its command, in addition to its delay (s)."""
 MAX_FALL = 1.0e5
-"""Pa by which a sensor may fall from one tick to the next while the chambers vent: more is a jump."""
-_LONGEST = 0.02
-"""s that one tick adds to a doubt at most: a stalled loop has read nothing."""
+"""Max fall of a sensor in a tick while the chambers vent (Pa): more is a jump."""
+_MAX_STEP = 0.02
+"""Max time that one tick adds to a suspicion (s): a stalled loop has read nothing."""
 
 
 @compiled
@@ -55,7 +55,7 @@ def _is_believable(p: Any, pressure: float) -> bool:
 def monitor_pressures(s: Any, p: Any, readings: Any, exhaust_closed: bool, step: float, time: float) -> None:
     """Judge sensors and vents `step` s after the last tick; `exhaust_closed` was commanded in it."""
     r, sensors, vents = readings[0], s.sensors, s.vents
-    passed = min(step, _LONGEST)
+    passed = min(step, _MAX_STEP)
     # Nothing that has been open to the air for so long holds less than the atmosphere.
     emptied = s.phase == Phase.STANDING and time - s.venting.start > p.vent_timeout
     for k in range(SENSORS):

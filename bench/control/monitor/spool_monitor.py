@@ -17,7 +17,7 @@ from drivers.base.compiled import compiled
 
 RECENT = 4
 """Openings in the model's range: the present one and those of up to 3 ms ago at 1 kHz."""
-_LONGEST = 0.05
+_MAX_STEP = 0.05
 """Longest time that one tick moves the model, s; no spool is under way for longer."""
 
 
@@ -25,7 +25,7 @@ _LONGEST = 0.05
 def monitor_spools(s: Any, p: Any, plant: Any, readings: Any, step: float) -> None:
     """Judge the spools of CONTROL_STATE `s`, `step` s after the last tick, by ENVELOPE_PARAMETERS `p`."""
     spools = s.spools
-    ticks = max(int(min(step, _LONGEST) / plant.tick + 0.5), 1)
+    ticks = max(int(min(step, _MAX_STEP) / plant.tick + 0.5), 1)
     for i in range(3):
         shown = readings[0].spool_position[i]
         if not np.isnan(shown):

@@ -61,12 +61,12 @@ _MISSED = 1.5
 _REACH = 0.5
 """Share of the hold's following limit within which such a joint is left to the hold."""
 _SETTLING = 0.1
-"""s for which pressures must be as planned with all spools at rest."""
+"""Time for which pressures must be as planned with all spools at rest (s)."""
 _TIMEOUT = 6.0
-"""s without all pressures as planned at rest, after which a joint counts as late."""
+"""Time without all pressures as planned at rest, after which a joint counts as late (s)."""
 _PASSED = 0.5
-"""s after which a joint that slips through its band is caught there: its PID's integral would drive it past
-again and again, as far as the ball."""
+"""Time after which a joint that slips through its band is caught there (s): its PID's integral would drive it
+past repeatedly, as far as the ball."""
 HELD, LATE, SLIPPED = 1, 2, 4
 """Bits of `held`. Friction holds a joint. A late one is pushed free and caught, its chambers may leak.
 One that slipped past its address is only caught."""

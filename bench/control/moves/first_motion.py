@@ -18,7 +18,7 @@ from drivers.base.compiled import compiled
 
 _ANSWER = 0.05
 """Angle along with the reference by which a joint answers (rad)."""
-_LEAST = 0.005
+_MIN_OPENING = 0.005
 """Opening beyond the dead band at first."""
 _GROWTH, _LIFT = 0.02, 0.12
 """Growth of the bound while the reference moves, before and after the answer (1/s): chambers that are hardly
@@ -65,7 +65,7 @@ def bound_first(s: Any, p: Any, i: int, opening: float) -> float:
     free = s.first_motion.answered[i] != 0 and is_free(s, p, i)
     if free or not (s.moving or s.phase == Phase.HOMING) or not np.isfinite(opening):
         return opening
-    most: float = p.move_band[i] + _LEAST + s.first_motion.bound[i]
+    most: float = p.move_band[i] + _MIN_OPENING + s.first_motion.bound[i]
     return min(max(opening, -most), most)
 
 

@@ -30,26 +30,26 @@ from bench.control.moves.references import direction
 from drivers.base.compiled import compiled
 
 RAMP = 0.3
-"""s from rest to the search's speed."""
+"""Time from rest to the speed of the search (s)."""
 
 _FIRM = 0.8
 """Share of the lead at which a joint counts as pressed."""
 _RESTS = 0.005
-"""rad within which a joint rests."""
+"""Max movement of a resting joint (rad)."""
 _PRESSED = 0.001
 """Range (rad) of a joint that is pressed against its stop: its air still pushes one that creeps into it."""
 _OVERSHOOT = 0.03
 """Angle beyond the pressed stop (rad) that the impact on its spring may reach, before it rests."""
 _BEYOND = 0.1
-"""rad beyond its travel in which a joint that searches comes to rest before it turns round."""
+"""Angle beyond the travel in which a searching joint comes to rest before it turns round (rad)."""
 _EASE = 0.4
 """Share of the lead that pulls a joint off its stop: a full chamber throws it the harder the more it lags."""
 _LEASH = 1.5
 """Max lead, as a multiple of `stop_contact_lead`, while filling chambers push a joint. The search then starts
 at its angle: drawn back, it would be thrown, and the wrist would swing faster than homing allows."""
-_LONGEST_PUSH = 2.0
-"""s for which a joint may rest against its reference anywhere else: dry friction holds it as long as the air
-takes to change sides."""
+_PUSH_TIMEOUT = 2.0
+"""Max time for which a joint rests against its reference elsewhere (s): dry friction holds it as long as the
+air takes to change sides."""
 _FASTER = 12.0
 """Times the search's speed that are too fast; a joint that breaks loose from dry friction jerks."""
 
@@ -158,7 +158,7 @@ def _seek(s: Any, p: Any, e: Any, d: Any, joint: int, time: float, measured_step
     way = h.way * p.home_direction[joint]
     _push(s, p, e, joint, way * p.home_speed[joint], _RESTS, time, measured_step)
     far = way * (e.angle[joint] - h.start[joint]) > p.home_travel[joint]
-    if h.way > 0.0 and (far or time - h.pushed_since > _LONGEST_PUSH):
+    if h.way > 0.0 and (far or time - h.pushed_since > _PUSH_TIMEOUT):
         h.way, s.reference[joint] = -1.0, e.angle[joint]
         d.integral[joint] = 0.0  # what pressed it against its stop would press on
         h.since = h.pushed_since = time
@@ -235,9 +235,9 @@ def search_cause(
             beyond = p.home_direction[i] * (angle[i] - p.home_stop[i])
             rested = time - h.pushed_since
             most = p.home_stop_tolerance[i] if rested >= p.home_stop_contact_time else _OVERSHOOT
-            if not (beyond <= most and rested <= _LONGEST_PUSH):
+            if not (beyond <= most and rested <= _PUSH_TIMEOUT):
                 return Cause.SHOULDER_ZERO + i
-        elif not time - h.pushed_since <= 1.1 * _LONGEST_PUSH:
+        elif not time - h.pushed_since <= 1.1 * _PUSH_TIMEOUT:
             return Cause.SHOULDER_FOLLOWING + i
         elif not abs(angle[i] - h.start[i]) <= p.home_travel[i] + _BEYOND:
             return Cause.HOMING_FAILED

@@ -12,7 +12,7 @@ from bench.control.envelope import spare_clearance
 from drivers.base.compiled import compiled
 
 _SLACK = 0.001
-"""m by which it may sink while the air comes in."""
+"""Max sinking while the air comes in (m)."""
 
 
 @compiled

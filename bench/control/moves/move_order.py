@@ -15,7 +15,8 @@ from sim.kinematics import head_motion
 _SHOULDER = 0
 """Index of the shoulder in drivers.base.JOINTS."""
 _MIN_MARGIN = 0.030
-"""m over the required clearance that are enough: an arm that sticks until its PID moves it costs 23 mm."""
+"""Sufficient height over the required clearance (m): an arm that sticks until its PID moves it costs 23
+mm."""
 _MIN_IMPROVEMENT = 0.001
 """Required gain in ground clearance to change the order (m)."""
 _POSES = 24

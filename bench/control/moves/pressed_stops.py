@@ -22,7 +22,7 @@ Array: TypeAlias = np.ndarray[Any, Any]
 _PRESSED = 0.83
 """Fraction of the depth at full supply pressure to which homing presses a joint: 0.77 to 0.95 on simulated
 plants, which is within 0.7 mrad."""
-_LEAST_SHARE = 0.4
+_MIN_SHARE = 0.4
 """Share of the head's tolerance that is left to the zeros where stops are soft."""
 _STEP = 1e-5
 """Step of joint angles in derivatives (rad)."""
@@ -39,11 +39,11 @@ def stop_tolerance(
     """Return the max deviation (3,) rad of joints from their pressed stops.
 
     No zero that passes shifts the head at the ball by more than `head_tolerance` (m), however deep the air
-    has pressed the joint; where stops are so soft that _LEAST_SHARE holds, by that depth more.
+    has pressed the joint; where stops are so soft that _MIN_SHARE holds, by that depth more.
     """
     whole = head_tolerance / head_travel(plant, profile)
     deeper = np.abs(_pressed(plant, direction, 1.0) - pressed_stops(plant, direction))
-    return np.asarray(np.maximum(whole - deeper, _LEAST_SHARE * whole))
+    return np.asarray(np.maximum(whole - deeper, _MIN_SHARE * whole))
 
 
 def _pressed(plant: PlantParameters, direction: Sequence[int], share: float) -> Array:

@@ -25,14 +25,15 @@ from sim.pneumatics import flow
 Array = NDArray[np.float64]
 
 SETTLING = 0.5
-"""s in which the sum of two pressures comes two thirds of the way to its balance."""
+"""Time in which the sum of two pressures comes two thirds of the way to its balance (s)."""
 _PERIOD, _QUICK = 0.012, 2.0 * pi * 100.0
-"""s between two changes of side that lead the same way, for spools of at least this frequency, rad/s."""
-_WIDEST = 0.4
+"""Time between two changes of side that lead the same way (s), for spools of at least this natural frequency
+(rad/s)."""
+_MAX_AMPLITUDE = 0.4
 """Max dither amplitude of a spool, as an opening."""
 _HARMONICS = 30
 """Limit of the harmonics of a square wave; a spool follows the first few."""
-_LEAST, _MOST = 0.02, 0.98
+_MIN_SHARE, _MAX_SHARE = 0.02, 0.98
 """Shares of time between which a load must be held."""
 
 
@@ -56,9 +57,9 @@ def planned_air(plant: PlantParameters, angle: Array) -> Array:
     load = actuator_forces(plant, angle.reshape(1, 3), at_rest, at_rest)[0]
     pressures = np.zeros(6)
     for i, actuator in enumerate(plant.actuators):
-        if not _force(plant, i, _LEAST) < load[i] < _force(plant, i, _MOST):
+        if not _force(plant, i, _MIN_SHARE) < load[i] < _force(plant, i, _MAX_SHARE):
             raise ValueError(f"{ACTUATORS[i]}: cannot hold {load[i]:.0f} N (shoulder: N m) at the address")
-        share = _root(partial(_excess, plant, i, float(load[i])), _LEAST, _MOST)
+        share = _root(partial(_excess, plant, i, float(load[i])), _MIN_SHARE, _MAX_SHARE)
         pressures[2 * i : 2 * i + 2] = _balance(plant, i, share), _balance(plant, i, 1.0 - share)
         if pressures[2 * i : 2 * i + 2].max() > actuator.pressure_rating:
             raise ValueError(f"{ACTUATORS[i]}: needs more than its pressure rating at the address")
@@ -87,7 +88,7 @@ def dither_amplitudes(plant: PlantParameters, machine: Array, angle: Array) -> A
         at, step = _balance(plant, i, 0.5), 1e3
         slope = (_net(plant, i, 0.5, at - step) - _net(plant, i, 0.5, at + step)) / (2.0 * step)
         open_ = volume / (plant.supply.polytropic_exponent * slope * SETTLING)
-        widths[i] = min(valve.dead_band + (1.0 - valve.dead_band) * open_, _WIDEST)
+        widths[i] = min(valve.dead_band + (1.0 - valve.dead_band) * open_, _MAX_AMPLITUDE)
     return widths
 
 

@@ -15,7 +15,7 @@ from bench.control.moves.move_order import joint_progress, moves_arm_first
 from drivers.base.compiled import compiled
 
 _SLOW = 0.05
-"""rad/s at which a slow motion is as good as at rest."""
+"""Speed of a slow motion that counts as rest (rad/s)."""
 
 
 @compiled

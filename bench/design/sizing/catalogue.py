@@ -46,7 +46,7 @@ class CylinderPart:
 
     name: str
     bore: Annotated[float, Range(0.005, 0.3, "m")]
-    """m"""
+    """Bore (m)."""
     rod: Annotated[float, Range(0.002, 0.2, "m")]
     """Diameter of the rod, m."""
     price: PriceClass
@@ -92,7 +92,7 @@ class AbsorberPart:
     energy: Annotated[float, Range(0.1, 1000.0, "J")]
     """Energy of a stroke as it is set, J."""
     stroke: Annotated[float, Range(0.001, 0.2, "m")]
-    """m"""
+    """Stroke (m)."""
     price: PriceClass
     source: str
     rated: Annotated[float, Range(0.0, 1000.0, "J")] = field(default=0.0, metadata={"optional": True})
@@ -139,9 +139,9 @@ class HosePart:
 
     name: str
     inner_diameter: Annotated[float, Range(0.001, 0.05, "m")]
-    """m"""
+    """Inner diameter (m)."""
     length: Annotated[float, Range(0.01, 10.0, "m")]
-    """m"""
+    """Length (m)."""
     price: PriceClass
     source: str
 
@@ -173,9 +173,9 @@ class FramePart:
 
     name: str
     shoulder_lower: Annotated[float, Range(-6.0, 0.0, "rad")]
-    """rad"""
+    """Lower end of the shoulder's travel (rad)."""
     shoulder_upper: Annotated[float, Range(0.0, 6.0, "rad")]
-    """rad"""
+    """Upper end of the shoulder's travel (rad)."""
     wrist_cock: Annotated[float, Range(0.5, 2.8, "rad")]
     """Range of the wrist from the line of the arm, rad."""
     arm_body: Annotated[float, Range(0.1, 1.0, "m")]
@@ -183,7 +183,7 @@ class FramePart:
     arm_behind: Annotated[float, Range(0.0, 1.0, "m")]
     """Length of its cylinder behind the right shoulder, about which it swings, m."""
     arm_stroke: Annotated[float, Range(0.05, 1.0, "m")]
-    """m"""
+    """Stroke of the right arm (m)."""
     source: str
 
 

@@ -42,9 +42,9 @@ class SizingGrid:
     absorbers: tuple[tuple[str, str], ...] = (("A40", "A90"), ("A120", "A170"))
     """Pairs of the right arm's and the wrist's."""
     pressures: tuple[float, ...] = (8.0e5, 10.0e5)
-    """Pa absolute."""
+    """Supply pressures (Pa absolute)."""
     levers: tuple[float, ...] = (0.06,)
-    """m"""
+    """Levers of the wrist (m)."""
     lever_angles: tuple[float, ...] = (0.0,)
     """Mounting angles of the lever, rad."""
     frames: tuple[str, ...] = ("R80",)

@@ -42,15 +42,15 @@ class SizedSwing:
     """The whole swing at the demanded speed in closed loop, on the plant."""
 
     speed: float
-    """m/s; nan without a swing."""
+    """Head speed (m/s); nan without a swing."""
     failure: str
     """Why there is no swing; empty if there is one."""
     attack: float = 0.0
-    """rad"""
+    """Attack angle (rad)."""
     air: float = 0.0
     """Air taken from the feed from the start of the swing to the end of its profile, kg."""
     peak_pressure: float = 0.0
-    """Pa absolute."""
+    """Peak pressure (Pa absolute)."""
     struck: float = 0.0
     """Worst cushion energy as a share of its rating, ball struck."""
     missed: float = 0.0

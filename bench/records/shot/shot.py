@@ -72,7 +72,7 @@ class Shot:
     """"test", "control" or "warm-up"."""
     section: int = 1
     attempt: int = 1
-    """From 1; a shot that was not valid is repeated."""
+    """Number of the attempt, from 1; an invalid shot is repeated."""
     sample: int = 0
     """Number of the physical ball; 0 if balls are not distinguished."""
     air_temperature_k: float | None = None

@@ -37,7 +37,7 @@ from sim.plant import PlantParameters
 
 Cycles = np.ndarray[Any, Any]
 
-_LONGEST = 30_000
+_MAX_CYCLES = 30_000
 """Cycles that are kept of a swing."""
 _AT_THE_BALL = (Phase.COMMITTED, Phase.IMPACT, Phase.FOLLOW_THROUGH)
 
@@ -48,7 +48,7 @@ class FinishedSwing(NamedTuple):
     shot: str
     """Its id."""
     impact: float | None
-    """s, CLOCK_MONOTONIC, when the head came to the ball's place; None when it did not."""
+    """Time at which the head reached the ball's place (s, CLOCK_MONOTONIC); None if it did not."""
     struck: bool
     """A ball lay on the tee until then."""
     cycles: Cycles
@@ -96,7 +96,7 @@ class SwingWatch:
             if self._parts is not None:
                 self._parts.append(cycles[first:last])
                 self._behind.append(behind)
-                if sum(map(len, self._parts)) > _LONGEST:
+                if sum(map(len, self._parts)) > _MAX_CYCLES:
                     self._parts = None
         self._state = State(int(cycles["state"][-1]))
         return ended
@@ -128,7 +128,7 @@ NO_BALL = "no ball struck"
 UNREPORTED = "the launch monitor saw no ball"
 REFUSED = "the launch monitor's message was refused"
 CLUB_ALONE = "the launch monitor reported the club without a ball"
-_MOST_OPEN = 64
+_MAX_OPEN = 64
 """Launches that may wait for their swing; beyond that the oldest are given up as unmatched."""
 
 
@@ -198,7 +198,7 @@ class ShotMatcher:
 
     def settle(self, now: float) -> list[SettledOutcome]:
         """Return the outcomes that are settled at `now` (s, CLOCK_MONOTONIC)."""
-        while len(self._launches) > _MOST_OPEN:  # too many to be swings of this bench
+        while len(self._launches) > _MAX_OPEN:  # too many to be swings of this bench
             self._tell(Match(MatchOutcome.NO_SWING, "", self._launches[0]), None)
             self._launches = self._launches[1:]
         launches, self._clubs = join_clubs(self._launches, self._clubs)
@@ -228,8 +228,8 @@ class ShotMatcher:
     def _forget(self, now: float) -> None:
         """Drop clubs and refused messages whose swing must be settled by `now`."""
         first = now - self._window.latest - self._window.timeout
-        self._clubs = [one for one in self._clubs if one.time > first][-_MOST_OPEN:]
-        self._refused = [one for one in self._refused if one.time > first][-_MOST_OPEN:]
+        self._clubs = [one for one in self._clubs if one.time > first][-_MAX_OPEN:]
+        self._refused = [one for one in self._refused if one.time > first][-_MAX_OPEN:]
 
     def _tell(
         self, one: Match, of: tuple[int, datetime, FinishedSwing] | None, unseen: str = UNREPORTED

@@ -21,7 +21,7 @@ from drivers.launch_monitor.record import ClubFigures, LaunchRecord
 
 SHOT_VERSION = 1
 
-_LONGEST_TEXT = 300
+_MAX_TEXT_LENGTH = 300
 """Max length of a reason, characters."""
 _ACTION = "Use the same golfbench for bench and command line."
 
@@ -102,12 +102,12 @@ def read_shot_message(payload: bytes) -> ShotPublication:
 
 def shortened(text: str) -> str:
     """Return `text`, cut to the max length of a reason."""
-    return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT - 1]}…"
+    return text if len(text) <= _MAX_TEXT_LENGTH else f"{text[: _MAX_TEXT_LENGTH - 1]}…"
 
 
-LONGEST_WAIT = 60.0
-"""s that an outcome waits for the record of its swing."""
-_MOST = 64
+MAX_RECORD_WAIT = 60.0
+"""Max time for which an outcome waits for the record of its swing (s)."""
+_MAX_REMEMBERED = 64
 """Records that are remembered, and outcomes that wait."""
 
 
@@ -121,12 +121,12 @@ class ShotJoin:
     def note_record(self, shot_id: str, facts: Mapping[str, Any]) -> None:
         """Add the known keys of a shot's record."""
         self._records[shot_id] = facts
-        for old in list(self._records)[:-_MOST]:
+        for old in list(self._records)[:-_MAX_REMEMBERED]:
             del self._records[old]
 
     def note_outcome(self, message: ShotPublication, now: float) -> None:
         """Add an outcome at `now` (s)."""
-        self._waiting.append((now + LONGEST_WAIT, message))
+        self._waiting.append((now + MAX_RECORD_WAIT, message))
 
     def take(self, now: float) -> list[ShotPublication]:
         """Return the outcomes that need not or must not wait any longer, in order."""
@@ -134,7 +134,7 @@ class ShotJoin:
         for n, (last, message) in enumerate(self._waiting):
             shot = message["shot_id"]
             record = self._records.get(shot or "")
-            if shot is None or record or now > last or n < len(self._waiting) - _MOST:
+            if shot is None or record or now > last or n < len(self._waiting) - _MAX_REMEMBERED:
                 due.append({**message, **(record or {})})  # type: ignore[typeddict-item]
             else:
                 left.append((last, message))

@@ -17,13 +17,13 @@ import pyarrow as pa
 from bench.base.errors import BenchError
 from bench.records.telemetry.cycle_record import (
     FIELDS,
-    LONGEST_BATCH,
+    MAX_BATCH_CYCLES,
     SCHEMA_VERSION,
     arrow_schema,
     from_arrow,
 )
 
-_LONGEST_MESSAGE = 1 << 20
+_MAX_MESSAGE_BYTES = 1 << 20
 _VERSION_KEY = b"golfbench_schema"
 _PLACE = "telemetry message"
 _ACTION = "Let bench and viewer run the same version of golfbench."
@@ -50,13 +50,13 @@ def wire_schema() -> pa.Schema:
 
 
 def encode_batch(cycles: np.ndarray[Any, Any], sequence: int, lost: int, time: float) -> bytes:
-    """Return the message with `cycles` (1 to LONGEST_BATCH records of CYCLE); the rest as in Batch.
+    """Return the message with `cycles` (1 to MAX_BATCH_CYCLES records of CYCLE); the rest as in Batch.
 
     Raises:
         ValueError: no cycles, or too many.
     """
-    if not 1 <= len(cycles) <= LONGEST_BATCH:
-        raise ValueError(f"{len(cycles)} cycles, expected 1 to {LONGEST_BATCH}")
+    if not 1 <= len(cycles) <= MAX_BATCH_CYCLES:
+        raise ValueError(f"{len(cycles)} cycles, expected 1 to {MAX_BATCH_CYCLES}")
     schema = wire_schema()
     # As `to_arrow` does, without its table and the full schema: a third of the time, fifty times a second.
     # From buffers: `pa.array` imports pandas where it is installed, 40 MB.
@@ -86,14 +86,14 @@ def decode_batch(message: bytes) -> Batch:
     Raises:
         BenchError: the message is of another kind or version, or damaged.
     """
-    if len(message) > _LONGEST_MESSAGE:
-        raise _bad(f"{len(message)} bytes", f"at most {_LONGEST_MESSAGE}")
+    if len(message) > _MAX_MESSAGE_BYTES:
+        raise _bad(f"{len(message)} bytes", f"at most {_MAX_MESSAGE_BYTES}")
     try:
         with pa.ipc.open_stream(pa.py_buffer(message)) as stream:
             _check_schema(stream.schema)
             batch, facts = stream.read_next_batch_with_custom_metadata()
-            if not 1 <= batch.num_rows <= LONGEST_BATCH:
-                raise _bad(f"{batch.num_rows} cycles", f"1 to {LONGEST_BATCH}")
+            if not 1 <= batch.num_rows <= MAX_BATCH_CYCLES:
+                raise _bad(f"{batch.num_rows} cycles", f"1 to {MAX_BATCH_CYCLES}")
             batch.validate(full=True)
             if any(column.null_count for column in batch.columns):
                 raise _bad("a missing value", "a value in every field")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 6
 """Version of FIELDS; stored in every file and message."""
 
-LONGEST_BATCH = 64
+MAX_BATCH_CYCLES = 64
 """Max cycles in a telemetry message: with the schema it stays below 64 kB, which zenoh sends in one piece."""
 
 _CHAMBERS = tuple(chamber.replace(" ", "_").lower() for chamber in CHAMBERS)

@@ -23,7 +23,7 @@ class QueuedRecord(NamedTuple):
     path: Path
     began: datetime
     cycles: Cycles
-    """As stored: `time` from the record's begin."""
+    """Cycles of the record: `time` from the record's begin."""
     metadata: Mapping[str, Any]
 
 

@@ -53,7 +53,7 @@ from bench.swing.profile import Profile
 
 _GRID = 1024
 """`begin` is a multiple of its inverse, s."""
-_LONGEST_PROFILE = 64 << 20
+_MAX_PROFILE_BYTES = 64 << 20
 """Bytes of a profile's JSON."""
 
 
@@ -211,7 +211,7 @@ def read_profile(metadata: Mapping[str, Any], location: str) -> Profile:
     try:
         inflate = zlib.decompressobj()
         text = inflate.decompress(
-            base64.b64decode(metadata["profile"]["data"], validate=True), _LONGEST_PROFILE
+            base64.b64decode(metadata["profile"]["data"], validate=True), _MAX_PROFILE_BYTES
         )
         values = json.loads(text)
         arrays = {

@@ -188,9 +188,9 @@ class Drawing(NamedTuple):
     moving: tuple[DrawnBody, ...]
     """Each in its own frame, placed by `body_poses`."""
     fixed_in_plane: tuple[DrawnBody, ...]
-    """In the swing plane's frame."""
+    """Fixed bodies in the swing plane's frame."""
     fixed: tuple[DrawnBody, ...]
-    """In the golf frame."""
+    """Fixed bodies in the golf frame."""
 
 
 class PlacedBody(NamedTuple):

@@ -285,7 +285,7 @@ def right_arm_rod(plant: PlantParameters) -> DrawnBody:
 
 
 _MOUNT_WIDTH = 0.050
-_LEAST_MOUNT = 0.030
+_MIN_MOUNT = 0.030
 _STEEL_SHAFT = 0.1
 """Mass of a shaft per metre (kg/m) from which on it is drawn as steel."""
 _WOOD_DEPTH = 0.015
@@ -308,7 +308,7 @@ def _mount(plant: PlantParameters) -> tuple[Part, ...]:
     low, high = at.right_arm - bore_radius(plant.right_arm), at.lever + LEVER_HEIGHT / 2 + GAP
     pin = Part("pin R3", Tube((0.0, 0.0, low), (0.0, 0.0, high), PIN), STEEL)
     rest = plant.robot.club.mount_mass - pin.mass - sum(part.mass for part in lever)
-    length = max(rest / (MOUNT.density * _MOUNT_WIDTH * MOUNT_HEIGHT), _LEAST_MOUNT)
+    length = max(rest / (MOUNT.density * _MOUNT_WIDTH * MOUNT_HEIGHT), _MIN_MOUNT)
     clamp = Part("mount", Bar((length, _MOUNT_WIDTH, MOUNT_HEIGHT), (0.0, 0.0, 0.0)), MOUNT)
     return clamp, pin, *lever
 

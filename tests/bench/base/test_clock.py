@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.base.clock import LATE, LONGEST_SPIN, GridClock, absolute_sleep
+from bench.base.clock import LATE, MAX_SPIN, GridClock, absolute_sleep
 
 PERIOD = 1_000_000
 START = 5_000_000_123
@@ -39,7 +39,7 @@ class World:
         return GridClock(period, self.look, self.sleep_until)
 
 
-@pytest.mark.parametrize("latency", [0, 7_000, LONGEST_SPIN - LOOK])
+@pytest.mark.parametrize("latency", [0, 7_000, MAX_SPIN - LOOK])
 def test_grid_clock_usual_latency_keeps_ticks_on_grid(latency: int) -> None:
     world = World(latency)
     clock = world.clock()
@@ -92,7 +92,7 @@ def test_grid_clock_counts_late_wake_up() -> None:
     clock = world.clock()
     for latency, late in ((LATE, 0), (LATE + 1, 1)):
         clock.due = 0  # a new grid from here
-        world.latency = LONGEST_SPIN + latency - LOOK
+        world.latency = MAX_SPIN + latency - LOOK
         clock.wait()
         assert clock.woke == clock.due + latency
         assert clock.late == late

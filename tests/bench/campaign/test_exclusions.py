@@ -12,7 +12,7 @@ import pytest
 
 from bench.base.errors import Refused
 from bench.campaign.report.campaign_record import (
-    LONGEST_REASON,
+    MAX_REASON_LENGTH,
     CampaignRecord,
     exclude_shot,
     load_record,
@@ -125,7 +125,7 @@ def test_campaign_report_exclusion_states_previous_look(taken: CampaignRecord) -
     ("shot", "reason", "by", "undo", "message"),
     [
         (9, " ", "Ann", False, "a reason of 0 characters"),
-        (9, "x" * (LONGEST_REASON + 1), "Ann", False, "a reason of 501 characters"),
+        (9, "x" * (MAX_REASON_LENGTH + 1), "Ann", False, "a reason of 501 characters"),
         (9, "a gust", " ", False, "no name"),
         (999, "a gust", "Ann", False, "no such shot"),
         (9, "a gust", "Ann", True, "not excluded by hand"),

@@ -13,7 +13,7 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import NEEDS_LEASE, Cause, Refusal, Request, State
 from bench.network.command import (
     FORMS,
-    LONGEST_MESSAGE,
+    MAX_COMMAND_BYTES,
     PLAIN,
     REQUESTS,
     Command,
@@ -33,7 +33,7 @@ from bench.network.command import (
     parse_error,
 )
 from bench.network.lease import new_key
-from bench.swing.correction_terms import MOST_WEIGHTS
+from bench.swing.correction_terms import MAX_WEIGHTS
 
 KEY = new_key()
 KEYED = json.dumps({"version": 1, "key": KEY, "sequence": 1})
@@ -71,13 +71,13 @@ def correct(**values: Any) -> bytes:
 def test_parse_command_correct_returns_profile_and_weights() -> None:
     assert parse_command("correct", correct()) == Correct(KEY, 1, "0123456789abcdef", (0.5,))
     assert parse_command("correct", correct(weights=[])) == Correct(KEY, 1, "0123456789abcdef", ())
-    most = correct(weights=[-1.2345678901234567] * MOST_WEIGHTS)
-    assert len(most) <= LONGEST_MESSAGE
-    assert len(parse_command("correct", most).weights) == MOST_WEIGHTS  # type: ignore[union-attr]
+    most = correct(weights=[-1.2345678901234567] * MAX_WEIGHTS)
+    assert len(most) <= MAX_COMMAND_BYTES
+    assert len(parse_command("correct", most).weights) == MAX_WEIGHTS  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
-    "weights", [None, 1.0, "1", [1.6], [-1.6], ["1"], [True], [[1.0]], [0.0] * (MOST_WEIGHTS + 1)]
+    "weights", [None, 1.0, "1", [1.6], [-1.6], ["1"], [True], [[1.0]], [0.0] * (MAX_WEIGHTS + 1)]
 )
 def test_parse_command_correct_invalid_weights_are_rejected(weights: Any) -> None:
     assert refused("correct", correct(weights=weights)).location == "command correct: weights"
@@ -128,7 +128,7 @@ def test_parse_command_unknown_verb_error_lists_known_verbs() -> None:
         ("status", b'{"version": 1.0}', "command status: version", "1.0"),
         ("status", b'{"version": "1"}', "command status: version", '"1"'),
         ("status", b'{"version": 1, "Version": 1}', 'command status: "Version"', "an unknown key"),
-        ("status", b" " * LONGEST_MESSAGE + b"{}", "command status", f"{LONGEST_MESSAGE + 2} bytes"),
+        ("status", b" " * MAX_COMMAND_BYTES + b"{}", "command status", f"{MAX_COMMAND_BYTES + 2} bytes"),
         ("lease", b'{"version": 1}', "command lease: action", "missing"),
         ("lease", b'{"version": 1, "action": "steal"}', "command lease: action", '"steal"'),
         ("lease", b'{"version": 1, "action": ["take"]}', "command lease: action", '["take"]'),

@@ -18,7 +18,7 @@ from bench.base.errors import BenchError
 from bench.base.lifecycle import Request, State
 from bench.network.command import (
     CONVENIENCE,
-    LONGEST_MESSAGE,
+    MAX_COMMAND_BYTES,
     REQUESTS,
     CommandAnswer,
     Verb,
@@ -26,7 +26,7 @@ from bench.network.command import (
     parse_answer,
     parse_error,
 )
-from bench.network.command_plane import LONGEST_WAIT, QUEUE, CommandPlane
+from bench.network.command_plane import MAX_REQUEST_WAIT, QUEUE, CommandPlane
 from bench.network.lease import new_key
 from bench.network.zenoh_session import close_session, open_client, open_daemon
 from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_configuration, running_plane
@@ -274,16 +274,16 @@ def test_command_plane_invalid_message_is_answered_with_error(asker: Asker) -> N
     assert asker.error("a/b", b"{}").found == "an unknown verb"
     assert asker.error("status", b"\xff").found == "a byte at 0 that is no UTF-8"
     assert asker.error("arm", b'{"version": 1}').location == "command arm: key"
-    assert asker.error("status", b" " * (LONGEST_MESSAGE + 1)).found == "4097 bytes"
+    assert asker.error("status", b" " * (MAX_COMMAND_BYTES + 1)).found == "4097 bytes"
     assert asker.error("status", b" " * 500_000).found == "500000 bytes"
     assert asker.error("golfbench/**", b"{}").found == "an unknown verb"
     assert asker.ask("status").content["counts"]["malformed"] == 7
 
 
 def test_command_plane_attachment_counts_for_message_size(asker: Asker) -> None:
-    large = asker.send("status", encode_command(Verb.STATUS), attachment=b"x" * LONGEST_MESSAGE)()
+    large = asker.send("status", encode_command(Verb.STATUS), attachment=b"x" * MAX_COMMAND_BYTES)()
     assert isinstance(large, BenchError)
-    assert large.expected == f"at most {LONGEST_MESSAGE} bytes"
+    assert large.expected == f"at most {MAX_COMMAND_BYTES} bytes"
 
 
 @pytest.mark.parametrize(
@@ -344,7 +344,7 @@ def test_command_plane_expired_request_is_refused(
     wait_until(lambda: len(bench.service.requests) == 1)
     second = asker.send("home", encode_command(Verb.HOME, key=key, sequence=2))
     asker.ask("status")  # comes after it on the same link
-    clock.now += LONGEST_WAIT + 0.1
+    clock.now += MAX_REQUEST_WAIT + 0.1
     bench.service.free.set()
     answer = first()
     assert isinstance(answer, CommandAnswer)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from bench.network.lease import (
-    LONGEST,
-    LONGEST_HOLDER,
-    SHORTEST,
+    MAX_HOLDER_LENGTH,
+    MAX_SECONDS,
+    MIN_SECONDS,
     Lease,
     LeaseBook,
     LeaseRefused,
@@ -20,8 +20,8 @@ from bench.network.lease import (
     new_key,
 )
 
-DURATIONS = st.floats(SHORTEST, LONGEST)
-NAMES = st.sampled_from(["Ann", "Bob", "Dr. Ó Súilleabháin", "x" * LONGEST_HOLDER])
+DURATIONS = st.floats(MIN_SECONDS, MAX_SECONDS)
+NAMES = st.sampled_from(["Ann", "Bob", "Dr. Ó Súilleabháin", "x" * MAX_HOLDER_LENGTH])
 
 
 def test_lease_book_second_holder_refusal_omits_key() -> None:

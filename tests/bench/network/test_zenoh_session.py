@@ -16,7 +16,7 @@ import pytest
 
 from bench.base.errors import BenchError, ExitCode
 from bench.config import NetworkSettings, load_configuration
-from bench.network.zenoh_session import LONGEST_MESSAGE, NoAnswer, open_client, open_daemon
+from bench.network.zenoh_session import MAX_TRANSPORT_BYTES, NoAnswer, open_client, open_daemon
 from tests.bench.fake_bench_service import loopback_configuration
 
 
@@ -66,10 +66,10 @@ def test_zenoh_session_message_beyond_size_limit_is_dropped() -> None:
     arrived: list[int] = []
     with open_daemon(network) as daemon, open_client(network, "bench1") as client:
         queryable = daemon.declare_queryable("a", lambda query: arrived.append(len(query.payload or b"")))
-        for size in (LONGEST_MESSAGE // 2, LONGEST_MESSAGE + 1):
+        for size in (MAX_TRANSPORT_BYTES // 2, MAX_TRANSPORT_BYTES + 1):
             list(client.get("a", payload=b"x" * size, timeout=0.5))
         queryable.undeclare()
-    assert arrived == [LONGEST_MESSAGE // 2]
+    assert arrived == [MAX_TRANSPORT_BYTES // 2]
 
 
 def configured(folder: Path, **network: str) -> NetworkSettings:

@@ -94,7 +94,7 @@ def test_command_line_bounds_number_and_time(program: NotingProgram, monkeypatch
     with pytest.raises(Refused, match="too many"):
         golfbench.output("campaign", "air")
     golfbench._free.release()
-    monkeypatch.setattr(command_line, "LONGEST_COMMAND", 0.2)
+    monkeypatch.setattr(command_line, "COMMAND_TIMEOUT", 0.2)
     with pytest.raises(BenchError, match="still running"):
         golfbench.output("campaign", "run")
     golfbench.close()

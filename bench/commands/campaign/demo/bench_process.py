@@ -24,7 +24,7 @@ from bench.supervisor.daemon import Daemon
 from drivers.base import DriverError
 
 _LOOK = 0.5
-"""s between two looks at the parent."""
+"""Period of checking the parent (s)."""
 
 
 @dataclass(frozen=True)

@@ -231,9 +231,9 @@ def _way_to_open(path: Path) -> str:
 
 
 _START = 400.0
-"""s that the bench may take to start: the first time everything is compiled."""
+"""Timeout of the bench's start (s): the first one compiles everything."""
 _END = 40.0
-"""s in which it must have brought the robot to rest."""
+"""Timeout of bringing the robot to rest (s)."""
 
 
 def demo_configuration(configuration: Configuration, data_dir: Path, *, live: bool) -> Configuration:

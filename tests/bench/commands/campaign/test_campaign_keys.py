@@ -25,7 +25,7 @@ from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.run.runner_control import new_entry
 from bench.commands.campaign.campaign import _local_store, _marker
 from bench.commands.campaign.campaign_screen import CampaignBar
-from bench.commands.campaign.campaign_terminal import HINT, LONGEST, MarkLine, mark_keys
+from bench.commands.campaign.campaign_terminal import HINT, MAX_COMMENT_LENGTH, MarkLine, mark_keys
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
@@ -50,7 +50,7 @@ def note(shot: int, text: str) -> ShotNote:
         ("mKühler 打\tx\n", [note(7, "Kühler 打x")]),
         ("q\n x", []),
         ("mone\nmtwo\n", [note(7, "one"), note(7, "two")]),
-        (f"m{'x' * 999}\n", [note(7, "x" * LONGEST)]),
+        (f"m{'x' * 999}\n", [note(7, "x" * MAX_COMMENT_LENGTH)]),
     ],
 )
 def test_mark_line_keys_edit_comment(keys: str, found: list[ShotNote]) -> None:

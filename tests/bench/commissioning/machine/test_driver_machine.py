@@ -95,3 +95,11 @@ def test_driver_machine_pressures_lost_with_all_encoders_raise_stalled(
         assert type(refused.value) is error
         assert "supply" in refused.value.found
         assert ("all encoders were silent at once" in refused.value.found) is (silent == 3)
+
+
+def test_driver_machine_venting_after_stall_waits_for_pressures() -> None:
+    with DriverMachine(SilentDriver(build_plant(PLANT)), PLANT) as machine:
+        with pytest.raises(Stalled):
+            machine.run((Segment(0.3, (0.0, 0.0, 0.0)),), BOUNDS)
+        machine.vent()
+        machine.run((Segment(0.3, (0.0, 0.0, 0.0)),), BOUNDS)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from bench.base.errors import BenchError
 from bench.records.shot.shot_message import (
-    LONGEST_WAIT,
+    MAX_RECORD_WAIT,
     ShotJoin,
     ShotPublication,
     launch_from_json,
@@ -127,8 +127,8 @@ def test_shot_join_outcome_without_record_is_returned_after_wait() -> None:
     join.note_outcome(outcome(None), 0.0)
     join.note_outcome(outcome("a"), 0.0)
     assert join.take(0.0) == [outcome(None)]  # no swing, no record
-    assert join.take(LONGEST_WAIT) == []
-    assert join.take(LONGEST_WAIT + 0.1) == [outcome("a")]
+    assert join.take(MAX_RECORD_WAIT) == []
+    assert join.take(MAX_RECORD_WAIT + 0.1) == [outcome("a")]
 
 
 def test_shot_join_pending_entries_are_bounded() -> None:

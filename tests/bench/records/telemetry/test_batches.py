@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from bench.base.errors import BenchError
 from bench.records.telemetry.batches import decode_batch, encode_batch, wire_schema
-from bench.records.telemetry.cycle_record import CYCLE, FIELDS, LONGEST_BATCH, arrow_schema
+from bench.records.telemetry.cycle_record import CYCLE, FIELDS, MAX_BATCH_CYCLES, arrow_schema
 
 
 def some_cycles(count: int, seed: int = 0) -> np.ndarray[Any, Any]:
@@ -42,7 +42,7 @@ def parts(count: int = 2) -> pa.RecordBatch:
         return stream.read_next_batch()
 
 
-@given(st.integers(1, LONGEST_BATCH), st.integers(0, 1000), st.integers(1, 2**62), st.floats(0, 1e10))
+@given(st.integers(1, MAX_BATCH_CYCLES), st.integers(0, 1000), st.integers(1, 2**62), st.floats(0, 1e10))
 def test_decode_batch_restores_cycles_bit_for_bit(count: int, seed: int, sequence: int, time: float) -> None:
     cycles = some_cycles(count, seed)
     batch = decode_batch(encode_batch(cycles, sequence, seed, time))
@@ -52,7 +52,7 @@ def test_decode_batch_restores_cycles_bit_for_bit(count: int, seed: int, sequenc
 
 
 def test_encode_batch_longest_batch_fits_size_limit() -> None:
-    assert len(encode_batch(some_cycles(LONGEST_BATCH), 2**62, 2**62, 1e9 / 3)) < 65_000
+    assert len(encode_batch(some_cycles(MAX_BATCH_CYCLES), 2**62, 2**62, 1e9 / 3)) < 65_000
 
 
 def test_encode_batch_stream_carries_names_and_version() -> None:
@@ -64,7 +64,7 @@ def test_encode_batch_stream_carries_names_and_version() -> None:
     assert dict(facts) == {b"sequence": b"5", b"lost": b"2", b"time": b"7.5"}
 
 
-@pytest.mark.parametrize("count", [0, LONGEST_BATCH + 1])
+@pytest.mark.parametrize("count", [0, MAX_BATCH_CYCLES + 1])
 def test_encode_batch_invalid_cycle_count_raises_error(count: int) -> None:
     with pytest.raises(ValueError, match="cycles"):
         encode_batch(np.zeros(count, CYCLE), 1, 0, 0.0)
@@ -136,4 +136,4 @@ def test_decode_batch_damaged_message_gives_cycles_or_bench_error(data: st.DataO
     except BenchError:
         return
     assert batch.cycles.dtype == CYCLE
-    assert 1 <= len(batch.cycles) <= LONGEST_BATCH
+    assert 1 <= len(batch.cycles) <= MAX_BATCH_CYCLES
