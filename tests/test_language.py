@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -186,6 +187,38 @@ def test_functions_stay_within_line_limit() -> None:
         and (node.end_lineno or 0) - node.lineno >= MAX_LINES
     }
     assert long == WHOLE
+
+
+def field_docstrings() -> Iterator[tuple[str, str]]:
+    """Yield path and line, and the docstring, of each field and constant of PACKAGES."""
+    for path, tree in parsed().items():
+        for node in ast.walk(tree):
+            body = node.body if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) else []
+            for assigned, after in pairwise(body):
+                match assigned, after:
+                    case ast.Assign() | ast.AnnAssign(), ast.Expr(value=ast.Constant(value=str(text))):
+                        yield f"{path}:{after.lineno}", text
+
+
+def test_field_docstrings_begin_with_noun() -> None:
+    words = (
+        "s|m|rad|Pa|m/s|rad/s|ms|ns|J|Of|By|In|To|For|From|With|Without|At|Beyond|Below|Above|As|Where|After"
+        "|Before|What"
+    )
+    texts = list(field_docstrings())
+    assert len(texts) > 2000
+    assert [place for place, text in texts if re.match(rf"({words})\b", text)] == []
+
+
+def test_limits_are_named_min_or_max() -> None:
+    pattern = re.compile(r"_?(LONGEST|SHORTEST|LEAST|MOST|GREATEST|SLOWEST|FASTEST)(_[A-Z_]+)?$")
+    names = {
+        f"{path}:{node.id}"
+        for path, tree in parsed().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Name) and pattern.match(node.id)
+    }
+    assert names == set()
 
 
 def test_formatter_skips_stay_within_limit() -> None:

@@ -105,7 +105,7 @@ class ControlSettings:
     dither_period: Positive = 0.03
     """Period of the dither (s)."""
     dither_delay: NotNegative = 0.25
-    """Time from the start of a swing (s): by then the club is away from the ball."""
+    """Delay from the start of a swing (s): by then the club is away from the ball."""
     move_gain: NotNegativeTriple = (0.08, 0.06, 0.02)
     """Opening per rad/s of reference speed in slow moves, set by hand."""
     brake_gain: NotNegativeTriple = (0.170, 0.065, 0.093)
@@ -155,7 +155,7 @@ class LifecycleSettings:
     """Max pressure of chambers and manifold for a reset, homing and arming, Pa absolute. Access requires a
     pressure that holds nothing up, about 1.05 bar, which follows from the plant."""
     vent_timeout: Positive = 10.0
-    """Max time until they are empty; without chamber sensors the proof itself (s)."""
+    """Max time until the chambers are empty; without their sensors the proof itself (s)."""
     rest_time_vented: NotNegative = 2.0
     """Time at rest with empty chambers until they count as vented (s)."""
     rest_time_without_encoders: NotNegative = 10.0
@@ -172,7 +172,7 @@ class LifecycleSettings:
     local_reset_time: Positive = 10.0
     """How long a press of it counts for one reset or secure, s."""
     hold_between_swings: bool = False
-    """Whether the address is held for the next swing after a swing, instead of venting."""
+    """Whether the robot holds the address after a swing, instead of venting."""
     supervisor_timeout: Positive = 0.5
     """Silence of the supervisor that counts as its death, s."""
 
@@ -202,7 +202,7 @@ class HomingSettings:
     stop_contact_lead: PositiveTriple = (0.15, 0.12, 0.20)
     """Lag of a joint behind its reference at its stop, which presses it there firmly (rad)."""
     stop_contact_time: Positive = 0.15
-    """Time of rest there (s)."""
+    """Time of rest at the stop (s)."""
     order: tuple[JointName, JointName, JointName] = ("wrist", "arm", "shoulder")
     """Order in which the joints search, one at a time."""
     direction: tuple[Direction, Direction, Direction] = (-1, -1, -1)
@@ -360,8 +360,8 @@ class EnvelopeSettings:
     min_supply_pressure: Positive = 6.5e5
     """Pressure below which no swing begins (Pa absolute)."""
     max_supply_pressure: Positive = 8.8e5
-    """Pressure at most where the manifold's relief valve opens, Pa absolute; above it the robot becomes
-    faster than its profile."""
+    """Pressure above which no swing begins, at most where the manifold's relief valve opens (Pa absolute);
+    above it the robot becomes faster than its profile."""
     clearance: NotNegative = 0.015
     """Head over ground outside the ball's window, m in the swing plane."""
     ball_window: Positive = 0.60

@@ -57,6 +57,7 @@ _ANGLE, _OPENING, _PRESSURE = 0.003, 0.03, 5e3
 _PRIOR = 0.4
 """Standard deviation of the parameters before anything was recorded: wear makes 1.4 times the friction."""
 _MAX_DECREASE, _MAX_INCREASE = 0.5, 1.0
+_SUPPLY_START = 1.0 - 0.9 * _MAX_DECREASE, 1.0 + 0.9 * _MAX_INCREASE
 _STEP = 0.05
 _LATENCY = 5.0
 """Latency that counts as much as a factor of two (ms)."""
@@ -172,9 +173,7 @@ def identify(
     if np.linalg.norm(found.fun[: -len(free)]) > _POOR:
         # The search may have ended at a supply too weak to swing: start from the measured one.
         supply = np.mean([cycles["supply_pressure"][0] for cycles in observed]) / bench.model.supply.pressure
-        start[free == NAMES.index("supply pressure")] = np.clip(
-            supply, 1 - 0.9 * _MAX_DECREASE, 1 + 0.9 * _MAX_INCREASE
-        )
+        start[free == NAMES.index("supply pressure")] = np.clip(supply, *_SUPPLY_START)
         found = min(found, searched(start), key=lambda one: float(one.cost))
     before, after = (float(np.linalg.norm(e[: -len(free)])) for e in (nominal, found.fun))
     error = _standard_errors(np.asarray(found.jac), after, 1.0 / weight**2, free)
