@@ -21,11 +21,11 @@ lies off centre along the line in which the swing plane cuts the face: one in-pl
 Collision: contact lasts 0.45 ms, in which the shaft takes no part: the head is a free rigid body. A club with
 `tangential_stiffness` has the contact of `sim.contact`: springs along and across the face, with friction.
 Without it (0), Newton's restitution holds along the normal. The friction impulse is the fraction
-`tangential_factor` of the one that would end all slip (the ball rolls at exit, Penner 2001), less where
+`tangential_factor` of the one that would end all slip (the ball rolls at exit, Penner 2001). It is less where
 Coulomb friction does not suffice or where it would gain energy. Restitution is that at an approach of 40 m/s
 and changes by `restitution_slope` with it. Gear effect needs no formula: it comes from the head's inertia and
-the depth of its centre of mass, which also lets the head yield to friction and takes about 5 % from the
-spin of Penner's point mass.
+the depth of its centre of mass. This also lets the head yield to friction and takes about 5 % from the spin
+of Penner's point mass.
 """
 
 from __future__ import annotations

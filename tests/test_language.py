@@ -68,6 +68,9 @@ WHOLE = {
 MAX_WORDS = 23_100
 """Of all hand-written documents; bars and rules of tables are none."""
 
+MAX_LONG_SENTENCES = 34
+"""Sentences of docstrings with more than 30 words; the rest are lists and formulas."""
+
 MAX_SKIPS = 9
 """Tables that the formatter is kept from."""
 
@@ -208,6 +211,13 @@ def test_field_docstrings_begin_with_noun() -> None:
     texts = list(field_docstrings())
     assert len(texts) > 2000
     assert [place for place, text in texts if re.match(rf"({words})\b", text)] == []
+
+
+def test_docstring_sentences_have_at_most_thirty_words() -> None:
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    nodes = (node for tree in parsed().values() for node in ast.walk(tree) if isinstance(node, documented))
+    sentences = (s for node in nodes for s in re.split(r"(?<=[.:;])\s", ast.get_docstring(node) or ""))
+    assert len([s for s in sentences if len(s.split()) > 30]) <= MAX_LONG_SENTENCES
 
 
 def test_limits_are_named_min_or_max() -> None:

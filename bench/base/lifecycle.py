@@ -1,7 +1,7 @@
 """States of the bench, phases of a swing, causes of a stop, and the tables of transitions and reactions.
 
 `TRANSITIONS` has the transitions between states, `STOP_REACTIONS` the reaction to a cause. At 40 m/s the
-robot carries about 230 J and compressed air governs its motion, so the safe reaction depends on the phase and
+robot carries about 230 J and compressed air governs its motion. So the safe reaction depends on the phase and
 on the sensors and valves that still work. The compiled control step reads them as `transition_table` and
 `reaction_table`.
 """

@@ -4,10 +4,10 @@ Columns have the names of the shot table or of exports by TrackMan and Foresight
 in a row below. `flight` numbers the flights where points are given. An empty cell is a figure that was not
 measured; direction and spin axis default to 0, the air to that of `sim.air.Air`.
 
-Read are UTF-8 and UTF-16, the separators comma, semicolon and tab (also named by a first line `sep=;`), lines
-before the header, a row of units below it, and headers that are repeated. Rows of averages and deviations are
-left out. Column names are compared in lower case, words joined by underscores: "Ball Speed (mph)" is
-"ball_speed_mph".
+UTF-8 and UTF-16 are read, with the separators comma, semicolon and tab (also named by a first line `sep=;`).
+Lines before the header, a row of units below it, and repeated headers are accepted. Rows of averages and
+deviations are left out. Column names are compared in lower case, words joined by underscores: "Ball Speed
+(mph)" is "ball_speed_mph".
 """
 
 from __future__ import annotations

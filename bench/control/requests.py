@@ -54,8 +54,8 @@ def monitor_local_reset(s: Any, readings: Any, time: float) -> None:
     """Record a press of the local reset, and discard one that an open interlock has made void.
 
     Inputs that do not arrive read False: a low level counts only while the device answers and the emergency
-    stop circuit is seen closed, so that a stuck button gives no edge when a lost link comes back. A press
-    before an interlock opened is void: the person who gave it did not see the later events.
+    stop circuit is seen closed. So a stuck button gives no edge when a lost link comes back. A press before
+    an interlock opened is void: the person who gave it did not see the later events.
     """
     r = readings[0]
     note_local_reset(s, r.local_reset, time)

@@ -1,7 +1,7 @@
 """Blind brakes: patterns that stop the robot from each instant of a swing without encoders.
 
 From the nominal states at each row a compass search (Kolda, Lewis and Torczon 2003) looks for a pattern of
-openings and durations, starting from centred spools and from the row's pattern of the starting swing. A
+openings and durations. It starts from centred spools and from the row's pattern of the starting swing. A
 candidate that is good enough is taken as it is. Rows for which none is found search on from the patterns of
 the rows around them: the cost has many local minima, and a pattern for 20 ms later often stops the robot now.
 The search is deterministic.

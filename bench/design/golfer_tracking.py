@@ -1,7 +1,7 @@
 """A golfer's motion as a demand on the designer: as close as the robot can, at the golfer's head speed.
 
 The robot starts from the human's top as far as its ranges go, takes his or her time for the backswing and
-about as long for the downswing, and keeps close to the human's joint angles by least squares, each counted in
+about as long for the downswing. It keeps close to the human's joint angles by least squares, each counted in
 its range. A golfer's downswing starts from rest and is followed unmodified. Hunt's functions alone begin it
 at full speed, which no machine does: where the shoulder has room behind their top, the robot begins there,
 `RUN_UP` earlier. A motion out of reach is not scaled; the deviation shows it. If the demand itself is out of

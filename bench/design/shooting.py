@@ -1,8 +1,8 @@
 """One trial of a downswing: valve openings played on the plant, to the ball and past it.
 
 Every trial runs on the plant itself with its air, stops, valves, friction and impact, which needs no second
-model of the robot. A trial gives the arrival of the head at the ball, and the cushions' loads when the ball
-is struck, when it is missed, and after a loss of communication on the way.
+model of the robot. A trial gives the arrival of the head at the ball and the cushions' loads: ball struck,
+ball missed, and loss of communication on the way.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Identification: which robot swings as the recorded one did? Least squares on the simulated response.
 
 The parameters are factors on the configured plant, and the encoders' latency. A trial arms the plant with
-them, lets it swing as the recorded one did, and compares angles, valve openings, supply pressure and, where
+them and lets it swing as the recorded one did. It compares angles, valve openings, supply pressure and, where
 they are fitted, chamber pressures up to the impact window. In closed loop, errors that feedback suppresses in
 the angles appear in the openings. Openings are smoothed: their quick part is dither and noise.
 """

@@ -7,12 +7,12 @@ minimises
     + effort^2 |weights|^2
 
 as predicted, within bounds on the weights and a trust radius around the best swing so far. The prediction is
-linear: the model's response is the prior mean, every swing is an observation of it, with the scatter between
-swings as noise and less weight the farther its weights are from the best one's (Bayesian linear regression).
-So the response becomes the robot's own, and one lucky swing is not taken for a good one. A stopped swing
-counts as failed: its record up to the stop still counts for the path, and the radius is halved. Without
-planned air at the address the first swing after arming begins with other air than those that follow: it
-counts with more noise for the next step, and confirms nothing.
+linear: the model's response is the prior mean, every swing is an observation of it. Its noise is the scatter
+between swings, and its weight is less the farther its weights are from the best one's (Bayesian linear
+regression). So the response becomes the robot's own, and one lucky swing is not taken for a good one. A
+stopped swing counts as failed: its record up to the stop still counts for the path, and the radius is halved.
+Without planned air at the address the first swing after arming begins with other air than those that follow:
+it counts with more noise for the next step, and confirms nothing.
 
 For an identified robot more is known before the first swing: where to begin, the expected delivery there, and
 a better response.

@@ -1,8 +1,8 @@
 """Learn a swing: swing, evaluate, correct, swing again; also from swings of an identified robot.
 
 An identified robot swings nearly as the recorded one did. The remaining difference in delivery, by the same
-measuring chain, is known from the recorded swings. It changes little from one correction to the next, so the
-identified robot learns a target that is lower by it, and the first swing of the robot itself has neither the
+measuring chain, is known from the recorded swings. It changes little from one correction to the next. So the
+identified robot learns a target that is lower by it. The first swing of the robot itself has neither the
 model's error nor the identification's.
 """
 

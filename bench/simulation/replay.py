@@ -7,8 +7,8 @@ The command is compared with the one truly applied. While the device had itself 
 own command, which is not compared. A tick that failed in the driver's write cannot be repeated: from
 there on the record may differ.
 
-For wear, how near a swing came to the limits of the model-based check, the record is replayed with the
-observer on and without a limit that could stop it, so that a record made with the check off shows it as well.
+For wear, the record is replayed with the observer on and without a limit that could stop it. This shows how
+near a swing came to the limits of the model-based check, also for a record made with the check off.
 """
 
 from __future__ import annotations

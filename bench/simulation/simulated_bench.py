@@ -155,8 +155,8 @@ def simulate_swings(
 
     Yields each result as soon as the robot is back at address. A swing that ends in a stop is the last:
     nothing re-arms automatically. When `stop` (see `bench.base.interrupt.deferred_interrupt`) becomes true,
-    the robot is brought to rest by the stopping table, the passive command is sent, and the result yielded
-    last is `interrupted`, unless the robot was at address.
+    the stopping table brings the robot to rest and the passive command is sent. The result yielded last is
+    `interrupted`, unless the robot was at address.
 
     Raises:
         Refused: the robot does not reach its address.

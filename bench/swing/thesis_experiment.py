@@ -13,10 +13,9 @@ Left open there, and chosen here:
 - Where the tables count from, see `ADDRESS_ROD`. After the last sample they are held.
 
 Its reference swing are the tables of Appendix B, sample by sample. Each axis has separate time and value
-vectors; the values are tanh curves over an abscissa that is not time. Between samples the thesis'
-simulation interpolates linearly. Three seams of the original are kept: the backswing ends at 0.68 s and the
-downswing starts at 0.686 s, the wrist has two samples at 0.4 s, and each curve jumps a little where two
-pieces meet.
+vectors; the values are tanh curves over an abscissa that is not time. Between samples the thesis' simulation
+interpolates linearly. Three seams of the original are kept: the backswing ends at 0.68 s and the downswing
+starts at 0.686 s; the wrist has two samples at 0.4 s; and each curve jumps a little where two pieces meet.
 
 The thesis does not say where the right arm's displacement and the shoulder's offset count from: here both
 follow from the geometry, see `ADDRESS_ROD` and `joint_reference`.

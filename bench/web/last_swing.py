@@ -1,8 +1,8 @@
 """The last swing for the page: figures, head speed, tracking, pressures and club path.
 
-Its curves are shown while it runs and its figures when it ends, from the loop's ring in shared memory, and
-all again when its record is stored, half a second after the robot is back at its address. A thread of low
-priority reads both: the loop of a bench on the same machine does not notice.
+Its curves are shown while it runs and its figures when it ends, from the loop's ring in shared memory. All
+are shown again when its record is stored, half a second after the robot is back at its address. A thread of
+low priority reads both: the loop of a bench on the same machine does not notice.
 """
 
 from __future__ import annotations

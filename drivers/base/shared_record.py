@@ -1,6 +1,6 @@
 """One record in shared memory: one process writes, any others read its newest value, never a torn one.
 
-Four slots (`drivers.base.mapped_slots`) take the values in turn, so a reader has the time of three writes to
+Four slots (`drivers.base.mapped_slots`) take the values in turn. So a reader has the time of three writes to
 copy one, and a writer stopped or killed in the middle of a write leaves the value before to be read.
 """
 

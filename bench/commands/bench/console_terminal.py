@@ -1,8 +1,8 @@
 """The terminal while a command of the console runs: the stop key works, the last line shows the state.
 
-A thread reads the keys and passes them on to the command through a pseudo-terminal, so that questions, the
-key that marks a shot, and Ctrl-C work as outside the console. Keys that the command does not read are
-dropped: a line typed ahead never moves the robot.
+A thread reads the keys and passes them on to the command through a pseudo-terminal. Questions, the key that
+marks a shot, and Ctrl-C work as outside the console. Keys that the command does not read are dropped: a line
+typed ahead never moves the robot.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Wear of each part, from recorded swings.
 
-Each value that wear changes is fitted to short predictions of a swing (`short_predictions`), all at once, so
-that a moved centre is not taken for a leak, nor dry friction for a slow spool. It is the recorded
-configuration's value plus a change, whose prior is as wide as wear goes. The limit of a change is half to
-two thirds of the one at which the model-based check stops fault-free swings.
+Each value that wear changes is fitted to short predictions of a swing (`short_predictions`), all at once. So
+a moved centre is not taken for a leak, nor dry friction for a slow spool. It is the recorded configuration's
+value plus a change, whose prior is as wide as wear goes. The limit of a change is half to two thirds of the
+one at which the model-based check stops fault-free swings.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ bounded by travel, time, speed and following error instead. The encoder itself s
 index; the angle, from there on the joint's, is taken over without a jump of the velocity
 (`bench.control.step.estimate_tick`).
 
-No output of the bench lowers the supply's pressure. The openings of the valves are bounded instead, which
+No output of the bench lowers the supply's pressure. The openings of the valves are bounded instead. This
 bounds the flow and so the speed at which a joint can move, not the force at which it presses against an
 obstacle; the following error ends that.
 """

@@ -1,6 +1,6 @@
 """Chamber pressures that a profile plans for its address: the balance under load with a dithered spool.
 
-A spool that fills one chamber for a share of the time, and exhausts the other meanwhile, drives each chamber
+A spool may fill one chamber for a share of the time and exhaust the other meanwhile. This drives each chamber
 to the pressure at which its inflow and outflow are equal. One share gives the force that holds the joint at
 the address without friction. Its pressures are planned, as the robot reaches and keeps them automatically.
 """

@@ -1,6 +1,6 @@
 """Which cycles belong to one record: a pure state machine over the stream of cycles.
 
-A record begins `lead` before the robot is armed or homed and ends `tail` after it stands again, so charging
+A record begins `lead` before the robot is armed or homed and ends `tail` after it stands again. So charging
 and the way to the address are seen, and a replay finds its snapshot. In a series, where the bench is armed
 again after each swing, the next record begins `lead` before its own swing. Kept is what held a swing, a stop
 or a fault; homing or arming that ended as requested leaves no record.

@@ -13,8 +13,8 @@ the bench: shoulder, arm, wrist; rod and cylinder follow from them.
 
 The outlines that can collide are those of the clearance checks. `bench/control/envelope.py` and
 `bench/design/static_checks.py` take the club as the line from the wrist to the centre of the face with a sole
-at `plant.site.sole_depth` below it, the frame as a disc of `envelope.min_frame_distance` round R1, and the
-ground as a line. Here the same settings become solids; the checks' numbers stay their own.
+at `plant.site.sole_depth` below it. The frame is a disc of `envelope.min_frame_distance` round R1, and the
+ground a line. Here the same settings become solids; the checks' numbers stay their own.
 """
 
 from __future__ import annotations
