@@ -115,7 +115,8 @@ class DriverMachine:
         self._again = "begin again." if inputs_only else _RESUME
         self._stall, self._stalled_at = "", 0.0
         """The last stall in words, and its end (s)."""
-        self._seen = deque[NDArray[np.int64]](maxlen=_SPEED_SPAN + 1)
+        self._seen = deque[tuple[NDArray[np.int64], Array]](maxlen=_SPEED_SPAN + 1)
+        """Counts (3,) and times of the samples (3,), s, of the last ticks."""
         self._readings = new_record(READINGS)
         self._readings["chamber_pressure"] = self._readings["supply_pressure"] = ABSENT
         self._applied = Command()
@@ -194,7 +195,7 @@ class DriverMachine:
                 measured, whose spools may be off their centres, faster than `ADRIFT` allows.
         """
         begun = changed = self._now
-        last, start = None if before is None else levels(before), self._seen[-1]
+        last, start = None if before is None else levels(before), self._seen[-1][0]
         while True:
             self._applied = self._driver.write(command)
             self._bounds = ADRIFT if command.supply_enable else None
@@ -360,16 +361,18 @@ class DriverMachine:
         for name, last in zip(("chamber_pressure", "supply_pressure"), before, strict=True):
             given = self._readings[name]
             np.copyto(given, last, where=~np.isfinite(given) & np.isfinite(last))
-        self._seen.append(np.array(self._readings["encoder_count"][0], np.int64))
+        counts, times = self._readings["encoder_count"][0], self._readings["encoder_time"][0]
+        self._seen.append((np.array(counts, np.int64), np.array(times)))
 
     def _speed(self) -> Array:
-        """Return the joints' speeds (3,) over the last ticks, rad/s."""
-        return self._turned(self._seen[0]) / (max(len(self._seen) - 1, 1) * self._tick)
+        """Return the joints' speeds (3,) between the samples of the last ticks, rad/s."""
+        counts, times = self._seen[0]
+        return self._turned(counts) / np.maximum(self._seen[-1][1] - times, self._tick)
 
     def _turned(self, start: NDArray[np.int64]) -> Array:
         """Return the turn (3,) of the joints since the counts `start`, rad, at most half a turn."""
         half = self._counts // 2
-        change = (self._seen[-1] - start + half) % self._counts - half
+        change = (self._seen[-1][0] - start + half) % self._counts - half
         return np.asarray(change * (2 * np.pi / self._counts))
 
     def _refuse_to_go_on(self) -> None:

@@ -103,3 +103,28 @@ def test_driver_machine_venting_after_stall_waits_for_pressures() -> None:
             machine.run((Segment(0.3, (0.0, 0.0, 0.0)),), BOUNDS)
         machine.vent()
         machine.run((Segment(0.3, (0.0, 0.0, 0.0)),), BOUNDS)
+
+
+class LateClock:
+    """Ticks one after the other; number `late` comes 15 ms late."""
+
+    def __init__(self, late: int = -1) -> None:
+        self._late, self._ticks, self._now = late, 0, 0.0
+
+    def wait(self) -> float:
+        self._ticks += 1
+        self._now += PLANT.tick + (0.015 if self._ticks == self._late else 0.0)
+        return self._now
+
+
+def test_driver_machine_speed_after_late_tick_is_no_faster() -> None:
+    moved = (Segment(0.4, (0.12, 0.0, 0.0)),)
+    traces = []
+    for late, bound in ((-1, 20.0), (400, 1.3)):
+        fastest = np.abs(np.diff(traces[0].count[:, 0])).max() if traces else 0.0
+        speed = bound * max(fastest * 2 * np.pi / PLANT.encoders.counts_per_revolution / PLANT.tick, 1.0)
+        clock = LateClock(late)
+        with DriverMachine(SimDriver(build_plant(PLANT)), PLANT, clock) as machine:  # type: ignore[arg-type]
+            traces.append(machine.run(moved, MotionBounds((speed, 50.0, 50.0), (3.0, 3.0, 5.0), 9e5)))
+    assert len(traces[1].time) == len(traces[0].time) + 15
+    assert [trace.tripped for trace in traces] == [None, None]
