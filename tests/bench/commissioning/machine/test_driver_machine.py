@@ -10,7 +10,7 @@ import pytest
 
 from bench.base.errors import Refused
 from bench.commissioning.machine.driver_machine import DriverMachine, Stalled
-from bench.commissioning.machine.machine import MotionBounds, Segment
+from bench.commissioning.machine.machine import MotionBounds, MotionTrace, Segment
 from drivers.base import INVALID
 from sim.driver import SimDriver
 from sim.plant import PlantParameters, build_plant
@@ -119,7 +119,7 @@ class LateClock:
 
 def test_driver_machine_speed_after_late_tick_is_no_faster() -> None:
     moved = (Segment(0.4, (0.12, 0.0, 0.0)),)
-    traces = []
+    traces: list[MotionTrace] = []
     for late, bound in ((-1, 20.0), (400, 1.3)):
         fastest = np.abs(np.diff(traces[0].count[:, 0])).max() if traces else 0.0
         speed = bound * max(fastest * 2 * np.pi / PLANT.encoders.counts_per_revolution / PLANT.tick, 1.0)
