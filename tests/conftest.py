@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - watched, never written
 STALLED = "a stall of this (machine|computer)"
-"""What a bench says that stopped, as it has to, because no processor ran it."""
+"""Report of a bench that stopped, as required, because no processor ran it."""
 GRACE = 2.0
 """Seconds a thread, process or file may take to go away after its test."""
 
@@ -153,7 +153,7 @@ class Held(NamedTuple):
 
 
 def _is_helper_of_python(process: psutil.Process) -> bool:
-    """Tell whether `process` is multiprocessing's own, kept for the life of its parent."""
+    """Return whether `process` is multiprocessing's own, kept for the life of its parent."""
     try:
         line = " ".join(process.cmdline())
     except psutil.Error:
@@ -162,7 +162,7 @@ def _is_helper_of_python(process: psutil.Process) -> bool:
 
 
 def _is_alive(process: psutil.Process) -> bool:
-    """Tell whether `process` runs; a finished orphan that came to us is reaped on the way."""
+    """Return whether `process` runs; a finished orphan that came to us is reaped on the way."""
     try:
         if process.status() != psutil.STATUS_ZOMBIE:
             return True
@@ -173,13 +173,13 @@ def _is_alive(process: psutil.Process) -> bool:
 
 
 def _is_foreign(name: str) -> bool:
-    """Tell whether a process outside this test run uses the shared-memory file `name`."""
+    """Return whether a process outside this test run uses the shared-memory file `name`."""
     own = {os.getpid()} | {child.pid for child in psutil.Process().children(recursive=True)}
     return _is_used(name, {int(folder.name) for folder in Path("/proc").glob("[0-9]*")} - own)
 
 
 def _is_used(name: str, processes: set[int]) -> bool:
-    """Tell whether one of `processes` (ids) has the shared-memory file `name` open or mapped."""
+    """Return whether one of `processes` (ids) has the shared-memory file `name` open or mapped."""
     path = str(SHARED_MEMORY / name)
     for folder in (Path(f"/proc/{number}") for number in processes):
         try:
@@ -193,7 +193,7 @@ def _is_used(name: str, processes: set[int]) -> bool:
 
 
 def _is_contained(process: psutil.Process) -> bool:
-    """Tell whether `process` lives in a container, whose fixture answers for all that is in it."""
+    """Return whether `process` lives in a container, whose fixture answers for all that is in it."""
     try:
         return os.readlink(f"/proc/{process.pid}/ns/pid") != os.readlink("/proc/self/ns/pid")
     except OSError:
@@ -201,7 +201,7 @@ def _is_contained(process: psutil.Process) -> bool:
 
 
 def _has_children() -> bool:
-    """Tell whether this process has a child; 100 times as fast as a list of them, which 4,500 tests need."""
+    """Return whether this process has a child; 100 times as fast as a list of them, as 4,500 tests need."""
     try:
         return any(children.read_text() for children in Path("/proc/self/task").glob("*/children"))
     except OSError:
@@ -223,7 +223,7 @@ def _held() -> Held:
 
 
 def _is_ours(name: str) -> bool:
-    """Tell whether this worker of a parallel run made the shared-memory file `name`.
+    """Return whether this worker of a parallel run made the shared-memory file `name`.
 
     Its name carries the process id of this worker or of a child, or one of them has it open.
     """

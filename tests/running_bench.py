@@ -33,7 +33,7 @@ _RESTING = (State.READY, State.SAFE, State.ESTOP, State.FAULT)
 
 
 class BenchProcess:
-    """One run of `golfbench run` and what can be asked of it and done to it."""
+    """One run of `golfbench run`, with its queries and actions."""
 
     def __init__(self, configuration: Configuration, process: subprocess.Popen[bytes], log: Path) -> None:
         self.configuration, self.process, self._log = configuration, process, log
@@ -61,7 +61,7 @@ class BenchProcess:
 
     @property
     def log(self) -> str:
-        """What it printed."""
+        """Printed output."""
         return self._log.read_text()
 
     @property
@@ -103,7 +103,7 @@ class BenchProcess:
         return self.wait_until(lambda record: record["phase"] == phase, longest)
 
     def make_ready(self) -> BenchStatus:
-        """Reset where that is asked for, and home; the lease must be held."""
+        """Reset where required, and home; the lease must be held."""
         if self.now()["state"] in (State.ESTOP, State.FAULT):
             self.client.reset()
         if not self.client.status()["homed"]:
@@ -111,7 +111,7 @@ class BenchProcess:
         return self.client.wait_for("READY")
 
     def recover(self, longest: float = 60.0) -> None:
-        """Come back to READY, whatever happened: reset and home as often as that is asked for."""
+        """Come back to READY, whatever happened: reset and home as often as required."""
         deadline = time.monotonic() + longest
         while True:
             try:
@@ -161,7 +161,7 @@ class BenchProcess:
 
 
 def write_configuration(folder: Path, name: str, text: str = "", base: str = "shipped") -> Path:
-    """Write the configuration of a bench of its own in `folder`, on `base`; `text` is appended."""
+    """Write the configuration of a separate bench in `folder`, on `base`; `text` is appended."""
     file = folder / f"{name}.toml"
     file.write_text(
         f'base = "{base}"\n[bench]\nid = "{name}-{os.getpid()}"\ndata_dir = "{folder / "data"}"\n'
@@ -195,7 +195,7 @@ def running_bench(file: Path, *arguments: str, **environment: Any) -> Iterator[B
 
 @contextmanager
 def command_beside(file: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Run `golfbench` with the configuration `file` beside the test; its stderr can be read."""
+    """Run `golfbench` with the configuration `file` during the test; its stderr can be read."""
     with subprocess.Popen(
         [sys.executable, "-m", "bench", "--config", str(file), *arguments], stderr=subprocess.PIPE, text=True
     ) as process:
@@ -220,6 +220,6 @@ def played_nodes(file: Path, *arguments: str) -> Iterator[None]:
 
 @contextmanager
 def simulated_monitor(file: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Run `golfbench launch-monitor` beside the test."""
+    """Run `golfbench launch-monitor` during the test."""
     with command_beside(file, "launch-monitor", *options) as process:
         yield process

@@ -13,7 +13,7 @@ from threading import Event, Thread
 import psutil
 
 _ENDING = 60.0
-"""s in which a cluster ends, on a busy machine, too."""
+"""s in which a cluster ends, even on a busy machine."""
 
 
 @contextmanager

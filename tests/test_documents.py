@@ -43,7 +43,7 @@ def _section(document: str, title: str) -> str:
 
 
 def _commands(text: str) -> list[str]:
-    """Return what follows `golfbench` in each command line in `text`, without comment."""
+    """Return the arguments of `golfbench` in each command line in `text`, without comment."""
     return [found[1].split("   ", 1)[0].split(" #", 1)[0].rstrip("&` ") for found in COMMAND.finditer(text)]
 
 
@@ -57,7 +57,7 @@ def _choices(annotation: Any) -> set[str]:
 
 
 def _parse(command: Any, context: Any, arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Return options by name and what is left of `arguments`; assert that the options exist."""
+    """Return options by name and the rest of `arguments`; assert that the options exist."""
     try:
         options, leftover, _ = command.make_parser(context).parse_args(list(arguments))
     except Exception as error:
@@ -66,7 +66,7 @@ def _parse(command: Any, context: Any, arguments: list[str]) -> tuple[dict[str, 
 
 
 def _check_parses(command: Any, line: str) -> None:
-    """Assert that `line`, what follows `golfbench`, names a command and options that exist."""
+    """Assert that `line`, the arguments of `golfbench`, consists of an existing command and options."""
     words = [word.strip("[]") for word in shlex.split(line)]
     arguments = [word for word in words if word and word not in PLACEHOLDERS]
     context = command.context_class(command, info_name="golfbench")

@@ -1,4 +1,4 @@
-"""The tests' own rules hold: leaks fail, absent tools are named, demanded ones fail."""
+"""The tests' own rules hold: leaks fail, absent tools are listed, demanded ones fail."""
 
 from __future__ import annotations
 

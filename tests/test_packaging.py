@@ -1,4 +1,4 @@
-"""What is declared holds: import contracts, dependencies, pins, entry points, the wheel, the Makefile."""
+"""Declarations hold: import contracts, dependencies, pins, entry points, the wheel, the Makefile."""
 
 from __future__ import annotations
 

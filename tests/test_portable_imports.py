@@ -1,4 +1,4 @@
-"""What needs no bench can be imported where POSIX is not: records, exports, reports, client, simulation.
+"""Modules that need no bench can be imported without POSIX: records, exports, reports, client, simulation.
 
 Nothing here runs on Windows or macOS. A process imports the rooms without modules that those systems lack,
 as far as our own code asks for them; and no line that runs at import names a function that they lack.

@@ -1,4 +1,4 @@
-"""Stories drawn at random: what people, network and nature do next, given what can be seen of the bench."""
+"""Randomly sampled stories: next acts of people, network and nature, given the observable bench state."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def drawn_setup(random: Generator) -> Setup:
 
 
 def drawn_fault(random: Generator) -> Fault:
-    """Return a fault that begins at once or within a second, and mostly ends by itself."""
+    """Return a fault that starts at once or within a second, and mostly ends automatically."""
     while True:
         signal = str(random.choice(_SIGNALS))
         sort = sort_of(signal)

@@ -33,7 +33,7 @@ PERMITS = ("lease_held", "support_ready", "supervisor_alive")
 _PRESS = 40
 """Ticks for which a button is pressed."""
 _SWINGS_ASKED, _BETWEEN = 300, 10
-"""How often a swing is asked for while it waits for its air, and ticks between two of them."""
+"""Max swing requests while the chamber pressures settle, and ticks between two requests."""
 _LONGEST_RECOVERY = 240_000
 _CHUNK = 500
 """Ticks between two looks."""
@@ -100,7 +100,7 @@ class Player:
 
     @property
     def broken(self) -> list[str]:
-        """What did not hold so far."""
+        """Properties violated so far."""
         return self.judge.broken
 
     @property
@@ -136,7 +136,7 @@ class Player:
                 raise ValueError(f"no such step: {verb}")
 
     def recover(self) -> None:
-        """Mend everything, then do what a person may do until the bench is READY."""
+        """Remove all faults, then act as an operator may until the bench is READY."""
         self._break(())
         for name in INPUTS:
             self.bench.plant_state[name] = True

@@ -1,7 +1,7 @@
-"""What must hold of a bench in every tick, whatever is done to it, judged by the plant's truth.
+"""Properties of a bench in every tick, under any input, evaluated on the plant's truth.
 
 Nothing here asks the bench for its own verdict where the plant or the story knows better. A property that a
-fault takes away by itself is not judged while that fault is part of the story; each says which.
+fault violates directly is not evaluated while the story has that fault; each property says which.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _PAIRS = np.eye(len(State), dtype=bool)
 for _edge in TRANSITIONS:
     _PAIRS[_edge.source, _edge.target] = True
 _LONGEST_STOP = 15_000
-"""Ticks from the begin of a reaction to standstill at most."""
+"""Max ticks from the start of a reaction to standstill."""
 _PRESS_COUNTS = 10_050
 """Ticks for which a press of the local reset may count."""
 _STILL, _CREEP = 0.15, 0.06
@@ -85,7 +85,7 @@ def sorts(faults: list[Fault]) -> set[str]:
 
 
 class Judge:
-    """Looks at every tick of a story, and keeps what did not hold."""
+    """Checks every tick of a story, and keeps the violations."""
 
     def __init__(self, setup: Setup, parameters: ControlParameters) -> None:
         """Judge a bench of `setup` with `parameters`."""
@@ -235,9 +235,9 @@ class Judge:
                 self._say(tick, f"{Request(request).name} accepted without the lease")
 
     def _release(self, c: Any, ticks: NDArray[Any], plant_state: Any, faults: list[Fault]) -> None:
-        """The guard is released only where no pressure is, and nothing moves beside it.
+        """The guard is released only without pressure, and nothing moves while it is released.
 
-        Pressure that comes back locks the guard in the same tick, unless somebody went in: then it latches in
+        Pressure that comes back locks the guard in the same tick, unless a person went in: then it latches in
         the same tick, and the guard stays released. Two faults may hide pressure: one that keeps it, and one
         of what would have shown it.
         """
@@ -265,12 +265,12 @@ class Judge:
             speed = np.abs(c["plant_velocity"][open_]).max()
             crept = np.abs(c["plant_angle"][open_] - self._released_at).max()
             if speed > _STILL or crept > _CREEP:
-                self._say(ticks[k], f"moves by {crept:.3f} rad at {speed:.2f} rad/s beside an open guard")
+                self._say(ticks[k], f"moves by {crept:.3f} rad at {speed:.2f} rad/s with the guard open")
 
     def _inside(self, c: Any, ticks: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return in which ticks somebody may be inside: since the released guard was seen open.
+        """Return in which ticks a person may be inside: since the released guard was seen open.
 
-        Nothing but SECURE locks it then; nobody is inside any more once it is seen locked after that.
+        Only SECURE locks it then; no person is inside once it is seen locked after that.
         """
         inside = np.zeros(len(c), dtype=bool)
         closed = c["emergency_stop_clear"] & c["guard_closed"] & c["guard_locked"]

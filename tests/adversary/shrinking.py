@@ -12,7 +12,7 @@ from tests.adversary.story import Setup, Step, Story
 
 
 def kind_of(found: str) -> str:
-    """Return what was broken, without ticks and figures."""
+    """Return the violation, without ticks and values."""
     return re.sub(r"tick \d+: |[-\d.]+", "", found.split(";", 1)[0]).strip()
 
 

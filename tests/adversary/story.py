@@ -15,7 +15,7 @@ from typing import Any
 from sim.faults import Fault
 
 Step = tuple[str, Any, Any]
-"""What is done, to what, and how: see `tests.adversary.player.Player.do`."""
+"""Action, object and value: see `tests.adversary.player.Player.do`."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Setup:
     """The bench of a story."""
 
     configuration: str = "shipped"
-    """A name of those that come with golfbench; its profile is swung."""
+    """Name of a configuration of golfbench; its profile is the one used."""
     incremental: bool = False
     """Encoders count from power-up, homed by their index."""
     sensors: bool = True
@@ -37,7 +37,7 @@ class Setup:
     turned: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """rad from the hanging pose at power-up."""
     seed: int = 1
-    """Of the faults' random numbers."""
+    """Seed of the faults' random numbers."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Story:
     setup: Setup = field(default_factory=Setup)
     steps: tuple[Step, ...] = ()
     found: str = ""
-    """What it broke when it was found."""
+    """Violation at the time of discovery."""
 
     def with_steps(self, steps: tuple[Step, ...]) -> Story:
         """Return the story with other steps."""

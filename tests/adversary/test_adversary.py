@@ -66,7 +66,7 @@ ENTERED = (
     ("input", "emergency_stop_clear", True),
     ("wait", 100, None),
 )
-"""Somebody goes in, and the emergency stop is pressed."""
+"""A person goes in, and the emergency stop is pressed."""
 
 
 def test_recover_emergency_stop_during_access_reaches_ready() -> None:

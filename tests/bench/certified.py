@@ -47,5 +47,5 @@ def bench_of(
 
 
 def client_of(endpoint: str, identity: str) -> Configuration:
-    """Return what somebody on another machine has as configuration."""
+    """Return the configuration of a client on another machine."""
     return replace(loopback_configuration(), network=NetworkSettings(endpoint, identity=identity))

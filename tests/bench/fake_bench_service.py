@@ -44,7 +44,7 @@ NEXT = {
 
 
 class FakeDesk:
-    """Goes from state to state at once, and keeps what it was asked."""
+    """Changes state at once, and records its requests."""
 
     def __init__(self, state: State = State.ESTOP) -> None:
         self.state = state
@@ -68,7 +68,7 @@ class FakeDesk:
         self.publish_shot: Callable[[ShotPublication], None] = lambda message: None
         """Gets the shot of each swing, as the recorder stores it at once."""
         self.cause = Cause.NONE
-        """Of a disarming; POWER_UP in ESTOP and FAULT."""
+        """Cause of a disarming; POWER_UP in ESTOP and FAULT."""
         self._began = time.monotonic()
 
     def request(self, request: Request) -> Reply:

@@ -13,7 +13,7 @@ _COMMIT = b"COMMIT"
 
 
 class LossyProxy:
-    """Passes all on from a socket in `folder` to the one in `server`; cuts connections as asked for."""
+    """Forwards all data from a socket in `folder` to the one in `server`; cuts connections on request."""
 
     def __init__(self, folder: Path, server: Path) -> None:
         self._target = str(server / _SOCKET)

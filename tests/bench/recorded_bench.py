@@ -1,4 +1,4 @@
-"""A loop that writes what it is told to, and the recorder process beside it."""
+"""A loop that writes given cycles, and the recorder process."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ RECORDER = ("-m", "bench.supervisor.recorder")
 
 
 class RecordedBench:
-    """A loop that writes what it is told to, and the recorder beside it."""
+    """A loop that writes given cycles, and the recorder."""
 
     def __init__(self, folder: Path, capacity: int = 16384, program: Sequence[str] = RECORDER) -> None:
         """`program`: what Python is to run as the recorder."""
@@ -114,7 +114,7 @@ class RecordedBench:
                     break
                 self._heard += new
         line, _, self._heard = self._heard.partition(b"\n")
-        assert line, "it told nothing"
+        assert line, "no event"
         event: dict[str, Any] = json.loads(line)
         return event
 

@@ -47,7 +47,7 @@ class PostgresServer:
 
 @contextmanager
 def running_postgres(tool: Path) -> Iterator[PostgresServer]:
-    """Run a server beside the program `tool` of PostgreSQL."""
+    """Run the server from the folder of PostgreSQL's program `tool`."""
     with TemporaryDirectory(prefix="golfbench-postgres-", ignore_cleanup_errors=True) as folder:
         server = PostgresServer(tool.resolve().parent, Path(folder))
         server.start()

@@ -48,7 +48,7 @@ SLOW_MOVES = "[envelope]\nencoder_timeout = 0.04\nmax_tick_interval = 0.05\n"
 
 
 def device_when(client: BenchClient, holds: Callable[[DeviceStatus], bool]) -> DeviceStatus:
-    """Return what the bench tells of its device, which is news once a second, as soon as something holds."""
+    """Return the device status, which is updated once a second, as soon as `holds` is true of it."""
     deadline = time.monotonic() + 20.0
     while not holds(device := client.status()["device"]):
         assert time.monotonic() < deadline, device
@@ -169,7 +169,7 @@ def is_undisturbed(cycles: np.ndarray[Any, Any], rows: Any = slice(None)) -> boo
 def newest_swing(bench: BenchProcess, stored: int) -> tuple[np.ndarray[Any, Any], dict[str, Any]]:
     """Return the first record of a swing that came to the ball after the first `stored` records.
 
-    A homing that a stall stopped is stored, too, and may be stored late.
+    A homing that a stall stopped is also stored, possibly late.
     """
     until = time.monotonic() + 30.0
     while True:
@@ -210,7 +210,7 @@ def swing_undisturbed(bench: BenchProcess) -> tuple[np.ndarray[Any, Any], dict[s
 @pytest.mark.release
 @pytest.mark.timeout(600)
 def test_canopen_bench_preconfigured_devices_home_and_swing(tmp_path: Path) -> None:
-    """Encoders reversed and scaled, inputs and outputs inverted; a scan beside the running bench."""
+    """Encoders reversed and scaled, inputs and outputs inverted; a scan during the bench's run."""
     file = patient_configuration(tmp_path, "sold")
     with (
         played_nodes(file, "--encoder", "reversed-17", "--io", "inverted-io"),

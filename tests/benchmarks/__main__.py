@@ -62,7 +62,7 @@ def show(rows: list[Row], console: Console) -> None:
 
 
 def main() -> int:
-    """Run the named benchmark, dynamics_speed if none is named."""
+    """Run the given benchmark, by default dynamics_speed."""
     arguments = sys.argv[1:]
     kept = arguments[:1] == ["--keep"]
     name, *options = arguments[kept:] or ["dynamics_speed"]

@@ -2,10 +2,10 @@
 
     python -m tests.benchmarks adversary [--hours 1] [--first 0] [--steps 60] [--output data/adversary]
 
-Each seed is one episode: a bench of its own setup, steps drawn at random, then a person who brings it back
-to READY (`tests.adversary`). What does not hold is made short and stored as a story in `--output`; a story
+Each seed is one episode: a bench with its own setup, random steps, then a person who brings it back
+to READY (`tests.adversary`). A violation is shortened and stored as a story in `--output`; a story
 moved to `tests/adversary/stories/` is played by `make test`. `--hours` are of this machine. Episodes are kept
-in `--output`: the same command goes on after the last seed. `--processes`, `--cluster` choose the engine.
+in `--output`: the same command continues after the last seed. `--processes`, `--cluster` choose the engine.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _SEEDS = 1_000_000
 
 
 class Episode(NamedTuple):
-    """What an episode came to."""
+    """Result of an episode."""
 
     ticks: int
     accepted: int
@@ -44,7 +44,7 @@ class Episode(NamedTuple):
     visited: list[int]
     """States."""
     found: str
-    """What it broke; empty if nothing."""
+    """First violation; empty: none."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,11 @@ def _read(record: dict[str, Any]) -> Episode:
 
 
 def run(arguments: Sequence[str] = ()) -> list[Row]:
-    """Return how long the adversary played, and how many episodes broke what must hold."""
+    """Return the adversary's playing time, and the number of episodes with a violation."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks adversary")
-    parser.add_argument("--hours", type=float, default=1.0, help="Of this machine.")
+    parser.add_argument("--hours", type=float, default=1.0, help="Hours of this machine.")
     parser.add_argument("--first", type=int, default=0, help="Seed of the first episode.")
-    parser.add_argument("--steps", type=int, default=60, help="Of an episode.")
+    parser.add_argument("--steps", type=int, default=60, help="Steps per episode.")
     add_engine_options(parser)
     parser.add_argument("--output", type=Path, default=Path("data/adversary"), help="Folder for stories.")
     options = parser.parse_args(arguments)

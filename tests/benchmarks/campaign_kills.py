@@ -148,7 +148,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--batch", type=int, default=5, help="shots of one transaction")
-    parser.add_argument("--blocks", type=int, default=400, help="of five shots")
+    parser.add_argument("--blocks", type=int, default=400, help="blocks, five shots each")
     given = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         begun = time.perf_counter()

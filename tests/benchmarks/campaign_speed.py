@@ -1,8 +1,8 @@
 """How long a thousand simulated shots take with everything stored, and the report of ten thousand.
 
-The thousand are swung in lock-step, cycles written and synced; the greatest memory after a fifth of them and
-at the end tells whether it grows. The ten thousand of the report are drawn, not swung; its memory is that of
-`golfbench campaign report` as a process of its own. Options: `--shots N` (0: none), `--report N`.
+The thousand run in lock-step, cycles written and synced; the greatest memory after a fifth of them and
+at the end shows whether it grows. The ten thousand of the report are sampled, not simulated; its memory is
+that of `golfbench campaign report` as a separate process. Options: `--shots N` (0: none), `--report N`.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ FIRST = 180.0
 
 @dataclass(frozen=True)
 class Truth:
-    """What is true of a campaign, in metres of carry."""
+    """True values of a campaign, in metres of carry."""
 
     sd: float = 2.0
     difference: float = 0.0

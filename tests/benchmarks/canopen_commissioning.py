@@ -2,9 +2,9 @@
 
     python -m tests.benchmarks canopen_commissioning --seed 3
 
-Takes an hour, so only by name. Bench and nodes are processes of this machine on a bus of their own; a script
-turns the regulator, and what a person does by hand is done at the nodes. With `--folder` an interrupted run
-goes on there with `--resume`.
+Takes an hour, so only by name. Bench and nodes are processes of this machine on a separate bus; a script
+turns the regulator, and manual actions are done at the nodes. With `--folder` an interrupted run
+resumes there with `--resume`.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def at_nodes(robot: Path, folder: Path, *what: str) -> None:
 def run(arguments: Sequence[str] = ()) -> list[Row]:
     """Commission the drawn robot; return time, repetitions and exit code."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks canopen_commissioning")
-    parser.add_argument("--seed", type=int, default=3, help="of the robot")
+    parser.add_argument("--seed", type=int, default=3, help="seed of the robot")
     parser.add_argument("--folder", type=Path, help="for all files, which stay there")
     options = parser.parse_args(arguments)
     with ExitStack() as stack:

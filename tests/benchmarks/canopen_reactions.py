@@ -1,7 +1,7 @@
-"""Ticks from a fault on the CAN bus to the reaction at the valve node, and what that ended in, in lock-step.
+"""Ticks from a fault on the CAN bus to the reaction at the valve node, and its outcome, in lock-step.
 
 Driver and simulated nodes in one process on virtual time, plant and controller as they run in real time. The
-reaction has come when the valve node obeys a command of the stopping table, or has let go by itself.
+reaction has come when the valve node obeys a command of the stopping table, or releases the valves itself.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _refuse(number: int, ticks: int = LONGEST) -> Meddling:
 
 
 def _babble(identifier: int, data: bytes) -> Meddling:
-    """Let somebody put frames on the wire before the answers to each SYNC."""
+    """Put foreign frames on the wire before the answers to each SYNC."""
     babble = [(identifier, data)] * _BABBLE
 
     def do(wire: Wire) -> None:
@@ -148,8 +148,8 @@ FAULTS: dict[str, Fault] = {
     "an encoder's positions late": Fault(_delay, None),
     "an encoder's positions missing": Fault(_drop(_POSITION + _ARM), 5),
     "an encoder's positions of a wrong length": Fault(_shorten, 5),
-    "an encoder tells of an error": Fault(_blind_encoder, 5),
-    "the valve node tells of an error": Fault(_tell_error(_NODE), 1),
+    "an encoder reports an error": Fault(_blind_encoder, 5),
+    "the valve node reports an error": Fault(_tell_error(_NODE), 1),
     "an encoder's heartbeat lost": Fault(_drop(_HEARTBEAT + _ARM), 152),
     "the valve node's heartbeat lost": Fault(_drop(_HEARTBEAT + _NODE), 152),
     "the interlocks lost": Fault(_drop(_INPUTS), 62),
@@ -177,7 +177,7 @@ class Case(NamedTuple):
     ticks: int
     """From the first faulty tick (0: in it) to the reaction at the valve node; -1: there was none."""
     reaction: Reaction
-    """The one that the valve node obeyed first; PASSIVE also when it let go by itself."""
+    """The one that the valve node obeyed first; PASSIVE also when it released the valves itself."""
     cause: Cause
     device_fault: str
     loads: Loads
@@ -225,7 +225,7 @@ def run_case(configuration: Configuration, fault: str, phase: Phase) -> Case:
 
 
 def _stay_silent(bench: SwingBench, wire: Wire, look: Callable[[], None]) -> None:
-    """Let the plant live on without the loop until the node has let go and it rests."""
+    """Run the plant without the loop until the node has released the valves and the robot rests."""
     plant = wire.nodes.plant
     for _ in range(LONGEST):
         wire.pass_time(PERIOD)
@@ -240,7 +240,7 @@ def show(cases: Sequence[Case], console: Console) -> None:
     table = Table("fault", "phase", "reaction", "cause", box=None, header_style="bold")
     for name in ("ticks", "stop energy", "pressure"):
         table.add_column(name, justify="right")
-    table.add_column("what the driver tells")
+    table.add_column("driver report")
     for case in cases:
         table.add_row(
             case.fault,

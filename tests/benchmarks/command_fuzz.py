@@ -1,8 +1,8 @@
-"""A hundred thousand messages that do not hold: each is answered, or dropped and counted.
+"""A hundred thousand invalid messages: each is answered, or dropped and counted.
 
-`fuzz` sends them to any command plane: random bytes, broken and mutated JSON, wrong types, unknown verbs, too
-long, repeated, out of order, without a lease. `run` does so against a plane in a process of its own, whose
-memory is watched.
+`fuzz` sends them to any command plane: random bytes, broken and mutated JSON, wrong types, unknown verbs,
+overlong, repeated, out of order, without a lease. `run` does so against a plane in a separate process, whose
+memory is monitored.
 """
 
 from __future__ import annotations
@@ -228,9 +228,9 @@ def use_up(client: BenchClient) -> str:
 
 
 def uncounted(tally: Tally, before: CountStatus, after: CountStatus) -> int:
-    """Return how many messages are neither answered nor in the plane's counts as dropped (0 is what must be).
+    """Return how many messages are neither answered nor in the plane's counts as dropped (required: 0).
 
-    The plane counts the two looks at its status, or one of them, too: `after` holds itself.
+    The plane also counts the two reads of its status, or one of them: `after` includes itself.
     """
     counted = {name: after[name] - before[name] for name in ("commands", "refused", "malformed", "dropped")}
     counted["commands"] -= 1  # the look at `after`
@@ -287,7 +287,7 @@ def fuzz_plane(count: int) -> list[Row]:
 
 
 def run(arguments: Sequence[str] = ()) -> list[Row]:
-    """Fuzz a plane in a process of its own."""
+    """Fuzz a plane in a separate process."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks command_fuzz")
     parser.add_argument("--messages", type=int, default=MESSAGES, metavar="N")
     return fuzz_plane(parser.parse_args(arguments).messages)

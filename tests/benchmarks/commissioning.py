@@ -1,11 +1,11 @@
 """Commissioning of robots drawn over the whole range, and of wrong machines: `... commissioning [--draws N]`.
 
 With `--swings` each robot is commissioned by the command itself, up to its learned swing and its limits; the
-swing is judged by the plant's truth, its speed beside what the designer finds for the true plant.
+swing is evaluated by the plant's truth, its speed against the designer's optimum for the true plant.
 
-Otherwise prints each robot's parameters: truth, estimate, standard error; then what was said of each wrong
+Otherwise prints each robot's parameters: truth, estimate, standard error; then the report on each wrong
 machine. The range is that of `tests/bench/commissioning/drawn_robots.py`. Judged: the share of values whose
-95 % interval covers the truth, loads, and wrong machines that are named.
+95 % interval covers the truth, loads, and wrong machines identified.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def run(arguments: list[str]) -> list[Row]:
     parser.add_argument("--draws", type=int, default=20, metavar="N", help="robots (default: 20)")
     parser.add_argument("--first", type=int, default=1, metavar="SEED", help="first seed (default: 1)")
     parser.add_argument("--swings", action="store_true", help="up to the learned swing: minutes a robot")
-    parser.add_argument("--wrong", action="store_true", help="wrong machines, too")
+    parser.add_argument("--wrong", action="store_true", help="also wrong machines")
     options = parser.parse_args(arguments)
     configuration, console = load_configuration(shipped_configuration()), Console(width=120)
     if options.swings:
@@ -85,11 +85,11 @@ def run(arguments: list[str]) -> list[Row]:
 
 
 class _LearnedRobot(NamedTuple):
-    """What came of a robot."""
+    """Result of a robot."""
 
     exit_code: int
     off: str
-    """Its learned swing beside the centre of the face and the designed delivery, by the plant's truth."""
+    """Learned swing against the centre of the face and the designed delivery, by the plant's truth."""
     speed: float
     """m/s; NaN without a learned swing."""
     highest: float
@@ -155,7 +155,7 @@ def _share(covered: list[bool]) -> float:
 def _commissioned(
     configuration: Configuration, truth: PlantParameters, faults: tuple[Fault, ...] = ()
 ) -> tuple[RobotEstimate, str, list[str], float]:
-    """Return what is known after all steps, what ended it, why its loads are unsafe, and its time (s)."""
+    """Return the estimate after all steps, why it ended, why its loads are unsafe, and its time (s)."""
     with TemporaryDirectory() as folder:
         state = begin(Path(folder), configuration, simulated=True, resume=False)
         said = ""
@@ -189,7 +189,7 @@ def _table(console: Console, seed: int, truth: PlantParameters, known: RobotEsti
 
 
 def _wrong(console: Console, configuration: Configuration) -> list[Row]:
-    """Commission wrong machines; print what was said."""
+    """Commission wrong machines; print the reports."""
     rows = []
     cases = wrong_machines(drawn_robot(4, configuration.plant))
     for name, case in cases.items():

@@ -3,10 +3,10 @@
     python -m tests.benchmarks during_stops [--profile tour-male] [--shift 3] [--delays 45 80 130]
     python -m tests.benchmarks during_stops --healthy 500 [--profile tour-male]
 
-At instants over the whole swing a stop is asked for; `--delays` (ms) later a part breaks, and the robot
-is watched until it rests. A row is a kind of fault: how many of its cases end unsafe, and the worst load. The
-The table's cases are known: `--shift` (ms) moves all instants, and other delays are cases that nobody has
-looked at before. `--check off` leaves the model-based check out.
+At instants over the whole swing a stop is requested; `--delays` (ms) later a part breaks, and the robot
+is watched until it rests. A row is a kind of fault: how many of its cases end unsafe, and the worst load.
+The table's cases are known: `--shift` (ms) moves all instants, and other delays are new cases.
+`--check off` leaves the model-based check out.
 
 With `--healthy` nothing breaks: each stop is of another plant, a `healthy_plant` of its seed, at an instant
 drawn over the swing, and ends as the stopping table says, without another cause.

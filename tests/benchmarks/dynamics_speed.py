@@ -1,4 +1,4 @@
-"""One integration step of the robot: compiled Kane beside MuJoCo and Pinocchio, same model, same run.
+"""One integration step of the robot: compiled Kane against MuJoCo and Pinocchio, same model, same run.
 
 Ratios are of steps with the same rule, semi-implicit Euler. MuJoCo runs its steps inside one call.
 Pinocchio is called from Python, as its users call it; for the promised ratio everything that is Python's

@@ -3,7 +3,7 @@
     python -m tests.benchmarks frame_fuzz --frames 1000000 --seed 1
 
 Frames of the bench with bits turned, lengths changed, identifiers swapped, and frames of random bytes come
-between and instead of the nodes' own. The driver, told to stay passive, must send the passive command and
+between and instead of the nodes' own. The driver, commanded passive, must send the passive command and
 nothing else, raise nothing, return readings that fit the record, and count each frame in one class.
 """
 
@@ -55,7 +55,7 @@ _FAILURES = 0.001
 
 @dataclass
 class Result:
-    """What a run came to."""
+    """Result of a run."""
 
     frames: int = 0
     """Given to the driver, the proper answers among them."""
@@ -159,7 +159,7 @@ def fuzz(frames: int, seed: int, *, listening: bool = True) -> Result:
 
 
 def run(arguments: Sequence[str]) -> list[Row]:
-    """Fuzz and tell."""
+    """Fuzz and return the results."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks frame_fuzz", description=__doc__)
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=1)

@@ -125,7 +125,7 @@ def _parts(launch: Launch) -> tuple[float, float, float, float, float]:
 
 
 def _gear_rows(club: Club) -> list[Row]:
-    """Return spin by gear effect over Tutelman's rules, and what the strike costs."""
+    """Return gear-effect spin relative to Tutelman's rules, and the off-centre loss of ball speed."""
     flat = replace(club, bulge_radius=1e6, roll_radius=1e6)
     centre = _parts(_struck(flat, 0, 0))
     side = _parts(_struck(flat, 10, 0))[4] - centre[4]
@@ -162,7 +162,7 @@ def _gear_rows(club: Club) -> list[Row]:
 
 
 def _bag_table(bag: Mapping[str, Club]) -> tuple[Table, list[dict[str, Any]]]:
-    """Return carry, launch, spin and descent of the bag's clubs beside the tours', from their deliveries."""
+    """Return carry, launch, spin and descent of the bag's clubs against the tours', from their deliveries."""
     table = _table(
         "the bag, from the tours' deliveries: model (tour)",
         *("club", "mph", "attack", "loft, own", "ball mph", "launch", "rpm", "carry yd", "descent"),

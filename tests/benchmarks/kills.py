@@ -43,7 +43,7 @@ PHASES = (
 SUPPORT = ("recorder", "publisher")
 SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
 _ATTEMPTS = 6
-"""Tries to reach a phase undisturbed: a machine that stalls for milliseconds stops the bench by itself."""
+"""Tries to reach a phase undisturbed: a stall of milliseconds of this machine alone stops the bench."""
 _NOT_REACHED = (Refused, TimeoutError, RuntimeError)
 
 
@@ -54,9 +54,9 @@ class Case(NamedTuple):
     signal: str
     phase: str
     end: str
-    """What the bench did."""
+    """Reaction of the bench."""
     silence: float
-    """s from the last command obeyed to the valves let go; NaN where they never were."""
+    """s from the last command obeyed to the release of the valves; NaN without release."""
     travel: float
     """m that the club head moved in that time."""
     stop_share: float
@@ -68,7 +68,7 @@ class Case(NamedTuple):
 
 
 class PlantWatch:
-    """Samples what the plant tells until it rests."""
+    """Samples the plant's report until it rests."""
 
     def __init__(self, folder: Path) -> None:
         self._shared = SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
@@ -93,7 +93,7 @@ class PlantWatch:
         self._shared.close()
 
     def letting_go(self, tick: float) -> tuple[float, float]:
-        """Return the silence before the valves were let go (s), and the head's way in it (m)."""
+        """Return the silence before the valves' release (s), and the head's travel in it (m)."""
         node = self.samples[-1]["node"]
         if node["watchdog_trips"] == self.samples[0]["node"]["watchdog_trips"]:
             return np.nan, np.nan
@@ -218,7 +218,7 @@ def show(cases: Sequence[Case], console: Console) -> None:
 
 
 def run(arguments: Sequence[str] = ()) -> list[Row]:
-    """Strike every process in every phase; return what may not be above its bound."""
+    """Strike every process in every phase; return the results with their bounds."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks kills")
     parser.add_argument("--processes", nargs="*", default=["loop", "supervisor", *SUPPORT])
     parser.add_argument("--phases", nargs="*", default=[phase.name for phase in PHASES])

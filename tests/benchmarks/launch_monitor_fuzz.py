@@ -6,7 +6,7 @@ Fragments are shots and heartbeats whole, cut, with bytes turned, with absurd va
 long, or random bytes, sent over connections that are cut off now and then. The server must keep serving:
 after each thousand a proper shot over a new connection is answered and comes out unchanged. Figures that come
 out are finite and possible. The server has no way to the robot, so there is no motion to watch for; that its
-package cannot reach a driver is checked by what it imports.
+package cannot reach a driver is checked by its imports.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _ABSURD = (
 
 @dataclass
 class Result:
-    """What a run came to."""
+    """Result of a run."""
 
     fragments: int = 0
     connections: int = 0
@@ -115,7 +115,7 @@ def fragment(chance: random.Random) -> bytes:
 
 
 def possible(record: LaunchRecord) -> bool:
-    """Tell whether all figures of `record` are finite and within what a ball can do."""
+    """Return whether all figures of `record` are finite and physically possible."""
     figures = (
         record.speed,
         record.launch_angle,
@@ -193,7 +193,7 @@ def _probe(server: LaunchMonitorServer, result: Result) -> None:
 
 
 def run(arguments: Sequence[str]) -> list[Row]:
-    """Fuzz and tell."""
+    """Fuzz and return the results."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.benchmarks launch_monitor_fuzz", description=__doc__
     )

@@ -4,9 +4,9 @@ The configuration is the shipped one, with its profile and the limits of the mod
 worn: friction +40 %, valve flow -8 %, supply -4 %, head +10 g, vane +3 %, encoder latency +1 ms. The others
 are drawn: friction and dead volume of each joint, flow of each valve, supply, vane and head mass uniformly
 within 10 %, up to 1 ms more latency; seeds 1 to N.
-Each learns for at most twelve swings by its encoders; judged is what the plant knows, in the mean of five
+Each learns for at most twelve swings by its encoders; evaluated is the plant's truth, in the mean of five
 swings with the kept correction. The worn robot then makes a hundred with noise in encoders, which the
-estimator is told of, and in the supply.
+estimator models, and in the supply.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class LearningDraws:
 
 
 def run(arguments: list[str]) -> list[Row]:
-    """Let all robots learn; tell of each on the way."""
+    """Run the learning of all robots; print each result."""
     parser = argparse.ArgumentParser(prog=f"python -m tests.benchmarks {NAME}", description=__doc__)
     parser.add_argument("--draws", type=int, default=50, help="robots drawn (default: %(default)s)")
     add_engine_options(parser)

@@ -1,12 +1,12 @@
-"""The loop's timing beside `cyclictest`, in alternating pairs with the other core loaded.
+"""The loop's timing against `cyclictest`, in alternating pairs with the other core loaded.
 
     python -m tests.benchmarks loop_timing --pairs 20 --seconds 15 --rate 1000
 
 Long, so only by name. A pair is one run of the loop process against simulated CANopen nodes, swinging all
 the time, and one of `cyclictest` at the same priority, interval and core; which comes first changes from pair
 to pair. A busy process holds another core throughout. Percentiles of both are rounded up to their resolution:
-1 us for `cyclictest`, a sixteenth for the loop. Late: a wake-up later than 1 ms, at any rate. Steal is what
-the hypervisor took from the loop's core, in ticks of the kernel's accounting (10 ms).
+1 us for `cyclictest`, a sixteenth for the loop. Late: a wake-up later than 1 ms, at any rate. Steal is the
+time the hypervisor took from the loop's core, in ticks of the kernel's accounting (10 ms).
 """
 
 from __future__ import annotations
@@ -80,10 +80,10 @@ def run_cyclictest(seconds: int, interval_us: int, priority: int, cpu: int) -> L
 
 
 def read_histogram(output: str) -> Latencies:
-    """Return the latencies that `output` of cyclictest -h tells.
+    """Return the latencies in `output` of cyclictest -h.
 
     Raises:
-        RuntimeError: it tells none.
+        RuntimeError: it contains none.
     """
     count: NDArray[np.int64] = np.zeros(HISTOGRAM_US + 1, np.int64)
     longest = 0
@@ -119,7 +119,7 @@ _NEXT = {
     State.READY: Request.ARM,
     State.ARMED: Request.SWING,
 }
-"""What the supervisor asks for in each state; elsewhere it waits."""
+"""The supervisor's request in each state; elsewhere it waits."""
 
 
 class RunningLoop:
@@ -129,7 +129,7 @@ class RunningLoop:
         self.link, self.loop, self.timing = link, loop, timing
         self.swings = 0
         self.stops = 0
-        """Faults and emergency stops after the first, from which it went on."""
+        """Recovered faults and emergency stops after the first."""
         self._state = State.STARTING
 
     def turn(self) -> State:
@@ -174,7 +174,7 @@ class RunningLoop:
 def configured(rate: float, priority: int, cpu: int) -> Configuration:
     """Return the shipped configuration at `rate` (Hz), real time required, swing following on swing.
 
-    The plant has a clock of its own, behind nodes: one in step with the loop would let it be late.
+    The plant, behind nodes, has its own clock: one in step with the loop would tolerate lateness.
     """
     c = load_configuration(Path("local_can"))
     return replace(
@@ -233,7 +233,7 @@ class LoopRun(NamedTuple):
     """us."""
     swings: int
     stops: int
-    """Faults from which it went on."""
+    """Recovered faults."""
     steal: int
 
 
@@ -406,10 +406,10 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the loop")
+    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="rate of the loop")
     parser.add_argument("--pairs", type=int, default=20)
-    parser.add_argument("--seconds", type=int, default=15, help="of each run")
-    parser.add_argument("--priority", type=int, default=PRIORITY, help="of SCHED_FIFO")
+    parser.add_argument("--seconds", type=int, default=15, help="duration of each run")
+    parser.add_argument("--priority", type=int, default=PRIORITY, help="priority of SCHED_FIFO")
     parser.add_argument("--cpu", type=int, default=cores[0], help="the loop's and cyclictest's core")
     parser.add_argument("--busy-cpu", type=int, default=cores[-1], help="the core kept busy")
     options = parser.parse_args(arguments)

@@ -4,7 +4,7 @@ Nothing may escape, move or go uncounted.
 
     python -m tests.benchmarks native_fuzz --frames 250000 --seed 1
 
-Both drivers are on sockets of their own and get the same frames, as the kernel gives them: proper ones,
+Both drivers are on separate sockets and get the same frames, as the kernel gives them: proper ones,
 frames with bits turned, wrong lengths, extended identifiers, remote and error frames, random bytes, and reads
 that are cut short. In some episodes a fault latches, in the others it is forgotten, so that compiled code is
 reached again. Commands are the passive one, or others until the fault.
@@ -37,7 +37,7 @@ _CUT = 0.002
 
 @dataclass
 class NativeFuzz:
-    """What a run came to."""
+    """Result of a run."""
 
     frames: int = 0
     """Given to each driver."""
@@ -126,7 +126,7 @@ def _run_episode(ticks: list[list[bytes]], result: NativeFuzz, *, latching: bool
 
 
 def run(arguments: Sequence[str]) -> list[Row]:
-    """Fuzz and tell."""
+    """Fuzz and return the results."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks native_fuzz", description=__doc__)
     parser.add_argument("--frames", type=int, default=250_000)
     parser.add_argument("--seed", type=int, default=1)

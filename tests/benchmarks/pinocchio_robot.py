@@ -1,6 +1,6 @@
 """The same five bodies in Pinocchio, the loop closed by a rigid point constraint at R6.
 
-Pinocchio's Python binding has no loop of its own, so every evaluation pays for a call from Python. That
+Pinocchio's Python binding has no internal loop, so every evaluation pays for a call from Python. That
 share is measured with the same call on a model without bodies (`bare_call`) and can be taken off.
 """
 

@@ -37,7 +37,7 @@ class FaultyDriver(SimDriver):
 
     fault = ""
     silent = False
-    """Its watchdog let go of the valves."""
+    """Its watchdog released the valves."""
 
     def read(self, time: float) -> Readings:
         """Return the readings, spoilt as the fault wants."""
@@ -56,7 +56,7 @@ class FaultyDriver(SimDriver):
         return readings
 
     def write(self, command: Command) -> Command:
-        """Apply the command, or what a broken device makes of it."""
+        """Apply the command, or a broken device's version of it."""
         match self.fault:
             case "write raises":
                 raise DriverError("broken on purpose")
@@ -72,7 +72,7 @@ class FaultyDriver(SimDriver):
 
     @property
     def operational(self) -> bool:
-        """False once it let go by itself."""
+        """False once its watchdog released the valves."""
         return not self.silent
 
 

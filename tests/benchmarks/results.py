@@ -18,7 +18,7 @@ _SECTION = "\n## `"
 
 
 def keep(name: str, options: Sequence[str], rows: Sequence[Row], made: str, folder: Path = RESULTS) -> Path:
-    """Write `rows` of a run of benchmark `name`, `made` so, in place of what the same command gave before."""
+    """Write `rows` of a run of benchmark `name`, `made` so, in place of this command's previous ones."""
     command = f"python -m tests.benchmarks {shlex.join([name, *options])}"
     path = folder / f"{name}.md"
     parts = path.read_text("utf-8").split(_SECTION)[1:] if path.exists() else []

@@ -1,4 +1,4 @@
-"""The right arm's own coordinates, which simulators with an explicit loop carry beside the joints."""
+"""The right arm's own coordinates, which simulators with an explicit loop carry in addition to the joints."""
 
 from __future__ import annotations
 

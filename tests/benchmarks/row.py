@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Row(NamedTuple):
-    """A figure; `at_least` and `at_most` are what the project promises of it, where it promises."""
+    """A result; `at_least` and `at_most` are the project's promised limits, where there are any."""
 
     benchmark: str
     name: str

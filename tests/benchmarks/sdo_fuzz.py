@@ -1,4 +1,4 @@
-"""Startups of the CANopen driver beside nodes that lie: every end is an open driver or a named refusal.
+"""Startups of the CANopen driver with nodes that lie: every end is an open driver or a named refusal.
 
     python -m tests.benchmarks sdo_fuzz --dialogues 100000 --seed 1
 
@@ -41,7 +41,7 @@ _LONGEST = 120.0
 
 @dataclass
 class FuzzedStartups:
-    """What a run came to."""
+    """Result of a run."""
 
     dialogues: int = 0
     """Answers of nodes to the driver, lies among them."""
@@ -110,7 +110,7 @@ def _inputs_inverted() -> Personality:
 
 
 def fuzz(dialogues: int, seed: int) -> FuzzedStartups:
-    """Start and scan beside lying nodes until so many answers were given."""
+    """Start and scan with lying nodes until they have given `dialogues` answers."""
     source, result = random.Random(seed), FuzzedStartups()
     start = time.perf_counter()
     while result.dialogues < dialogues:
@@ -144,7 +144,7 @@ def fuzz(dialogues: int, seed: int) -> FuzzedStartups:
 
 
 def run(options: Sequence[str] = ()) -> list[Row]:
-    """Return what a long run came to."""
+    """Return the results of a long run."""
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks sdo_fuzz")
     parser.add_argument("--dialogues", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)

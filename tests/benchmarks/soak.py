@@ -1,8 +1,8 @@
-"""A bench as a user runs it, for hours: what grows, what is lost, what is late, and whether it survives.
+"""A bench as a user runs it, for hours: growth, losses, lateness, and survival.
 
 `golfbench run --series` in the mode that ships, a swing every quarter of a minute, every ten minutes a
-campaign in between; page with a reader, viewer that writes a file, and a status watcher beside it. Once a
-minute all processes are sampled. What grows is judged over the second half of the time.
+campaign in between; page with a reader, viewer that writes a file, and a status watcher. Once a
+minute all processes are sampled. Growth is evaluated over the second half of the time.
 
 With `--set-clock` the date changes during the first campaign and the clock is set back an hour during the
 second one (libfaketime, in these processes only); the bench is then started again on the same data.
@@ -77,7 +77,7 @@ class Sample(NamedTuple):
 
 
 class Beside:
-    """Page with a reader, viewer and status watcher beside a bench."""
+    """Page with a reader, viewer and status watcher of a bench."""
 
     def __init__(self, file: Path, folder: Path, environment: dict[str, str]) -> None:
         self._file, self._folder, self._environment = file, folder, environment
@@ -125,7 +125,7 @@ class Beside:
 
     @property
     def ended(self) -> list[str]:
-        """Those that have ended by themselves."""
+        """Processes that have ended unexpectedly."""
         return [name for name, process in self.processes.items() if process.poll() is not None]
 
 
@@ -164,7 +164,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 class Sampler:
-    """Looks at bench and companions once every `period` (s), in a thread of its own."""
+    """Samples bench and companions every `period` (s), in a separate thread."""
 
     def __init__(self, bench: BenchProcess, beside: Beside, folder: Path, period: float) -> None:
         self._bench, self._beside, self._folder, self._period = bench, beside, folder, period
@@ -249,7 +249,7 @@ def _plain(sample: Sample) -> dict[str, Any]:
 
 
 class Course:
-    """What is done with the bench, and what came of it."""
+    """Actions on the bench, and their results."""
 
     def __init__(self, bench: BenchProcess, file: Path, environment: dict[str, str]) -> None:
         self._bench, self._file, self._environment = bench, file, environment
@@ -287,7 +287,7 @@ class Course:
 
     @contextmanager
     def _lease(self) -> Iterator[None]:
-        """Hold the lease; whoever held it before may still have to let it go."""
+        """Hold the lease; the previous holder may still have to release it."""
         with ExitStack() as stack:
             for attempt in range(_ATTEMPTS):
                 try:
@@ -320,7 +320,7 @@ def run(arguments: Sequence[str] = ()) -> list[Row]:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--minutes", type=float, default=240.0)
-    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the loop")
+    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="rate of the loop")
     parser.add_argument("--every", type=float, default=15.0, metavar="S", help="between two swings")
     parser.add_argument("--campaigns", type=float, default=10.0, metavar="MIN", help="between two of them")
     parser.add_argument("--sample", type=float, default=60.0, metavar="S", help="between two looks")
@@ -373,7 +373,7 @@ def _soak(options: argparse.Namespace, folder: Path) -> list[Row]:
         row("records lost by the publisher", last["publisher lost"] - first["publisher lost"], at_most=0),
         row("batches lost by the viewer", lost_by_viewer, at_most=0),
         row("campaigns that did not finish", len(failed), "", f"of {len(course.campaigns)}", 0),
-        row("processes that ended by themselves", len(ended), "", ", ".join(ended), 0),
+        row("processes that ended unexpectedly", len(ended), "", ", ".join(ended), 0),
         row("errors in the log of the bench", len(re.findall(r"ERROR|Traceback|restarting", log)), at_most=0),
         row("exit code", code, at_most=0),
         row("the loop's process, of a processor", 100.0 * spent / seconds, "%"),

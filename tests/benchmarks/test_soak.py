@@ -1,4 +1,4 @@
-"""What a soak judges by: growth by the hour, and a clock that can be set."""
+"""Criteria of a soak: growth per hour, and a settable clock."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ time_t time(time_t *into) {
 
 
 class WallClock:
-    """A clock beside the machine's; processes started with `environment` go by it."""
+    """A second clock; processes started with `environment` use it."""
 
     def __init__(self, folder: Path) -> None:
         """Keep library and offset in `folder`.

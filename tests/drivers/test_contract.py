@@ -74,7 +74,7 @@ class NodesProcess:
         self._shared = SharedRecord.open(folder / REPORT_FILE, PLANT_REPORT)
 
     def in_force(self) -> Command:
-        """Return the command in force, to the outputs' resolution, once all that was sent is heard."""
+        """Return the command in force, to the outputs' resolution, once all frames sent are received."""
         return rounded(newest_command(self._shared))
 
     def end(self) -> None:

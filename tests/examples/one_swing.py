@@ -1,4 +1,4 @@
-"""Make one swing on a running bench and print what the club and the ball did.
+"""Make one swing on a running bench and print the motion of club and ball.
 
 .venv/bin/golfbench run                           # terminal 1: a bench with the simulated robot
 .venv/bin/python tests/examples/one_swing.py      # terminal 2; with a configuration: one_swing.py bench.toml

@@ -1,4 +1,4 @@
-"""Print what a running bench does, without importing it: zenoh, pyarrow and the bench's own schema suffice.
+"""Print a running bench's activity, without importing it: zenoh, pyarrow and the bench's own schema suffice.
 
 .venv/bin/golfbench run                                                 # terminal 1
 .venv/bin/python tests/examples/subscriber.py bench1 tcp/127.0.0.1:7451 # terminal 2

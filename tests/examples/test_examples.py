@@ -1,4 +1,4 @@
-"""The examples run as a reader runs them, and the README shows what the commands print."""
+"""The examples run as a reader runs them, and the README shows the commands' output."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def _python(*arguments: str) -> str:
-    """Run Python with `arguments` beside the test and return what it printed."""
+    """Run Python with `arguments` in a separate process and return its output."""
     done = subprocess.run(
         [sys.executable, *arguments], capture_output=True, text=True, check=False, timeout=500
     )
@@ -43,7 +43,7 @@ def _python(*arguments: str) -> str:
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The folder of the README's campaign, and what the command printed."""
+    """The folder of the README's campaign, and the command's output."""
     folder = tmp_path_factory.mktemp("campaign")
     configuration = folder / "bench.toml"
     configuration.write_text(f'base = "shipped"\n[bench]\ndata_dir = "{folder}"\n')
@@ -79,7 +79,7 @@ def test_lock_step_swing_writes_plot(tmp_path: Path) -> None:
 @pytest.mark.paced
 @pytest.mark.timeout(600)
 def test_one_swing_client_runs_and_messages_follow_contract(tmp_path: Path) -> None:
-    """And of a program that does not import the bench; what the bench said is as its contract says."""
+    """Also a program that does not import the bench; the bench's messages follow its contract."""
     file = write_configuration(tmp_path, "example")
     output = tmp_path / "subscriber.txt"
     with running_bench(file) as bench, _subscriber(bench.configuration, output):

@@ -1,4 +1,4 @@
-"""What fails in the air is named by its place, and nobody is let in on time alone."""
+"""A pneumatic fault is reported by location, and elapsed time alone never gives access."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ FAULTS = {
 
 
 class Follower:
-    """Tells the driver the phase before each tick, as the loop's process does."""
+    """Passes the phase to the driver before each tick, as the loop's process does."""
 
     def __init__(self, cycle: Cycle, driver: SimDriver, clock: FreeClock) -> None:
         self.cycle, self.driver, self.clock = cycle, driver, clock

@@ -1,4 +1,4 @@
-"""A stop is monitored, too: what breaks during it gets its own reaction.
+"""A stop is also monitored: a fault during it gets its own reaction.
 
 First comes the stop, then, in the middle of it, a valve or an encoder breaks.
 """

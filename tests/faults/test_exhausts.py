@@ -1,4 +1,4 @@
-"""A clogged silencer or a kinked hose: nobody is let in to an arm that air holds up, with open vents too."""
+"""A clogged silencer or a kinked hose: no access to an arm held up by air, even with open vents."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ FIGURES = re.compile(r"\| [^|]* \| [^|]* \| \d+: \d+, \d+ \| \d+ % \|")
 
 
 def judged(text: str) -> str:
-    """Return what a hazard file says beside the figures of its matrix."""
+    """Return a hazard file without the figures of its matrix."""
     before, _, after = text.partition("\nMatrix: ")
     return before + FIGURES.sub("|", after.partition("\n\n")[2])
 
@@ -60,7 +60,7 @@ def test_risk_graph_level_never_decreases_with_risk() -> None:
     [
         ("severity = 4", "severity = 5", "1 to 4"),
         ('interval = "year"', 'interval = "decade"', "half_year"),
-        ('owner = "maintenance"', 'owner = "nobody"', "integrator"),
+        ('owner = "maintenance"', 'owner = "unknown"', "integrator"),
         ('remains = "the pattern', 'left = "the pattern', "remains"),
         ('f = "F1"', 'f = "F3"', "F1 or F2"),
     ],

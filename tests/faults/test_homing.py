@@ -1,4 +1,4 @@
-"""A valve that sticks open in the search, where zeros are unknown and no model can tell, loses its air."""
+"""A valve stuck open in the search, where zeros are unknown and no model can detect it, loses its air."""
 
 from __future__ import annotations
 

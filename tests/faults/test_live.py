@@ -1,6 +1,6 @@
-"""Faults of a bench that runs: the whole of it, as a user starts it, and what its operator reads.
+"""Faults of a running bench, complete as a user starts it, and the operator's messages.
 
-Patient where the plant has a clock of its own: the machine of the tests may be busy.
+Patient where the plant has its own clock: the machine of the tests may be busy.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ duration = 3.0
 
 
 def stopped(bench: BenchProcess) -> tuple[Cause, Reaction]:
-    """Arm, and swing if it comes to that; return what stopped it, and what was done about it."""
+    """Arm, and swing if possible; return the cause of the stop and the reaction."""
     with bench.client.lease("test"):
         bench.recover()
         bench.client.arm()

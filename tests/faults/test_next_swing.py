@@ -1,4 +1,4 @@
-"""What the next swing finds of a fault that nothing noticed."""
+"""Detection of an unnoticed fault by the next swing."""
 
 from __future__ import annotations
 

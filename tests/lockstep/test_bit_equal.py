@@ -42,7 +42,7 @@ def armed(pair: Pair) -> None:
 
 
 def swung(pair: Pair, until: float) -> None:
-    """Begin a swing at a ball, once its air is as planned, and stop `until` s after its begin."""
+    """Start a swing at a ball once the pressures are as planned, and stop `until` s after its start."""
     pair.tee(True)
     pair.advance(300)
     control = pair.python.state.control

@@ -1,4 +1,4 @@
-"""Swings of valves with spool feedback: a stuck one is named within milliseconds, healthy ones swing on."""
+"""Swings with spool feedback: a stuck valve is reported within milliseconds, fault-free ones swing on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shipped swing, stopped on the plant: at rest, stops and chambers below their ratings, its cause told.
+"""The shipped swing, stopped on the plant: at rest, stops and chambers below their ratings, cause reported.
 
 Tried at some instants only; `golfbench profile check` tries all, and shows which valves stuck open end above.
 """

@@ -62,7 +62,7 @@ def main() -> int:
 
 
 def verdict(module: str, explained: dict[str, str], only: str, every: int) -> bool:
-    """Try the mutants of `module`, tell of the survivors; return whether all is as it should be."""
+    """Try the mutants of `module`, print the survivors; return whether all is as expected."""
     path = ROOT / Path(*module.split(".")).with_suffix(".py")
     source = path.read_text()
     trials = Trials(module, TARGETS[module])

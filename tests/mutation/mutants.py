@@ -1,4 +1,4 @@
-"""Small mistakes put into a source file, one at a time: what a careless edit might do.
+"""Small mistakes put into a source file, one at a time, as by a careless edit.
 
 Not mutated: docstrings and texts for people, annotations, decorators, imports.
 """
@@ -50,7 +50,7 @@ class Mutant(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What tells it from the module's other mutants, also when lines have moved."""
+        """Unique name among the module's mutants, independent of line numbers."""
         again = f" ({self.nth})" if self.nth > 1 else ""
         return f"{self.text}: {self.change}{again}"
 
@@ -99,7 +99,7 @@ def _head(node: ast.AST) -> str:
 
 
 def _changes(node: ast.AST, members: Members) -> Iterator[ast.AST]:
-    """Yield what may be made of `node`."""
+    """Yield the mutants of `node`."""
     match node:
         case ast.Compare(left=left, ops=ops, comparators=right):
             for k, op in enumerate(ops):

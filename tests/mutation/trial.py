@@ -1,7 +1,7 @@
 """A mutant put before the tests: in a fork of a process that has the libraries imported, but nothing of ours.
 
-The child imports `bench` and the tests anew, the mutated module from the changed source: whoever takes a
-value or a function from it at import time has the mutant's, and none is left with the original.
+The child imports `bench` and the tests anew, the mutated module from the changed source: every importer
+gets the mutant's values and functions, and none keeps the original's.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _NOTICED = (pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED, pytest.Ex
 
 
 class Outcome(NamedTuple):
-    """What the tests said of a source."""
+    """Test results of a source."""
 
     killer: str
     """The test that failed, `import` or `time`; empty when all passed."""
@@ -57,10 +57,10 @@ class Trials:
     order: list[str] = field(default_factory=list)
     """Names of tests in the order they are to run in; the others follow."""
     longest: float = 60.0
-    """CPU time that one test may take, s; longer is noticed, too."""
+    """CPU time limit of one test, s; exceeding it kills the mutant."""
 
     def begin(self, source: str) -> Outcome:
-        """Try the unchanged `source`, which all tests must pass; import what it needs, order by time taken.
+        """Try the unchanged `source`, which all tests must pass; import its dependencies, order by time.
 
         Raises:
             NoVerdictError: a test fails on it.
@@ -114,7 +114,7 @@ class Trials:
 
 
 def is_ours(name: str) -> bool:
-    """Tell whether the module `name` must not outlive a mutant."""
+    """Return whether the module `name` must not outlive a mutant."""
     return name.split(".", maxsplit=1)[0] in OURS
 
 
@@ -127,7 +127,7 @@ def warm(names: Iterable[str]) -> None:
 
 
 def _outcome(code: int, lines: list[dict[str, Any]]) -> Outcome:
-    """Return what a child that ended with `code` found out.
+    """Return the outcome of a child that ended with `code`.
 
     Raises:
         NoVerdictError: it ended in another way than a mutant can make it, or never loaded the mutant.
@@ -184,7 +184,7 @@ class _Source(importlib.machinery.SourceFileLoader):
 
 
 class Watch:
-    """Orders the tests, ends one that takes too long, and tells of each."""
+    """Orders the tests, ends one that takes too long, and reports each."""
 
     def __init__(self, order: Sequence[str], longest: float, report: Any) -> None:
         self.rank = {name: rank for rank, name in enumerate(order)}
@@ -209,6 +209,6 @@ class Watch:
             _tell(self.report, seconds={item.nodeid: time.process_time() - begun})
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Tell of the first failure."""
+        """Report the first failure."""
         if report.failed:
             _tell(self.report, failed=report.nodeid)

@@ -1,8 +1,8 @@
 """Renew the reference records: `make reference`, which is `python -m tests.replay.renew`.
 
-Do so only after a change that is meant to change what the controller does, and say so in the commit. Two
+Do so only after an intended change of the controller's behaviour, and state it in the commit. Two
 swings of the default profile on the software plant: one at a ball, until the robot is on its way back, and
-one that is stopped in the backswing. What a replay does not need, the plant's truth, is left out.
+one that is stopped in the backswing. The plant's truth, unnecessary for a replay, is left out.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def stopped_in_the_backswing(bench: SimulatedBench) -> SwingResult | None:
 
 
 def write_reference(path: Path, bench: SimulatedBench, result: SwingResult, ticks: int | None = None) -> None:
-    """Write the first `ticks` cycles of `result` (all without) and what a replay needs."""
+    """Write the first `ticks` cycles of `result` (all without) and the data for a replay."""
     cycles = since(result.cycles[:ticks], 0.0)  # a copy
     for name in MEASURED:
         cycles[name] = 0.0
@@ -66,7 +66,7 @@ def write_reference(path: Path, bench: SimulatedBench, result: SwingResult, tick
 
 
 def main() -> int:
-    """Swing twice and write the records; 1 when a swing is not what the reference is to show."""
+    """Swing twice and write the records; 1 when a swing does not meet the reference's conditions."""
     bench = reference_bench()
     swing = simulate_swing(bench)
     if swing.reason:

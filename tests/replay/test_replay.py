@@ -1,6 +1,6 @@
 """Records replay to the last bit; a changed gain, estimator or envelope shows.
 
-The reference records hold what the controller did when they were made, so that no change of it goes
+The reference records hold the controller's output when they were made, so that no change of it goes
 unnoticed. Is the change meant? `make reference` renews them (`tests/replay/renew.py`).
 """
 
@@ -125,7 +125,7 @@ CHANGES: dict[str, tuple[Path, Change, str]] = {
     "profile": (SWING, shift_profile, "reference_angle"),
     "impact window": (SWING, delay_impact, "phase"),
 }
-"""What is changed, the record that shows it, and a field in which it must."""
+"""The change, the record that shows it, and a field in which it must."""
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -145,7 +145,7 @@ def test_replay_changed_controller_shows_difference(name: str, monkeypatch: pyte
 
 
 class Faulty(SimDriver):
-    """The software plant, whose readings fail or miss encoders at some times; it may go passive by itself."""
+    """The software plant, whose readings fail or miss encoders at some times; it may turn passive itself."""
 
     def __init__(self, bench: SimulatedBench, failing: range, invalid: range, passive: range) -> None:
         super().__init__(bench.plant)

@@ -1,4 +1,4 @@
-"""The `sim` driver: what the contract suite does not know about it."""
+"""The `sim` driver: properties beyond the contract suite."""
 
 from __future__ import annotations
 

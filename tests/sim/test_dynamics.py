@@ -310,7 +310,7 @@ def test_closed_chambers_exchange_energy_without_loss(mounted: float) -> None:
 
 
 def test_wrist_lever_angle_shifts_wrist_stroke() -> None:
-    """Its cylinder cannot tell the mounting angle from the wrist's own."""
+    """Its cylinder cannot distinguish the mounting angle from the wrist's own."""
     turned = 0.7
     square, mounted = PlantParameters(), PlantParameters(wrist_lever_angle=turned)
     theta3 = np.linspace(4.4, 6.2, 7)

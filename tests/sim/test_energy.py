@@ -21,7 +21,7 @@ TOLERANCE = 1e-8
 
 # All start at rest or nearly so; the regular equations hold at every theta2, so it may leave its quadrant.
 STARTS = {
-    "bent arm let go": ((-0.4, 4.0, 5.5), (0.0, 0.0, 0.0)),
+    "bent arm released": ((-0.4, 4.0, 5.5), (0.0, 0.0, 0.0)),
     "small swing about hanging": ((-1.5, 6.2, 6.2), (0.0, 0.0, 0.0)),
     "thrown over the top": ((-1.2, 4.2, 5.8), (6.0, -2.0, 9.0)),
 }

@@ -1,4 +1,4 @@
-"""Every kind of fault on every sort of signal does what it says, from its onset on, the same each time."""
+"""Every kind of fault on every sort of signal acts as specified, from its onset on, reproducibly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sole on the ground: what a surface takes from the head, and the power that leaves the robot."""
+"""The sole on the ground: the force of a surface on the head, and the power that leaves the robot."""
 
 from __future__ import annotations
 

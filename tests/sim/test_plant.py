@@ -1,4 +1,4 @@
-"""The plant as a whole: supply, vents, what it keeps of a swing, repeatability."""
+"""The complete plant: supply, vents, state after a swing, repeatability."""
 
 from __future__ import annotations
 

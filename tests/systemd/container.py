@@ -1,6 +1,6 @@
-"""A systemd of its own as PID 1 of a container on this machine's kernel, without a booted systemd here.
+"""A separate systemd as PID 1 of a container on this machine's kernel, without a booted systemd here.
 
-Native speed, real cgroups, seccomp, watchdog and real-time scheduling; a network of its own with nothing
+Native speed, real cgroups, seccomp, watchdog and real-time scheduling; a separate network with nothing
 but loopback; no CAN. Needs root.
 """
 
@@ -22,7 +22,7 @@ from tests.systemd.root import Root
 _HIERARCHIES = tuple(
     folder for folder in (Path("/sys/fs/cgroup/systemd"), Path("/sys/fs/cgroup/unified")) if folder.is_dir()
 ) or (Path("/sys/fs/cgroup"),)
-"""Where this machine has control groups: versions 1 and 2 beside each other, or 2 alone."""
+"""Where this machine has control groups: versions 1 and 2 together, or 2 alone."""
 
 
 def wait_until(holds: Callable[[], bool], longest: float, what: str) -> float:
@@ -90,7 +90,7 @@ class Container:
         return self.run("systemctl", "is-system-running", check=False) in {"running", "degraded"}
 
     def run(self, *command: str | Path, check: bool = True, timeout: float = 60.0) -> str:
-        """Run `command` as root in the container and return what it printed, stripped."""
+        """Run `command` as root in the container and return its output, stripped."""
         inside = ["nsenter", "--all", f"--target={self._leader}", "timeout", "--kill-after=5", f"{timeout:g}"]
         done = subprocess.run(
             [*inside, *command],
@@ -105,7 +105,7 @@ class Container:
         return done.stdout.strip()
 
     def stop(self) -> None:
-        """Halt the container and remove what it leaves on this machine."""
+        """Halt the container and remove its files and control groups from this machine."""
         self._nspawn.terminate()
         try:
             self._nspawn.wait(30.0)

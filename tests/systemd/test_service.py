@@ -1,4 +1,4 @@
-"""The service for real: golfbench@bench1 as it ships, run by a systemd of its own (container.py).
+"""The service for real: golfbench@bench1 as it ships, run by a separate systemd (container.py).
 
 The first start compiles everything, which makes the first test the longest by far.
 """
@@ -35,7 +35,7 @@ AmbientCapabilities=CAP_SYS_NICE CAP_IPC_LOCK
 
 
 def may_raise_limits() -> bool:
-    """Tell whether root may raise resource limits here, as everywhere but in some containers."""
+    """Return whether root may raise resource limits here, as everywhere but in some containers."""
     attempt = "import resource; resource.setrlimit(resource.RLIMIT_RTPRIO, (98, 98))"
     if resource.getrlimit(resource.RLIMIT_RTPRIO)[1] >= 98:
         return True
@@ -43,13 +43,13 @@ def may_raise_limits() -> bool:
 
 
 def may_be_real_time() -> bool:
-    """Tell whether root may use SCHED_FIFO here."""
+    """Return whether root may use SCHED_FIFO here."""
     attempt = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))"
     return subprocess.run(["python3", "-c", attempt], check=False, capture_output=True).returncode == 0
 
 
 class Service:
-    """The service under test, by what systemd and golfbench tell of it."""
+    """The service under test, as systemd and golfbench report it."""
 
     def __init__(self, container: Container) -> None:
         self.container = container

@@ -93,19 +93,19 @@ def main() -> int:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.vm", description=__doc__)
     parser.add_argument(
-        "--parts", nargs="*", choices=PARTS, default=PARTS[:1], help="default: driver; both beside each other"
+        "--parts", nargs="*", choices=PARTS, default=PARTS[:1], help="default: driver; both: at once"
     )
     parser.add_argument("--interface", choices=("can", "vcan"), default="can", help="vcan: without faults")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of the driver's load (%(default)g)")
-    parser.add_argument("--rate", type=float, default=RATE, metavar="HZ", help="of the driver (%(default)g)")
-    parser.add_argument("--shots", type=int, default=10, help="of the bench (%(default)d)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="driver's load time (%(default)g)")
+    parser.add_argument("--rate", type=float, default=RATE, metavar="HZ", help="driver's rate (%(default)g)")
+    parser.add_argument("--shots", type=int, default=10, help="shots of the bench (%(default)d)")
     parser.add_argument(
         "--faults",
         nargs="*",
         choices=list(FAULTS),
         default=list(FAULTS),
         metavar="NAME",
-        help="of the driver's part, default: all",
+        help="faults of the driver's part, default: all",
     )
     parser.add_argument(
         "--swing-faults",
@@ -113,15 +113,15 @@ def _options() -> argparse.Namespace:
         choices=[*SWING_FAULTS, "all"],
         default=list(USUAL),
         metavar="NAME",
-        help="of the bench's part, in mid-swing",
+        help="faults of the bench's part, in mid-swing",
     )
-    parser.add_argument("--timeout", type=float, default=3600.0, metavar="S", help="of each guest")
+    parser.add_argument("--timeout", type=float, default=3600.0, metavar="S", help="time limit of each guest")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="leave console, output and journal there")
     return parser.parse_args()
 
 
 def _lacking() -> str:
-    """Return what is absent, and how to have it; empty when nothing is."""
+    """Return the missing requirements, and how to meet them; empty: none."""
     if os.geteuid() != 0:
         return "it needs root, to lay out a root file system"
     missing = sorted(package for program, package in PACKAGES.items() if shutil.which(program) is None)
@@ -164,7 +164,7 @@ def _keep(share: Path, folder: Path) -> None:
 
 
 def _explain(share: Path, console: Console) -> None:
-    """Print what the guest told last."""
+    """Print the guest's last output."""
     for name in ("output", "journal", "console"):
         if (share / name).exists():
             lines = (share / name).read_text(errors="replace").splitlines()[-40:]

@@ -56,7 +56,7 @@ class DriverLoop:
 def in_real_time(priority: int = 80) -> None:
     """Run before everything else, as the loop does, and collect no garbage meanwhile.
 
-    Not so what is started from here: it would come before the nodes.
+    Child processes do not inherit this: they would preempt the nodes.
     """
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     gc.collect()

@@ -20,7 +20,7 @@ CONFIGURATIONS = Path("/etc/golfbench")
 NODES = "golfbench-nodes"
 NODES_FOLDER = Path("/run/golfbench-nodes")
 CARDS = ("can0", "can1", "can2")
-"""Interfaces of the bench, of the nodes, and of whoever watches or babbles: one wire."""
+"""Interfaces of the bench, of the nodes, and of the witness or a babbling node: one wire."""
 DRIVER_OF_CARDS, PLACE = Path("/sys/bus/pci/drivers/kvaser_pci"), "0000:00:10.0"
 """The kernel's driver, and where the bench's card sits (`machine.CARDS`)."""
 GREATEST_SHARE = 70.0
@@ -62,7 +62,7 @@ LimitMEMLOCK=infinity
 
 
 def run(*command: str) -> str:
-    """Run a command and return what it printed; RuntimeError when it fails."""
+    """Run a command and return its output; RuntimeError when it fails."""
     done = subprocess.run(command, check=False, text=True, capture_output=True, stdin=subprocess.DEVNULL)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)}: {done.returncode} {done.stdout}{done.stderr}")
@@ -80,7 +80,7 @@ def wait_until(holds: Callable[[], bool], what: str, longest: float = 120.0) -> 
 
 
 def say(text: str) -> None:
-    """Tell where the test is."""
+    """Print the progress of the test."""
     print(f"{time.monotonic():.1f} s: {text}", flush=True)
 
 
@@ -92,7 +92,7 @@ def keep(rows: list[Row]) -> None:
 
 
 def keep_journal() -> None:
-    """Give the host what all units told."""
+    """Give the host the journal of all units."""
     (HOST / "journal").write_text(run("journalctl", "--no-pager", "--output=short-monotonic"))
 
 

@@ -150,14 +150,14 @@ class GuestBench:
         self._report = SharedRecord.open(NODES_FOLDER / REPORT_FILE, PLANT_REPORT)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the connections."""
         self.client.close()
         self.ring.close()
         self.timing.close()
         self._report.close()
 
     def report(self) -> np.void:
-        """Return what the plant tells."""
+        """Return the plant's report."""
         record = np.zeros(1, PLANT_REPORT)
         self._report.read(record)
         found: np.void = record[0]
@@ -207,7 +207,7 @@ class GuestBench:
             time.sleep(0.1)
 
     def reset(self) -> None:
-        """Press the button beside the robot, then reset."""
+        """Press the local reset button, then reset."""
         with SurroundingsWriter(NODES_FOLDER) as hand:
             for pressed in (False, True, False):
                 hand.change(local_reset=pressed)
@@ -241,7 +241,7 @@ class GuestBench:
 
 @contextmanager
 def alone_on_processor() -> Iterator[None]:
-    """Run before loop and nodes: what is counted meanwhile belongs to one instant."""
+    """Run before loop and nodes: values counted meanwhile belong to one instant."""
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(90))
     try:
         yield
@@ -255,5 +255,5 @@ def service(name: str, unit: str = UNIT) -> str:
 
 
 def journal(unit: str = UNIT) -> str:
-    """Return what a unit has told."""
+    """Return the journal of a unit."""
     return run("journalctl", "--no-pager", "--output=cat", f"--unit={unit}")

@@ -1,4 +1,4 @@
-"""What is seen on the wire from the third card, and what the kernel counted, without disturbing anybody."""
+"""Frames on the wire seen from the third card, and the kernel's counts, without any disturbance."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SO_TIMESTAMPNS, _SO_RCVBUFFORCE = 35, 33
 _STAMP = struct.Struct("=qq")
 _FILTER = struct.Struct("=II")
 _EXACT = 0x7FF | 0x80000000 | 0x40000000
-"""Mask of a filter that takes one identifier of a data frame: the kernel counts its matches by itself."""
+"""Mask of a filter that takes one identifier of a data frame: the kernel counts its matches."""
 _IFREQ = struct.Struct("=16sh22x")
 _SIOCGIFFLAGS, _SIOCSIFFLAGS, _IFF_UP = 0x8913, 0x8914, 1
 _BUFFER = 8 * 2**20

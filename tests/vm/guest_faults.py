@@ -19,9 +19,9 @@ from tests.vm.guest_bus import Listener, send, switch_link
 
 TITLE = "faults in mid-swing, to the reaction at the valve node"
 CARD = "can0"
-"""Of the bench; the nodes are on can1, the witness and whoever babbles on can2."""
+"""The bench's; the nodes are on can1, the witness and babbling nodes on can2."""
 _SETTLING = 0.5
-"""s after a mend: taking a queueing discipline away may cost frames of its own."""
+"""s after a mend: removal of a queueing discipline may itself lose frames."""
 _NEWS = 1.2
 """s after which the status has the driver's counters; it gets them once a second."""
 _HEALTHY = ("frames", "syncs", "positions", "inputs", "pressures", "heartbeats", "services")
@@ -42,7 +42,7 @@ class Fault(NamedTuple):
 
 
 def provoke_all(bench: GuestBench, names: Sequence[str]) -> list[Row]:
-    """Bring each fault as the robot passes through its downswing; what needs no reset comes first."""
+    """Bring each fault as the robot passes through its downswing; faults without a reset come first."""
     rows = []
     for name in names or FAULTS:
         try:
@@ -144,7 +144,7 @@ def _now(do: Callable[[], object]) -> Bring:
 
 
 def _then(do: Callable[[], object]) -> Bring:
-    """Count from when it stands: a command of its own brings it."""
+    """Return a fault brought by `do`, counted from its return."""
 
     def bring() -> float:
         do()
@@ -204,7 +204,7 @@ def _pull_and_wait() -> float:
 
 
 class _Babble:
-    """Somebody who sends on and on."""
+    """A node that sends continuously."""
 
     def __init__(self, identifier: int, gap: float) -> None:
         self._identifier, self._gap = identifier, gap
@@ -242,7 +242,7 @@ _FOREIGN, _AS_ENCODER = _Babble(0x555, 1.0), _Babble(0x282, 0.2)
 TICKS = 2 * 1e3 / RATE
 """ms of two ticks."""
 WATCHDOG = 20.0 + TICKS
-"""ms in which the valve node must have let go by itself."""
+"""ms in which the valve node's watchdog must have released the valves."""
 
 FAULTS: dict[str, Fault] = {
     "frames delayed by 0.1 ms": Fault(_disturb("delay", "100us"), _calm, None),

@@ -91,7 +91,7 @@ def _segments(title: str, told: dict[str, Any]) -> list[Row]:
 
 
 def _age_rows(title: str, ages: Cycles, period_us: float, lost: int) -> list[Row]:
-    """Return how often an encoder's sample was not of its own tick."""
+    """Return the number of ticks with an encoder sample of another tick."""
     old = int(np.sum(ages > 0.5e-6 * period_us))
     return [
         Row(title, "ticks without all three positions", old, f"of {len(ages)}", f"{lost} not seen", at_most=0)
@@ -101,7 +101,7 @@ def _age_rows(title: str, ages: Cycles, period_us: float, lost: int) -> list[Row
 def _sums(
     title: str, ticks: int, new: dict[int, int], links: dict[str, dict[str, int]], witness: str
 ) -> list[Row]:
-    """Return what was sent, received and lost; counters that were not read in the same tick differ by one."""
+    """Return the frames sent, received and lost; counters not read in the same tick differ by one."""
     positions = [new[i] for i in POSITIONS]
     sent, received = links["can0"]["tx_packets"], links["can1"]["rx_packets"]
     answered, heard = links["can1"]["tx_packets"], links["can0"]["rx_packets"]
@@ -147,7 +147,7 @@ def _sums(
 
 
 def _shots(title: str, bench: GuestBench, before: set[Path], shots: int) -> list[Row]:
-    """Return the shots that their records tell of."""
+    """Return the shots in their records."""
     time.sleep(1.0)
     paths = sorted(set(bench.configuration.bench.data_dir.glob("swings/*/*.parquet")) - before)
     speeds, lost, struck = [], 0, 0

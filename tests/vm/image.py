@@ -142,7 +142,7 @@ def _digest() -> str:
 
 
 def digest_of(files: list[Path]) -> str:
-    """Return 16 hex digits that tell names and contents of `files`."""
+    """Return 16 hex digits that identify names and contents of `files`."""
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.name.encode() + file.read_bytes())
@@ -223,7 +223,7 @@ def _install_packages(root: Path) -> None:
 
 
 def _configure(root: Path) -> None:
-    """Lay in the guest's own files: how it starts, and what it runs."""
+    """Install the guest's own files: its start-up and its programs."""
     etc = root / "etc"
     system = etc / "systemd/system"
     for unit in GUEST.glob("*.*"):

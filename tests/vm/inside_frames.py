@@ -1,8 +1,8 @@
 """The driver alone on the emulated card, in the guest: `python -m tests.vm.inside_frames`.
 
-A loop of nothing but the driver's tick, in real-time scheduling, against the simulated nodes in a process of
-their own on another card: what is lost, how long answers take, and what each fault of the bus leads to at the
-valve node. Rows go to /host/rows, one JSON a line. Nothing is imported here that is not needed.
+A loop of nothing but the driver's tick, in real-time scheduling, against the simulated nodes in a
+separate process on another card: losses, answer times, and the reaction of the valve node to each fault of
+the bus. Rows go to /host/rows, one JSON a line. Nothing is imported here that is not needed.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ from tests.vm.guest_bus import Frame, Listener, interface_counters, matches, sen
 
 WATCHDOG = 0.02
 LOST = 24.0
-"""ms in which the valve node must have let go by itself: its own 20, and two ticks."""
+"""ms in which the valve node's watchdog must have released the valves: its own 20, and two ticks."""
 HELD_UP = 5e-4
 """s by which no tick may begin late: nothing else runs here for so long, unless the kernel does."""
 TOLD = 4.0
-"""ms in which the driver must have sent the passive command when the interface tells of the fault."""
+"""ms in which the driver must have sent the passive command when the interface reports the fault."""
 
 # Load --------------------------------------------------------------------------------------------------
 
@@ -86,7 +86,7 @@ def measure(title: str, loop: DriverLoop, seconds: float, wire: str, ends: tuple
         times(title, "wake-up", loop.lateness),
         Row(
             title,
-            f"ticks begun over {1e3 * HELD_UP:g} ms late",
+            f"ticks started over {1e3 * HELD_UP:g} ms late",
             sum(late > HELD_UP for late in loop.lateness),
             f"of {ticks}",
             at_most=0,
@@ -256,7 +256,7 @@ class Prepared:
 
 
 class Fault(NamedTuple):
-    """Something that goes wrong: done at once, or by a command of its own."""
+    """A fault: brought at once, or by a separate command."""
 
     at_once: Callable[[], object] | None
     command: Prepared | None
@@ -309,8 +309,8 @@ FAULTS: dict[str, Fault] = {
     "every twentieth frame doubled": Fault(None, _netem("duplicate", "5%"), _calm, None),
     "a frame in a hundred lost": Fault(None, _netem("loss", "1%"), _calm, None),
     "reordered, a fifth 0.3 ms later": Fault(None, _netem("delay", "300us", "reorder", "80%"), _calm, None),
-    "somebody babbles, 1000 foreign frames a second": Fault(None, _babble(0x555, 1.0), _nothing, None),
-    "somebody babbles as an encoder": Fault(None, _babble(0x282, 0.5), _nothing, None),
+    "a node babbles, 1000 foreign frames a second": Fault(None, _babble(0x555, 1.0), _nothing, None),
+    "a node babbles as an encoder": Fault(None, _babble(0x282, 0.5), _nothing, None),
     "bus-off, an error frame": Fault(lambda: send("can0", 0x20000040, bytes(8)), None, _nothing, TOLD),
     "link down, then up": Fault(
         lambda: switch_link("can0", up=False), None, lambda: switch_link("can0", up=True), LOST
@@ -329,13 +329,13 @@ FAULTS: dict[str, Fault] = {
     ),
 }
 _TAKEN = (_bind, _plug, _put)
-"""Mends of a card that goes some time after that is asked for: counted from the last command on the wire."""
+"""Mends of a card that is removed with a delay: counted from the last command on the wire."""
 BEFORE, AFTER = 0.1, 0.4
 """s of ticks before a fault and after it."""
 
 
 def provoke(loop: DriverLoop, name: str, fault: Fault) -> Row:
-    """Bring one fault while the valves are open, watch what the valve node does, mend it, open anew."""
+    """Bring one fault while the valves are open, record the valve node's reaction, mend it, open anew."""
     driver, begun = loop.driver, [0.0]
     counters = driver.counters
     if fault.command is not None:
@@ -387,7 +387,7 @@ _FAULTS = "faults, ms to the reaction at the valve node"
 
 
 def _reaction(frames: list[Frame], after: float) -> Frame | None:
-    """Return the first frame that tells of closed valves: a passive command, or the node's own emergency."""
+    """Return the first frame that indicates closed valves: a passive command, or the node's own emergency."""
     for frame in frames:
         passive = frame.identifier == COMMAND and not frame.data[6] & SUPPLY
         if frame.time > after and (passive or (frame.identifier == EMERGENCY and frame.data[:2] != b"\0\0")):

@@ -38,7 +38,7 @@ def keep_modules(folder: Path, names: Iterable[str]) -> None:
 
 
 def load_order(folder: Path, names: Iterable[str]) -> list[Path]:
-    """Return the modules `names` and what they need, each after what it needs."""
+    """Return the modules `names` and their dependencies, each after its own."""
     paths, needs = _modules(folder)
     order: dict[str, Path] = {}
 

@@ -1,7 +1,7 @@
 """The virtual machine: QEMU without KVM, in virtual time, with three CAN cards on one wire.
 
-One guest nanosecond is one instruction of the guest (a computer of 1 GIPS), and idle time is skipped: what is
-measured in it repeats to the microsecond, whatever this machine does besides. Never KVM: where there is a
+One guest nanosecond is one instruction of the guest (a computer of 1 GIPS), and idle time is skipped:
+measurements in it repeat to the microsecond, under any load of this machine. Never KVM: where there is a
 device of that name that cannot run a stock kernel, QEMU starts and hangs.
 """
 
@@ -20,7 +20,7 @@ from typing import IO, Any, NamedTuple
 CARDS = {"card0": "0x10", "card1": "0x11", "card2": "0x12"}
 """Name -> place on the bus; the guest calls their interfaces can0, can1, can2."""
 MEMORY = 2560
-"""MiB: the root's image, twice while it is unpacked, and what is written over it."""
+"""MiB: the root's image, twice while it is unpacked, and the files written over it."""
 
 _APPEND = (
     "console=ttyS0 quiet panic=-1 systemd.show_status=no mitigations=off tsc=reliable no_timer_check "
@@ -28,7 +28,7 @@ _APPEND = (
     "transparent_hugepage=madvise"
 )
 _LOOK = 0.02
-"""s between two looks at what the guest asks for."""
+"""Period of polls for the guest's requests, s."""
 _TIMEOUT = 10.0
 """s that the monitor is tried for."""
 _MONITOR, _ASKED = "monitor", "asked"
@@ -39,14 +39,14 @@ class Outcome(NamedTuple):
     """How a run ended."""
 
     code: int | None
-    """Of the command; None: the guest ended without one, or the time was over."""
+    """Exit code of the command; None: the guest ended without one, or the time was over."""
     seconds: float
     processor: float
     """s of this machine's processors."""
 
 
 def run_machine(kernel: Path, initramfs: Path, share: Path, timeout: float, ended: Event) -> Outcome:
-    """Run `share`/command in the guest; what it writes to /host lies in `share`, its console there too.
+    """Run `share`/command in the guest; its files in /host lie in `share`, as does its console.
 
     It is over after `timeout` s, and when `ended` is set.
 
@@ -123,7 +123,7 @@ def _runs(machine: subprocess.Popen[bytes]) -> bool:
 
 
 def _serve(machine: subprocess.Popen[bytes], path: Path, asked: Path, deadline: float, ended: Event) -> None:
-    """Do what the guest asks for until it ends or the time is over."""
+    """Execute the guest's requests until it ends or the time is over."""
     with socket.socket(socket.AF_UNIX) as connection:
         _connect(connection, machine, path)
         monitor = _Monitor(connection.makefile("rw"))
@@ -158,11 +158,11 @@ class _Monitor:
         self._ask("qmp_capabilities")
 
     def pull(self, card: str) -> None:
-        """Ask the guest to let go of a card, as a hand at its lever does."""
+        """Request the release of a card by the guest, as a hand at its lever does."""
         self._ask("device_del", id=card)
 
     def put(self, card: str) -> None:
-        """Put it back; its place is free only after the guest has let go."""
+        """Put it back; its place is free only after the guest has released it."""
         deadline = time.monotonic() + _TIMEOUT
         card_there = {"driver": "kvaser_pci", "canbus": "wire", "id": card, "addr": CARDS[card]}
         while "error" in self._ask("device_add", **card_there) and time.monotonic() < deadline:

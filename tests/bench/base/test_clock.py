@@ -20,7 +20,7 @@ LOOK = 100
 
 
 class World:
-    """A machine whose time passes only while somebody sleeps, works or looks at the clock."""
+    """A machine whose time passes only during sleep, work or a reading of the clock."""
 
     def __init__(self, latency: int = 0) -> None:
         self.now, self.latency, self.sleeps, self.looks = START, latency, 0, 0

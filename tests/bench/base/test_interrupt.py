@@ -86,7 +86,7 @@ import fcntl, sys, termios, time
 from bench.base.interrupt import deferred_interrupt
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 with deferred_interrupt(terminate=True) as asked:
-    print("begun", flush=True)
+    print("started", flush=True)
     while not asked.is_made():
         time.sleep(0.01)
     print("to a terminal that is closed", flush=True)
@@ -101,7 +101,7 @@ def test_deferred_interrupt_closed_terminal_reports_sighup(tmp_path: Path) -> No
         command, stdin=slave, stdout=slave, stderr=slave, start_new_session=True
     ) as process:
         os.close(slave)
-        assert b"begun" in os.read(master, 100)
+        assert b"started" in os.read(master, 100)
         os.close(master)
         assert process.wait(60.0) == 1  # Terminated
     assert (tmp_path / "ended").read_text() == "SIGHUP"

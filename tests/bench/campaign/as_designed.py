@@ -28,7 +28,7 @@ class AsDesigned:
 
     def refresh(self, drift: Drift, number: int, robot: Robot, truth: PlantParameters | None = None) -> str:
         """Learn nothing."""
-        return f"{self._profiles[drift.arm].name}: {drift.text}; it goes on as designed"
+        return f"{self._profiles[drift.arm].name}: {drift.text}; it continues as designed"
 
 
 def arm_all(shots: SimulatedShots, plan: CampaignPlan) -> None:

@@ -35,10 +35,10 @@ BEGIN = datetime(2026, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True)
 class Known:
-    """What is true of the shots of a row, in metres of carry."""
+    """True values of the shots of a row, in metres of carry."""
 
     sd: float = 2.0
-    """Of one shot, club speed left out."""
+    """SD of one shot, without club speed."""
     scale: tuple[float, ...] = ()
     """Each level's deviation as a multiple; empty: all 1."""
     ball: float = 0.0
@@ -57,17 +57,17 @@ class Known:
 
 
 class Case(NamedTuple):
-    """A row: a plan and what is true."""
+    """A row: a plan and its true values."""
 
     name: str
     plan: CampaignPlan
     known: Known
     pair: tuple[int, int] | None = None
-    """Levels whose interval is looked at beside all others."""
+    """Levels whose interval is evaluated separately, in addition to all."""
     looks: bool = False
     """Looked at after each block."""
     within: bool = False
-    """Of a split-plot: balls within the first club are looked at, not clubs."""
+    """Split-plot: balls within the first club are compared, not clubs."""
 
 
 def drawn(case: Case, difference: float, number: int) -> tuple[list[Shot], dict[str, float]]:
@@ -133,7 +133,7 @@ class Counts:
     pairs: int = 0
     covered: int = 0
     watched: int = 0
-    """Of the pair that is looked at: covered."""
+    """Intervals of `Case.pair` that cover the truth."""
     found: int = 0
     """First pair called different."""
     models: int = 0
@@ -141,7 +141,7 @@ class Counts:
 
 
 def _looked(case: Case, shots: Sequence[Shot]) -> Iterator[SectionAnalysis]:
-    """Return the analyses that somebody sees: at the rule's stop, after each block, or at the end."""
+    """Return the analyses shown: at the rule's stop, after each block, or at the end."""
     plan, counts = case.plan, len(shots)
     last = {s.block: s.shot for s in shots}
     ends = [last[b] for b in range(1, plan.design.blocks + 1)]
@@ -157,7 +157,7 @@ def _looked(case: Case, shots: Sequence[Shot]) -> Iterator[SectionAnalysis]:
 
 
 def tally(case: Case, difference: float, campaigns: int, first: int = 0, *, by_shots: bool = False) -> Counts:
-    """Return what `campaigns` campaigns give; `by_shots`: as if each shot had a mounting of its own."""
+    """Return the counts of `campaigns` campaigns; `by_shots`: as if each shot had its own mounting."""
     found, names = Counts(), levels(case.plan)
     watched = None if case.pair is None else (names[case.pair[0]], names[case.pair[1]])
     for number in range(first, first + campaigns):

@@ -1,4 +1,4 @@
-"""What a signed report states (ISO/IEC 17025:2017, 7.8), and what it says where nothing was stated."""
+"""Contents of a signed report (ISO/IEC 17025:2017, 7.8), and its text for missing particulars."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Notifications of a campaign: what is sent to a webhook, how often it is tried, and what is never shown."""
+"""Notifications of a campaign: webhook contents, number of attempts, and secrets that are never shown."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A short campaign in real time with all that disturbs one, to its end: bench, monitor, runner as processes.
 
-`golfbench run` with the plant, `golfbench launch-monitor` beside it and `golfbench campaign run` against it
-over the network, as people start them. On the way the monitor does not tell of a ball, the campaign is
+`golfbench run` with the plant, `golfbench launch-monitor` and `golfbench campaign run` against it
+over the network, as people start them. Meanwhile the monitor does not report a ball, the campaign is
 paused, the guard is opened in the middle of a swing (a simulated bench resets and arms itself, on a real one
 a person does), and the monitor is ended and started again.
 """
@@ -37,7 +37,7 @@ from tests.running_bench import BenchProcess, running_bench, write_configuration
 pytestmark = [pytest.mark.live, pytest.mark.paced, pytest.mark.release]
 
 DROPPED = 1
-"""Ball that the monitor does not tell of."""
+"""Ball that the monitor does not report."""
 PLAN = """
 [campaign]
 name = "show"
@@ -72,7 +72,7 @@ _HELD = 2.0
 
 @dataclass
 class Result:
-    """What the show came to."""
+    """Result of the show."""
 
     code: int = 1
     output: str = ""
@@ -81,12 +81,12 @@ class Result:
     metadata: list[dict[str, Any]] = field(default_factory=list)
     events: list[tuple[str, str]] = field(default_factory=list)
     swings: int = 0
-    """Of the bench."""
+    """Swings of the bench."""
     swings_while_paused: int = 0
 
 
 class Show:
-    """The processes and what is done to them."""
+    """The processes and the disturbances."""
 
     def __init__(self, bench: BenchProcess, file: Path, store: CampaignStore) -> None:
         self.bench, self.file, self.store = bench, file, store
@@ -152,7 +152,7 @@ class Show:
             self.until(lambda: self.state is CampaignState.SUSPENDED, "suspended")
             time.sleep(_HELD)
             with self.started("launch-monitor"):
-                self.until(lambda: self.state is CampaignState.RUNNING, "going on")
+                self.until(lambda: self.state is CampaignState.RUNNING, "continuing")
                 r.code = campaign.wait(len(r.planned) * 60.0)
                 r.swings = self.bench.client.status()["swings"]
         r.output = self.file.with_suffix(".campaign.log").read_text()

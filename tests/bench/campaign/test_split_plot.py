@@ -1,4 +1,4 @@
-"""Clubs that stay mounted: laid out, asked for, judged by their mountings; balls within clubs by shots."""
+"""Clubs that stay mounted: layout, prompts, comparison by mountings; balls within clubs by shots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is told of a campaign whose runner has died."""
+"""Reported status of a campaign whose runner has died."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the first page says is what the figures say: models and balls, all pairs, scatter, covariates."""
+"""The first page agrees with the results: models and balls, all pairs, scatter, covariates."""
 
 from __future__ import annotations
 

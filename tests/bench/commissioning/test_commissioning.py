@@ -340,7 +340,7 @@ def test_commission_swings_use_measured_values(
 def test_commission_failed_learning_exits_with_1_and_resumes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nobody's script takes a measured robot for one that swings; its swing is repeated when resumed."""
+    """No script takes a measured robot for one that swings; its swing is repeated when resumed."""
     first, last = _Swinging("swings"), _Swinging("learning", failing=True)
     _measured(monkeypatch, first, last)
     given = ["commission", "--sim", "--output", str(tmp_path / "day")]

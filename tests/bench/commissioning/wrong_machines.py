@@ -40,7 +40,7 @@ class WrongCase(NamedTuple):
     robot: PlantParameters
     faults: tuple[Fault, ...]
     location: str
-    """Part of the place that is named."""
+    """Part of the reported location."""
     words: str
     """Part of the text."""
     step: int
@@ -88,18 +88,18 @@ class SwungWrongly(NamedTuple):
     robot: PlantParameters
     faults: tuple[Fault, ...]
     location: str
-    """What is named; empty: nothing is wrong."""
+    """Reported location; empty: no fault."""
     what: str
-    """Part of what is said of it."""
+    """Part of the reported text."""
 
     def is_named_by(self, diagnosis: Diagnosis) -> bool:
-        """Return whether `diagnosis` names what is wrong."""
+        """Return whether `diagnosis` identifies the fault."""
         named = diagnosis.named
         return named is not None and named.cause.location == self.location and self.what in named.cause.what
 
 
 def measured_values(plant: PlantParameters) -> list[ParameterEstimate]:
-    """Return what the measuring steps find of a robot like `plant`, with their standard errors."""
+    """Return the measuring steps' estimates of a robot like `plant`, with standard errors."""
     errors = dict[str, float]()
     for key in ACTUATOR_KEYS:
         errors |= {

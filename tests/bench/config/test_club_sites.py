@@ -1,4 +1,4 @@
-"""Sites of clubs: what a club brings, the way back, and what is refused."""
+"""Sites of clubs: the values a club sets, the way back, and refusals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shipped configuration is complete and documented; every mistake is named where it stands."""
+"""The shipped configuration is complete and documented; every mistake is reported with its location."""
 
 from __future__ import annotations
 
@@ -239,7 +239,7 @@ def at(configuration: Configuration, dotted: str) -> Any:
 
 
 def check_each(overlay: Overlay, bad: Callable[[tuple[str, ...], Any], str | None]) -> None:
-    """Set every key of the shipped file to what `bad` makes of it and its value; each is named."""
+    """Set every key of the shipped file to `bad` of key and value; assert that each is reported."""
     wrong = {".".join(keys): text for keys, value in LEAVES if (text := bad(keys, value)) is not None}
     path = overlay("\n".join(f"{key} = {text}" for key, text in wrong.items()))
     named = {fault.location.removeprefix(f"{path}: ").partition("[")[0] for fault in faults(path)}

@@ -43,7 +43,7 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Configuration:
 
 
 def mistakes(c: Configuration) -> dict[str, str]:
-    """Return what was expected, by key."""
+    """Return the expected values by key."""
     return {key: expected for key, _, expected, _ in check_safety(c, {})}
 
 

@@ -1,4 +1,4 @@
-"""What the control tests share: plain versions of compiled functions, and a synthetic swing."""
+"""Fixtures of the control tests: plain versions of compiled functions, and a synthetic swing."""
 
 from __future__ import annotations
 

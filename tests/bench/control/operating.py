@@ -1,4 +1,4 @@
-"""What an operator does: a bench is brought into each of its states the way it is done in the hall."""
+"""Operator actions: a bench is brought into each of its states as in the hall."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _reached(state: State, homed: bool, fitted: bool, given: tuple[tuple[str, An
 
 
 def press(puppet: Puppet) -> None:
-    """Press the button beside the robot and let it go."""
+    """Press and release the local reset button."""
     for pressed in (False, True, False):
         puppet.give(local_reset=pressed).tick()
 
@@ -166,7 +166,7 @@ def on_the_way(**settings: Any) -> Puppet:
 
 
 def braking(**settings: Any) -> Puppet:
-    """Return a bench that brakes on its way to the address, as nobody wants it there any more."""
+    """Return a bench that brakes on its way to the address after a disarm request."""
     puppet = on_the_way(**settings)
     puppet.tick(Request.DISARM)
     assert (puppet.bench, puppet.reaction) == (State.RECOVERING, Reaction.BRAKE)

@@ -100,9 +100,9 @@ class Puppet:
         self.readings, self.record, self.cycle = new_record(READINGS), new_record(COMMAND), new_record(CYCLE)
         self.angle = ADDRESS.copy()
         self.offset = np.zeros(3)
-        """What the joints miss of the reference."""
+        """Tracking errors of the joints (rad)."""
         self.stamp = np.zeros(3)
-        """What the encoders' time stamps are off (s)."""
+        """Errors of the encoders' time stamps (s)."""
         self.follows = True
         self.time, self.period = 100.0, tick
         r = self.readings

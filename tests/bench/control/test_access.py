@@ -1,4 +1,4 @@
-"""Nobody is let in while any sensor shows pressure, and trapped pressure is named."""
+"""No access while any sensor shows pressure, and trapped pressure is reported."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def test_access_at_power_up_waits_for_rest_time() -> None:
 
 
 def test_access_encoders_at_rest_waits_for_access_delay() -> None:
-    """A stuck encoder shows rest: only the time with empty chambers tells that a raised arm has sunk."""
+    """A stuck encoder shows rest: only the time with empty chambers proves that a raised arm has sunk."""
     puppet = reach(State.ARMED, vent_timeout=0.5, rest_time_vented=0.05, access_delay=3.0)
     vent(puppet).run(2900)
     assert puppet.control["venting"]["emptied"]

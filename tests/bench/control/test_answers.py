@@ -220,7 +220,7 @@ CONDITIONS = (
         {"local_reset": True},
     ),
 )
-"""What forbids requests, in the order in which the operator is told of it."""
+"""Conditions that block requests, in the order of their report to the operator."""
 
 Make = Callable[[Request], Situation]
 each_request = pytest.mark.parametrize("request_", FROM, ids=lambda request: request.name)
@@ -418,14 +418,14 @@ def test_near_address_compares_with_first_profile_row(good: Make, joint: int) ->
 
 
 def taken(situation: Situation, request: int, number: int) -> int:
-    """Put `request` with its number to a tick; return what is to be carried out."""
+    """Put `request` with its number to a tick; return the request to execute."""
     control = situation.state.control
     control["request"], control["request_number"] = request, number
     return handle_request(situation.state, situation.parameters, situation.readings, NOW)
 
 
 def told(situation: Situation) -> tuple[int, Answer, Refusal, int, int]:
-    """Return answered number, answer, refusal, what was asked, and what is still asked."""
+    """Return answered number, answer, refusal, handled request, and pending request."""
     s = situation.state.control[0]
     return (
         int(s["answered_number"]),

@@ -1,4 +1,4 @@
-"""Doubts about an encoder last until the air is out, and a stop outlasts what is in flight."""
+"""An encoder stays suspect until the chambers are vented, and a stop outlasts commands in flight."""
 
 from __future__ import annotations
 

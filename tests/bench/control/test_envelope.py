@@ -118,7 +118,7 @@ def nth(first: Cause, joint: int) -> Cause:
 
 
 STRETCHED = (0.0, 0.0, 0.0)
-"""All along x: what is computed of it is exact."""
+"""All links along x: derived values are exact."""
 
 
 def test_envelope_parameters_hold_one_limit_per_joint() -> None:

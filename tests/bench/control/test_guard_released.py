@@ -1,4 +1,4 @@
-"""Whoever went in during ACCESS is not locked in: only a press beside the robot and SECURE lock the guard."""
+"""A person who went in during ACCESS is not locked in: only the local reset and SECURE lock the guard."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def released(puppet: Puppet) -> bool:
 
 
 def entered(name: str) -> Puppet:
-    """Return a bench that somebody has gone into and shut the guard from inside, and then the cause."""
+    """Return a bench with a person inside who shut the guard, after the cause `name`."""
     puppet = reach(State.ACCESS, local_reset=True)
     puppet.give(guard_closed=False).run(10)
     puppet.give(guard_closed=True).run(10)

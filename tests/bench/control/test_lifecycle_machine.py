@@ -1,7 +1,7 @@
-"""Any order of requests, faults and time, put to the compiled step: what must hold does so in every tick.
+"""Any order of requests, faults and time, put to the compiled step: the properties hold in every tick.
 
-What must hold is stated here anew, from the two tables of `bench.base.lifecycle` and from what the test
-itself does to the readings; the step's own verdicts are used only where they are what is promised. For more
+The properties are derived independently from the two tables of `bench.base.lifecycle` and from the test's
+own changes to the readings; the step's verdicts are used only where they are the specification. For more
 than the few seconds of every day: `pytest --hypothesis-profile=thorough`.
 """
 
@@ -56,7 +56,7 @@ garbage = st.sampled_from([nan, inf, -inf, -1e9, 1e300])
 
 
 class Look(NamedTuple):
-    """What is seen of the bench between two ticks."""
+    """Observed bench state between two ticks."""
 
     state: State
     phase: Phase
@@ -65,7 +65,7 @@ class Look(NamedTuple):
 
 
 class Bench(RuleBasedStateMachine):
-    """A bench, its readings, and what the test remembers of them."""
+    """A bench, its readings, and the test's record of them."""
 
     puppet: Puppet
 
@@ -114,7 +114,7 @@ class Bench(RuleBasedStateMachine):
 
     @rule()
     def mend_and_reset(self) -> None:
-        """Do what an operator does after a stop."""
+        """Act as an operator does after a stop."""
         self.dropped, self.garbled, self.stuck = {}, False, False
         self.puppet.give(encoder_valid=1, encoder_indexed=1, device_operational=True)
         self.puppet.supply = None
@@ -171,7 +171,7 @@ class Bench(RuleBasedStateMachine):
 
     @rule(value=garbage | st.sampled_from([None, FULL]))
     def supply(self, value: float | None) -> None:
-        """Let the manifold show `value`, or what the supply valve makes of it."""
+        """Set the manifold's reading to `value`, or to the pressure that the supply valve gives."""
         self.puppet.supply = value
         self.tick()
 
@@ -285,7 +285,7 @@ class Bench(RuleBasedStateMachine):
                 assert control["support_ready"]
 
     def check_way(self, before: Look, after: Look, accepted: int) -> None:
-        """A state follows another along an edge only, and motion begins only because it was asked for."""
+        """States change only along transitions, and motion starts only on request."""
         control = self.puppet.control
         if not (control["lease_held"] and control["support_ready"]):
             self.lost_permission = True
@@ -307,7 +307,7 @@ class Bench(RuleBasedStateMachine):
                 assert accepted == Request.ACCESS
 
     def check_reaction(self, before: Look, after: Look, request: int, step: float) -> None:
-        """Without fresh readings or permission nothing goes on but what the stopping table says."""
+        """Without fresh readings or permission only the reaction of the stopping table runs."""
         control, readings = self.puppet.control, self.puppet.readings[0]
         if after.phase is Phase.STANDING:
             begun = after.state in LATCHED or (after.state is State.ACCESS and after.cause)

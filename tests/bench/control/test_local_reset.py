@@ -1,4 +1,4 @@
-"""The button beside the robot: only a press that a person gave after the stop, outside, counts."""
+"""The local reset button: only a press after the stop, from outside, counts."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def test_local_reset_stuck_button_after_read_error_does_not_count() -> None:
 
 @pytest.mark.parametrize("source", [State.READY, State.ESTOP, State.FAULT], ids=lambda state: state.name)
 def test_secure_with_button_requires_press(source: State) -> None:
-    """Whoever asks over the network does not see who is inside."""
+    """A remote client cannot see who is inside."""
     puppet = reach(source, local_reset=True)
     press(puppet)
     assert asked(puppet, Request.ACCESS) is Refusal.NONE

@@ -1,4 +1,4 @@
-"""What the step makes of requests over time; why each is refused at an instant: `test_answers.py`."""
+"""The step's response to requests over time; refusals at an instant: `test_answers.py`."""
 
 from __future__ import annotations
 

@@ -171,7 +171,7 @@ def test_limits_in_use_stale_file_reports_part_and_keeps_defaults(
 
 
 def moved(plant: PlantParameters, by: float) -> PlantParameters:
-    """Return `plant` with the measured values that drift most, each `by` times what is allowed."""
+    """Return `plant` with the measured values that drift most, each by `by` times its tolerance."""
     encoders = replace(
         plant.encoders, zero_count=(1.0, -700.0, 5e4), sign=(1, -1, -1), latency=1e-4 + by * 1e-4
     )
@@ -199,7 +199,7 @@ def test_limits_in_use_drift_within_tolerance_stays_valid(default_profile: Profi
 def test_names_in_files_renamed_key_keeps_limits_valid(
     default_profile: Profile, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What the code calls otherwise than the file is not felt twice."""
+    """A value with different names in code and file is counted once."""
     text = file.read_text()
     assert "wrist_lever = " in text
     file.write_text(text.replace("wrist_lever = ", "wrist_radius = "))
@@ -263,7 +263,7 @@ def test_limits_in_use_other_club_or_large_tee_shift_reports_stale(
 def test_min_relevant_tee_shift_changes_velocity_within_third_of_limit(
     default_profile: Profile, side: float
 ) -> None:
-    """The joints' speeds after the blow differ by less than a third of what the comparison allows for."""
+    """The joints' speeds after the impact differ by less than a third of the comparison's tolerance."""
     c = load_configuration(Path("shipped")).for_profile(default_profile, find_profile("default"))
     bench = Bench(c.plant, default_profile, c.control, c.envelope, c.estimator)
     speeds = []

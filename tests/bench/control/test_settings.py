@@ -17,7 +17,7 @@ ELSEWHERE = {
     "control.damping": "manual gains only",
     "control.move_gain": "manual gains only",
     "control.turf_lift_gain": "turf only",
-    "lifecycle.supervisor_timeout": "of the loop's process",
+    "lifecycle.supervisor_timeout": "loop process only",
 }
 """Settings that act elsewhere than in the step of the default configuration, and where."""
 
@@ -30,7 +30,7 @@ def built(c: Configuration) -> list[bytes]:
 
 
 def more(value: Any) -> Any:
-    """Return numbers that are a little larger; None for what is no number."""
+    """Return slightly larger numbers; None for other types."""
     if isinstance(value, float):
         return 1.01 * value + 1e-3
     if isinstance(value, tuple) and all(isinstance(one, float) for one in value):

@@ -88,7 +88,7 @@ def edge(source: State, event: str, target: State) -> Transition:
 S = State
 NO_LEASE: dict[str, Act] = {"lease not held": give(lease_held=False)}
 UNCLEAR: dict[str, Act] = {**NO_LEASE, "readings lost": lose}
-"""Of what refuses a request only one condition and one that the step finds; all: `test_answers.py`."""
+"""One condition that refuses a request and one found by the step; all: `test_answers.py`."""
 UNPRESSED: dict[str, Act] = {"button not pressed": give(reset_pressed=-np.inf)}
 PRESSURE: dict[str, Act] = {
     "not vented": give(**{"venting.emptied": False, "vented": False, "venting.start": np.inf})

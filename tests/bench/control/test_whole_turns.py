@@ -66,7 +66,7 @@ def test_decode_encoders_unindexed_count_continues_past_range_end() -> None:
 
 
 def disturb(puppet: Puppet, turns: float, ticks: int) -> None:
-    """Let the shoulder's encoder tell of `turns` while the robot stands, then the truth again."""
+    """Make the shoulder's encoder report `turns` while the robot is at rest, then the truth again."""
     for share in np.linspace(0.0, 1.0, ticks):
         puppet.offset[0] = share * turns * TURN
         puppet.tick()

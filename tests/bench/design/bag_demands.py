@@ -1,4 +1,4 @@
-"""What the shipped swings of the bag, and those of the driver, were designed for."""
+"""Design targets of the shipped swings of the bag and of the driver."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The designer's pieces: its model is the plant's, its geometry is right, and what it shipped holds."""
+"""The designer's parts: its model is the plant's, its geometry is right, its shipped profiles are valid."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def robot_that_does(
 
 
 def test_highest_speed_raises_demand_until_failure(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The robot of this test does 41.3 m/s, which its fastest plan of 38 does not tell."""
+    """The robot of this test reaches 41.3 m/s, which does not follow from its fastest plan of 38."""
     asked, shown = robot_that_does(41.3, monkeypatch), list[str]()
     found = highest_speed(STUDY, InProcess(), shown.append)
     assert asked[:3] == [None, 40.0, 42.0]

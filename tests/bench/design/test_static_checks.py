@@ -1,4 +1,4 @@
-"""What is refused before anything moves, and that a possible swing is not."""
+"""Refusals before any motion, and acceptance of a possible swing."""
 
 from __future__ import annotations
 

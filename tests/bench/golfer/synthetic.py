@@ -1,4 +1,4 @@
-"""Synthetic golfers: known joint angles, a hub that moves, markers beside the joints, written as files."""
+"""Synthetic golfers: known joint angles, a hub that moves, markers next to the joints, written as files."""
 
 from __future__ import annotations
 

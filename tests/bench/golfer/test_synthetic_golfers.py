@@ -23,7 +23,7 @@ def imported(path: Path, *, map_text: str = MAP, options: ImportOptions | None =
 
 
 def recorded(golfer: Synthetic, path: Path, gaps: dict[str, tuple[int, int]] | None = None) -> Path:
-    """Write what the cameras saw of `golfer`; `gaps` are the missing frames by role."""
+    """Write the camera recording of `golfer`; `gaps` are the missing frames by role."""
     names, points = golfer.recording()
     for name, (first, end) in (gaps or {}).items():
         points[first:end, [k for k, marker in enumerate(names) if marker.startswith(name)]] = np.nan

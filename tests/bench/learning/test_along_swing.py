@@ -1,4 +1,4 @@
-"""Margins: the linear loop is the plant's, and what it says grows does grow."""
+"""Margins: the linear loop is the plant's, and its predicted growth occurs."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_least_damping_stiff_wrist_predicts_hunting(
 def test_judge_gain_margin_matches_closed_loop_instability(
     bench: Bench, plants: list[LinearPlant], estimator: Estimator
 ) -> None:
-    """The margins of a loop and the modes of the closed loop tell the same, by other ways."""
+    """Loop margins and closed-loop modes agree, computed independently."""
     frozen, gains, period = plants[2], by_hand(bench), bench.model.tick
     for joint in range(3):
         loop = judge([frozen], estimator, lambda _: gains, period, [joint]).loops[0]

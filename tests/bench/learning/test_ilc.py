@@ -127,7 +127,7 @@ def test_learner_worse_later_swings_keep_best_trial() -> None:
 
 
 def begun(robot: Robot, point: Array) -> Beginning:
-    """What is known of a robot whose figures without correction are known to be `robot.offset` off."""
+    """Return the start for a robot whose uncorrected delivery is known to be off by `robot.offset`."""
     figures = TARGET.array + robot.offset + robot.model.by_figures @ point
     path = robot.model.path + (robot.model.by_path @ point).reshape(ROWS, 3)
     about = robot.model._replace(figures=figures, path=path)
@@ -146,7 +146,7 @@ def test_learner_unsettled_swing_is_neither_confirmed_nor_chosen() -> None:
 
 
 def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
-    """It is ten tolerances of head speed off what the same weights deliver later."""
+    """It is ten tolerances of head speed off the later delivery with the same weights."""
     used = {}
     for told in (True, False):
         used[told] = 0

@@ -1,4 +1,4 @@
-"""A running bench as a learner's robot: what is read out of its records, and which bench it takes."""
+"""A running bench as a learner's robot: values read from its records, and which bench it takes."""
 
 from __future__ import annotations
 

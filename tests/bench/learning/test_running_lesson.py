@@ -30,7 +30,7 @@ pytestmark = [
 
 
 def learned_swings(file: Path, source: str, marks: str = "") -> tuple[list[dict[str, Any]], str]:
-    """Learn with one swing more than the first; return its swings and what it said."""
+    """Learn with one swing more than the first; return its swings and its output."""
     arguments = ["learn", "default", "--source", source, "--swings", "1", "--json"]
     ended = subprocess.run(
         [sys.executable, "-m", "bench", "--config", str(file), *arguments],
@@ -49,7 +49,7 @@ def learned_swings(file: Path, source: str, marks: str = "") -> tuple[list[dict[
 
 
 def hear_shots(bench: BenchProcess, ended: threading.Event, into: list[ShotPublication]) -> None:
-    """Collect what is told of shots."""
+    """Collect the published shots."""
     with BenchClient.connect(bench.configuration) as client, client.shots() as following:
         while not ended.is_set():
             message = following()

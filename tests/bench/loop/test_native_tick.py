@@ -53,7 +53,7 @@ def parameters() -> ControlParameters:
 
 
 class Bench:
-    """A cycle that keeps its records, and what it took to run it."""
+    """A cycle that keeps its records, and its calls."""
 
     def __init__(self, driver: Any, parameters: ControlParameters, room: int = 4000) -> None:
         self.driver, self.kept = driver, CycleArray(room)

@@ -1,4 +1,4 @@
-"""A program at a running bench: which refusals it waits for, and what it leaves to a person."""
+"""A program at a running bench: the refusals it retries, and the actions it leaves to a person."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Certificates: what the command makes, and that nothing else is taken for one."""
+"""Certificates: the command's files, and rejection of all others."""
 
 from __future__ import annotations
 

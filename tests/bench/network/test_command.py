@@ -1,4 +1,4 @@
-"""What may be asked: every message is a command of its form, or an error that says what was expected."""
+"""Requests: every message is a valid command, or an error that states the expected form."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ VERBS = st.sampled_from(sorted(Verb)) | st.text()
 
 
 def parsed(verb: str, payload: bytes) -> Command | BenchError:
-    """Return what came of it; any other exception fails the test."""
+    """Return the command or error; any other exception fails the test."""
     try:
         return parse_command(verb, payload)
     except BenchError as caught:

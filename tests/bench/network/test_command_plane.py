@@ -33,7 +33,7 @@ from tests.bench.fake_bench_service import FakeDesk, RunningPlane, loopback_conf
 
 
 class FakeClock:
-    """Shows what it is set to."""
+    """Shows the time it is set to."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -43,7 +43,7 @@ class FakeClock:
 
 
 class Asker:
-    """Sends what it is told to, valid or not."""
+    """Sends the given messages, valid or not."""
 
     def __init__(self, session: zenoh.Session, root: str = "golfbench/bench1") -> None:
         self.session, self.root = session, root

@@ -1,4 +1,4 @@
-"""One holder at a time, a key that only the holder knows, an end that comes by itself."""
+"""One holder at a time, a key that only the holder knows, automatic expiry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a running bench and its viewer listen to and talk to, as the kernel tells it: this machine only."""
+"""Sockets of a running bench and its viewer, as the kernel reports them: this machine only."""
 
 from __future__ import annotations
 

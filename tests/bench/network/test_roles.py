@@ -1,4 +1,4 @@
-"""Beyond this machine: who has no certificate is nobody, and everybody may do what their role may."""
+"""Remote access: no rights without a certificate, otherwise the rights of the role."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def denied() -> Iterator[None]:
 
 
 def heard_by(network: NetworkSettings, publisher: zenoh.Session, *, longest: float) -> set[str]:
-    """Return which of the published messages somebody with `network` hears within `longest` s."""
+    """Return the published messages that a client with `network` receives within `longest` s."""
     heard: set[str] = set()
     with open_client(network, "bench1") as session:
         session.declare_subscriber("golfbench/bench1/**", lambda sample: heard.add(str(sample.key_expr)))
@@ -123,7 +123,7 @@ def test_tls_connect_without_certificate_is_refused(bench: RunningPlane, folder:
 
 
 def test_bench_client_refuses_bench_with_wrong_certificate(folder: Folder, tmp_path: Path) -> None:
-    """One with a certificate for another address, or of another authority, hears no commands."""
+    """A bench with a certificate for another address, or of another authority, receives no commands."""
     false = bench_of(Folder(tmp_path / "other"))
     with running_plane(FakeDesk(), false), denied():
         BenchClient.connect(client_of(false.network.beyond, str(folder.path / "bob")))

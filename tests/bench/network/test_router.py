@@ -37,7 +37,7 @@ with zenoh.open(zenoh.Config.from_file(sys.argv[1])):
 
 
 class Router:
-    """A router in a process of its own."""
+    """A router in a separate process."""
 
     def __init__(self, configuration: Path) -> None:
         self._command = [sys.executable, "-c", ROUTER, str(configuration)]
@@ -155,7 +155,7 @@ def test_router_enforces_viewer_and_operator_roles(
 def test_router_forwards_bench_publications_only(
     router: Router, bench: RunningPlane, folder: Folder, endpoint: str
 ) -> None:
-    """Also what a client of the daemon tells, as the publisher is one; and nothing else."""
+    """Also publications of a client of the daemon, as the publisher is one; and nothing else."""
     router.start()
     heard: dict[str, set[str]] = {"anna": set(), "bob": set(), "carl": set()}
     told = {"golfbench/bench1/telemetry", "golfbench/bench1/event"}

@@ -1,4 +1,4 @@
-"""Sessions stay on the loopback, and say what is wrong when nobody is there or somebody else is."""
+"""Sessions stay on the loopback, and report an absent daemon or a port in use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Studies for tests of sweeps; workers import this module, too."""
+"""Studies for tests of sweeps; workers also import this module."""
 
 from __future__ import annotations
 

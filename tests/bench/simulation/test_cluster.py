@@ -1,4 +1,4 @@
-"""Sweeps on a cluster: the same results, whatever dies; other code, no worker and no scheduler are told."""
+"""Sweeps on a cluster: same results after any loss; other code, no worker and no scheduler are reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The judge of simulated runs: each limit by itself, and NaN is never safe."""
+"""The safety check of simulated runs: each limit alone, and NaN is never safe."""
 
 from __future__ import annotations
 

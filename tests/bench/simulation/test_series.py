@@ -1,4 +1,4 @@
-"""Swings in a series: what a person would do after a stop."""
+"""Swings in a series: the operator's actions after a stop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Swings of the simulated bench: what comes out, what is stored, and what Ctrl-C leaves behind."""
+"""Swings of the simulated bench: results, stored records, and state after Ctrl-C."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def series(robot: SimulatedBench) -> list[SwingResult]:
 
 @pytest.fixture(params=[DriverLoop, Lockstep])
 def steppers(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Return the steppers that the simulation makes: of the Python cycle, and compiled."""
+    """Return the steppers that the simulation makes: Python cycle and compiled."""
     made: list[Any] = []
 
     def make(*arguments: object) -> Any:

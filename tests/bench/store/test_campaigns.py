@@ -264,7 +264,7 @@ def _write_all(store: CampaignStore, cut: Callable[[], None]) -> None:
 
 
 class LostAnswer(Exception):
-    """What a driver of a server raises without a connection."""
+    """Exception of a server's driver without a connection."""
 
     sqlstate = None
 

@@ -1,4 +1,4 @@
-"""The database is made once, keeps its version, refuses what it does not understand, and tells why."""
+"""The database is created once, keeps its version, and refuses unknown contents with a reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A program in a process of its own."""
+"""A program in a separate process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 def printed_json(program: str) -> Any:
-    """Run the Python `program` in a process of its own; return the JSON it prints."""
+    """Run the Python `program` in a separate process; return the JSON it prints."""
     answer = subprocess.run(
         [sys.executable, "-c", program],
         check=False,

@@ -27,7 +27,7 @@ Start = Callable[..., Child]
 
 @dataclass(frozen=True)
 class Plan:
-    """What the child is sent; of a size that no pipe takes at once."""
+    """Data sent to the child; larger than the capacity of a pipe."""
 
     data: bytes = bytes(1 << 20)
 

@@ -137,7 +137,7 @@ def test_daemon_correction_applies_at_rest_and_is_refused_in_swing(tmp_path: Pat
 
 
 def test_learn_command_running_bench_stores_result_and_swings(tmp_path: Path) -> None:
-    """Two swings are no lesson: that they were made, seen and stored is what is asked here."""
+    """Two swings are no lesson: the test checks only that they were made, seen and stored."""
     file = write_configuration(tmp_path, "learner")
     with running_bench(file) as bench:
         learn = ["learn", "default", "--swings", "1", "--json"]

@@ -104,7 +104,7 @@ def wait_for_death(pid: int) -> None:
 
 
 def free(memory: Path) -> bool:
-    """Take the bench, leave it again and tell whether nothing is left behind."""
+    """Take the bench, release it and return whether nothing is left behind."""
     with take_bench("a", memory) as bench:
         assert os.listdir(bench.folder) == ["owner"], "files of the dead one are gone"
     return not bench_folder("a", memory).exists()

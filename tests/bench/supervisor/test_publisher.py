@@ -1,4 +1,4 @@
-"""The publisher as its supervisor and its subscribers meet it, beside a loop that only writes."""
+"""The publisher as its supervisor and its subscribers meet it, with a loop that only writes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ with open_client(NetworkSettings(sys.argv[1]), "b1") as session:
 
 
 class Bench:
-    """A loop that writes what it is told to, and the publisher beside it."""
+    """A loop that writes given cycles, and the publisher."""
 
     def __init__(self, folder: Path, capacity: int = 16384) -> None:
         self.folder = folder
@@ -147,7 +147,7 @@ def send(process: subprocess.Popen[bytes], plan: object) -> None:
 
 def read_line(process: subprocess.Popen[bytes]) -> bytes:
     assert process.stdout is not None
-    assert select.select([process.stdout], [], [], HURRY)[0], "it told nothing"
+    assert select.select([process.stdout], [], [], HURRY)[0], "no output"
     return process.stdout.readline().strip()
 
 

@@ -1,4 +1,4 @@
-"""Real-time settings are read back, not believed; each is tried in a process of its own."""
+"""Real-time settings are read back, not assumed; each is tried in a separate process."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ LOOK = """
 
 
 def _in_a_process(code: str, preamble: str = "") -> Any:
-    """Run `code` after LOOK in a process of its own; return the JSON it prints."""
+    """Run `code` after LOOK in a separate process; return the JSON it prints."""
     program = textwrap.dedent(preamble) + textwrap.dedent(LOOK) + textwrap.dedent(code)
     return printed_json(program)
 

@@ -1,4 +1,4 @@
-"""The recorder as its supervisor meets it, beside a loop that only writes."""
+"""The recorder as its supervisor meets it, with a loop that only writes."""
 
 from __future__ import annotations
 
@@ -241,7 +241,7 @@ def test_recorder_restart_before_swing_keeps_lead(bench: Bench, day: MakeDay) ->
 
 
 def test_recorder_killed_at_random_leaves_complete_records(bench: Bench, day: MakeDay) -> None:
-    """Killed while it stores; the one after it removes what is half written and stores what is missing."""
+    """Killed while it stores; its successor removes partial files and stores the missing records."""
     choice = random.Random(3)
     once = day(SWING)
     kills = int(os.environ.get("GOLFBENCH_KILLS", "8"))

@@ -46,7 +46,7 @@ Put = Callable[[float], np.void]
 
 @pytest.fixture
 def put(orders: Orders) -> Put:
-    """Put what is new into a controller's state, as the loop does; take the request away, as a step does."""
+    """Put new orders into a controller's state, as the loop does; clear the request, as a step does."""
     control = new_record(CONTROL_STATE)
 
     def put(time: float) -> np.void:

@@ -40,7 +40,7 @@ def test_human_downswing_time_scales_with_head_speed(plant: PlantParameters, gol
 
 @pytest.mark.parametrize("golfer", FROM_REST, ids=lambda golfer: golfer.name)
 def test_human_downswing_lies_within_measured_ranges(plant: PlantParameters, golfer: Golfer) -> None:
-    """Of two persons: tops of the shoulder, ranges of the arm, wrist cocked until 100 ms before the ball."""
+    """Two persons: tops of the shoulder, ranges of the arm, wrist cocked until 100 ms before the ball."""
     human = human_downswing(plant, golfer)
     degrees = np.degrees(human.angle)
     assert -107.0 <= degrees[0, 0] <= -89.0

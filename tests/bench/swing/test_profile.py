@@ -1,4 +1,4 @@
-"""Profiles: what is saved is loaded again, and what is not a profile is refused with its place."""
+"""Profiles: a saved profile loads unchanged, and an invalid one is refused with its location."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The thesis' experiment: what came out of it, and why its friction is what it is."""
+"""The thesis' experiment: its results, and the reason for its friction."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_joint_reference_after_last_sample_holds_value() -> None:
 
 
 def test_joint_reference_downswing_spline_has_known_effort_and_speed() -> None:
-    """A spline through the downswing's samples: what the reference asks of actuators and of the club.
+    """A spline through the downswing's samples: the reference's demand on actuators and club.
 
     "About 380 N m, 1.3 kN, 165 N m" were calculated elsewhere with an unrecorded differentiation; a
     spline gives 331, 1186, 168. The peak lies where the tanh abscissa (-2.314 + 33 t) has just passed 0.

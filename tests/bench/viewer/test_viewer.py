@@ -1,4 +1,4 @@
-"""The live view beside a bench that only tells, into a file that is read back."""
+"""The live view of a publish-only bench, into a file that is read back."""
 
 from __future__ import annotations
 

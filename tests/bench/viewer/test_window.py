@@ -1,4 +1,4 @@
-"""Rerun's own program: where it listens, what it sends, and what somebody who comes late gets."""
+"""Rerun's own program: its listening address, its data, and the scene of a late viewer."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def sign_in_again(tab: Tab, token: str) -> None:
 
 
 def start_the_campaign(tab: Tab, viewers: Sequence[Tab]) -> None:
-    """Check the plan, start it, and go on until it asks for the other club."""
+    """Check the plan, start it, and continue until it requests the other club."""
     tab.page.fill("#holder", "Ann")
     tab.page.select_option("#plan", "two-lofts")
     tab.text("#plan-about").to_have_text("Two lofts, one shot each.")
@@ -167,7 +167,7 @@ def lost_bench(tab: Tab, bench: BenchProcess) -> None:
 
 
 def restarted_bench(tab: Tab) -> None:
-    """See the bench come back: without the lease of before, and stopped."""
+    """See the bench come back: without the previous lease, and stopped."""
     tab.text("#outcome").to_contain_text("The lease is lost: take it again.")
     tab.text("body").not_to_have_class("stale")
     tab.text("#state-word").to_have_text("ESTOP")

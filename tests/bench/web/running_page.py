@@ -1,4 +1,4 @@
-"""The page as `golfbench page` serves it, in a thread of the test, and a client that sends what it likes."""
+"""The page as `golfbench page` serves it, in a thread of the test, and a client for arbitrary requests."""
 
 from __future__ import annotations
 

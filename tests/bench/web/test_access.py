@@ -208,7 +208,7 @@ FILLED = {
     "search": "x",
 }
 OPEN = {"/", "/static/{name}", "/api/you"}
-"""Paths that tell nothing of the bench."""
+"""Paths without data of the bench."""
 
 
 def paths() -> dict[str, str]:

@@ -30,7 +30,7 @@ class Attack(NamedTuple):
     method: str
     path: str
     headers: dict[str, str | None]
-    """Beside the page's own; None: without it."""
+    """Added to the page's own; None: without it."""
     body: bytes
     status: set[int]
 
@@ -99,7 +99,7 @@ ATTACKS = {
         "POST", START, {}, PLAN.replace(b"0" * 16, b"--config=/x"), {400}
     ),
     "a start with other units": Attack("POST", START, {}, PLAN.replace(b'"si"', b'"ells"'), {400}),
-    "a start by nobody": Attack("POST", START, {}, PLAN.replace(b'"Eve"', b'" "'), {400}),
+    "a start without a name": Attack("POST", START, {}, PLAN.replace(b'"Eve"', b'" "'), {400}),
     "a start from an old screen": Attack("POST", START, {}, PLAN, {409}),
     "an oversized start": Attack("POST", START, {}, PLAN + b" " * 5000, {413}),
     "a malformed start": Attack("POST", START, {}, b"\xff{", {400}),
@@ -124,7 +124,7 @@ ATTACKS = {
     "a commissioning by GET": Attack("GET", "/api/commissioning/start", {}, b"", {405}),
     "a malformed commissioning": Attack("POST", "/api/commissioning/start", {}, b"\xff{", {400}),
     "an oversized commissioning": Attack("POST", "/api/commissioning/start", {}, b" " * 5000, {413}),
-    "the end of what is no commissioning": Attack(
+    "the end of an unknown commissioning": Attack(
         "POST", "/api/commissioning/stop", {}, b'{"number": "an-attack-03", "name": "1"}', {409}
     ),
     "a commissioning above": Attack("GET", "/commissioning/..%2f..%2fetc/report", {}, b"", {404}),

@@ -1,4 +1,4 @@
-"""The page in a real browser: what an operator sees and clicks."""
+"""The page in a real browser, as seen and clicked by an operator."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ UNNAMED = """() => [...document.querySelectorAll("button, input, select")]
   .map((e) => e.id)"""
 BOTTOMS = """() => [...document.querySelectorAll("#state, #swing .big, #swing figure:nth-child(-n+3)")]
   .map((e) => e.getBoundingClientRect().bottom)"""
-"""Of state, figures, and the curves of head speed, tracking and pressures."""
+"""Lower edges of state, figures, and the curves of head speed, tracking and pressures."""
 SIZES = """() => [document.documentElement.scrollWidth,
   document.getElementById("stop").getBoundingClientRect().height]"""
 

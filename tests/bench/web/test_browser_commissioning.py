@@ -1,4 +1,4 @@
-"""A commissioning by clicks: a wrong machine is named, repaired, and measured to its report."""
+"""A commissioning by clicks: a wrong machine is identified, repaired, and measured to its report."""
 
 from __future__ import annotations
 

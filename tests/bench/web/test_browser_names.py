@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.live, pytest.mark.paced, pytest.mark.requires("chromiu
 
 SCRIPT = "<img src=x onerror=alert(1)><script>alert(2)</script>"
 KEPT = frozenset({"role", "column"})
-"""Keys of texts that the page compares or splits; what it shows of them is its own."""
+"""Keys of texts that the page compares or splits, and never shows unchanged."""
 
 CHART = {
     "column": "carry_m",

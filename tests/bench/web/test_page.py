@@ -1,4 +1,4 @@
-"""The page of a bench: what it sends to a browser, and the commands it takes."""
+"""The page of a bench: its data for a browser, and the commands it takes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NAMES = ("index.html", "page.css", "main.js", "operate.js", "icon.svg")
 
 @pytest.fixture(autouse=True)
 def begin(running: RunningPlane) -> Iterator[None]:
-    """Begin in ESTOP, with nothing asked before, and leave nobody holding the lease."""
+    """Start in ESTOP without requests; afterwards wait until no one holds the lease."""
     running.service.state = State.ESTOP
     running.service.requests.clear()
     running.service.stops.clear()

@@ -1,4 +1,4 @@
-"""Campaigns started on the page, measured values entered on it, and the viewer: programs beside the page.
+"""Campaigns started on the page, measured values entered on it, and the viewer: separate programs.
 
 The program is a script that notes its arguments and answers as `golfbench` would: the real one is started in
 test_browser_day.py.
@@ -65,7 +65,7 @@ def entered(page: RunningPage, path: str, seen: float | None = None, **content: 
 
 
 def said_of(*errors: BenchError) -> str:
-    """Return what the command line prints of `errors` for a program, after other words."""
+    """Return the command line's machine-readable output of `errors`, after other words."""
     return "\n".join(["campaign x", *(json.dumps(error.record()) for error in errors), ""])
 
 

@@ -77,7 +77,7 @@ def printed(copy: Path, code: str) -> str:
 
 
 def run(copy: Path) -> tuple[int, int]:
-    """Return what the example returns, and how many versions of its machine code there are then."""
+    """Return the example's result, and the number of versions of its machine code afterwards."""
     return int(printed(copy, "from bench.control.example import refusal; print(refusal())")), len(
         [*(copy / "cache/compiled/bench.control.example").iterdir()]
     )

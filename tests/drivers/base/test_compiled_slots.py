@@ -1,4 +1,4 @@
-"""Compiled writer and reader of mapped records beside those in Python: the same bytes, the same rules."""
+"""Compiled writer and reader of mapped records against those in Python: the same bytes, the same rules."""
 
 from __future__ import annotations
 

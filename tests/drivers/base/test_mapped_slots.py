@@ -173,7 +173,7 @@ def test_mapped_slots_old_record_with_new_number_is_detected(slots: MappedSlots)
 
 
 def refused(path: Path) -> str:
-    """Return what is said of the file at `path`; every refusal names it and an action."""
+    """Return the refusal of the file at `path`; every refusal contains the path and an action."""
     with pytest.raises(SharedMemoryError) as caught:
         opened(path)
     location, *_, action = caught.value.args

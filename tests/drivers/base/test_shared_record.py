@@ -13,7 +13,7 @@ VALUE = np.dtype([("number", "i8"), ("words", "f8", (5,)), ("flag", "?")], align
 
 
 def value_of(number: int) -> np.ndarray[Any, Any]:
-    """Return a VALUE whose every field tells its number."""
+    """Return a VALUE whose every field holds its number."""
     value = np.zeros(1, VALUE)
     value["number"], value["words"], value["flag"] = number, number + np.arange(5) / 8, number % 2
     return value

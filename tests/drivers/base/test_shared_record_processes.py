@@ -62,7 +62,7 @@ def record_type(words: int) -> np.dtype[np.void]:
 
 
 class Writers:
-    """Starts one writer after another; a record's version is the number its content tells."""
+    """Starts one writer after another; a record's version is the number in its content."""
 
     def __init__(self, path: Path, words: int) -> None:
         self._parent = subprocess.Popen(
@@ -145,7 +145,7 @@ def pauses() -> Iterator[float]:
 
 
 def in_the_middle_of_a_write(check: Check) -> bool:
-    """Tell whether the writer, which does not run now, has begun a write that it has not ended."""
+    """Return whether the writer, now stopped, has an unfinished write."""
     slots = check.shared._slots
     word = (128 + (slots.head + 1) % slots.slots * slots._stride) >> 3
     return slots._words[word] == slots.head + 1 != slots._words[word + slots._end]

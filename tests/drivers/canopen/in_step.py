@@ -1,6 +1,6 @@
 """Driver and simulated nodes in one process, in step: the wire is a queue, the clock counts.
 
-Before every reading time moves on to the loop's next tick, and with it the plant on a grid of its own.
+Before every reading time moves on to the loop's next tick, and with it the plant on its own grid.
 Waiting for a frame that does not come takes its time.
 """
 
@@ -37,7 +37,7 @@ Meddler = Callable[[int, bytes], list[tuple[int, bytes]]]
 class Wire:
     """The `drivers.canopen.link.FrameLink` of the driver, nodes behind it.
 
-    `meddle` changes what nodes send, `sent` holds what the driver sent, `refuse` makes its sending fail.
+    `meddle` changes the nodes' frames, `sent` holds the driver's, `refuse` makes its sending fail.
     """
 
     def __init__(self, plan: NodesPlan | None = None) -> None:
@@ -53,11 +53,11 @@ class Wire:
         self.stamp_error: Callable[[], float] = lambda: 0.0
         """s by which the driver mistakes the instant of its sending."""
         self.each_tick: Callable[[Wire], None] = lambda wire: None
-        """What happens at the begin of every tick."""
+        """Called at the start of every tick."""
         self._tick = (0.0, 0.0)
         """When the loop's last tick began, s: as it calls that instant, and on the wire's clock."""
         self._ticks = 0
-        """Of the plant."""
+        """Ticks of the plant."""
         self._under_way: deque[tuple[float, int, bytes]] = deque()
         self.deaf = False
         """The driver's frames do not reach the nodes."""
@@ -129,7 +129,7 @@ class Wire:
         self._deliver()
 
     def _deliver(self) -> None:
-        """Let the nodes hear what has arrived."""
+        """Deliver the arrived frames to the nodes."""
         while self._under_way and self._under_way[0][0] <= self.now:
             _, identifier, data = self._under_way.popleft()
             self.nodes.receive(identifier, data, self.now)
@@ -151,7 +151,7 @@ class Wire:
 
     @property
     def commands(self) -> list[tuple[float, float, float, int]]:
-        """What the driver commanded: three voltages and the outputs."""
+        """Commands of the driver: three voltages and the outputs."""
         found = []
         for identifier, data in self.sent:
             if identifier == 0x20A:
@@ -205,6 +205,6 @@ def make(settings: CanopenSettings = SETTINGS, **changes: object) -> tuple[Canop
 
 
 def settings_of(device: CanopenDevice) -> dict[tuple[int, int], bytes]:
-    """Return what a master has written."""
+    """Return the objects written by a master."""
     values, objects = device._values.items(), device._objects
     return {key: value for key, value in values if objects[key].writable and not objects[key].pdo_mappable}

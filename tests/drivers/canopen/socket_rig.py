@@ -42,7 +42,7 @@ class PairBus:
 
 
 class Nodes:
-    """Answers every SYNC by what `script` returns for its number, from 0 on; notes all frames it hears."""
+    """Answers every SYNC with `script` of its number, from 0 on; records all received frames."""
 
     def __init__(self, script: Callable[[int], Frames]) -> None:
         self.ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -69,14 +69,14 @@ class Nodes:
             self.answered += 1
 
     def wait_for_command(self, before: int) -> None:
-        """Wait until a command has been heard after the first `before` frames, and all is answered."""
+        """Wait until a command follows the first `before` frames, and all frames are answered."""
         deadline = time.monotonic() + TIMEOUT
         while True:
             heard = list(self.heard)
             commanded = any(FRAME.unpack(whole)[0] == 0x200 + NODE for whole in heard[before:])
             if commanded and self.answered >= len(heard):
                 return
-            assert time.monotonic() < deadline, f"{heard[before:]} heard, {self.answered} answered"
+            assert time.monotonic() < deadline, f"{heard[before:]} received, {self.answered} answered"
             time.sleep(0.0001)
 
     def end(self) -> None:
@@ -141,7 +141,7 @@ class Rig:
         return self.driver.write(command)
 
     def run(self, ticks: int, command: Callable[[int], Command] = lambda _: MOVING) -> None:
-        """Run ticks, each after the nodes have heard all of the one before."""
+        """Run ticks, each after the nodes have received all frames of the previous one."""
         for _ in range(ticks):
             before = len(self.nodes.heard)
             self.tick(command(self.ticks))

@@ -102,7 +102,7 @@ class SwingBench:
             self.run(self.lasting(self.rests, _AT_REST), after)
 
     def lasting(self, holds: Callable[[], bool], ticks: int) -> Callable[[], bool]:
-        """Return what holds once `holds` has for so many ticks."""
+        """Return a condition that is true once `holds` has been true for more than `ticks` ticks."""
         lasted = [0]
 
         def lasts() -> bool:

@@ -1,4 +1,4 @@
-"""The CANopen driver against simulated nodes, in step: a tick, what goes wrong in it, and what follows."""
+"""The CANopen driver against simulated nodes, in step: a tick, its faults, and their reactions."""
 
 from __future__ import annotations
 
@@ -355,7 +355,7 @@ def fail_to_receive(bench: Bench) -> None:
 
 
 FAULTS: dict[str, tuple[Callable[[Bench], None], str, int]] = {
-    "the valve node tells of an error": (put(0x8A, emergency(0x2310)), "node 10 .* error 2310h", 2),
+    "the valve node reports an error": (put(0x8A, emergency(0x2310)), "node 10 .* error 2310h", 2),
     "the valve node is silent": (drop(0x70A, 0x18A), "interlocks|node 10 .* no heartbeat", 200),
     "an encoder's heartbeat is lost": (drop(0x702), r"node 2 \(encoder of the arm\) .* no heartbeat", 200),
     "the interlocks come no more": (drop(0x18A), "interlocks have not been received", 200),

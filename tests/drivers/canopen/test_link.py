@@ -1,4 +1,4 @@
-"""The link over SocketCAN, with a socket that plays the kernel: echoes, their stamps, and what is none."""
+"""The link over SocketCAN, with a socket that plays the kernel: echoes, their stamps, and other frames."""
 
 from __future__ import annotations
 

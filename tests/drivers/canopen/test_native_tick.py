@@ -1,6 +1,6 @@
-"""Compiled ticks of the CANopen driver on a socket beside those in Python: the same frames, readings, counts.
+"""Compiled ticks of the CANopen driver on a socket against those in Python: same frames, readings, counts.
 
-What only SocketCAN has, echoes with time stamps, is put into the kernel's structures by hand.
+Echoes with time stamps, which only SocketCAN has, are put into the kernel's structures by hand.
 """
 
 from __future__ import annotations

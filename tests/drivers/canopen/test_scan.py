@@ -1,4 +1,4 @@
-"""The scan of a bus: it finds every node, says what the startup would, and changes nothing."""
+"""The scan of a bus: it finds every node, reports as the startup would, and changes nothing."""
 
 from __future__ import annotations
 

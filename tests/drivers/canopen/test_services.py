@@ -1,4 +1,4 @@
-"""Questions to a node beside another client: a bench and a scan share the identifiers of each node's SDO."""
+"""Concurrent questions of two clients to a node: bench and scan share the identifiers of each node's SDO."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Beside(Wire):
 
 
 def set_up(wire: Wire) -> list[dict[Question, bytes]]:
-    """Return what a startup has set."""
+    """Return the objects set by a startup."""
     driver = DriverInStep(wire, SETTINGS)
     driver.open()
     assert driver.operational

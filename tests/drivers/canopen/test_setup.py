@@ -1,4 +1,4 @@
-"""The start-up: what is set and read back, and every refusal with node, object, abort code and action."""
+"""The start-up: objects set and read back, and every refusal with node, object, abort code and action."""
 
 from __future__ import annotations
 

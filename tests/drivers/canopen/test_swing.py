@@ -20,7 +20,7 @@ from tests.sampling import release_except
 CASES = {
     "positions doubled": (Phase.COMMITTED, Reaction.NONE),
     "an encoder's positions missing": (Phase.DOWNSWING, Reaction.BLIND_BRAKE),
-    "the valve node tells of an error": (Phase.BACKSWING, Reaction.PASSIVE),
+    "the valve node reports an error": (Phase.BACKSWING, Reaction.PASSIVE),
     "no room any more (ENOBUFS)": (Phase.TOP, Reaction.PASSIVE),
     "bus-off": (Phase.IMPACT, Reaction.PASSIVE),
     "the bench silent": (Phase.COMMITTED, Reaction.PASSIVE),

@@ -1,4 +1,4 @@
-"""Driver and nodes as processes of their own on the local bus: deaths, hangs, a lost bus, and the valves."""
+"""Driver and nodes as separate processes on the local bus: deaths, hangs, a lost bus, and the valves."""
 
 from __future__ import annotations
 

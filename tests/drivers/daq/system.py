@@ -41,7 +41,7 @@ _EXPIRED, _TIMEOUT, _AO_TYPE, _AO_STATE, _DO_STATE = 0x21A8, 0x21A9, 0x305E, 0x3
 
 @dataclass
 class Card:
-    """A card: what its terminals carry and what it can do."""
+    """A card: its terminals' signals and its features."""
 
     serial: int = 4711
     has_watchdog: bool = True
@@ -60,7 +60,7 @@ class Card:
     """Counts that each encoder has moved since the index, or since switching on."""
     indexed: dict[str, bool] = field(default_factory=lambda: {f"ctr{n}": True for n in range(4)})
     unsigned: bool = False
-    """Counts below zero are told as large ones."""
+    """Counts below zero are reported as large ones."""
     coarse: float = 0.0
     """V that a fallback voltage is off."""
     stuck: set[str] = field(default_factory=set)
@@ -467,7 +467,7 @@ def driver_on(system: System, settings: DaqSettings | None = None, **more: Any) 
 
 
 def command_of(card: Card, settings: DaqSettings) -> Command:
-    """Return what the outputs of `card` command."""
+    """Return the command at the outputs of `card`."""
     a, b, c = (
         (card.volts[channel] - centre) / settings.span
         for channel, centre in zip(settings.valves, settings.centre, strict=True)

@@ -321,7 +321,7 @@ def test_card_without_watchdog_is_refused_unless_relay(bench: Bench, card: Card,
 def test_watchdog_relay_after_fault_is_not_fed(bench: Bench, card: Card) -> None:
     driver = bench(RELAY)
     driver.open()
-    driver.fault = "of a test"
+    driver.fault = "a test's fault"
     before = card.lines["port0/line6"]
     for _ in range(3):
         driver.write(MOVING)

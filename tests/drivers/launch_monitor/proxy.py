@@ -26,7 +26,7 @@ _CLUB = ("AngleOfAttack", "FaceToTarget", "Path", "Loft", "VerticalFaceImpact", 
 
 
 class Dialect(NamedTuple):
-    """What a monitor sends for a message of the simulated one."""
+    """A monitor's messages for a message of the simulated one."""
 
     messages: Callable[[Tree], list[Tree]]
     per_shot: bool = False

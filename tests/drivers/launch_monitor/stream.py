@@ -24,7 +24,7 @@ def wait_for(holds: Callable[[], object], timeout: float = 10.0) -> None:
 
 
 def receive(connection: socket.socket, count: int) -> bytes:
-    """Return what comes until it holds `count` closing braces of answers, or the end of the connection."""
+    """Return the data received up to `count` answers, or up to the end of the connection."""
     connection.settimeout(10.0)
     data = b""
     while data.count(b'"Code"') < count or not data.endswith(b"}"):

@@ -24,7 +24,7 @@ class HalfStrokeDriver:
 
     @property
     def operational(self) -> bool:
-        """False once the device has gone passive by itself."""
+        """False once the device has become passive automatically."""
         return self._device.operational
 
     def open(self) -> None:
@@ -36,7 +36,7 @@ class HalfStrokeDriver:
         return self._device.read(time)
 
     def write(self, command: Command) -> Command:
-        """Send `command` within the device's limits and return what is applied."""
+        """Send `command` within the device's limits and return the applied command."""
         limited = device_limited(command)  # PASSIVE if an opening is not finite
         a, b, c = (max(-STROKE, min(STROKE, opening)) for opening in limited.valve)
         return self._device.write(limited._replace(valve=(a, b, c)))

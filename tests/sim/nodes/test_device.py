@@ -14,7 +14,7 @@ from sim.nodes.valves import ValveNode401
 
 
 class Wire:
-    """One device alone, what it sends, and the clock."""
+    """One device alone, its frames, and the clock."""
 
     def __init__(self, device: type[CanopenDevice]) -> None:
         self.sent: list[tuple[int, bytes]] = []
@@ -33,7 +33,7 @@ class Wire:
         self.sent.append((identifier, data))
 
     def receive(self, identifier: int, data: bytes = b"") -> list[tuple[int, bytes]]:
-        """Let the device hear a frame; return what it sends."""
+        """Put a frame to the device; return its frames."""
         self.sent.clear()
         self.device.receive(identifier, data, self.now)
         return self.sent.copy()
@@ -49,7 +49,7 @@ class Wire:
         ((_, answer),) = self.receive(0x605, struct.pack("<BHB4x", 0x40, index, subindex))
         if answer[0] == 0x80:
             raise Aborted(int.from_bytes(answer[4:], "little"))
-        assert answer[0] & 0xF3 == 0x43, "expedited, size told"
+        assert answer[0] & 0xF3 == 0x43, "expedited, size indicated"
         size = 4 - (answer[0] >> 2 & 3)
         return int.from_bytes(answer[4 : 4 + size], "little")
 

@@ -1,4 +1,4 @@
-"""Carry says what it is: three quantities, never mixed; hardware never shows the plan's ball."""
+"""Carry states its source: three quantities, never mixed; hardware never shows the plan's ball."""
 
 from __future__ import annotations
 
@@ -243,7 +243,7 @@ def test_analyse_carry_error_limits_false_differences(
             ]
             (pair,) = analyse(plan, shots, 1, "").confirmatory.pairs  # type: ignore[union-attr]
             called[error] += pair.verdict in {"different", "both"}
-    assert called[0.0] / campaigns > 0.4, "what the scatter alone would say"
+    assert called[0.0] / campaigns > 0.4, "verdict from the SD alone"
     assert called[1.0] / campaigns < 0.10
 
 

@@ -1,4 +1,4 @@
-"""Plans hold or say what does not; the order is the seed's; the power is the textbook's."""
+"""Plans are valid or report each error; the seed sets the order; the power is the textbook's."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ ball = "tour"
 
 
 VARIANTS = {"bag": "bag", "wedge": "bag"}
-"""Configurations of the shipped campaigns; of the others the shipped one."""
+"""Configurations of the shipped campaigns; default: the shipped one."""
 
 
 def _plan(folder: Path, configuration: Configuration, text: str) -> CampaignPlan:

@@ -1,4 +1,4 @@
-"""What a person must do between shots: asked for, stored, answered from anywhere, and never forgotten."""
+"""Operator tasks between shots: prompted, stored, answered from any terminal, and never lost."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ CONFIGURATION = load_configuration(Path("shipped"))
 
 
 class Rig(Scripted):
-    """Notes when a person was let in; `lacking` is what it must be restarted with."""
+    """Records each access of a person; `lacking` is the preparation required at restart."""
 
     def __init__(self, script: Callable[[int], dict[str, Any]] = lambda _: {}) -> None:
         super().__init__(script)
@@ -70,7 +70,7 @@ class Rig(Scripted):
 
 
 class Person:
-    """Does what is asked for, at once, `times` times; then never."""
+    """Answers the first `times` prompts at once, later ones never."""
 
     def __init__(self, times: int = 1000, kinds: frozenset[PromptKind] = frozenset(PromptKind)) -> None:
         self.name, self.kinds, self.times = "Ann", kinds, times
@@ -89,7 +89,7 @@ class Person:
 
 
 class Series:
-    """A plan with a club to change, in a database of its own."""
+    """A plan with a club change, in its own database."""
 
     def __init__(self, folder: Path, engine: Any, plan: CampaignPlan, *, real: bool = False) -> None:
         configuration = replace(CONFIGURATION, bench=replace(CONFIGURATION.bench, data_dir=folder))
@@ -281,7 +281,7 @@ def test_runner_feeder_loads_in_order_and_refills_after_jam(make: Callable[..., 
     assert sorted(fills) == [1, 5, 7, 11]
     assert fills[1] == taken[:4]
     assert fills[5][:2] == taken[4:6]
-    assert fills[7] == taken[6:10], "after a jam nobody knows what is in it"
+    assert fills[7] == taken[6:10], "after a jam the contents are unknown"
     assert "23 ± 1 °C for 3 h" in series.prompts[0].text
 
 

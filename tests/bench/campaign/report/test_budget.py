@@ -1,4 +1,4 @@
-"""Uncertainty budgets: the GUM's arithmetic, what is missing, and that U covers the truth."""
+"""Uncertainty budgets: the GUM's arithmetic, missing contributions, and coverage of the truth by U."""
 
 from __future__ import annotations
 

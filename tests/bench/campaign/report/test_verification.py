@@ -1,4 +1,4 @@
-"""A report is what the records say: each change of either is named."""
+"""A report matches its records: each change of either is reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a campaign swings with: learned before it began, learned on its way, found again after a crash."""
+"""Corrections of a campaign: learned before its start, learned during it, restored after a crash."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_campaign_corrections_start_with_correction_learned_before(database: Eng
 
 
 class School:
-    """In place of learning, which takes a robot: counts the lessons, and says what came of them."""
+    """Stands in for learning, which needs a robot: counts the lessons, and sets their results."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.lessons: list[Any] = []
@@ -87,7 +87,7 @@ class School:
         monkeypatch.setattr(corrections, "stored", self._stored)
 
     def robot(self, problem: LearningProblem) -> AbstractContextManager[Swinger]:
-        return nullcontext(lambda weights: pytest.fail("nobody learns here"))
+        return nullcontext(lambda weights: pytest.fail("no learning expected"))
 
     def _learn(self, problem: Any, swinger: Swinger, settings: Any, start: Any) -> Any:
         self.lessons.append((settings.swings, start))

@@ -1,4 +1,4 @@
-"""Campaigns on a running bench: the real daemon with its robot in step, and what is left to a person."""
+"""Campaigns on a running bench: the real daemon with its robot in step, and the operator's tasks."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ strike_y = 0.03
 
 @contextmanager
 def campaign(file: Path, *arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
-    """Run `golfbench campaign ...` beside the test."""
+    """Run `golfbench campaign ...` during the test."""
     command = [sys.executable, "-m", "bench", "--config", str(file), "campaign", *map(str, arguments)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
@@ -219,7 +219,7 @@ def test_campaign_sigterm_vents_bench_and_keeps_calibrations(tmp_path: Path) -> 
 
 
 class StandingBench:
-    """A bench that stays as it is; notes what it is asked."""
+    """A bench with constant status; records requests."""
 
     def __init__(self, **status: Any) -> None:
         self.asked: list[str] = []
@@ -567,7 +567,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> tuple[SwingRecord, Launc
 
 
 def reported(launch: Launch, carry: float | None) -> ShotPublication:
-    """Return what the bench's launch monitor says of a ball."""
+    """Return the launch monitor's report of a ball."""
     told = LaunchRecord(1.0, "monitor", 1, **launch._asdict(), carry=carry)
     return shot_publication(shot_id="1", outcome=MatchOutcome.MATCHED, launch=launch_to_json(told))
 
@@ -871,7 +871,7 @@ def test_live_shots_drift_in_status_becomes_one_event(plan: CampaignPlan) -> Non
 
 
 class Listening(Watcher):
-    """Keeps what was said."""
+    """Keeps the texts."""
 
     def __init__(self) -> None:
         self.texts: list[str] = []

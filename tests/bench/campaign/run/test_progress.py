@@ -142,7 +142,7 @@ def test_progress_publisher_sends_json_with_each_change(plan: CampaignPlan) -> N
     last = json.loads(sent[-1])
     assert len(sent) == 3
     assert (last["state"], last["event"]["text"]) == ("paused", "a word")
-    assert last["next_work"] is None, "a simulated bench does it by itself"
+    assert last["next_work"] is None, "a simulated bench does it automatically"
     assert shot_line(last["last_shot"]).startswith("shot 1, tour 3, valid")
 
 

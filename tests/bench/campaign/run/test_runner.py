@@ -1,4 +1,4 @@
-"""The runner obeys, stores batches, judges deliveries, and goes on where it was cut off."""
+"""The runner obeys, stores batches, evaluates deliveries, and resumes after an interruption."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simulated shot depends on plan and number only; what goes wrong is told as what it is."""
+"""A simulated shot depends on plan and number only; each fault is reported with its kind."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def configuration(folder: Path, name: str) -> tuple[Path, int]:
 
 @contextmanager
 def shots(bench: BenchProcess) -> Iterator[Callable[[], dict[str, Any]]]:
-    """Yield a function that waits for the next message on `shot` that tells an outcome."""
+    """Yield a function that waits for the next message on `shot` with an outcome."""
     heard: list[bytes] = []
 
     def hear(sample: zenoh.Sample) -> None:

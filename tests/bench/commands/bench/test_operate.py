@@ -49,7 +49,7 @@ def port() -> int:
 def golfbench(
     port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Golfbench:
-    """Run a command line for the bench at `port`, as a user with a login session of their own."""
+    """Run a command line for the bench at `port`, as a user with a separate login session."""
     configuration = tmp_path / "bench.toml"
     configuration.write_text(f'base = "shipped"\n[network]\nendpoint = "tcp/127.0.0.1:{port}"\n')
     monkeypatch.setenv("GOLFBENCH_CONFIG", str(configuration))

@@ -1,4 +1,4 @@
-"""golfbench campaign: a simulated campaign from its plan to its report, and what is refused."""
+"""golfbench campaign: a simulated campaign from its plan to its report, and refusals."""
 
 from __future__ import annotations
 
@@ -387,7 +387,7 @@ Begin = Callable[[int], list[str]]
 
 @pytest.fixture
 def begin(user: User, tmp_path: Path) -> Begin:
-    """Begin campaigns of one plan that nobody runs; return their ids, the newest first."""
+    """Start campaigns of one plan without a runner; return their ids, the newest first."""
 
     def begin(number: int) -> list[str]:
         configuration = load_configuration(tmp_path / "bench.toml")

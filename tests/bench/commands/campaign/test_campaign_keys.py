@@ -1,4 +1,4 @@
-"""The key that marks a shot: comments are typed while the series goes on, and none is lost."""
+"""The key that marks a shot: comments are typed during the series, and none is lost."""
 
 from __future__ import annotations
 

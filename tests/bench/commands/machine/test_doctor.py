@@ -205,7 +205,7 @@ def test_doctor_data_folder_reports_missing_and_low_space(
 
 
 def _answer(held: bool, p99_us: float) -> dict[str, Any]:
-    """What the child process tells when the kernel grants everything or nothing."""
+    """Return the child's report when the kernel grants everything or nothing."""
     told = {True: ("FIFO 80", "", ""), False: ("OTHER 0", "Operation not permitted", "the action")}[held]
     names = ("scheduling", "memory lock", "timer slack", "idle states")
     setting = dict(zip(("granted", "reason", "action"), told, strict=True)) | {"held": held}

@@ -1,4 +1,4 @@
-"""`golfbench compare`: swings and configurations beside each other, at the command line."""
+"""`golfbench compare`: swings and configurations side by side, at the command line."""
 
 from __future__ import annotations
 

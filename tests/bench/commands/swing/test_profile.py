@@ -178,8 +178,8 @@ def test_profile_show_prints_phases_and_writes_plot(run: Run, tmp_path: Path) ->
 def test_profile_show_table_prints_loadable_profile(run: Run, tmp_path: Path) -> None:
     answer = run("profile", "show", "slow", "--table")
     assert (answer.code, "angle_rad = [" in answer.out) == (ExitCode.OK, True)
-    (tmp_path / "edited.toml").write_text(answer.out.replace('golfer = "nobody"', 'golfer = "somebody"'))
-    assert "somebody" in run("profile", "show", "edited.toml").out
+    (tmp_path / "edited.toml").write_text(answer.out.replace('golfer = "nobody"', 'golfer = "left-hander"'))
+    assert "left-hander" in run("profile", "show", "edited.toml").out
 
 
 def test_profile_simulate_writes_record_and_exit_code_follows_shot(run: Run, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Inputs are believed after they were seen to change: what is wrong with one is found and named."""
+"""Inputs are accepted after an observed change: each input fault is found and identified."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def broken(signal: str, kind: Kind, value: float = nan) -> Fault:
 
 
 def spans(share: float, atmosphere: float) -> Callable[[Readings], Readings]:
-    """Return what the supply's sensor shows whose span is `share` of the truth, its zero being right."""
+    """Return a supply sensor whose span is `share` of the truth, with a correct zero."""
     return lambda r: r._replace(supply_pressure=atmosphere + share * (r.supply_pressure - atmosphere))
 
 

@@ -1,4 +1,4 @@
-"""The robot itself under commissioning: sequences and swings in real time, in a process of its own."""
+"""The robot itself under commissioning: sequences and swings in real time, in a separate process."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class WatchedDriver(PacedPlantDriver):
 
 @pytest.fixture
 def asked() -> list[bool]:
-    """Whether a stop was asked for: not empty."""
+    """Return the stop requests; not empty: a stop is requested."""
     return []
 
 

@@ -1,4 +1,4 @@
-"""Rising swings: slower ones along a designed path, and what is said of a robot that swings otherwise."""
+"""Speed ramp: slower swings along a designed path, and the reports on a robot that deviates."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ OTHER_PREDICTIONS = (([0.05, 0.01, 0.1], 30.3), ([0.01, 0.02, 0.05], 31.8))
 """Deviations of two predictions from a third of 30 m/s."""
 TIGHT = {"backswing": (1e-4, 1e-4, 1e-4)}
 SPEED = 43.2
-"""Of the default swing, m/s."""
+"""Head speed of the default swing, m/s."""
 compiled_only = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="whole swings take minutes without compilation"
 )

@@ -1,4 +1,4 @@
-"""What a recorded swing says of a robot that became another one than the measured."""
+"""Diagnosis, from a recorded swing, of a robot that changed since its measurement."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ pytestmark = [
 
 
 def diagnosed(configuration: Configuration, profile: Profile, name: str) -> tuple[Diagnosis, list[str]]:
-    """Return what a swing of the case `name` says, and why it is unsafe."""
+    """Return the diagnosis of a swing of the case `name`, and why it is unsafe."""
     plant = configuration.plant
     case = swung_wrongly(true_robot(plant, 1))[name]
     series = SimulatedRobot(case.robot, case.faults).series(bench_of(configuration, profile))

@@ -1,4 +1,4 @@
-"""What the observer of the air believes of the vents."""
+"""The pressure observer's estimate of the vents."""
 
 from __future__ import annotations
 

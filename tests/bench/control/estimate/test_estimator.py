@@ -52,7 +52,7 @@ def upper(P: Array) -> Array:
 
 
 class Track:
-    """What a run of the estimator leaves, one row a tick."""
+    """Values of a run of the estimator, one row per tick."""
 
     def __init__(self, ticks: int) -> None:
         self.x = np.empty((ticks, 3, 3))

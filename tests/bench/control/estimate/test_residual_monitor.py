@@ -160,7 +160,7 @@ def test_model_cause_unsettled_or_off_reports_none() -> None:
 def test_model_cause_suspect_joint_reports_spool_only_over_second_limit(
     name: str, other: float, spool: bool
 ) -> None:
-    """A chamber that leaks draws the other one a little off, too: the shoulder was cut off in its brake."""
+    """A leaking chamber also shifts the other one's residual: the shoulder was cut off in its brake."""
     model, estimator = settled()
     limit = 10.0 if name == "residual" else 50.0
     model[name][0, 2], model[name][0, 3] = 3.0 * limit, other * limit

@@ -1,4 +1,4 @@
-"""Gains from the machine: every pose keeps the required margins, for plants of other sizes, too."""
+"""Model-based gains: every pose keeps the required margins, also for plants of other sizes."""
 
 from __future__ import annotations
 

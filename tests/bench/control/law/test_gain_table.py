@@ -99,7 +99,7 @@ def test_supply_factor_follows_pressure_within_bounds(supply: float, pressure: f
 
 
 def test_supply_factor_of_address_is_kept_in_swing() -> None:
-    """A swing draws the supply down by half a bar: gains that followed it would change what was planned."""
+    """A swing draws the supply down by half a bar: gains that followed it would deviate from the plan."""
     parameters = build_controller(PlantParameters(), load_profile(find_profile("default")))
     parameters.pid["supply"] = 8e5
     state, readings = new_control_state(), new_record(READINGS)

@@ -1,4 +1,4 @@
-"""A chamber whose exhaust passes too little is named by its place, and a healthy one never is."""
+"""A chamber with a throttled exhaust is reported by location, and a fault-free one never."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_exhaust_monitor_throttled_exhaust_reports_chamber(angle: Any, share: fl
 
 
 def test_exhaust_monitor_low_start_pressure_finds_throttled_vane_exhausts() -> None:
-    """Of the vane's large chambers; what leaks empty through its valve meanwhile holds nothing up."""
+    """Exhausts of the large vane chambers; a chamber that leaks empty through its valve holds nothing up."""
     assert {0, 1} <= set(Exhausts(0.01, begin=1.12e5).run(5.0).found)
 
 

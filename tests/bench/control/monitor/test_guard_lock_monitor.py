@@ -1,4 +1,4 @@
-"""The guard's lock: feedback that does not follow the command is named, and nothing moves behind it."""
+"""The guard's lock: feedback that does not follow the command is reported, and nothing moves behind it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The supply manifold at each venting: it empties in the time that it takes, or is named."""
+"""The supply manifold at each venting: it empties within its time, or is reported."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NAMED = round(1000 * (SHUTTING + LATE)) + 30
 
 
 class Manifold:
-    """The watch over a manifold whose sensor shows what a test says."""
+    """The monitor of a manifold whose sensor readings the test sets."""
 
     def __init__(self) -> None:
         """Stand under pressure."""

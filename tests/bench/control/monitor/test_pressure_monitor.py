@@ -1,4 +1,4 @@
-"""A sensor or vent that fails is named, keeps the bench from arming, and proves nothing any more."""
+"""A failed sensor or vent is reported, blocks arming, and no longer counts as evidence."""
 
 from __future__ import annotations
 

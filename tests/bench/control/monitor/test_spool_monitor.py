@@ -1,4 +1,4 @@
-"""Spools that report their positions: one that does not follow its command is named within milliseconds."""
+"""Spools with position feedback: one that does not follow its command is reported within milliseconds."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def plant_record(slower: float = 0.0, dead_band: float = 0.0, centre: float = 0.
 
 
 class Valves:
-    """The monitor beside spools that truly move, read `late` ticks after they stood there."""
+    """The monitor with spools that truly move, read `late` ticks after the fact."""
 
     def __init__(self, truth: np.ndarray | None = None, late: int = 0) -> None:
         self.control, self.readings = new_record(CONTROL_STATE), new_record(READINGS)
@@ -53,7 +53,7 @@ class Valves:
         self.past = [np.zeros(3)] * (late + 1)
 
     def tick(self, command: tuple[float, float, float], shown: tuple[float, ...] | None = None) -> Cause:
-        """Obey `command` for a tick; return what the monitor says of `shown`, the truth if None."""
+        """Obey `command` for a tick; return the monitor's verdict on `shown`, the truth if None."""
         self.control["applied"] = command
         for i in range(3):
             held = command[i] if np.isnan(self.stuck[i]) else self.stuck[i]

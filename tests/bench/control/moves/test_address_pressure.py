@@ -1,4 +1,4 @@
-"""Air at the address: planned where a swung spool leads, brought there, waited for, named when it fails."""
+"""Pressures at the address: planned as the dither's equilibrium, regulated, awaited, reported on failure."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def bench_on(
 
 
 def deviation(bench: LockstepEngine, profile: Profile) -> Array:
-    """Return what the true chambers (6,) deviate from the planned ones, Pa."""
+    """Return the errors of the true chambers (6,) from the planned ones, Pa."""
     state = bench.plant_state[0]
     return np.asarray(
         state["pressure"] - np.array(profile.air) * state["supply_pressure"] / profile.air_supply
@@ -260,7 +260,7 @@ def test_pressure_timeout_unsettled_joint_reports_address_timeout() -> None:
     ids=["near", "too far for the hold", "air as it comes"],
 )
 def test_return_joint_hunting_near_address_enters_hold(miss: float, planned: bool, phase: Phase) -> None:
-    """A wrist with little area beside its friction never came back to its address after a swing.
+    """A wrist with little area for its friction never came back to its address after a swing.
 
     Its PID alone took it from one side to the other.
     """
@@ -278,7 +278,7 @@ def test_return_joint_hunting_near_address_enters_hold(miss: float, planned: boo
 
 @pytest.mark.parametrize(("waited", "forgotten"), [(1000, False), (2500, True)])
 def test_return_slip_after_move_end_clears_integral(waited: int, forgotten: bool) -> None:
-    """A shoulder slipped 0.1 rad to either side of its address, too far for the hold, until it was late."""
+    """A shoulder slipped 0.1 rad to either side of its address, beyond the hold's limit, until timeout."""
     patient = replace(QUICK, move_timeout=6.0)
     profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5)
     puppet = Puppet(profile, patient).enter(Phase.RETURN)
@@ -296,7 +296,7 @@ def test_return_slip_after_move_end_clears_integral(waited: int, forgotten: bool
 
 @pytest.mark.parametrize("planned", [True, False])
 def test_feed_forward_planned_air_omits_dead_band_opening(*, planned: bool) -> None:
-    """Swung spools and openings for the dead band together drove a soft shoulder past its return's limit."""
+    """Dither and dead-band compensation together drove a soft shoulder past its return's limit."""
     profile = replace(STILL, air=(5.9e5,) * 6, air_supply=8e5) if planned else STILL
     puppet = Puppet(profile, replace(QUICK, gains="machine")).enter(Phase.RETURN)
     control, parameters = puppet.control, puppet.parameters.control[0]
@@ -315,9 +315,9 @@ def test_feed_forward_planned_air_omits_dead_band_opening(*, planned: bool) -> N
 @compiled_only
 @pytest.mark.parametrize("seed", release_except({1000002}, [1000001, 1000002, 1000003, 1000006]))
 def test_arming_soft_shoulder_reaches_address(seed: int) -> None:
-    """A small vane with low pressure and large dead bands slipped to and fro by 0.1 rad until it was late.
+    """A small vane with low pressure and large dead bands slipped to and fro by 0.1 rad until its timeout.
 
-    Its widely swung spool moved the force by 15 N m, which a PID as soft as its air could not make up for.
+    Its large dither moved the force by 15 N m, which a PID as soft as its air could not compensate.
     """
     known = drawn_robot(429, PLANT)
     profile = with_planned_air(load_profile(find_profile("default")), known)
@@ -479,7 +479,7 @@ def test_dither_periods_slow_spool_lengthens_period() -> None:
 
 @compiled_only
 def test_swing_known_spool_centre_keeps_delivery(profile: Profile) -> None:
-    """Openings are counted from where the spool is centred: a profile holds for other valves, too."""
+    """Openings are relative to the spool's centre: a profile also holds for other valves."""
     delivered = []
     for centre in (0.0, 0.025):
         plant, _ = machine(profile, centre=centre)

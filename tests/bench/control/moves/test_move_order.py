@@ -41,7 +41,7 @@ def swing_of(name: str, configured: str) -> tuple[Configuration, Profile, Contro
 
 
 def test_moves_arm_first_depends_on_head_path() -> None:
-    """From where each robot hangs: golfers' would pass 27 mm above what it has to clear, the shipped 36."""
+    """From each hanging pose: the golfers' robot would clear its minimum by 27 mm, the shipped one by 36."""
     for name, configured, expected in (("default", "shipped", False), ("tour-male-full", "golfers", True)):
         c, profile, parameters = swing_of(name, configured)
         assert moves_arm_first(parameters, hanging_pose(c.plant)) is expected, name

@@ -49,7 +49,7 @@ def test_catalogue_sizes_rise_within_each_kind() -> None:
 
 
 def test_catalogue_shut_off_valves_switch_within_quarter_of_delay() -> None:
-    """The timer is twice what a supply valve that stays open takes to show; the valve may not use that up."""
+    """The timer is twice the detection time of a supply valve stuck open; switching must not use it up."""
     delay = PlantParameters().supply.shut_off_delay
     parts = shipped_catalogue().shut_offs.values()
     assert len(parts) >= 2

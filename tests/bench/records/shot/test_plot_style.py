@@ -1,4 +1,4 @@
-"""Colours that readers with any colour vision tell apart, and markers that need none."""
+"""Colours that readers with any colour vision can distinguish, and markers that need none."""
 
 from __future__ import annotations
 

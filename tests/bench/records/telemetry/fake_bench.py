@@ -1,4 +1,4 @@
-"""A bench that only tells: it publishes given cycles over zenoh as the daemon and its publisher do."""
+"""A publish-only bench: it publishes given cycles over zenoh as the daemon and its publisher do."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from rerun.chunk import RrdReader
 
 
 class Recording:
-    """What a recording holds, by entity: times (s) and the values of one component, row by row."""
+    """Contents of a recording by entity: times (s) and the values of one component, row by row."""
 
     def __init__(self, path: Path) -> None:
         with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""What devices say of their encoders' zeros, kept beside the ring and compared with the calibration."""
+"""Encoder zeros reported by devices, kept next to the ring and compared with the calibration."""
 
 from __future__ import annotations
 

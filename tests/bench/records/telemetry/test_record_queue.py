@@ -29,7 +29,7 @@ def record(path: Path, number: int = 1, kind: str = "swing") -> QueuedRecord:
 
 @contextmanager
 def as_nobody() -> Iterator[None]:
-    """Be somebody without the right to write anywhere."""
+    """Run as a user without write permission."""
     root = os.geteuid() == 0
     if root:
         os.seteuid(65534)

@@ -145,7 +145,7 @@ def test_read_swing_truncated_file_is_refused(tmp_path: Path, make_swing: Callab
 def test_write_swing_syncs_file_before_rename_and_folder_after(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What a power cut at any of these steps leaves: nothing, a partial file, or the whole one."""
+    """A power cut at any of these steps leaves nothing, a partial file, or the complete one."""
     path, steps = tmp_path / "swing.parquet", []
     real_sync, real_replace = os.fsync, Path.replace
 

@@ -16,7 +16,7 @@ CAPACITY = 16
 
 
 def cycles_of(*ticks: int) -> np.ndarray[Any, Any]:
-    """Return one CYCLE for each of `ticks`, all of whose bytes tell the tick."""
+    """Return one CYCLE for each of `ticks`, all of whose bytes hold the tick."""
     cycles = np.zeros((len(ticks), CYCLE.itemsize), np.uint8)
     cycles[:] = np.array(ticks, np.uint8)[:, np.newaxis]
     return cycles.reshape(-1).view(CYCLE)

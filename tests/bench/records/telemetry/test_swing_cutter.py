@@ -131,7 +131,7 @@ def test_swing_segmenter_records_are_independent_of_chunk_size(
 
 
 def _rest(day: Cycles) -> list[RecordSegment]:
-    """Return what is still in the making at the end of `day`."""
+    """Return the unfinished segments at the end of `day`."""
     cutter = SwingSegmenter(lead=LEAD, tail=TAIL, room=8192)
     cutter.take(day)
     return cutter.finish("over", keep=True)

@@ -43,7 +43,7 @@ BEGIN = "2026-11-01T09:30:00+00:00"
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory, make_swing: Callable[[int], Cycles]) -> ExportRecord:
-    """A record with what is awkward: no pressure sensors, large counts, numbers that do not end."""
+    """A record with awkward values: no pressure sensors, large counts, non-terminating fractions."""
     cycles = make_swing(3)[700:1000].copy()
     cycles["chamber_pressure"] = np.nan
     cycles["plant_pressure"][0, 0] = np.nan
@@ -205,7 +205,7 @@ def test_mf4_without_asammdf_names_package(
 
 
 def test_record_opens_in_duckdb_and_polars(record: ExportRecord) -> None:
-    """Names beside numbers, and units in the file's own metadata."""
+    """Names in addition to numbers, and units in the file's own metadata."""
     path, phases = record.path, record.cycles["phase"]
     with duckdb.connect() as connection:
         rows = connection.execute(

@@ -1,4 +1,4 @@
-"""`golfbench demo` with a bench of its own: what it leaves, and that nothing of it is left running."""
+"""`golfbench demo` with a dedicated bench: its files, and that none of its processes keeps running."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ pytestmark = [
 
 
 def start(out: Path, swings: int) -> subprocess.Popen[str]:
-    """Start a demo as from a terminal: in a process group of its own."""
+    """Start a demo as from a terminal: in a separate process group."""
     return subprocess.Popen(
         [sys.executable, "-m", "bench", "demo", "--swings", str(swings), "--output", str(out)],
         stdout=subprocess.PIPE,

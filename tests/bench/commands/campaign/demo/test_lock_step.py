@@ -1,4 +1,4 @@
-"""`golfbench demo` as its user sees it: the files, what is refused, and Ctrl-C."""
+"""`golfbench demo` as its user sees it: files, refusals, and Ctrl-C."""
 
 from __future__ import annotations
 
