@@ -24,8 +24,8 @@ Without it (0), Newton's restitution holds along the normal. The friction impuls
 `tangential_factor` of the one that would end all slip (the ball rolls at exit, Penner 2001). It is less where
 Coulomb friction does not suffice or where it would gain energy. Restitution is that at an approach of 40 m/s
 and changes by `restitution_slope` with it. Gear effect needs no formula: it comes from the head's inertia and
-the depth of its centre of mass. This also lets the head yield to friction and takes about 5 % from the spin
-of Penner's point mass.
+the depth of its centre of mass. This also lets the head yield to friction and reduces the spin of Penner's
+point mass by about 5 %.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ class BenchAddress:
 
 
 def load_address(path: Path | None = None) -> BenchAddress:
-    """Return the address in the configuration at `path` (as `find_configuration` takes it).
+    """Return the network address in the configuration at `path` (as for `find_configuration`).
 
     Raises:
         BenchError: a file is missing, cannot be read, or is not TOML.

@@ -36,7 +36,7 @@ class FreeClock:
 
 
 class PacedClock:
-    """Virtual time at real speed: delays of the machine make it slip against the wall, and are counted."""
+    """Virtual time paced to the wall clock: it lags by delays of the computer, which are counted."""
 
     def __init__(
         self,

@@ -359,7 +359,7 @@ def _factor(marks: tuple[Any, ...], suffix: str) -> float:
 
 
 def _unit(marks: tuple[Any, ...]) -> str:
-    """Return the unit of a field, the first one if it depends on the joint ("rad, rod m")."""
+    """Return the unit of a field; of units by joint ("rad, rod m") the first."""
     return next((mark.unit.split(",")[0] for mark in marks if isinstance(mark, Range)), "")
 
 

@@ -48,7 +48,7 @@ _IS: Mapping[str, Callable[[Any], bool]] = {
 
 
 def schema_of(kind: Any) -> Schema:
-    """Return the JSON Schema of values of `kind`; keys beyond those of an object's class are left open.
+    """Return the JSON Schema of values of `kind`; additional keys of an object are allowed.
 
     Raises:
         TypeError: JSON has no such values.

@@ -572,7 +572,7 @@ Table = list[list[int]]
 
 
 def transition_table() -> Table:
-    """Return TRANSITIONS as a table [source][target] of 0 and 1; any state may stay."""
+    """Return TRANSITIONS as a 0/1 matrix [source][target] with a diagonal of 1."""
     table = [[int(source is target) for target in State] for source in State]
     for edge in TRANSITIONS:
         table[edge.source][edge.target] = 1
@@ -636,14 +636,14 @@ STOP_REACTIONS: dict[Phase, tuple[Reaction, Reaction, Reaction, Reaction, Reacti
 }
 """The stopping table; columns as above.
 
-A silent bench is PASSIVE by the device itself. In the impact window and the follow-through COMPLETE *is* the
-brake as planned. An actuator that does not obey may be a stuck valve, and only taking its air away helps, so
-the supply is cut (PASSIVE). Departs from one column 'readings trusted', shown by `golfbench profile check`: a
-shoulder valve stuck open, noticed within milliseconds by the model-based check, ends within the ratings when
-the supply is cut at once, and at up to 384 % of them when the others brake with air on. The wrist is the
-exception: while it is fast its own air must brake it, and without it its stop takes up to 168 %. A chamber
-that alone does not fit is a sensor rather than a spool, which moves air in both: past the no-return instant
-its air is worth more than its cut."""
+On loss of communication the device itself becomes PASSIVE. In the impact window and the follow-through
+COMPLETE *is* the brake as planned. An actuator that does not obey may be a stuck valve, and only taking its
+air away helps, so the supply is cut (PASSIVE). Departs from one column 'readings trusted', shown by
+`golfbench profile check`: a shoulder valve stuck open, noticed within milliseconds by the model-based check,
+ends within the ratings when the supply is cut at once, and at up to 384 % of them when the others brake with
+air on. The wrist is the exception: while it is fast its own air must brake it, and without it its stop takes
+up to 168 %. A chamber that alone does not fit is a sensor rather than a spool, which moves air in both: past
+the no-return instant its air is worth more than its cut."""
 
 
 def reaction_table() -> Table:

@@ -35,7 +35,7 @@ def keep_calibration(
     note: str = "",
     days: int | None = None,
 ) -> Entry:
-    """Store `values` for the bench of `configuration` from `now` on, for `days` or those of their kind.
+    """Store `values` for the bench of `configuration` from `now` on, for `days` or their default.
 
     Raises:
         BenchError: as `add_calibration`, or the database cannot be opened.

@@ -206,7 +206,7 @@ def wiring_digest(configuration: Configuration) -> str:
 
 
 def is_rewired(values: Values, configuration: Configuration) -> bool:
-    """Return whether `values` are a check of inputs that were wired otherwise than `configuration` has it."""
+    """Return whether `values` are a check of inputs whose wiring differs from `configuration`."""
     return isinstance(values, SeenInputs) and values.wiring != wiring_digest(configuration)
 
 

@@ -94,7 +94,7 @@ _HOLD = 0.02
 
 
 class ValveCentre(NamedTuple):
-    """Result of the ramp for one valve, in openings."""
+    """Result of the ramp for one valve, as openings (fractions of the full one)."""
 
     centre: float
     dead_band: float
@@ -124,7 +124,7 @@ def find_centre(openings: ArrayLike, pressure_rates: ArrayLike) -> ValveCentre:
 
 
 def _refined(x: Array, rate: Array, lower: float, upper: float) -> tuple[tuple[float, float], float, float]:
-    """Return edges, smaller slope and residual scatter of the best fit near the given edges."""
+    """Return edges, smaller flow slope and residual deviation of the best fit near the given edges."""
     near = (x > lower - _NEAR) & (x < upper + _NEAR)
     for beyond, edge in ((x < lower, "lower"), (x > upper, "upper")):
         if np.count_nonzero(near & beyond) < _MIN_BEYOND:

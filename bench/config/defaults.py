@@ -19,12 +19,12 @@ DERIVED = frozenset({"plant.tick", "plant.ball", "plant.robot.club", "files"})
 
 
 def default_tables() -> dict[str, Any]:
-    """Return the values of all keys that have a default, as a file has them, in SI units and rad."""
+    """Return the values of all keys that have a default in the form of a file, in SI units and rad."""
     return _defaults_of(Configuration, "")
 
 
 def tables_of(value: Any, path: str = "") -> dict[str, Any]:
-    """Return the values of a dataclass as a file has them; `path` is its dotted key with a point behind."""
+    """Return the values of a dataclass as in a file; `path` is its dotted key with a trailing dot."""
     return {f: plain(getattr(value, f), f"{path}{f}") for f in keys_of(type(value), path)}
 
 

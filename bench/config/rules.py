@@ -211,7 +211,7 @@ def _is_below(leaf: TomlValue | None, other: TomlValue | None, files: tuple[Path
 
 
 def _layer(leaf: TomlValue, files: tuple[Path, ...]) -> int:
-    """Return the place of a value's file among those laid over each other; -1 for the defaults."""
+    """Return the layer of a value's configuration file; -1 for the defaults."""
     return files.index(leaf.file) if leaf.file in files else -1
 
 

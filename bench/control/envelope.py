@@ -77,7 +77,7 @@ def interlock_cause(readings: Any) -> int:
 
 @compiled
 def relay_closed(readings: Any) -> bool:
-    """Return whether the safety relay holds its contact in the coils of vents and shut-off valve, as read."""
+    """Return whether the safety relay closes the coil circuit of vents and shut-off valve, as read."""
     return bool(readings[0].emergency_stop_clear and readings[0].guard_closed)
 
 

@@ -126,11 +126,11 @@ class ControlSettings:
     open_loop_settling_time: NotNegative = 0.6
     """Time with centred spools between an open-loop brake and venting, s."""
     precharge_time: Positive = 2.0
-    """Supply soft start and charging of the chambers before the first move, s."""
+    """Duration of soft start and precharge before the first move (s)."""
     precharge_opening: Annotated[float, Above(0), AtMost(1)] = 0.12
-    """Opening to either side of the centre while charging."""
+    """Amplitude of the alternating opening during precharge."""
     precharge_period: Positive = 0.02
-    """Time between two changes of side while charging, s."""
+    """Time between two reversals of the opening during precharge (s)."""
     move_speed: PositiveTriple = (1.2, 0.6, 1.5)
     """Greatest speed of slow moves, rad/s."""
     move_timeout: Positive = 6.0

@@ -387,7 +387,7 @@ def _lean(demand: SwingDemand, parameters: PlantParameters) -> tuple[float, floa
 def _furthest_back(parameters: PlantParameters, demand: SwingDemand, top: float) -> float:
     """Return the min theta1 of the downswing, rad: a golfer does not swing back again from the top.
 
-    `top` is the angle that the plant comes to, rad, which friction and air may leave behind the demanded one.
+    `top` is the angle that the plant reaches (rad); friction and air may hold it short of the demanded one.
     """
     if demand.follow is None:
         return parameters.shoulder.lower

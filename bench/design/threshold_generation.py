@@ -190,7 +190,7 @@ def _tables(largest: Array, prefix: str) -> LimitTables:
 
 
 def floor_of(kind: str, row: str) -> Triple:
-    """Return the least limits of a row of a table.
+    """Return the lower bounds of the limits in a row of a table.
 
     A robot to learn on may have valves and lengths that no draw has: dead bands wider by 0.012, centres off
     by 0.008, spools slower by a fifth, lengths off by 1.5 mm, encoders later by 0.6 ms. The default tables

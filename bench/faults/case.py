@@ -80,7 +80,7 @@ class Workbench:
 
     @cached_property
     def _absolute(self) -> tuple[Plant, ControlParameters]:
-        """The shipped machine, homed by its hanging pose."""
+        """The machine of the shipped configuration, homed by its hanging pose."""
         c = self.configuration
         homing = replace(c.homing, method="absolute")
         return self.plant, build_controller(

@@ -13,7 +13,7 @@ Event = Literal["", "stop", "guard opened", "emergency stop", "no ball"]
 """Event added to the fault: a stop that needs the part, or the event that a stuck switch should report."""
 
 EVENT_AFTER = 0.05
-"""Time from the fault to the event, s, where the fault comes first."""
+"""Lead time of a fault before the combined event (s)."""
 
 Family = Literal["one fault", "during a stop", "from the start", "latent pair", "access"]
 """When the faults come: alone at any instant; while a stop is under way; before the bench is switched on; one
@@ -150,7 +150,7 @@ THROTTLED: tuple[Fault, ...] = tuple(
     }.items()
     for share in shares
 )
-"""Clogged silencers and kinked hoses, one and all: the vents report open."""
+"""Clogged silencers and kinked hoses, of one exhaust and of all: the vents report open."""
 
 SINGLE: tuple[Breakage, ...] = (
     *(breakage for joint in JOINTS for breakage in _encoder(joint)),

@@ -59,7 +59,7 @@ class CaseOutcome:
     operator: str
     record: str
     change: str
-    """Difference to the undisturbed run at the ball or at rest; empty if it does not matter."""
+    """Deviation from the fault-free run at impact or at rest; empty if negligible."""
     next_swing: str = ""
     """Finding that names an undetected fault before another ball is struck; empty without one."""
 
@@ -134,7 +134,8 @@ def judge_case(
 def _fastest_head(run: WatchedRun, breakage: Breakage, after: int, period: float) -> float:
     """Return the speed of the fastest head, m/s; one that comes off flies on with that of its last tick.
 
-    The bare shaft that stays is faster than any head, and carries little: its blow counts at the stops.
+    The remaining bare shaft is faster than any head but has little energy: only its impact on the end stops
+    counts.
     """
     lost = [fault.time for fault in breakage.faults if fault.signal == "club head"]
     if not lost:

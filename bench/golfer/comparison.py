@@ -72,7 +72,7 @@ class MotionDeviation:
     share: tuple[float, float, float, float]
     """The same as a fraction of the reference's ranges."""
     time: Array
-    """Instants (n,) of the reference's downswing at which `other` has a motion (s)."""
+    """Times (n,) of the reference's downswing for which `other` has data (s)."""
     beside: Array
     """Angles (n, 3) of `other` at these instants (rad)."""
     head_beside: Array

@@ -119,7 +119,7 @@ class _Grid:
         self.velocity: dict[str, Array] = {}
 
     def path(self, role: str, whole: Array, raw: dict[str, Array]) -> Array:
-        """Return the smoothed path (n, 3) of `role` at the rows; its velocity is kept."""
+        """Return the smoothed path (n, 3) of `role` at the rows, and store its velocity."""
         part = slice(self.first, self.last + 1)
         body, club = self.cutoff
         is_body = role.endswith(("shoulder", "arm", "hip"))

@@ -72,7 +72,7 @@ SIDED = ("shoulder", "arm", "wrist", "hip")
 """Roles on both sides; `arm` is the start of the arm, where the line of the shoulders has another marker."""
 CLUB = ("grip", "head")
 _MAX_MISSING = 0.2
-"""Max fraction of frames without a marker that counts in the mean of its role."""
+"""Max fraction of missing frames for a marker to count in the mean of its role."""
 _FORM = 'lead_shoulder = ["NAME"], trail_shoulder, lead_wrist; with a club: grip, head'
 
 _LEFT: Mapping[str, Sequence[tuple[str, ...]]] = {
@@ -280,7 +280,7 @@ def projected_angle(vectors: Array, plane: SwingPlane) -> Array:
 
 
 def turn_about(vectors: Array, target: Array, front: Array) -> Array:
-    """Return how far level lines (n, 3) are turned away from the target (rad), the lead side to `front`."""
+    """Return the rotation (rad) of horizontal lines (n, 3) from the target, positive towards `front`."""
     found: Array = np.unwrap(np.arctan2(vectors @ front, vectors @ target))
     return found
 

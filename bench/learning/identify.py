@@ -53,7 +53,7 @@ _SPACING = 5
 _SMOOTHED = 41
 """Samples over which openings are averaged."""
 _ANGLE, _OPENING, _PRESSURE = 0.003, 0.03, 5e3
-"""Errors of equal weight: rad, opening, Pa; the scatter of swings alike."""
+"""Errors of equal weight (rad, opening, Pa): the scatter of repeated swings."""
 _PRIOR = 0.4
 """Standard deviation of the parameters before anything was recorded: wear makes 1.4 times the friction."""
 _MAX_DECREASE, _MAX_INCREASE = 0.5, 1.0

@@ -269,7 +269,8 @@ def begun_on(
 ) -> LearningProblem:
     """Return `problem` as it begins on a robot identified as `plant` from swings `recorded` of one profile.
 
-    Without them the error left by identification is unknown: the first swing only starts nearer.
+    Without `recorded` the remaining model error is unknown: identification then only improves the first
+    swing.
 
     Raises:
         BenchError: the learned or a recorded swing was stopped or missed the ball, or `plant` is not the

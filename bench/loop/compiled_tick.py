@@ -56,7 +56,7 @@ _TYPES: tuple[np.dtype[Any], ...] = (
 command, truth."""
 _COUNT = len(_TYPES)
 _READINGS, _COMMAND, _RECORD, _MARKS, _APPLIED, _TRUTH = range(_COUNT - 6, _COUNT)
-"""Positions of those that are neither state nor parameters."""
+"""Indices of the arrays that are neither state nor parameters."""
 _LENGTHS, _CALLS = _COUNT, 2 * _COUNT
 """Offsets in the block of the arrays' lengths and of the native calls."""
 _READ, _WRITE, _NOTE_TRUTH, _PUBLISH = range(_CALLS, _CALLS + 8, 2)

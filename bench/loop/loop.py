@@ -191,7 +191,7 @@ class Cycle:
         return False
 
     def _blame_exception(self, before: int) -> None:
-        """Name the cause `before` this tick, else the exception: not what failed readings seem to say."""
+        """Restore the cause `before` this tick, or set the exception: failed readings give none."""
         control = self.state.control
         if control["cause"][0] != before:
             control["cause"] = self.record["cause"] = before or Cause.EXCEPTION

@@ -285,7 +285,7 @@ class BenchOperator:
 
 
 def _require_passing(refused: CommandRefused, deadline: float) -> None:
-    """Raise a refusal that lasts, or one that still stands at the `deadline`."""
+    """Raise a permanent refusal, or any at the `deadline`."""
     if refused.refusal in _LASTING or time.monotonic() > deadline:
         raise refused
 

@@ -230,7 +230,7 @@ _LEASE = (
 
 
 def wire_contract(bench: str = "BENCH") -> dict[str, Any]:
-    """Return the contract of `bench`, valid as JSON."""
+    """Return the wire contract of `bench` (keys, schemas, limits) as JSON values."""
     root = f"golfbench/{bench}"
     return {
         "contract_version": CONTRACT_VERSION,

@@ -228,7 +228,7 @@ class HealthyRun(NamedTuple):
     largest: Array
     """(5, LEARNING, 3) largest deviations by comparison, row and joint; 0 where a row was not seen."""
     cause: Cause
-    """Cause of a stopped swing; NONE when both came back to the address."""
+    """Cause of a stopped swing; NONE if both swings returned to the address."""
     stops: int
     """Number of stops."""
     escalated: tuple[str, ...]
@@ -294,7 +294,7 @@ class _StopTrial:
         """Number of the stop after which the copy is armed again."""
 
     def stop(self, bench: Lockstep) -> None:
-        """Stop a copy of `bench` and run it until it stands."""
+        """Stop a copy of `bench` and run it to standstill."""
         copy, emergency = bench.copy(), bool(self._random.integers(2))
         control, phase = copy.state.control, Phase(int(bench.state.control["phase"][0]))
         if emergency:

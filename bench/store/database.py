@@ -287,7 +287,7 @@ class DatabaseLocked(Refused):
     """Another process holds the database for longer than the time that was waited."""
 
     state = "locked by another process"
-    """How it is, before the time for which it is so."""
+    """State of the database, which a message states before its duration."""
     expected_state = "a database that is free to write"
     action = "End the program that holds it (a backup, a database browser), then try again."
 
@@ -325,8 +325,8 @@ def transaction(
 ) -> Iterator[Connection]:
     """Yield a connection within a transaction; its lock is held from the start.
 
-    `waiting` is called after each `BUSY_TIMEOUT` without the lock, and each `AWAY_PAUSE` without the server,
-    with the error to raise to give up; without it the first one ends it.
+    `waiting` is called with an error after each `BUSY_TIMEOUT` without the lock and each `AWAY_PAUSE` without
+    the server; it raises the error to give up. Without `waiting` the first error is raised.
 
     Raises:
         DatabaseLocked: another process holds the database, or its server is away.
@@ -446,7 +446,7 @@ def is_read_only(file: Path) -> bool:
 def _read_only_url(file: Path) -> URL:
     """Return the URL that opens `file` without writing to its folder.
 
-    Without a log, no data remain to be added to the file: SQLite needs no memory shared with writers.
+    Without a write-ahead log (WAL) nothing is left to checkpoint: SQLite needs no memory shared with writers.
     """
     log = _log_of(file)
     alone = not log.exists() or not log.stat().st_size

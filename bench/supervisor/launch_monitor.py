@@ -52,7 +52,7 @@ SEEN_WITHIN = 120.0
 
 
 class ShotPresence:
-    """Judges by the balls that the bench struck; times in s on one clock."""
+    """Presence of a launch monitor, by its answers to struck balls; times in s on one clock."""
 
     def __init__(self) -> None:
         self._unanswered: float | None = None

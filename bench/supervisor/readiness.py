@@ -115,7 +115,7 @@ def assess_bench(
 ) -> Readiness:
     """Return the readiness with the calibrations in force `now`; see `assess`.
 
-    Without a name profile and club are the configuration's.
+    Profile and club are those of the configuration if no name is given.
 
     Raises:
         BenchError: profile, club, calibrations or limits cannot be read or applied.

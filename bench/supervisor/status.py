@@ -223,7 +223,7 @@ def _position(seen: float) -> bool | None:
 
 
 def _air_faults(bits: int) -> list[Cause]:
-    """Return the causes in `bits`, as `bench.control.monitor.pressure_monitor.air_fault` has them."""
+    """Return the causes of `bits` of `bench.control.monitor.pressure_monitor.air_fault`."""
     return [fault for k, fault in enumerate(FAULTS) if bits >> k & 1]
 
 

@@ -46,7 +46,7 @@ from bench.viewer.signals import (
 from sim.plant import PlantParameters
 
 _BEHIND = 0.001
-"""Min time between the last cycle of one loop and the first of the next, s."""
+"""Min gap in time that separates two runs of the control loop (s)."""
 _HOLE = 0.010
 """Time without a cycle that is drawn as a gap, s."""
 

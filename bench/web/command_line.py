@@ -166,8 +166,9 @@ class BackgroundCommand:
     ) -> None:
         """`log` is the file for a command's messages and errors; `publish` gets `topic` and content.
 
-        An end with one of the `expected` exit codes gets a text only if an error was printed. For another
-        end without one, `outcome` returns the text from the command's JSON, which is stored next to the log.
+        An end with one of the `expected` exit codes gets a text only if an error was printed. If the command
+        ends otherwise without a message, `outcome` returns the text from its JSON, which is stored next to
+        the log.
         """
         self._golfbench, self._log, self._publish = golfbench, log, publish
         self._topic, self._expected, self._outcome = topic, frozenset(expected), outcome

@@ -1,8 +1,8 @@
 """Forms of the page for measured values: the air, and the calibrations of the bench.
 
-Each is a command of `golfbench` with its options; ranges and plausibility are checked there, and its words
-are shown. Nothing is overwritten: a newer entry supersedes, and a running bench takes calibrations up when
-it is started again.
+Each is a command of `golfbench` with its options; it checks ranges and plausibility, and its message is
+shown. Nothing is overwritten: a newer entry supersedes, and a running bench takes calibrations up when it is
+started again.
 """
 
 from __future__ import annotations

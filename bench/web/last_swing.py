@@ -179,7 +179,7 @@ class Offer(NamedTuple):
 
     path: Path
     view: Callable[[Path], dict[str, Any] | None]
-    """Reads it: a record, or the loop's ring during or after a swing."""
+    """Reader of the swing: a record, or the loop's ring during or after it."""
 
 
 class SwingReader:

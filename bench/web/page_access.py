@@ -189,7 +189,7 @@ def _certified_names(file: Path) -> set[str]:
 
 
 def page_access(address: PageAddress, configuration: Configuration) -> PageAccess:
-    """Return who may do what at `address`; raises as `read_tokens`."""
+    """Return the roles of persons at the page's `address`; raises the errors of `read_tokens`."""
     tokens: dict[str, PageRole] = read_tokens(address.tokens) if address.tokens else {}
     network = configuration.network
     return PageAccess(network.viewers, network.operators, tokens, closed=bool(address.identity))

@@ -1,7 +1,7 @@
 """One record in shared memory: one process writes, any others read its newest value, never a torn one.
 
-Four slots (`drivers.base.mapped_slots`) take the values in turn. So a reader has the time of three writes to
-copy one, and a writer stopped or killed in the middle of a write leaves the value before to be read.
+Four slots (`drivers.base.mapped_slots`) take the values in turn. A slot is not reused for three writes: a
+reader has that long to copy it. An interrupted write leaves the previous value readable.
 """
 
 from __future__ import annotations

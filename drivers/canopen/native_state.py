@@ -83,7 +83,7 @@ class NativeState:
         """Whether the native functions were requested."""
 
     def calls(self) -> NativeCalls:
-        """Return the native functions; none on a system with other structures of the kernel."""
+        """Return the native functions; none on a system with another layout of kernel structures."""
         if not IS_SUPPORTED or numba.config.DISABLE_JIT:
             return NativeCalls()
         self.is_wanted = True

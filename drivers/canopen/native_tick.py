@@ -413,7 +413,7 @@ def _await(states: Any, block: int) -> bool:
 
 @compiled
 def _supervise(states: Any) -> bool:
-    """Take analogue inputs that are overdue for invalid; False where a node or the interlocks are."""
+    """Invalidate overdue analogue inputs; return False if a node or the interlocks are overdue."""
     s = states[0]
     now, silent = s.listened, s.last_heard[0]
     for node in range(1, 4):
@@ -476,7 +476,7 @@ def read_native(block: int, record: int, _: int, time: float) -> int:
 
 @compiled
 def _pack(states: Any, command: Any) -> bool:
-    """Pack the frame of `command`, already limited; False where a count has no place in it."""
+    """Pack the frame of `command`, already limited; False if a value exceeds its field."""
     s, c = states[0], command[0]
     data = (
         (s.output_bits[0] if c.supply_enable else 0)

@@ -112,7 +112,7 @@ _OBJECTS = (0x6003, "preset", False), (0x6509, "offset", True)
 def read_zero_shift(node: Node) -> str:
     """Return preset and offset in counts, such as "preset 0, offset -120"; empty if the device has neither.
 
-    An object that the device refuses to show counts as missing.
+    An object whose reading the device aborts counts as missing.
 
     Raises:
         ServiceError: the node does not answer.

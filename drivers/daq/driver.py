@@ -320,8 +320,8 @@ class DaqDriver:
     def read(self, time: float) -> Readings:
         """Read counters and inputs at `time` (s), pressures every few ticks.
 
-        The time stamp of a sample is that of its reading or of the edge that latched it: `time` plus the time
-        elapsed since.
+        A sample is stamped with the time of its reading, or of the edge that latched it, on the clock of
+        `time`.
 
         Raises:
             DriverError: not open, or `time` is not finite or earlier than the last.

@@ -216,7 +216,7 @@ class Conversation:
         """Create a conversation; `measured` is shared by all connections."""
         self.counts = MessageCounts()
         self.asides: list[ClubRecord | RefusedRecord] = []
-        """Clubs without a ball and refused messages; the reader empties the list."""
+        """Club data without ball data, and refused messages; reading empties the list."""
         self.understood: float | None = None
         """Time of the last message that was not refused."""
         self._measured = measured or MeasuredClubFields()

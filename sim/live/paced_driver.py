@@ -1,7 +1,7 @@
 """Driver of a plant paced by the loop, with controllable surroundings and reported contacts.
 
-The files are those of simulated nodes (`sim.live.exchange`), so that operator and launch monitor simulations
-work with both. Only the contact is updated in the report.
+The files are those of simulated nodes (`sim.live.exchange`), so simulated operators and launch monitors work
+with either. Only the contact is updated in the report.
 """
 
 from __future__ import annotations

@@ -139,7 +139,7 @@ def all_trials(plan: CampaignPlan) -> list[PlannedShot]:
 
 
 def warm_up_arms(section: Section) -> list[Arm]:
-    """Return one arm with the warm-up's ball for each swing and club of the section."""
+    """Return an arm (treatment) with the warm-up's ball for each swing and club of the section."""
     arms = {(arm.swing, arm.club): arm._replace(ball=section.warm_up.ball) for arm in section.arms}
     return list(arms.values())
 

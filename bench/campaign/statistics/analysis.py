@@ -1,7 +1,7 @@
 """Analysis of a campaign, fixed by its plan beforehand: levels described and compared.
 
-Confirmatory: block effects fixed (`bench.campaign.statistics.block_model`), the drift taken out by the
-control ball when the plan says so, and the delivery by the plan's covariates. Balls are random where a model
+Confirmatory: block effects are fixed (`bench.campaign.statistics.block_model`). The control ball corrects
+drift if the plan demands it; covariates of the plan adjust for the delivery. Balls are random where a model
 had more than one, and each level has its own variance (`bench.campaign.statistics.unequal_variances`): a
 statement on a difference holds for balls that were not hit, or for "this ball" where there was one only. All
 pairs of a section err together with the plan's level (the distribution of the largest |t|, single step: a
@@ -482,7 +482,7 @@ class MeanError(NamedTuple):
 
 
 def mean_error(values: Array, codes: Codes) -> MeanError:
-    """Return the standard uncertainty of the mean of (n,) values, n at least 2, of balls `codes` (from 0)."""
+    """Return the standard uncertainty of the mean of n >= 2 `values` (n,) of balls `codes` (n,)."""
     n, balls, mean = len(values), int(codes.max()) + 1, float(values.mean())
     if 1 < balls < n:
         hits = np.bincount(codes)

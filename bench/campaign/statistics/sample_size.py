@@ -34,7 +34,7 @@ _MAX_BLOCKS = 1_000_000
 
 
 def power_of_shift(shift: float, dof: float, alpha: float) -> float:
-    """Return the chance to find a difference of `shift` true standard errors, two-sided at `alpha`."""
+    """Return the power for a difference of `shift` true standard errors, two-sided at `alpha`."""
     if alpha <= 0 or dof <= 0:
         return 0.0
     shift = abs(shift)
@@ -198,7 +198,7 @@ class PredictedPrecision(NamedTuple):
     """Shots of each level."""
 
     def power(self, difference: float) -> float:
-        """Return the chance to find a true `difference` of one pair."""
+        """Return the power for a true `difference` of one pair."""
         return power_of_shift(difference / self.error, self.dof, self.single)
 
     def resolution(self, power: float) -> float:

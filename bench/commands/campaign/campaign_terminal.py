@@ -81,7 +81,7 @@ class MarkLine:
         return done
 
     def finish(self) -> list[ShotNote]:
-        """Return the mark that is being typed as it is, if there is one."""
+        """Return the unfinished mark that is being typed, if any."""
         note, self._open = self._open, None
         return [] if note is None else [note._replace(text=note.text.strip())]
 

@@ -142,7 +142,7 @@ def bit_timing(settings: CanopenSettings, link: Mapping[str, Any]) -> ItemResult
 
 
 def errors(channel: str, link: Mapping[str, Any], root: Path) -> ItemResult:
-    """Look at state and error counters of the link; what they hint at is the wiring."""
+    """Check state and error counters of the link; errors indicate a wiring fault."""
     facts, seen = _info(link), link.get("linkinfo", {}).get("info_xstats", {})
     state, counter = str(facts.get("state", "unknown")), facts.get("berr_counter", {})
     sent, received = int(counter.get("tx", 0)), int(counter.get("rx", 0))

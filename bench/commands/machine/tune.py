@@ -30,7 +30,7 @@ def tune(
 ) -> None:
     """Show the three PIDs' gains, and the margins of their loops along a swing of the simulated robot.
 
-    Deterministic. Whole swings prove the gains, also on a worn robot. Exits with 1 if the configured robot
+    Deterministic. Whole swings verify the gains, also on a worn robot. Exits with 1 if the configured robot
     does not swing with them.
     """
     from bench.design.static_checks import require_possible

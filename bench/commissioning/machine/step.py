@@ -33,9 +33,9 @@ Side = Literal["lower", "upper"]
 FOLD_ORDER = (2, 1, 0)
 """Joints in the order in which they go to their lower stops: first the club is folded off the ground."""
 MOVING = 3.0e5
-"""Supply while a joint moves to a stop, Pa absolute."""
+"""Supply pressure while a joint moves to an end stop (Pa absolute)."""
 PRESSING = 4.5e5
-"""Supply while a joint is pressed against a stop, Pa absolute."""
+"""Supply pressure while a joint is pressed against an end stop (Pa absolute)."""
 PRESSED = 3.0e5
 """Pressure of the driving chamber at which even a joint of high friction is at its stop, Pa absolute."""
 PARKING = 0.03

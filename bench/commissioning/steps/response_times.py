@@ -271,7 +271,7 @@ def fit_latency(trace: MotionTrace, known: RobotEstimate, joint: int) -> tuple[f
 def _shown_by_pressures(
     trace: MotionTrace, known: RobotEstimate, joint: int, rows: NDArray[np.int64]
 ) -> Array:
-    """Return the joint's angles (m, 2) rad that the pressures of chambers A and B show at `rows`."""
+    """Return the joint's angles (m, 2) at `rows`, inferred from the pressures of chambers A and B (rad)."""
     plant = known.plant
     air = AirTrace(trace, joint, plant)
     values = nominal_values(known, joint)

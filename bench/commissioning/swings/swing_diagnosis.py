@@ -238,7 +238,7 @@ def _coarse(cause: SwingCause, misfit: SwingMisfit) -> FittedCause:
 
 
 def _fine(coarse: FittedCause, misfit: SwingMisfit) -> FittedCause:
-    """Return the cause with the best value near that of the `coarse` search."""
+    """Return the cause with its value refined around that of the `coarse` search."""
     cause = coarse.cause
     at, tried = cause.values.index(coarse.value), [coarse]
     bounds = cause.values[max(at - 1, 0)], cause.values[min(at + 1, len(cause.values) - 1)]

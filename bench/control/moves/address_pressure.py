@@ -55,7 +55,7 @@ _CHARGING_RATE = 30.0
 _TRIM_RATE = 1.0
 """Rate at which the offset that keeps the difference, or loosens a late joint, is learned, 1/s."""
 _MAX_TRIM = 0.1
-"""Opening; a spool farther off its centre is out of order."""
+"""Max offset of a spool from its centre, as an opening: beyond it the valve is faulty."""
 _MISSED = 1.5
 """Time after a move's end with a joint off its address (s): it alternately sticks and overshoots."""
 _REACH = 0.5
@@ -254,7 +254,7 @@ def regulate_address_pressure(state: Any, parameters: Any, time: float) -> None:
 
 @compiled
 def precharge(state: Any, parameters: Any, time: float) -> None:
-    """Add the openings (3,) that charge the chambers, and bring the joints' forces to their loads meanwhile.
+    """Command openings (3,) that precharge the chambers and bring forces to the joints' loads.
 
     The chambers of an actuator are unequal: filled alike, the smaller one would push the joint away until the
     other has as much. And a vented robot rests by friction alone: near the ground it would slide onto it.

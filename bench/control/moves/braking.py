@@ -16,7 +16,7 @@ RIGHT_ARM = 1
 """Index of the right arm's joint in drivers.base.JOINTS."""
 
 _ABOVE = 0.005
-"""Height at which a club thrown back passes above the turf, m."""
+"""Clearance over the turf of a club that is thrown back (m)."""
 
 
 def lifted_angle(plant: PlantParameters) -> float:

@@ -19,7 +19,7 @@ FILE = Path(__file__).with_name("catalogue.toml")
 
 PriceClass = Annotated[int, AtLeast(1), AtMost(4)]
 PRICES = {1: 100, 2: 300, 3: 1000, 4: 3000}
-"""Upper ends of the price classes, EUR a piece; the last is open and counted with this."""
+"""Upper limits of the price classes (EUR each); the last class has none and is costed at its value here."""
 
 _UPSTREAM, _DOWNSTREAM = 7.013e5, 6.013e5
 """Pressures at which a nominal flow is stated: 6 to 5 bar gauge, Pa absolute."""

@@ -40,7 +40,7 @@ class SizingGrid:
     cylinders: tuple[str, ...] = ("C50", "C63")
     valves: tuple[str, ...] = ("F2000", "F3500")
     absorbers: tuple[tuple[str, str], ...] = (("A40", "A90"), ("A120", "A170"))
-    """Pairs of the right arm's and the wrist's."""
+    """Pairs of absorbers: right arm's and wrist's."""
     pressures: tuple[float, ...] = (8.0e5, 10.0e5)
     """Supply pressures (Pa absolute)."""
     levers: tuple[float, ...] = (0.06,)

@@ -1,4 +1,4 @@
-"""A swing's record as a shot: read from its file with plant and figures, for the viewer and exports.
+"""A swing's record as a shot: read from its file with plant and results, for the viewer and exports.
 
 A series stores the shot's figures in the record's metadata. A record of the daemon has no figures: then the
 delivery is that of the estimated angles, and models compute launch and flight, as their sources state.

@@ -131,7 +131,7 @@ def solid_shape(b: Any, solid: Solid) -> Any:
 
 
 def _faceted(b: Any, mesh: Mesh) -> Any:
-    """Return a mesh as a solid of flat triangles: stretched balls give surfaces that readers misjudge."""
+    """Return a mesh as a faceted solid: CAD programs misread the surfaces of scaled spheres."""
     corners = _MM * mesh.vertices[mesh.triangles]
     faces = [b.Face(b.Wire.make_polygon([tuple(map(float, c)) for c in triangle])) for triangle in corners]
     return b.Solid(b.Shell(faces))

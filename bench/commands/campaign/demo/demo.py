@@ -216,7 +216,7 @@ def _table(title: str, shots: Sequence[Shot]) -> Table:
 
 
 def _way_to_open(path: Path) -> str:
-    """Return the file's path with what opens it."""
+    """Return the file's path with the command that opens it."""
     match path.suffix:
         case ".html":
             return f"report     {path}   (opens in any browser)"
