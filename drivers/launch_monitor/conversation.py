@@ -153,6 +153,9 @@ MAX_DEVICES = 64
 """Maximum number of device names that are remembered."""
 OBJECT_TIMEOUT = 2.0
 """Time-out for receiving one object, s; an incomplete object is dropped."""
+PERIODIC_BEATS = 3
+"""Equal heartbeats in a row that show that a monitor sends them periodically. Several monitors send one on
+connection or at each change of their status, and then nothing until the next shot."""
 
 
 @dataclass
@@ -224,7 +227,9 @@ class Conversation:
         self.last_received = now
         """Time of the last byte."""
         self.heartbeats = False
-        """Whether the monitor sends heartbeats, so that silence means it is lost."""
+        """Whether the monitor sends heartbeats periodically, so that silence means it is lost."""
+        self._beat: ReportedStatus | None = None
+        self._beats = 0
         self.ready: bool | None = None
         self.ball_detected: bool | None = None
         self._stream = ObjectStream()
@@ -258,6 +263,7 @@ class Conversation:
                 counts.statuses += 1
                 self._take_status(message)
                 continue
+            self._beats = 0
             club, absent = self._measured.check(self.device, message.club, message.absent)
             if isinstance(message, ClubRecord):
                 counts.clubs += 1
@@ -287,6 +293,9 @@ class Conversation:
             self.counts.passed_over = self._stream.passed_over
 
     def _take_status(self, status: ReportedStatus) -> None:
-        self.heartbeats |= status.heartbeat
+        again = status.heartbeat and status == self._beat
+        self._beats = self._beats + 1 if again else int(status.heartbeat)
+        self._beat = status
+        self.heartbeats |= self._beats >= PERIODIC_BEATS
         self.ready = self.ready if status.ready is None else status.ready
         self.ball_detected = self.ball_detected if status.ball_detected is None else status.ball_detected

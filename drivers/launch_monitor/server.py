@@ -271,7 +271,7 @@ class LaunchMonitorServer:
             return
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        _end_if_unreachable(connection, self.settings.silence)
         client = _Client(connection, peer[0], Conversation(self._clock(), self._measured))
         with self._lock:
             self._connections += 1
@@ -364,3 +364,11 @@ class LaunchMonitorServer:
         with suppress(KeyError, ValueError):
             selector.unregister(client.connection)
         client.connection.close()
+
+
+def _end_if_unreachable(connection: socket.socket, timeout: float) -> None:
+    """Let the system end `connection` if the other machine does not respond for `timeout` (s)."""
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, max(1, round(timeout / 2)))
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, max(1, round(timeout / 6)))
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * timeout))

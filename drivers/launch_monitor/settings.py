@@ -44,7 +44,7 @@ class LaunchMonitorSettings:
     presence: Literal["connected", "per_shot"] = "connected"
     """When a monitor counts as present: while it is connected, or while it reports the struck balls."""
     silence: Annotated[float, AtLeast(1.0), AtMost(3600.0)] = 30.0
-    """Time-out of a monitor that sends heartbeats, s."""
+    """Time-out of a monitor that sends heartbeats periodically or of an unreachable machine, s."""
     club: str = ""
     """Code of the club sent to monitors (DR, W3, I7, PT ...); empty to derive it from `swing.club`."""
     window: MatchWindow = field(default_factory=MatchWindow)

@@ -4,6 +4,7 @@ import json
 import os
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from math import radians
 
@@ -134,14 +135,53 @@ def test_server_silence_disconnects_only_after_heartbeats(
     server: LaunchMonitorServer, connect: Connect, clock: Clock
 ) -> None:
     beating, quiet = connect(), connect()
-    beating.sendall(write_heartbeat(0, "beating"))
+    beating.sendall(3 * write_heartbeat(0, "beating"))
     quiet.sendall(shot())
-    wait_for(lambda: server.link().counts.objects == 2)
+    wait_for(lambda: server.link().counts.objects == 4)
     clock.now += 31.0
     wait_for(lambda: len(server.link().connected) == 1)
     assert server.link().connected[0].device == "monitor"
     assert beating.recv(10) == b""
-    assert server.link().counts.statuses == 1  # what is gone is still counted
+    assert server.link().counts.statuses == 3  # what is gone is still counted
+
+
+def adapter_beat(ready: str) -> bytes:
+    """Return a heartbeat of a radar's adapter, which sends one on connection and one per change."""
+    return (
+        b'{"DeviceID":"GSPRO-R10","Units":"Yards","ShotNumber":0,"APIVersion":"1","BallData":null,'
+        b'"ClubData":null,"ShotDataOptions":{"ContainsBallData":false,"ContainsClubData":false,'
+        b'"LaunchMonitorIsReady":%s,"LaunchMonitorBallDetected":%s,"IsHeartBeat":true}}'
+    ).replace(b"%s", ready.encode())
+
+
+def test_server_heartbeats_on_changes_alone_keep_idle_monitor(
+    server: LaunchMonitorServer, connect: Connect, clock: Clock
+) -> None:
+    """A radar's adapter beats on connection and on changes: cut off while idle, it is absent 5 s per 35 s."""
+    connection = connect()
+    connection.sendall(b"".join(map(adapter_beat, ("false", "true"))))
+    for number in range(3):
+        connection.sendall(shot(number) + adapter_beat("true"))
+        receive(connection, 1)
+    wait_for(lambda: server.link().counts.statuses == 5)
+    clock.now += 300.0
+    seen = server.link().connected[0].silent
+    time.sleep(0.6)  # two checks
+    assert seen == 300.0
+    assert len(server.link().connected) == 1
+    connection.sendall(shot(3))
+    assert b'"Code": 200' in receive(connection, 1)
+
+
+def test_server_unreachable_machine_is_given_up_after_silence(
+    server: LaunchMonitorServer, connect: Connect
+) -> None:
+    connect()
+    wait_for(lambda: server.link().connected)
+    (client,) = server._clients.values()
+    options = (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_USER_TIMEOUT)
+    held = [client.connection.getsockopt(socket.IPPROTO_TCP, option) for option in options]
+    assert held == [15, 5, 30_000]
 
 
 def test_server_monitor_reconnects(server: LaunchMonitorServer, connect: Connect) -> None:
