@@ -32,6 +32,9 @@ _MAX_UNREAD = 65_536
 """Maximum bytes of unread answers per monitor."""
 _CHECK = 0.25
 """Period of the silence check, s."""
+_APART = 0.2
+"""Minimum time between player and readiness, s: several monitors take what one read returns for one object
+and ignore both if they come together."""
 
 
 class Connected(NamedTuple):
@@ -76,6 +79,13 @@ class _Client:
         self.unread = bytearray()
         self.closing = False
         """Whether to close after the last answer is sent."""
+        self.ready_at: float | None = None
+        """When to send the readiness that follows the player, s (CLOCK_MONOTONIC); None if sent."""
+
+    def greet(self, player: bytes) -> None:
+        """Queue the player, and the readiness for later."""
+        self.unread += player
+        self.ready_at = wall.monotonic() + _APART
 
 
 class LaunchMonitorServer:
@@ -195,9 +205,9 @@ class LaunchMonitorServer:
         bench is armed.
         """
         with self._lock:
-            self._player = write_player(club) + write_ready()
+            self._player = write_player(club)
             for client in self._clients.values():
-                client.unread += self._player
+                client.greet(self._player)
         self._wake()
 
     def close(self) -> None:
@@ -244,6 +254,7 @@ class LaunchMonitorServer:
                                 self._attend(selector, client, selectors.EVENT_WRITE)
                         else:
                             self._attend(selector, key.data, events)
+                    self._send_ready(selector)
                     if self._clock() - checked >= _CHECK:
                         checked = self._clock()
                         self._check_silence(selector)
@@ -276,8 +287,8 @@ class LaunchMonitorServer:
         with self._lock:
             self._connections += 1
             self._clients[id(client)] = client
-            if self.settings.presence == "connected":  # others await the answer alone
-                client.unread += self._player
+            if self._player and self.settings.presence == "connected":  # others await the answer alone
+                client.greet(self._player)
         selector.register(connection, selectors.EVENT_READ, client)
         self._attend(selector, client, selectors.EVENT_WRITE)
 
@@ -342,6 +353,18 @@ class LaunchMonitorServer:
         wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if left else 0)
         selector.modify(client.connection, wanted, client)
         return True
+
+    def _send_ready(self, selector: selectors.BaseSelector) -> None:
+        """Send the readiness to the monitors that got the player before."""
+        now = wall.monotonic()
+        for client in list(self._clients.values()):
+            with self._lock:
+                due = client.ready_at is not None and now >= client.ready_at
+                if due:
+                    client.unread += write_ready()
+                    client.ready_at = None
+            if due:
+                self._attend(selector, client, selectors.EVENT_WRITE)
 
     def _check_silence(self, selector: selectors.BaseSelector) -> None:
         now = self._clock()

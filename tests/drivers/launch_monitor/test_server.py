@@ -282,6 +282,17 @@ def test_server_sends_player_ready_and_end_codes(server: LaunchMonitorServer, co
     assert receive(connection, 2).count(b'"Code": 203') == 1
 
 
+def test_server_player_and_ready_come_in_separate_reads(
+    server: LaunchMonitorServer, connect: Connect
+) -> None:
+    """A camera monitor's connector takes each read for one object, and arms at neither of two in one."""
+    server.announce_player("I7")
+    connection = connect()
+    assert [json.loads(connection.recv(4096))["Code"] for _ in range(2)] == [201, 202]
+    server.announce_player("I7")
+    assert [json.loads(connection.recv(4096))["Code"] for _ in range(2)] == [201, 202]
+
+
 def test_server_doubtful_shot_is_kept_with_reason(server: LaunchMonitorServer, connect: Connect) -> None:
     connection = connect()
     connection.sendall(shot().replace(b'"VLA": 11.4592', b'"VLA": 0.0'))
