@@ -262,6 +262,8 @@ class Conversation:
             if isinstance(message, ReportedStatus):
                 counts.statuses += 1
                 self._take_status(message)
+                if message.ball_data:
+                    answers.append(write_answer(SHOT_TAKEN, "No shot: a ball of speed 0"))
                 continue
             self._beats = 0
             club, absent = self._measured.check(self.device, message.club, message.absent)

@@ -4,10 +4,10 @@ Accepted variants: any `APIversion` with the fields of version 1, numbers as str
 underscores in names, `BackSpin` and `SideSpin` instead of `TotalSpin` and `SpinAxis`, missing figures, null
 or 0 for values that were not measured: 0 rpm, no carry, 0 degrees of loft, a strike of exactly 0 in both
 directions, and every club figure of 0 where the club has no speed or all others are 0. A ball of speed 0 is
-no ball: the message is one of the club. Fields of known devices that hold something else are ignored, see
-`drivers.launch_monitor.quirks`. Speeds are mph whatever `Units` says; `CarryDistance` is in yards without
-`Units`, and absent with one that is unknown. Angles keep their signs: `HLA`, `SpinAxis` and `SideSpin` are
-positive to the right.
+no ball: the message is one of the club, or of the status if all are 0 and the monitor is ready and sees a
+ball. Fields of known devices that hold something else are ignored, see `drivers.launch_monitor.quirks`.
+Speeds are mph whatever `Units` says; `CarryDistance` is in yards without `Units`, and absent with one that
+is unknown. Angles keep their signs: `HLA`, `SpinAxis` and `SideSpin` are positive to the right.
 """
 
 from __future__ import annotations
@@ -40,12 +40,14 @@ MAX_NAME_LENGTH = 64
 
 
 class ReportedStatus(NamedTuple):
-    """Status of a monitor from a heartbeat or a message without figures; None for values not sent."""
+    """Status of a monitor from a heartbeat or a message without a shot; None for values not sent."""
 
     device: str
     heartbeat: bool
     ready: bool | None = None
     ball_detected: bool | None = None
+    ball_data: bool = False
+    """Whether the message is announced as one of a ball, so that the monitor may await an answer."""
 
 
 class RejectedMessage(NamedTuple):
@@ -121,6 +123,8 @@ def read_message(data: bytes, time: float) -> Message:
         return ClubRecord(time, status.device, known, tuple(figures.absent))
     if not has_ball:
         return status
+    if "speed" in ball and ready and detected and not any(map(_number, ball.values())):  # not yet struck
+        return status._replace(ball_data=True)
     if "speed" in ball:
         return RejectedMessage(SHOT_TAKEN, "a ball of speed 0, and no club")
     found = f"BallData of {_short(', '.join(ball))}" if ball else "ContainsBallData without BallData"

@@ -242,6 +242,12 @@ def test_read_message_zero_ball_without_club_is_refused_with_200(options: dict[s
     assert message == RejectedMessage(200, "a ball of speed 0, and no club")
 
 
+def test_read_message_ball_of_speed_0_with_other_figures_is_refused() -> None:
+    options = {"ContainsBallData": True, "LaunchMonitorIsReady": True, "LaunchMonitorBallDetected": True}
+    message = read(BallData={**ZERO_BALL, "VLA": 12.0}, ClubData=None, ShotDataOptions=options)
+    assert message == RejectedMessage(200, "a ball of speed 0, and no club")
+
+
 def test_read_message_zeros_with_only_club_speed_are_absent() -> None:
     shot = read(ClubData={**ZERO_CLUB, "Speed": 101.2})
     assert isinstance(shot, LaunchRecord)

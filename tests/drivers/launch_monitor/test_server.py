@@ -293,6 +293,25 @@ def test_server_player_and_ready_come_in_separate_reads(
     assert [json.loads(connection.recv(4096))["Code"] for _ in range(2)] == [201, 202]
 
 
+def test_server_resting_ball_is_status_with_answer(server: LaunchMonitorServer, connect: Connect) -> None:
+    """A camera monitor's connector, with a ball at rest: one such message each 2 s."""
+    connection = connect()
+    resting = (
+        b'{"DeviceID": "SquareGolf", "ShotNumber": 2, "BallData": {"Speed": 0.0}, "ShotDataOptions": '
+        b'{"ContainsBallData": true, "LaunchMonitorBallDetected": true, "LaunchMonitorIsReady": true, '
+        b'"IsHeartBeat": false}}'
+    )
+    connection.sendall(resting)
+    answer = json.loads(receive(connection, 1))
+    assert answer == {"Code": 200, "Message": "No shot: a ball of speed 0"}
+    link = server.link()
+    assert (link.counts.statuses, link.counts.refused, link.refusal) == (1, 0, "")
+    assert link.understood == 100.0
+    (connected,) = link.connected
+    assert (connected.device, connected.ready, connected.ball_detected) == ("SquareGolf", True, True)
+    assert (server.take(), server.take_asides()) == ([], [])
+
+
 def test_server_doubtful_shot_is_kept_with_reason(server: LaunchMonitorServer, connect: Connect) -> None:
     connection = connect()
     connection.sendall(shot().replace(b'"VLA": 11.4592', b'"VLA": 0.0'))
