@@ -392,6 +392,11 @@ class LaunchMonitorServer:
 def _end_if_unreachable(connection: socket.socket, timeout: float) -> None:
     """Let the system end `connection` if the other machine does not respond for `timeout` (s)."""
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, max(1, round(timeout / 2)))
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, max(1, round(timeout / 6)))
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * timeout))
+    values = {
+        "TCP_KEEPIDLE": max(1, round(timeout / 2)),
+        "TCP_KEEPINTVL": max(1, round(timeout / 6)),
+        "TCP_USER_TIMEOUT": round(1e3 * timeout),
+    }
+    for name, value in values.items():
+        if hasattr(socket, name):  # not on every system
+            connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
