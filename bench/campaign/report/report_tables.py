@@ -22,7 +22,6 @@ from bench.campaign.report.conformity import DECISION_RULE
 from bench.campaign.report.report_format import UnitSystem, display_unit
 from bench.golfer.comparison import followed_texts
 from bench.records.shot.shot import Shot, ShotStatus
-from bench.store.campaigns import CampaignStore
 from bench.store.records import ENDED, CampaignEntry, Event
 from sim.ball import Ball
 
@@ -268,8 +267,8 @@ def _state(due: date, tested: date) -> str:
     return f"OVERDUE since {due}" if due < tested else "in force"
 
 
-def issue_report(store: CampaignStore, record: CampaignRecord, by: str, reason: str, now: datetime) -> Event:
-    """Store that the report is issued, and return the event.
+def issue_report(record: CampaignRecord, by: str, reason: str, now: datetime) -> Event:
+    """Return the event of an issue, to be stored once its page is written.
 
     Raises:
         Refused: the campaign is not over, or an amendment has no reason.
@@ -286,6 +285,4 @@ def issue_report(store: CampaignStore, record: CampaignRecord, by: str, reason: 
         text += f"; replaces {record.number}: {reason}"
     elif reason:
         text += f"; {reason}"
-    event = Event(now.astimezone(UTC), len(record.shots) + 1, ISSUE, text)
-    store.note_event(record.entry.id, event)
-    return event
+    return Event(now.astimezone(UTC), len(record.shots) + 1, ISSUE, text)

@@ -414,33 +414,42 @@ def report(
     the report as report-R1.html.
     """
     from bench.campaign.report.campaign_record import load_record, note_look
-    from bench.campaign.report.campaign_report import write_campaign_report
+    from bench.campaign.report.campaign_report import render_campaign_report
     from bench.campaign.report.findings import findings, findings_record
     from bench.campaign.report.report_format import UnitSystem
     from bench.campaign.report.report_tables import issue_report
     from bench.campaign.run.campaign_control import standing_now
     from bench.records.telemetry.atomic_file import atomic_file
 
+    if issue and json_:
+        action = "Issue the report, then print its figures without --issue."
+        raise BenchError("campaign report", "--issue and --json", "one of the two", action)
+    data_dir = context.ensure_object(Session).address().bench.data_dir
     with _found(context, campaign) as (store, entry):
         record = load_record(store, entry)
         if not record.shots:
             raise Refused(f"campaign {entry.id}", "no shots yet", "at least one", "Run or resume it.")
         if issue:
-            issue_report(store, record, by or user_name(), reason, datetime.now(UTC))
-            record = load_record(store, entry)
+            issue_event = issue_report(record, by or user_name(), reason, datetime.now(UTC))
+            record = replace(record, events=[*record.events, issue_event])
         looks = note_look(store, record, "report")
-    found = findings(record.plan, record.shots, looks, UnitSystem(units))
-    if json_:
-        return show_json({"campaign": entry.id, "findings": findings_record(found)})
-    data_dir = context.ensure_object(Session).address().bench.data_dir
-    record = replace(record, standing=standing_now(data_dir, entry.id, record.standing))
-    path = output or data_dir / "campaigns" / entry.id / "report.html"
-    write_campaign_report(path, record, found, UnitSystem(units))
-    typer.echo(str(path))
-    if issue:  # each issue keeps its page
+        found = findings(record.plan, record.shots, looks, UnitSystem(units))
+        if json_:
+            return show_json({"campaign": entry.id, "findings": findings_record(found)})
+        record = replace(record, standing=standing_now(data_dir, entry.id, record.standing))
+        path = output or data_dir / "campaigns" / entry.id / "report.html"
+        page = render_campaign_report(record, found, UnitSystem(units)).encode()
+        # Each issue keeps its page. It is stored once its pages are written, and before they are renamed.
         issued = path.with_name(f"{path.stem}{record.number.removeprefix(entry.id)}{path.suffix}")
-        with atomic_file(issued) as stream:
-            stream.write(path.read_bytes())
+        with ExitStack() as pages:
+            for file in (path, issued) if issue else (path,):
+                stream = pages.enter_context(atomic_file(file))
+                stream.write(page)
+                stream.flush()
+            if issue:
+                store.note_event(entry.id, record.issues[-1])
+    typer.echo(str(path))
+    if issue:
         typer.echo(f"issued as {record.number}: {issued}")
 
 

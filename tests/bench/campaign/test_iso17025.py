@@ -154,13 +154,14 @@ def test_issue_report_numbers_issues_and_amendment_requires_reason(
         store.begin(entry)
         store.add(entry, [StoredShot(shot) for shot in record.shots])
         with pytest.raises(Refused, match="running"):
-            issue_report(store, load_record(store, entry), "Ann", "", NOW)
+            issue_report(load_record(store, entry), "Ann", "", NOW)
         store.change(entry.id, state=CampaignState.FINISHED)
-        issue_report(store, load_record(store, entry), "Ann", "", NOW)
+        store.note_event(entry.id, issue_report(load_record(store, entry), "Ann", "", NOW))
         first = load_record(store, entry)
         with pytest.raises(Refused, match="--reason"):
-            issue_report(store, first, "Ann", "", NOW)
-        issue_report(store, first, "Bob", "wrong lot", NOW + timedelta(days=2))
+            issue_report(first, "Ann", "", NOW)
+        amended = issue_report(first, "Bob", "wrong lot", NOW + timedelta(days=2))
+        store.note_event(entry.id, amended)
         second = load_record(store, entry)
     assert (first.number, second.number) == (f"{entry.id}-R1", f"{entry.id}-R2")
     assert dict(particulars(first, ""))["Issued"] == "2026-11-21, issued by Ann"
