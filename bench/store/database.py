@@ -43,7 +43,7 @@ from sqlalchemy.exc import DatabaseError, IntegrityError, OperationalError
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
 
-from bench.base.errors import BenchError, Refused
+from bench.base.errors import BenchError, ExitCode, Refused
 from bench.records.shot.shot import Shot
 from bench.store.records import (
     CampaignEntry,
@@ -300,6 +300,7 @@ class DatabaseLocked(Refused):
 class DatabaseAway(DatabaseLocked):
     """The database's server is not there, for longer than the time that was waited."""
 
+    exit_code = ExitCode.DEVICE
     state = "out of reach"
     expected_state = "a server that is up and answers"
     action = "Start the server or restore the connection to it, then retry."

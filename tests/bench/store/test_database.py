@@ -15,7 +15,7 @@ import pytest
 from sqlalchemy import insert, select, text
 from sqlalchemy.exc import IntegrityError, StatementError
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, ExitCode
 from bench.config import database_url
 from bench.store import database as module
 from bench.store.database import (
@@ -220,6 +220,14 @@ def test_database_url_invalid_is_refused(tmp_path: Path, url: str) -> None:
     with pytest.raises(BenchError) as refusal:
         database_url(url, tmp_path)
     assert refusal.value.location == "bench.database"
+
+
+def test_open_database_server_away_is_a_device_error(tmp_path: Path) -> None:
+    pytest.importorskip("psycopg")
+    url = database_url("postgresql+psycopg://127.0.0.1:1/golf", tmp_path)
+    with pytest.raises(module.DatabaseAway) as refusal, open_database(url, NOW):
+        pass
+    assert refusal.value.exit_code == ExitCode.DEVICE
 
 
 def test_open_database_missing_driver_names_package_and_hides_password(
