@@ -61,14 +61,14 @@ def _complete_likes(tree: Tree, section: str, file: Path, faults: list[BenchErro
     }
     for name, entry in entries.items():
         if isinstance(entry, dict) and isinstance(like := entry.get("like"), TomlValue):
-            if isinstance(like.value, str) and like.value in whole:
-                rest = {key: node for key, node in entry.items() if key != "like"}
-                entries[name] = laid_over(whole[like.value], rest)
-            else:
+            rest = {key: node for key, node in entry.items() if key != "like"}
+            model = whole.get(like.value) if isinstance(like.value, str) else None
+            if model is None:
                 known = f"one of {', '.join(whole)}, which say no like themselves"
                 location = location_of(tree, file, f"{section}.{name}.like")
                 faults.append(BenchError(location, format_value(like.value), known, "Name one of them."))
-                entries[name] = {key: node for key, node in entry.items() if key != "like"}
+                model = next(iter(whole.values()), {})  # any: only the entry's own keys are then checked
+            entries[name] = laid_over(model, rest)
 
 
 def _with_derived(c: Configuration, files: tuple[Path, ...]) -> Configuration:

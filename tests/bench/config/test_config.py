@@ -190,6 +190,11 @@ def test_configuration_without_base_missing_key_is_refused(tmp_path: Path) -> No
     assert 'base = "shipped"' in fault.action
 
 
+def test_overlay_like_unknown_entry_reports_like_and_own_keys_only(overlay: Overlay) -> None:
+    found = faults(overlay('[balls.soft]\nlike = "tuor"\nmas = 0.045'))
+    assert [fault.location.split(": ")[1] for fault in found] == ["balls.soft.like", "balls.soft.mas"]
+
+
 def test_overlay_ball_without_like_missing_keys_are_refused(overlay: Overlay) -> None:
     found = faults(overlay("[balls.soft]\nmass = 0.045"))
     assert len(found) == 6
