@@ -46,11 +46,8 @@ def _known_plans() -> list[str]:
 
 def _known_campaigns(ctx: typer.Context) -> list[str]:
     """Return the ids of the stored campaigns, the newest first."""
-    from bench.base.address import database_url
-    from bench.store.database import is_there
-
     settings = ctx.ensure_object(Session).address().bench
-    if not is_there(database_url(settings.database, settings.data_dir)):
+    if not _has_store(settings):
         return []
     with _store(settings) as store:
         return [entry.id for entry, _, _ in store.entries()]
@@ -160,25 +157,34 @@ def _store(settings: BenchSettings) -> Iterator[CampaignStore]:
         yield CampaignStore(engine)
 
 
+def _has_store(settings: BenchSettings) -> bool:
+    """Return whether the bench may have campaigns; creates no database."""
+    from bench.base.address import database_url
+    from bench.store.database import is_there
+
+    return is_there(database_url(settings.database, settings.data_dir))
+
+
 @contextmanager
 def _found(context: typer.Context, campaign: str) -> Iterator[tuple[CampaignStore, CampaignEntry]]:
     """Open the campaigns of the configured bench; yield them with the entry of `campaign`."""
     from bench.campaign.run.campaign_control import find_campaign
 
-    with _store(context.ensure_object(Session).address().bench) as store:
+    settings = context.ensure_object(Session).address().bench
+    if not _has_store(settings):
+        found = f"no such campaign, and no database in {settings.data_dir}"
+        action = "Change to the bench's folder, or put its --config before campaign."
+        raise BenchError(f"campaign {campaign}", found, "the database of its bench", action)
+    with _store(settings) as store:
         yield store, find_campaign(store, campaign)
 
 
 def _hits_before(configuration: Configuration) -> Counter[Hit]:
     """Return the hits that the balls of the configured bench have taken; creates no database."""
-    from bench.base.address import database_url
-    from bench.store.database import is_there
-
-    settings = configuration.bench
-    if not is_there(database_url(settings.database, settings.data_dir)):
+    if not _has_store(configuration.bench):
         return Counter()
     with _store(configuration.bench) as store:
-        return store.hits(settings.id)
+        return store.hits(configuration.bench.id)
 
 
 @app.command()
@@ -562,10 +568,7 @@ def watch(
 
 def _local_store(stack: ExitStack, settings: BenchSettings, campaign: str) -> CampaignStore | None:
     """Open the database of `campaign` in `stack` if this machine reaches it; None otherwise."""
-    from bench.base.address import database_url
-    from bench.store.database import is_there
-
-    if not is_there(database_url(settings.database, settings.data_dir)):
+    if not _has_store(settings):
         return None
     try:
         store = stack.enter_context(_store(settings))
@@ -736,12 +739,14 @@ def list_campaigns(
     from bench.commands.campaign.campaign_list import listing, listing_record
 
     address = context.ensure_object(Session).address()
-    with _store(address.bench) as store:
-        found = [
-            (entry, standing_now(address.bench.data_dir, entry.id, standing), counts)
-            for entry, standing, counts in store.entries()
-            if bench in (None, entry.bench)
-        ]
+    found = []
+    if _has_store(address.bench):
+        with _store(address.bench) as store:
+            found = [
+                (entry, standing_now(address.bench.data_dir, entry.id, standing), counts)
+                for entry, standing, counts in store.entries()
+                if bench in (None, entry.bench)
+            ]
     if json_:
         show_json(listing_record(found))
     elif found:

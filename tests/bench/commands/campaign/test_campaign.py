@@ -175,6 +175,13 @@ def test_campaign_command_unknown_id_is_refused(call: Call, verb: str) -> None:
 
 
 @pytest.mark.release
+def test_campaign_read_commands_without_database_create_none(call: Call, tmp_path: Path) -> None:
+    assert call("list").stdout == "No campaigns yet.\n"
+    assert json.loads(call("list", "--json").stdout) == []
+    assert "no database in" in str(call("export", "short").exception)
+    assert not (tmp_path / "data").exists()
+
+
 def test_ci_baseline_detects_lower_club_restitution(tmp_path: Path) -> None:
     gate = Path(__file__).parents[4] / ".github"
     assert "--check .github/two-balls.baseline.toml" in (gate / "workflows" / "check.yml").read_text()
