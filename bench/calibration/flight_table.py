@@ -4,10 +4,11 @@ Columns have the names of the shot table or of exports by TrackMan and Foresight
 in a row below. `flight` numbers the flights where points are given. An empty cell is a figure that was not
 measured; direction and spin axis default to 0, the air to that of `sim.air.Air`.
 
-UTF-8 and UTF-16 are read, with the separators comma, semicolon and tab (also named by a first line `sep=;`).
+UTF-8 and UTF-16 are read, with the separators comma, semicolon and tab (also named by a first line `sep=;`),
+and decimal commas, in quotes where the comma is the separator.
 Lines before the header, a row of units below it, and repeated headers are accepted. Rows of averages and
-deviations are left out. Column names are compared in lower case, words joined by underscores: "Ball Speed
-(mph)" is "ball_speed_mph".
+deviations are left out, and those in which the device measured no speed, launch angle or spin. Column names
+are compared in lower case, words joined by underscores: "Ball Speed (mph)" is "ball_speed_mph".
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import StringIO
 from itertools import islice
-from math import atan2, cos, hypot, isfinite, pi
+from math import atan2, cos, hypot, isfinite, pi, radians
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -131,9 +132,10 @@ def read_table(path: Path, known: Callable[[str], bool]) -> MeasurementTable:
             notes.append(f"line {line}: {summary}")
         else:
             rows.append((line, tuple("" if cell.lower() in _NO_VALUE else cell for cell in cells)))
-    commas = [cell for _, row in rows for cell in row if re.fullmatch(r"[+-]?\d+,\d+\s*[LRlr]?", cell)]
+    figures = [cell for _, row in rows for name, cell in zip(names, row, strict=True) if known(key_of(name))]
+    commas = [cell for cell in figures if re.fullmatch(r"[+-]?\d+,\d+\s*[LRlr]?", cell)]
     # 2,545 alone may be a number of thousands.
-    decimal_comma = separator != "," and not all(re.match(r"\d{1,3},\d{3}$", cell) for cell in commas)
+    decimal_comma = not all(re.match(r"\d{1,3},\d{3}$", cell) for cell in commas)
     keys = tuple(map(key_of, names))
     return MeasurementTable(path, header, names, keys, units, tuple(rows), decimal_comma, tuple(notes))
 
@@ -230,11 +232,24 @@ _FIGURES: Mapping[str, _Figure] = {
 }
 """Wind along the target line and to the right."""
 _NEEDED = ("speed", "launch_angle", "spin")
+_NEVER_ZERO = {"speed", "spin"}
+"""Figures for which devices write 0 where they measured none."""
+_POSSIBLE = {
+    "speed": (1.0, 149.0, 1.0, "m/s"),
+    "launch_angle": (radians(-85.0), radians(85.0), pi / 180, "deg"),
+    "direction": (-pi, pi, pi / 180, "deg"),
+    "spin": (5.0, 1990.0, pi / 30, "rpm"),
+    "spin_axis": (-pi, pi, pi / 180, "deg"),
+    "carry": (0.0, 500.0, 1.0, "m"),
+    "apex": (0.0, 200.0, 1.0, "m"),
+    "time": (0.0, 30.0, 1.0, "s"),
+}
+"""Ranges, those of the launch with room for the steps of the fit; factor and unit of their report."""
 _SIDES = {"side_spin", "spin_axis"}
 """Either of them gives the total spin from the back spin."""
 _POINT_COLUMNS = ("flight", "time_s", "distance_m", "height_m")
-_NOT_MEASURED = "16777215.000000"
-"""Foresight's mark of a figure without measurement."""
+_NOT_MEASURED = {"16777215.000000", "-21474836480"}
+"""Marks of a figure without measurement: Foresight's, TrackMan's."""
 _ESTIMATES = ("estimated", "calculated")
 
 
@@ -260,7 +275,7 @@ def read_flights(path: Path, points: Path | None = None) -> FlightTable:
     Raises:
         BenchError: a file cannot be read; names file, line and column of a cell that is no number, of a unit
             that is missing or unknown and of a figure that is given twice and differs, or a flight whose
-            figures are missing or impossible.
+            figures are impossible.
     """
     trajectories = {} if points is None else _read_points(points)
     table = read_table(path, lambda key: _column(key) is not None)
@@ -281,8 +296,9 @@ def read_flights(path: Path, points: Path | None = None) -> FlightTable:
             continue
         if "spin" not in figures and (spin := _total_spin(figures)) is not None:
             figures["spin"] = spin
-        if missing := [name for name in _NEEDED if name not in figures]:
-            raise BenchError(location, f"no {missing[0]}", "a figure", "Add it, or delete the row.")
+        if missing := _not_measured(figures):
+            notes.append(f"line {line}: no {missing}")
+            continue
         try:
             flights.append(_flight(figures, trajectories.pop(cells.get("flight", ""), None)))
         except ValueError as error:
@@ -319,9 +335,19 @@ def _total_spin(figures: Mapping[str, float]) -> float | None:
     return back / cos(axis or 0.0) if side is None else hypot(back, side)
 
 
+def _not_measured(figures: Mapping[str, float]) -> str:
+    """Return the needed figure that a row does not have, empty if it has all."""
+    return next((n for n in _NEEDED if n not in figures or (n in _NEVER_ZERO and not figures[n])), "")
+
+
 def _wanted(figure: str) -> str:
     dimension, names, _ = _FIGURES[figure]
-    return f"column {names[0]}_{next(iter(_UNITS[dimension]))}"
+    first: dict[float, str] = {}
+    for unit, (factor, _) in _UNITS[dimension].items():
+        first.setdefault(factor, unit)
+    units = list(first.values())
+    others = f" (or _{', _'.join(units[1:])}: the unit of its numbers)" if units[1:] else ""
+    return f"column {names[0]}_{units[0]}{others}"
 
 
 def _column(key: str) -> _Column | None:
@@ -371,7 +397,7 @@ def _figures(
     found: dict[str, tuple[float, float, int]] = {}
     for n, (figure, unit) in columns.items():
         cell, (dimension, _, sided) = row[n], _FIGURES[figure]
-        if not cell or cell == _NOT_MEASURED:
+        if not cell or cell in _NOT_MEASURED:
             continue
         known = _UNITS[dimension].get(unit or _ASSUMED.get(dimension, "no unit"))
         if known is None:
@@ -397,6 +423,11 @@ def _figures(
 
 
 def _flight(figures: dict[str, float], points: np.ndarray[Any, Any] | None) -> MeasuredFlight:
+    """Return the flight; ValueError where a figure is impossible."""
+    for name, (low, high, factor, unit) in _POSSIBLE.items():
+        if not low <= figures.get(name, low) <= high:
+            found = f"{name} {figures[name] / factor:.10g} {unit}"
+            raise ValueError(f"{found}, outside {low / factor:.0f} to {high / factor:.0f} {unit}")
     usual = Air()
     axis = figures.get("spin_axis")
     if axis is None:

@@ -155,6 +155,39 @@ def test_read_flights_summary_row_is_skipped_and_noted(tmp_path: Path, row: str)
 
 
 @pytest.mark.parametrize(
+    ("row", "figure"),
+    [
+        (",10.4,2545,282", "speed"),
+        ("0,10.4,2545,282", "speed"),
+        ("171,-,2545,282", "launch_angle"),
+        ("171,10.4,,282", "spin"),
+        ("171,10.4,0,282", "spin"),
+        ("171,10.4,-21474836480,282", "spin"),
+    ],
+)
+def test_read_flights_row_without_launch_is_left_out_and_noted(tmp_path: Path, row: str, figure: str) -> None:
+    flights, notes = read(tmp_path, f"{HEADER}\n{FLIGHT}\n{row}\n")
+    assert (len(flights), notes) == (1, (f"line 3: no {figure}",))
+
+
+def test_read_flights_quoted_decimal_commas_between_commas_are_read(tmp_path: Path) -> None:
+    header = "Ball Speed (km/h),Launch Angle (°),Spin (rpm),Spin Axis (°),Carry (m),Smash"
+    (flight,), _ = read(tmp_path, f'{header}\n"180,9","19,2",6420,"4,2 L",145,"1,34"\n')
+    assert flight.launch == pytest.approx((50.25, radians(19.2), 0.0, 6420 * pi / 30, radians(-4.2)))
+
+
+def test_read_flights_comma_in_other_column_keeps_decimal_points(tmp_path: Path) -> None:
+    (flight,), _ = read(tmp_path, f'{HEADER},Note\n{FLIGHT},"9,5"\n')
+    assert flight.launch.launch_angle == pytest.approx(radians(10.4))
+
+
+def test_read_flights_unknown_speed_column_names_all_units(tmp_path: Path) -> None:
+    with pytest.raises(BenchError) as raised:
+        read(tmp_path, "Ball (mph),Launch Angle (°),Spin (rpm)\n143,15.8,2253\n")
+    assert raised.value.expected == "column ball_speed_mps (or _mph, _kmh: the unit of its numbers)"
+
+
+@pytest.mark.parametrize(
     ("text", "location", "found"),
     [
         (f"{HEADER},carry_yd\n{FLIGHT},296\n", "line 1, carry_yd (column 5)", "name of another column"),
@@ -178,7 +211,10 @@ def test_read_flights_summary_row_is_skipped_and_noted(tmp_path: Path, row: str)
             "line 1",
             "no speed in columns Datum, Ballg",
         ),
-        (f"{HEADER}\n171,,2545,282\n", "line 2", "no launch_angle"),
+        (f"{HEADER}\n1710,10.4,2545,282\n", "line 2", "speed 764.4384 m/s, outside 1 to 149 m/s"),
+        (f"{HEADER}\n171,110.4,2545,282\n", "line 2", "launch_angle 110.4 deg, outside -85 to 85 deg"),
+        (f"{HEADER}\n171,10.4,-2545,282\n", "line 2", "spin -2545 rpm, outside 48 to 19003 rpm"),
+        (f"{HEADER}\n171,10.4,2545,-282\n", "line 2", "carry -257.8608 m, outside 0 to 500 m"),
         (b"PK\x03\x04", "flights.csv", "a workbook (xlsx)"),
         (f"{HEADER}\n171,10.4\xb0,2545,282\n".encode("latin-1"), "flights.csv", "not utf-8"),
         (HEADER, "flights.csv", "no rows"),
