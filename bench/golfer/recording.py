@@ -16,6 +16,7 @@ from bench.golfer.roles import Array, Capture, damaged, number
 
 _JITTER = 0.2
 """Max deviation of a frame from the regular grid, as a fraction of the frame period."""
+_MIN_FRAMES, _MAX_FRAMES = 30, 200_000
 
 
 def _lines(path: Path, content: bytes) -> list[str]:
@@ -34,8 +35,7 @@ def read_trc(path: Path, content: bytes) -> Capture:
     lines = _lines(path, content)
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise damaged(path, "no header of TRC", "line 1", "PathFileType and four more lines")
-    heads, cells = lines[1].split("\t"), lines[2].split("\t")
-    header = dict(zip((head.strip() for head in heads), (cell.strip() for cell in cells), strict=False))
+    header = _trc_header(lines[1], lines[2])
     missing = [key for key in ("DataRate", "NumFrames", "NumMarkers", "Units") if not header.get(key)]
     if missing:
         raise damaged(path, f"no value of {missing[0]}", "line 3")
@@ -52,6 +52,14 @@ def read_trc(path: Path, content: bytes) -> Capture:
         )
     table = _table(path, [(k, line.rstrip("\r\n").split("\t")[1:]) for k, line in rows], 1 + 3 * len(names))
     return _on_grid(path, names, table, [k for k, _ in rows], header["Units"], rate)
+
+
+def _trc_header(names: str, values: str) -> dict[str, str]:
+    """Return the values by name; older files separate them by several tabs and blanks."""
+    if len(names.split()) == len(values.split()):
+        return dict(zip(names.split(), values.split(), strict=True))
+    heads, cells = names.split("\t"), values.split("\t")
+    return dict(zip((head.strip() for head in heads), (cell.strip() for cell in cells), strict=False))
 
 
 def read_csv(path: Path, content: bytes) -> Capture:
@@ -99,17 +107,23 @@ def _on_grid(
         raise damaged(
             path, "a time that does not rise", f"line {lines[int(wrong[0]) + 1]}", "rising times (s)"
         )
-    step = float(np.median(steps))
-    if rate is not None and abs(step * rate - 1.0) > 0.02:
-        raise damaged(path, f"{rate:g} Hz, but frames every {step:.6g} s", "line 3", "one frame rate")
-    # Times are rounded to decimals, and their mean step is more exact than their median.
+    # Times are rounded to decimals: steps of 8 and 9 ms are 120 Hz. Their mean is more exact than one.
+    middle = float(np.sort(steps)[len(steps) // 2])
+    step = float(np.mean(steps[np.abs(steps - middle) < 0.5 * middle]))
     places = np.rint((time - time[0]) / step).astype(int)
     step = float(np.polyfit(places, time, 1)[0])
+    if rate is not None and abs(step * rate - 1.0) > 0.02:
+        raise damaged(path, f"{rate:g} Hz, but frames every {step:.6g} s", "line 3", "one frame rate")
     off = np.abs((time - time[0]) / step - places)
     if off.max() > _JITTER:
         where = f"line {lines[int(off.argmax())]}"
         raise damaged(
             path, f"time {time[off.argmax()]:g} s off the frames", where, f"frames every {step:.5f} s"
+        )
+    if places[-1] >= _MAX_FRAMES:
+        where = f"line {lines[int(np.argmax(steps)) + 1]}"
+        raise damaged(
+            path, f"{steps.max():.6g} s after the frame before", where, f"below {_MAX_FRAMES} frames"
         )
     points = np.full((places[-1] + 1, len(names), 3), np.nan)
     points[places] = table[:, 1:].reshape(len(table), -1, 3)
@@ -265,7 +279,6 @@ READERS: Mapping[str, Callable[[Path, bytes], Capture]] = {
     ".csv": read_csv,
     ".bvh": read_bvh,
 }
-_MIN_FRAMES, _MAX_FRAMES = 30, 200_000
 
 
 def read_capture(path: Path) -> Capture:

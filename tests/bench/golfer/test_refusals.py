@@ -184,6 +184,18 @@ def test_read_capture_falling_times_refused(tmp_path: Path) -> None:
     assert "does not rise" in _refusal(path).found
 
 
+def test_read_capture_time_far_off_names_line(tmp_path: Path) -> None:
+    path = _csv(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[-1] = f"1764350000{lines[-1][lines[-1].index(',') :]}"
+    path.write_text("\n".join(lines))
+
+    refusal = _refusal(path)
+
+    assert f"line {len(lines)}" in refusal.location
+    assert "1.76435e+09 s after the frame before" in refusal.found
+
+
 def test_read_capture_missing_rows_become_gaps(tmp_path: Path) -> None:
     path = _csv(tmp_path)
     lines = path.read_text().splitlines()
@@ -195,6 +207,39 @@ def test_read_capture_missing_rows_become_gaps(tmp_path: Path) -> None:
     assert capture.rate == pytest.approx(RATE)
     assert np.isnan(capture.points[149:152]).all()
     assert len(capture.points) == 385
+
+
+@pytest.mark.parametrize(("suffix", "column", "separator"), [(".csv", 0, ","), (".trc", 1, "\t")])
+def test_read_capture_times_in_ms_give_all_frames(
+    suffix: str, column: int, separator: str, tmp_path: Path
+) -> None:
+    names, points = _recording()
+    path = write(tmp_path / f"swing{suffix}", list(names), points, RATE)
+    lines = path.read_text().splitlines()
+    first = len(lines) - len(points)
+    for row, line in enumerate(lines[first:]):
+        cells = line.split(separator)
+        cells[column] = f"{row / RATE:.3f}"
+        lines[first + row] = separator.join(cells)
+    del lines[first + 100 : first + 130]
+    text = "\n".join(lines)
+    path.write_text(text.replace(f"\t{len(points)}\t", f"\t{len(points) - 30}\t"))
+
+    capture = read_capture(path)
+
+    assert capture.rate == pytest.approx(RATE)
+    assert len(capture.points) == len(points)
+    assert np.flatnonzero(np.isnan(capture.points[:, 0, 0])).tolist() == list(range(100, 130))
+
+
+def test_read_capture_trc_header_of_several_tabs_is_read(tmp_path: Path) -> None:
+    names, points = _recording()
+    path = write(tmp_path / "swing.trc", list(names), points, RATE)
+    lines = path.read_text().splitlines()
+    lines[2] = "  " + "\t\t ".join(lines[2].split("\t"))
+    path.write_text("\n".join(lines))
+
+    assert (read_capture(path).rate, read_capture(path).unit) == (RATE, "m")
 
 
 @pytest.mark.parametrize("suffix", [".c3d", ".trc"])
