@@ -212,7 +212,7 @@ def face_gap(x: float, y: float, theta_t: float, ball_x: float, ball_y: float, p
 
 @compiled
 def _ball_ahead(x: float, y: float, parameters: Array) -> Vector:
-    """Return the ball's place from the face's centre (golf frame, m), `x` and `y` of it in the plane."""
+    """Return the ball's position from the face centre (golf frame, m) by `x` and `y` in the plane."""
     location = plane_to_golf(x, y, 0.0, parameters[0].plane_lie)
     return (location[0], location[1], location[2] + parameters[0].tee_shift)
 

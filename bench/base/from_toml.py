@@ -27,6 +27,7 @@ SUFFIXES: Mapping[str, Mapping[str, float]] = {"deg": {"rad": pi / 180}, "hz": {
 MAX_FINITE = sys.float_info.max
 """Max absolute value of a finite number; comparisons with it are false for NaN."""
 
+_UNIT_OF = {"deg": "deg", "hz": "Hz"}
 _SUFFIXED = re.compile(rf"(.+)_({'|'.join(SUFFIXES)})")
 _BAD = object()
 
@@ -162,7 +163,7 @@ def without(tree: Tree, paths: Collection[str], above: str = "") -> Tree:
 
 
 def location_of(tree: Tree, file: Path, path: str) -> str:
-    """Return file and key of dotted `path` as its author wrote it; `file` when the tree does not have it."""
+    """Return file and key of dotted `path` as its author wrote it; `file` if `tree` has no such key."""
     *above, last = path.split(".")
     node: Tree | TomlValue | None = tree
     for name in above:
@@ -334,7 +335,7 @@ def expected(hint: Any, suffix: str = "") -> str:
     for mark in marks:
         match mark:
             case Range(low, high, unit):
-                text += f", {Range(low / factor, high / factor, suffix or unit)}"
+                text += f", {Range(low / factor, high / factor, _UNIT_OF.get(suffix, unit))}"
             case Above(bound):
                 text += f" above {short(bound)}"
             case AtLeast(bound):
@@ -359,7 +360,7 @@ def _factor(marks: tuple[Any, ...], suffix: str) -> float:
 
 
 def _unit(marks: tuple[Any, ...]) -> str:
-    """Return the unit of a field; of units by joint ("rad, rod m") the first."""
+    """Return the unit of a field, the first if it depends on the joint ("rad, rod m")."""
     return next((mark.unit.split(",")[0] for mark in marks if isinstance(mark, Range)), "")
 
 

@@ -296,7 +296,7 @@ def _by_common(
 
 
 def _share_of(flight: MeasuredFlight, name: str, calibration: FlightUncertainty) -> Array:
-    """Return the common error of one kind of observation where `flight` has it, else 0."""
+    """Return the systematic error of one kind of observation; 0 if `flight` has no such observation."""
     kinds = [figure for figure in _FIGURES if getattr(flight, figure) is not None]
     if flight.points is not None:
         kinds += ["distance"] * len(flight.points) + ["height"] * len(flight.points)

@@ -1,8 +1,8 @@
 """Measured flights in CSV: one row per flight, and the points of trajectories in a second file.
 
 Columns have the names of the shot table or of exports by TrackMan and Foresight, with the unit in the name or
-in a row below. `flight` numbers the flights where points are given. An empty cell is a figure that was not
-measured; direction and spin axis default to 0, the air to that of `sim.air.Air`.
+in a row below. Column `flight` has the number of the flight in tables of trajectory points. An empty cell is
+a figure that was not measured; direction and spin axis default to 0, the air to that of `sim.air.Air`.
 
 UTF-8 and UTF-16 are read, with the separators comma, semicolon and tab (also named by a first line `sep=;`),
 and decimal commas, in quotes where the comma is the separator.
@@ -249,7 +249,7 @@ _SIDES = {"side_spin", "spin_axis"}
 """Either of them gives the total spin from the back spin."""
 _POINT_COLUMNS = ("flight", "time_s", "distance_m", "height_m")
 _NOT_MEASURED = {"16777215.000000", "-21474836480"}
-"""Marks of a figure without measurement: Foresight's, TrackMan's."""
+"""Numbers that stand for a missing measurement, of Foresight and of TrackMan."""
 _ESTIMATES = ("estimated", "calculated")
 
 

@@ -38,7 +38,7 @@ COST_OF_A_SYNC = 2.2
 the max delay of a tick."""
 
 MIN_RELIEF_RATIO = 1.1
-"""Least opening pressure of the manifold's relief valve over the regulated one."""
+"""Min ratio of the relief valve's opening pressure to the regulated pressure."""
 
 
 def _address(c: Configuration, tree: Tree) -> Iterator[Mistake]:

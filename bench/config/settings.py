@@ -130,7 +130,7 @@ class Configuration:
     """Files it was read from, the base first."""
 
     def plant_with(self, *, club: str | None = None, ball: str | None = None) -> PlantParameters:
-        """Return the plant with another club or ball of this configuration, on the club's site.
+        """Return the plant with another club or ball, with ground and ball height for that club.
 
         Raises:
             BenchError: none has that name.

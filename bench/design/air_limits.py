@@ -27,7 +27,7 @@ _SUBSTEPS = 4
 def needed_force(motion: Motion) -> Array:
     """Return the actuator forces (n - 1, 3) that the motion needs between samples: N m, N, N.
 
-    Inverse dynamics of the robot, viscous and dry friction, less the forces of the end stops.
+    Inverse dynamics of the robot, with viscous and dry friction, minus the forces of the end stops.
     """
     plant, profile = motion.plant, motion.profile
     angle, velocity = _middle(profile.angle), _middle(profile.velocity)

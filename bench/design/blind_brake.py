@@ -38,8 +38,8 @@ _LOW, _HIGH = np.array([-1.0] * 3 + [0.0] * 3), np.array([1.0] * 3 + [_MAX_DURAT
 _MOVING = (-0.4, -0.2, -0.2, 0.15, 0.15, 0.15)
 """Pattern from which a search begins where centred spools are not good enough."""
 _NEAR, _TRIED, _SWEEPS = 4, 3, 3
-"""Search for a row without a good pattern: neighbouring rows to either side whose patterns are tried, number
-of the best ones that are refined, and sweeps."""
+"""Search for a row without a good pattern: neighbouring rows on each side whose patterns are tried, best ones
+that are refined, and sweeps."""
 
 
 class _Found(NamedTuple):

@@ -59,7 +59,7 @@ _SILENCES = (0.01, 0.02, 0.03, 0.045, 0.06)
 _INTERVALS = 40
 """Collocation intervals of the downswing."""
 _CORRECTED = 0.02, 0.06
-"""Share of the stroke left to the correction on the plant; the second when a motion is followed."""
+"""Shares of the valves' range that designed and given motions leave to the learned correction."""
 _GIVES_WAY = Concessions(time=0.1, rise=np.deg2rad(3.0).item(), speed=12.0)
 """Max concessions of a nearest swing: share of the longest downswing, rad of attack angle, m/s."""
 _SHORT = 0.2

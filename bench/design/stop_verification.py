@@ -200,7 +200,7 @@ class SwingCheck:
 
 
 def _raise_ground(bench: LockstepEngine, height: float) -> None:
-    """Let ground and ball stand higher by `height` (m), on records of the bench's own."""
+    """Raise ground and ball by `height` (m), in copies of the records for this bench alone."""
     bench.stepper.plant = own_records(bench.stepper.plant)
     for name in ("ground", "ball_y"):
         bench.stepper.plant.plant[name] += height

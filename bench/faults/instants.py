@@ -12,7 +12,7 @@ from bench.swing.profile import Profile
 
 @dataclass(frozen=True)
 class Instant:
-    """Instant of a fault: a phase, and ticks from the start of the swing (or of the search)."""
+    """Instant of a fault: a phase, and ticks from the start of the swing (or of homing)."""
 
     phase: str
     tick: int

@@ -61,7 +61,8 @@ class CaseOutcome:
     change: str
     """Deviation from the fault-free run at impact or at rest; empty if negligible."""
     next_swing: str = ""
-    """Finding that names an undetected fault before another ball is struck; empty without one."""
+    """Finding that names the undetected fault by the next swing, before its ball is struck; empty without
+    one."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the outcome as a JSON-ready record."""

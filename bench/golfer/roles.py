@@ -408,7 +408,7 @@ def find_vertical(capture: Capture, whole: dict[str, Array], frame: int, stated:
 def find_sides(
     capture: Capture, whole: dict[str, Array], frame: int, vertical: Array, stated: str, by_side: bool
 ) -> tuple[dict[str, str], tuple[str, str]]:
-    """Return the roles by lead and trail (new name to old), the lead side and the words for it.
+    """Return the roles by lead and trail (new name to old), the lead side and its description.
 
     Raises:
         BenchError: left and right, or lead and trail, are swapped in the file.

@@ -107,8 +107,8 @@ _READINGS, _READINGS_BESIDE_PLAN = 5, 16
 """Number of readings before the contact for a polynomial through the angles, and for one through their
 difference to the modelled swing, which changes more slowly."""
 _ORDER, _ORDER_BESIDE_PLAN = 2, 3
-"""Order of the polynomial. The difference bends where the right arm breaks away, some 10 ms before the ball:
-a parabola had an error of 0.2 to 0.3 % of the speed with the driver, a cubic has 0.1 %."""
+"""Order of the polynomial. The curvature of the difference changes where the right arm breaks away, some 10
+ms before the ball: a parabola had an error of 0.2 to 0.3 % of the speed with the driver, a cubic 0.1 %."""
 _LATE = 60
 """Ticks by which a robot may come later or earlier than the modelled one."""
 _SEARCHED = (-0.0015, 0.0035)

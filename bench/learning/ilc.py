@@ -8,7 +8,7 @@ minimises
 
 as predicted, within bounds on the weights and a trust radius around the best swing so far. The prediction is
 linear: the model's response is the prior mean, every swing is an observation of it. Its noise is the scatter
-between swings, and its weight is less the farther its weights are from the best one's (Bayesian linear
+between swings; a swing counts less the farther its correction is from the best one's (Bayesian linear
 regression). So the response becomes the robot's own, and one lucky swing is not taken for a good one. A
 stopped swing counts as failed: its record up to the stop still counts for the path, and the radius is halved.
 Without planned air at the address the first swing after arming begins with other air than those that follow:
@@ -252,7 +252,7 @@ class Learner:
             self.point = self._origin if self._near(at[:4]) else self._next(at, matrix)
 
     def _rows(self, figures: Four, path: float) -> Array:
-        """Return the vector with `figures` for the figures and `path` for each value of the path."""
+        """Return the vector with `figures` for each delivery value and `path` for each sample of the path."""
         return np.concatenate([figures, np.full(self._plan.size, self._path_factor * path)])
 
     def _error(self, figures: Array, path: Array) -> Array:

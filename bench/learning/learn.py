@@ -267,7 +267,7 @@ _SWINGS = 3
 def begun_on(
     problem: LearningProblem, plant: PlantParameters, recorded: Sequence[Recorded] = ()
 ) -> LearningProblem:
-    """Return `problem` as it begins on a robot identified as `plant` from swings `recorded` of one profile.
+    """Return `problem` in its initial state for a robot identified as `plant` from `recorded` swings.
 
     Without `recorded` the remaining model error is unknown: identification then only improves the first
     swing.

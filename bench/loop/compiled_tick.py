@@ -60,7 +60,7 @@ _READINGS, _COMMAND, _RECORD, _MARKS, _APPLIED, _TRUTH = range(_COUNT - 6, _COUN
 _LENGTHS, _CALLS = _COUNT, 2 * _COUNT
 """Offsets in the block of the arrays' lengths and of the native calls."""
 _READ, _WRITE, _NOTE_TRUTH, _PUBLISH = range(_CALLS, _CALLS + 8, 2)
-"""Each a function and its block; a function of 0 is Python's to do."""
+"""Each is the address of a native function and of its memory; with address 0 Python does the step."""
 _NOTHING = -1
 """Function of a stage that there is not."""
 _CLOCK = _CALLS + 8
@@ -206,8 +206,8 @@ class CompiledTick:
     ) -> None:
         """`marks` (7,) ns gets the instants of `bench.loop.loop.Cycle` that the call passes.
 
-        `calls` are the driver's native functions; `notes_truth`: there is a truth to note, by its native
-        function or in Python.
+        `calls` are the driver's native functions; `notes_truth`: the true state of a simulated plant is
+        recorded, by a native function or in Python.
 
         Raises:
             ValueError: an array has the wrong type or size, or is not contiguous.

@@ -292,7 +292,8 @@ class DatabaseLocked(Refused):
     action = "End the program that holds it (a backup, a database browser), then try again."
 
     def __init__(self, location: str, waited: float) -> None:
-        super().__init__(location, f"{self.state} for {waited:.0f} s", self.expected_state, self.action)
+        found = f"{self.state} for {waited:.0f} s" if waited else self.state
+        super().__init__(location, found, self.expected_state, self.action)
         self.waited = waited
         """Time waited, s."""
 

@@ -109,7 +109,7 @@ NO_STATISTICS = LoopStatus(
     wake_p99_s=0.0,
     tick_p99_s=0.0,
 )
-"""Loop status in the first second of the loop, and on a virtual clock."""
+"""Loop status before timing is measured (first second) and on a virtual clock."""
 
 NO_LAUNCH_MONITOR = LaunchMonitorStatus(
     listening="",

@@ -94,7 +94,7 @@ class Basis:
 
 
 def basis_of(profile: Profile, valve_spacing: float = 0.025, angle_spacing: float = 0.060) -> Basis:
-    """Return the functions for `profile`, their centres so many s apart.
+    """Return the basis functions for `profile`, with their centres at a spacing in s.
 
     The feed-forward is corrected in the downswing, the reference from shortly before the top on: an error
     at the top is carried into the downswing.

@@ -2,9 +2,9 @@
 
 A profile is a short TOML file (golfer, club, times, planned delivery, design limits) and a table in the same
 folder. The table is a Parquet file (`bench.swing.profile_table`), whose digest the TOML file holds. The table
-has angles, velocities and valve openings at a fixed period, and blind-brake patterns. A TOML file that holds
-its tables itself is also a profile. The swing runs from address to standstill after the follow-through; the
-return is the controller's.
+has angles, velocities and valve openings at a fixed period, and the patterns of the open-loop brake. A TOML
+file that holds its tables itself is also a profile. The swing runs from address to standstill after the
+follow-through; the return is the controller's.
 """
 
 from __future__ import annotations

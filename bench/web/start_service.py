@@ -171,7 +171,7 @@ class StartService:
         }
 
     def write_plan(self, asked: Asked) -> dict[str, Any]:
-        """Write a plan from a form with `save`; else only return its duration and resolution in words."""
+        """Write a plan from a form with `save`, or only return its duration and resolution as text."""
         name, compared = asked.text("name", _MAX_NAME_LENGTH), asked.text("compare", 8)
         if not _NAME.fullmatch(name):
             raise InvalidBody("name: letters, digits, dots, - and _")

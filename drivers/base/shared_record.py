@@ -77,9 +77,9 @@ class SharedRecord:
     def read(self, into: np.ndarray[Any, Any]) -> int:
         """Copy the newest whole value into `into` (a one-element array of the dtype); return its version.
 
-        Versions count the writes. At version 0, nothing written yet, `into` stays as it is. Should the
-        writer overtake every one of a few copies, `into` gets the value this reader read before, and its
-        version is returned again. Never waits.
+        Versions count the writes. At version 0, nothing written yet, `into` stays as it is. If the writer
+        overtakes each of a few attempts to copy, `into` gets the value of the last reading, and its version
+        is returned again. Never waits.
         """
         slots = self._slots
         for _ in range(_ATTEMPTS):

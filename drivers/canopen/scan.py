@@ -43,7 +43,7 @@ _STOP, _ENTER_PRE_OPERATIONAL = 2, 128
 _STOPPED, _OPERATIONAL = 4, 5
 """States in a heartbeat."""
 _PROTOCOL_ABORTS = range(0x05030000, 0x05050000)
-"""Abort codes of a dialogue that went wrong, as another client's questions in between make it."""
+"""Abort codes of a disturbed SDO transfer, such as by requests of another client."""
 _ATTEMPTS = 3
 """Attempts to reach or read one node."""
 _GAP = 0.002

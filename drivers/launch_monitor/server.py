@@ -83,7 +83,7 @@ class _Client:
         """When to send the readiness that follows the player, s (CLOCK_MONOTONIC); None if sent."""
 
     def greet(self, player: bytes) -> None:
-        """Queue the player, and the readiness for later."""
+        """Queue the message of the player now, and that of readiness for `_APART` later."""
         self.unread += player
         self.ready_at = wall.monotonic() + _APART
 

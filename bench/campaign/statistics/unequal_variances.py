@@ -79,7 +79,7 @@ class UnitErrors(NamedTuple):
     """The same, none below 0, shrunk towards equality by what chance explains: as the degrees of freedom and
     the joint distribution of all pairs assume them."""
     inverse: Array
-    """(levels, levels): makes variances out of the sums of squares of each level's units."""
+    """(levels, levels) matrix from each level's sum of squares over its units to variances."""
     expected: Array
     """(levels, levels): the sums of squares to expect from one unit of each level's variance."""
     spread: Array
@@ -122,7 +122,7 @@ class UnitErrors(NamedTuple):
 
 
 def units_of(level: Codes, ball: Codes, levels: int) -> Units:
-    """Return the units of shots of `ball` (any codes), the same code of two levels being two balls."""
+    """Return the unit (ball) of each shot by its code in `ball`; one code at two levels means two balls."""
     kept = min(_MAX_UNITS, _MAX_CELLS // max(len(level), 1))
     most = max(kept // max(levels, 1), 4)
     of_shot = np.zeros(len(level), dtype=np.intp)
@@ -333,7 +333,8 @@ class Draws(NamedTuple):
 def drawn_pairs(errors: UnitErrors, pairs: Sequence[tuple[int, int]], most: float) -> Draws:
     """Return draws of differences with these errors and at `most` so many degrees of freedom.
 
-    Both what pairs share of their levels' means and of their standard errors is in them.
+    They include the correlation of pairs with a common level, in the differences and in their standard
+    errors.
     """
     width = len(errors.assumed)
     unit = max(float(errors.assumed.max()), 1e-300)  # single precision has few powers of ten

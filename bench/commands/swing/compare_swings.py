@@ -32,7 +32,7 @@ def compare(
 ) -> None:
     """Compare two swings, recorded or planned, or two configurations: where they differ.
 
-    Swings: delivery, tracking errors, angles, openings and pressures up to the ball, where clocks are
+    Swings: delivery, tracking errors, angles, openings and pressures up to impact, at which both clocks are
     aligned. A record may be compared with a profile.
     """
     require_picture(plot)

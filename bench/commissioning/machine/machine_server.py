@@ -361,7 +361,7 @@ class MakePassive(NamedTuple):
 
 
 class ArmBench(NamedTuple):
-    """Arm for swings of a bench; answered once the robot holds its address."""
+    """Arm for swings of `bench`; answered when the robot holds its address."""
 
     bench: Bench
 

@@ -51,7 +51,7 @@ _OWN_SHARE = 0.2
 _JUMP = 100.0
 """Speed beyond which a count has jumped (rad/s)."""
 _CUSHION_SHARE = 0.5
-"""Share of a cushion's energy that a joint at the speed bound carries."""
+"""Share of a cushion's rated energy that a joint has at the speed bound."""
 
 
 class StopMove(NamedTuple):

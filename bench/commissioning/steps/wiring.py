@@ -53,7 +53,7 @@ FAINT = 1.3e5
 _REACH = 0.15
 """Opening to either side."""
 _RAMP, _BASELINE = 4.0, 1.0
-"""Time of a ramp from one side to the other, and of the wait before it (s)."""
+"""Duration of an opening ramp from one flow direction to the other, and of the pause before it (s)."""
 _FOOT = 1.5e3
 """Rise of a chamber where its valve begins to open (Pa)."""
 _ANSWER = 8e3

@@ -27,7 +27,7 @@ from drivers.base import CHAMBERS, JOINTS
 from sim.plant import PlantParameters
 
 _STEP = 0.3
-"""Step of a derivative, as a share of the prior."""
+"""Step of a finite difference, as a share of the prior standard deviation."""
 _ROUNDS = 2
 """Linearisations at most: large changes bend their effects."""
 _SMALL = 0.15

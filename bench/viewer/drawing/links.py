@@ -194,7 +194,7 @@ def wrist_rod(plant: PlantParameters) -> DrawnBody:
 
 
 def lever_parts(plant: PlantParameters) -> tuple[Part, ...]:
-    """Return the wrist's lever with its pin, which turn with the club: along -y3, turned as it is mounted."""
+    """Return the wrist's lever with its pin, fixed to the club: along -y3, rotated by its mounting angle."""
     at, lever = layers_of(plant), plant.wrist_lever
     c, s = cos(plant.wrist_lever_angle), sin(plant.wrist_lever_angle)
     size = (0.024, lever + 0.024, LEVER_HEIGHT)

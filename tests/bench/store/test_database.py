@@ -222,7 +222,7 @@ def test_database_url_invalid_is_refused(tmp_path: Path, url: str) -> None:
     assert refusal.value.location == "bench.database"
 
 
-def test_open_database_server_away_is_a_device_error(tmp_path: Path) -> None:
+def test_open_database_server_away_is_device_error(tmp_path: Path) -> None:
     pytest.importorskip("psycopg")
     url = database_url("postgresql+psycopg://127.0.0.1:1/golf", tmp_path)
     with pytest.raises(module.DatabaseAway) as refusal, open_database(url, NOW):
