@@ -95,17 +95,18 @@ def read_table(path: Path, known: Callable[[str], bool]) -> MeasurementTable:
     """
     text = _text(path)
     named = re.match(r"sep=(.)\r?\n", text)
-    heads = {
-        separator: [
-            sum(map(known, map(key_of, row))) for _, row in islice(_cells(text, separator), _HEADER_LINES)
-        ]
-        for separator in (named[1] if named else _SEPARATORS)
-    }
-    separator = max(heads, key=lambda one: (max(heads[one], default=0), text.count(one)))
     try:
+        heads = {
+            separator: [
+                sum(map(known, map(key_of, row))) for _, row in islice(_cells(text, separator), _HEADER_LINES)
+            ]
+            for separator in (named[1] if named else _SEPARATORS)
+        }
+        separator = max(heads, key=lambda one: (max(heads[one], default=0), text.count(one)))
         lines = [(line, row) for line, row in _cells(text, separator, strict=True) if any(row)]
     except csv.Error as error:
-        raise BenchError(str(path), str(error), "a table (CSV)", "Export the table again as CSV.") from None
+        action = "Correct the quotes of this row, or export the table again as CSV."
+        raise BenchError(str(path), str(error), "a table (CSV)", action) from None
     known_names = [sum(map(known, map(key_of, row))) for _, row in lines[:_HEADER_LINES]]
     first = known_names.index(max(known_names)) if known_names else 0
     if len(lines) <= first + 1:
@@ -176,8 +177,12 @@ def _summary(cells: Sequence[str]) -> str:
 def _cells(text: str, separator: str, *, strict: bool = False) -> Iterator[tuple[int, tuple[str, ...]]]:
     """Yield line and stripped cells of each row."""
     reader = csv.reader(StringIO(text, newline=""), delimiter=separator, strict=strict)
-    for row in reader:
-        yield reader.line_num, tuple(cell.strip() for cell in row)
+    end = 0
+    try:
+        for row in reader:
+            yield (end := reader.line_num), tuple(cell.strip() for cell in row)
+    except csv.Error as error:
+        raise csv.Error(f"row from line {end + 1}: {error}") from None
 
 
 _UNITS: Mapping[str, Mapping[str, tuple[float, float]]] = {

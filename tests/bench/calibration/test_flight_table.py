@@ -218,6 +218,8 @@ def test_read_flights_unknown_speed_column_names_all_units(tmp_path: Path) -> No
         (b"PK\x03\x04", "flights.csv", "a workbook (xlsx)"),
         (f"{HEADER}\n171,10.4\xb0,2545,282\n".encode("latin-1"), "flights.csv", "not utf-8"),
         (HEADER, "flights.csv", "no rows"),
+        (f'{HEADER}\n"{FLIGHT}\n' + 9000 * f"{FLIGHT}\n", "flights.csv", "row from line 2"),
+        (f'{HEADER}\n{FLIGHT}\n"{FLIGHT}\n', "flights.csv", "row from line 3"),
     ],
 )
 def test_read_flights_invalid_table_is_refused_with_place(
