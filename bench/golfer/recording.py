@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,11 +21,10 @@ _JITTER = 0.2
 _MIN_FRAMES, _MAX_FRAMES = 30, 200_000
 
 
-def _lines(path: Path, content: bytes) -> list[str]:
-    try:
-        return content.decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise damaged(path, f"byte {error.start} is no text", "", "a text file in UTF-8") from None
+def _lines(content: bytes) -> list[str]:
+    """Return the lines; a byte that is no UTF-8 is one of a name or path, as programs of Windows write it."""
+    wide = content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
+    return content.decode("utf-16" if wide else "utf-8-sig", errors="replace").splitlines()
 
 
 def read_trc(path: Path, content: bytes) -> Capture:
@@ -32,7 +33,7 @@ def read_trc(path: Path, content: bytes) -> Capture:
     Raises:
         BenchError: the header or a row is damaged; the place has the line.
     """
-    lines = _lines(path, content)
+    lines = _lines(content)
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise damaged(path, "no header of TRC", "line 1", "PathFileType and four more lines")
     header = _trc_header(lines[1], lines[2])
@@ -68,9 +69,11 @@ def read_csv(path: Path, content: bytes) -> Capture:
     Raises:
         BenchError: the header or a row is damaged; the place has the line.
     """
-    rows = [
-        (k, row) for k, row in enumerate(csv.reader(io.StringIO("\n".join(_lines(path, content)))), 1) if row
-    ]
+    reader, rows = csv.reader(io.StringIO("\n".join(_lines(content)))), list[tuple[int, list[str]]]()
+    try:
+        rows += ((k, row) for k, row in enumerate(reader, 1) if row)
+    except csv.Error as error:
+        raise damaged(path, str(error), f"line {len(rows) + 1}", "a row without quotes") from None
     header = [cell.strip() for cell in rows[0][1]] if rows else []
     names = [head[:-2] for head in header[1::3]]
     wanted = ["time_s", *(f"{name}_{axis}" for name in names for axis in "xyz")]
@@ -148,7 +151,7 @@ def read_bvh(path: Path, content: bytes) -> Capture:
     Raises:
         BenchError: the skeleton or a frame is damaged; the place has the line.
     """
-    lines = content.decode("utf-8", errors="replace").splitlines()
+    lines = _lines(content)
     motion = next((k for k, line in enumerate(lines) if line.strip() == "MOTION"), -1)
     if motion < 0 or not lines[0].strip().startswith("HIERARCHY") or len(lines) < motion + 4:
         raise damaged(path, "no HIERARCHY with MOTION")
@@ -160,12 +163,17 @@ def read_bvh(path: Path, content: bytes) -> Capture:
     for line, cells in rows:
         if len(cells) != width:
             raise damaged(path, f"{len(cells)} values", f"line {line}", f"{width} values")
-    if len(rows) != frames or not period > 0.0:
+    if len(rows) != frames:
         raise damaged(path, f"{len(rows)} frames", f"line {motion + 2}", f"{frames:g} frames")
+    if not period > 0.0:
+        raise damaged(path, f"frame time {period:g}", f"line {motion + 3}", "Frame Time: a time above 0 s")
     table = np.array([[number(path, cell, f"line {line}") for cell in cells] for line, cells in rows])
     rate = round(1.0 / period, 1)
     names = tuple(joint.name for joint in joints if joint.name)
     return Capture(names, _positions(joints, table), rate)
+
+
+_CHANNEL = re.compile("[xyz](position|rotation)", re.IGNORECASE)
 
 
 def _skeleton(path: Path, lines: list[str]) -> list[_Joint]:
@@ -183,7 +191,7 @@ def _skeleton(path: Path, lines: list[str]) -> list[_Joint]:
             joints.append(_Joint("", open_[-1] if open_ else -1))
         elif words[:1] == ["OFFSET"] and joints and len(words) == 4:
             joints[-1].offset = np.array([number(path, word, f"line {k}") for word in words[1:]])
-        elif words[:1] == ["CHANNELS"] and joints:
+        elif words[:1] == ["CHANNELS"] and joints and all(map(_CHANNEL.fullmatch, words[2:])):
             joints[-1].channels = words[2:]
         elif words:
             raise damaged(path, line.strip()[:40], f"line {k}", "a joint of a skeleton")

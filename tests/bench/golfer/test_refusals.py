@@ -264,6 +264,75 @@ def test_read_capture_foreign_content_refused(suffix: str, content: bytes, tmp_p
     assert str(path) in _refusal(path).location
 
 
+def test_read_capture_csv_unclosed_quote_names_line(tmp_path: Path) -> None:
+    path = _csv(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[5] = '"' + lines[5]
+    path.write_text("\n".join(lines))
+
+    assert "line 6" in _refusal(path).location
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_read_capture_csv_encodings_are_read(encoding: str, tmp_path: Path) -> None:
+    path = _csv(tmp_path)
+    path.write_text(path.read_text(), encoding=encoding)
+
+    assert read_capture(path).rate == RATE
+
+
+def test_read_capture_trc_path_in_windows_encoding_is_read(tmp_path: Path) -> None:
+    names, points = _recording()
+    path = write(tmp_path / "swing.trc", list(names), points, RATE)
+    path.write_bytes(path.read_bytes().replace(b"swing.trc", b"C:\\J\xf6rg\\swing.trc"))
+
+    assert read_capture(path).rate == RATE
+
+
+BVH = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  End Site
+  {
+    OFFSET 0 1 0
+  }
+}
+MOTION
+Frames: 40
+Frame Time: 0.008333
+"""
+
+
+def test_read_capture_bvh_with_byte_order_mark_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "swing.bvh"
+    path.write_text(BVH + 40 * "1 2 3 0 0 0\n", encoding="utf-8-sig")
+
+    assert read_capture(path).points[0].tolist() == [[1.0, 2.0, 3.0]]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "location", "found"),
+    [
+        ("Zposition", "Wposition", "line 5", "CHANNELS 6 Xposition Yposition Wposition"),
+        ("0.008333", "0", "line 13", "frame time 0"),
+        ("0.008333", "", "line 13", "frame time nan"),
+        ("Frames: 40", "Frames: 41", "line 12", "40 frames"),
+    ],
+)
+def test_read_capture_damaged_bvh_reports_line(
+    old: str, new: str, location: str, found: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "swing.bvh"
+    path.write_text(BVH.replace(old, new) + 40 * "1 2 3 0 0 0\n")
+
+    refusal = _refusal(path)
+
+    assert location in refusal.location
+    assert found in refusal.found
+
+
 def test_import_wrong_unit_suggests_fitting_unit(tmp_path: Path) -> None:
     golfer = Synthetic(unit="mm")
     path = write(tmp_path / "swing.trc", *golfer.recording(), RATE, "m")
