@@ -130,7 +130,14 @@ def _fitted(
     """Return the fit to the flights in the files; BenchError when they do not determine it."""
     from bench.calibration.aerodynamics_fit import fit_aerodynamics
     from bench.calibration.flight_table import read_flights
+    from sim.ball import Ball
 
+    try:
+        Ball(ball, mass, radius)
+    except ValueError as error:
+        location = "calibrate aerodynamics: --mass-g, --diameter-mm"
+        action = "Give the mass in g and the diameter in mm, such as 45.93 and 42.67."
+        raise BenchError(location, str(error), "those of a golf ball", action) from None
     table = read_flights(flights, points)
     for note in table.notes:
         typer.echo(f"Not used, {flights}: {note}", err=True)
@@ -138,7 +145,10 @@ def _fitted(
         return fit_aerodynamics(ball, table.flights, scatter, calibration, mass=mass, radius=radius)
     except ValueError as error:
         raise BenchError(
-            str(flights), str(error), "flights that determine drag and lift", "Measure more of them."
+            str(flights),
+            str(error),
+            "flights that determine drag and lift",
+            "Measure more of them; check the table's notes and the stated scatter.",
         ) from None
 
 

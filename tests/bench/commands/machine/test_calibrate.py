@@ -310,6 +310,8 @@ def test_calibrate_aerodynamics_fits_stores_and_lists_drag(golfbench: Run, tmp_p
     assert (record["kind"], record["subject"], record["source"]) == ("aerodynamics", "tour", "radar, range 2")
     code, _, errors = golfbench(*command, "--measured", "tomorrow")
     assert (code, "--measured" in errors) == (2, True)
+    code, _, errors = golfbench(*command, "--mass-g", "0.04593")
+    assert (code, "--mass-g" in errors, "flights.csv" in errors) == (2, True, False)
     (tmp_path / "flights.csv").write_text("\n".join(rows[:3]))
     code, _, errors = golfbench(*command)
     assert (code, "expected at least 3" in errors) == (2, True)
