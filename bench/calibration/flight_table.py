@@ -37,6 +37,8 @@ _FILES = {b"PK\x03\x04": "a workbook (xlsx)", b"\xd0\xcf\x11\xe0": "a workbook (
 _SUMMARY = r"(avg|average|mean|median|summary|sd|(std_|st_|standard_|std)?dev(iation)?)s?"
 _LABEL = re.compile(rf"{_SUMMARY}(_.*)?|(min|max)(imum)?|longest|shortest|total|consistency")
 """First cell of a row that sums up others; elsewhere only a summary's own word counts."""
+_PEOPLE = {"player", "player_name", "golfer", "name"}
+"""Columns with names of people: Max is one, not a label."""
 _NO_VALUE = {"", "-", "--", "–", "—", "n/a", "na", "nan", "null", "none"}
 _UNIT = re.compile(r"[\[(].*[\])]|%|°|mph|kph|rpm|deg(rees)?|yds?|yards|fe?e?t|m|s|sec|(km/h|m/s|ft/s)")
 
@@ -129,7 +131,7 @@ def read_table(path: Path, known: Callable[[str], bool]) -> MeasurementTable:
             continue
         if all(_UNIT.fullmatch(cell.lower()) for cell in cells if cell):
             units = tuple(map(key_of, cells))
-        elif summary := _summary(cells):
+        elif summary := _summary(cells, names):
             notes.append(f"line {line}: {summary}")
         else:
             rows.append((line, tuple("" if cell.lower() in _NO_VALUE else cell for cell in cells)))
@@ -167,11 +169,12 @@ def _text(path: Path) -> str:
         ) from None
 
 
-def _summary(cells: Sequence[str]) -> str:
+def _summary(cells: Sequence[str], names: Sequence[str]) -> str:
     """Return the word that makes a row one of averages or deviations; empty without one."""
-    label = next(filter(None, cells))
+    label, column = next((cell, name) for cell, name in zip(cells, names, strict=True) if cell)
     words = [cell for cell in cells if re.fullmatch(_SUMMARY, key_of(cell))]
-    return label if _LABEL.fullmatch(key_of(label)) else next(iter(words), "")
+    is_label = _LABEL.fullmatch(key_of(label)) and key_of(column) not in _PEOPLE
+    return label if is_label else next(iter(words), "")
 
 
 def _cells(text: str, separator: str, *, strict: bool = False) -> Iterator[tuple[int, tuple[str, ...]]]:

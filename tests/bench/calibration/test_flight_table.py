@@ -154,6 +154,12 @@ def test_read_flights_summary_row_is_skipped_and_noted(tmp_path: Path, row: str)
     assert (len(flights), notes) == (1, (f"line 3: {row.split(',', maxsplit=1)[0]}",))
 
 
+@pytest.mark.parametrize(("name", "count"), [("Max", 1), ("Average", 0)])
+def test_read_flights_player_called_max_counts(tmp_path: Path, name: str, count: int) -> None:
+    flights, _ = read(tmp_path, f"Player,{HEADER}\n{name},{FLIGHT}\n")
+    assert len(flights) == count
+
+
 @pytest.mark.parametrize(
     ("row", "figure"),
     [
