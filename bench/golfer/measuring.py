@@ -203,15 +203,15 @@ def _top(capture: Capture, grid: _Grid, hands: Array, options: ImportOptions) ->
     """
     if options.top is not None:
         before = options.top - capture.start - grid.impact.frame / capture.rate
-        row = round((before - grid.time[0]) / STEP)
-        if not 0 < row < len(grid.time) - 50:
+        row = (before - grid.time[0]) / STEP
+        if not 0.5 < row < len(grid.time) - 50.5:
             raise BenchError(
                 "--events top",
                 f"{options.top:g} s",
                 "a time before the ball, within the file",
                 "Correct it to the time of the top of the backswing.",
             )
-        return row, GIVEN
+        return round(row), GIVEN
     row_ = find_top(grid.time, hands)
     if row_ is None:
         action = "Export the recording from address on, or give --events top=S."

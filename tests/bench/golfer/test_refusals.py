@@ -387,8 +387,10 @@ def test_import_swapped_lead_and_trail_refused(tmp_path: Path) -> None:
         (ImportOptions(up="-z"), "--up"),
         (ImportOptions(impact=9.0), "--events impact"),
         (ImportOptions(top=1.30), "--events top"),
+        (ImportOptions(top=float("nan")), "--events top"),
+        (ImportOptions(top=float("inf")), "--events top"),
     ],
-    ids=["lead", "up", "impact", "top"],
+    ids=["lead", "up", "impact", "top", "top nan", "top inf"],
 )
 def test_import_contradicting_option_refused(options: ImportOptions, location: str, tmp_path: Path) -> None:
     with pytest.raises(BenchError) as refused:
