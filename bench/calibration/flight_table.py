@@ -5,17 +5,16 @@ in a row below. Column `flight` has the number of the flight in tables of trajec
 a figure that was not measured; direction and spin axis default to 0, the air to that of `sim.air.Air`.
 
 UTF-8 and UTF-16 are read, with the separators comma, semicolon and tab (also named by a first line `sep=;`),
-and decimal commas, in quotes where the comma is the separator.
-Lines before the header, a row of units below it, and repeated headers are accepted. Rows of averages and
-deviations are left out, and those in which the device measured no speed, launch angle or spin. Column names
-are compared in lower case, words joined by underscores: "Ball Speed (mph)" is "ball_speed_mph".
+and decimal commas, in quotes where the comma is the separator. Lines before the header, a row of units below
+it, and repeated headers are accepted. Rows of averages and deviations are left out, and those in which the
+device measured no speed, launch angle or spin. Column names are compared in lower case, words joined by
+underscores: "Ball Speed (mph)" is "ball_speed_mph".
 """
 
 from __future__ import annotations
 
 import csv
 import re
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import StringIO
 from itertools import islice
@@ -26,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.base.errors import BenchError
+from bench.base.text_encoding import encoding_of
 from bench.calibration.aerodynamics_fit import MeasuredFlight
 from drivers.base import Launch
 from sim.air import Air
@@ -159,10 +159,8 @@ def _text(path: Path) -> str:
     for start, kind in _FILES.items():
         if data.startswith(start):
             raise BenchError(str(path), kind, "a table (CSV)", "Save the sheet as CSV.")
-    wide = data.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
-    encoding = "utf-16" if wide else "utf-16-le" if data[1:2] == b"\0" else "utf-8-sig"
     try:
-        return data.decode(encoding)
+        return data.decode(encoding_of(data))
     except UnicodeDecodeError as error:
         raise BenchError(
             str(path), f"byte {error.start} is not {error.encoding}", "UTF-8 or UTF-16", "Save it as UTF-8."

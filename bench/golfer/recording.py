@@ -6,7 +6,6 @@ import csv
 import hashlib
 import io
 import re
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.base.errors import BenchError
+from bench.base.text_encoding import encoding_of
 from bench.golfer.roles import Array, Capture, damaged, number
 
 _JITTER = 0.2
@@ -23,8 +23,7 @@ _MIN_FRAMES, _MAX_FRAMES = 30, 200_000
 
 def _lines(content: bytes) -> list[str]:
     """Return the lines; a byte that is no UTF-8 is one of a name or path, as programs of Windows write it."""
-    wide = content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
-    return content.decode("utf-16" if wide else "utf-8-sig", errors="replace").splitlines()
+    return content.decode(encoding_of(content), errors="replace").splitlines()
 
 
 def read_trc(path: Path, content: bytes) -> Capture:
