@@ -13,6 +13,9 @@ TPDO1, TPDO2, TPDO3, TPDO4, RPDO1 = 0x180, 0x280, 0x380, 0x480, 0x200
 SDO_RESPONSE, SDO_REQUEST, HEARTBEAT = 0x580, 0x600, 0x700
 """Function codes of CiA 301's predefined connection set; the node's number is added."""
 
+MAX_ECHO_DELAY = 0.005
+"""Age from which an echo does not belong to the last SYNC (s)."""
+
 MAX_LOAD = 0.75
 """Maximum bus load (share); above it frames of low priority wait too long."""
 

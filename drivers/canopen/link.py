@@ -24,7 +24,7 @@ from can.interfaces.socketcan.constants import SO_TIMESTAMPNS
 from drivers.base import DriverError
 from drivers.base.clocks import WallOffset
 from drivers.can_bus import ERROR, EXTENDED, FRAME, REMOTE, LocalSocketBus, message_of
-from drivers.canopen.frames import SYNC
+from drivers.canopen.frames import MAX_ECHO_DELAY, SYNC
 from drivers.canopen.settings import CanopenSettings
 
 
@@ -80,8 +80,6 @@ _RECEIVE_BUFFER = 8 * 2**20
 """Receive buffer in bytes; the kernel's default of 212,992 holds 278 frames."""
 _STAMP = struct.Struct("@ll")
 _ANCILLARY_SIZE = socket.CMSG_SPACE(_STAMP.size)
-_MAX_ECHO_DELAY = 0.005
-"""Age from which an echo does not belong to the last SYNC (s)."""
 
 
 def whole_frame(received: bytes) -> bytes:
@@ -155,7 +153,7 @@ class SocketcanLink:
 
     def sync_time(self, sent: float) -> float:
         """Return when the SYNC sent at `sent` was on the wire, or `sent` if not yet known (s)."""
-        return self.echoed if sent <= self.echoed < sent + _MAX_ECHO_DELAY else sent
+        return self.echoed if sent <= self.echoed < sent + MAX_ECHO_DELAY else sent
 
     def _note_echo(self, ancillary: list[tuple[int, int, bytes]]) -> None:
         """Note when the own SYNC was transmitted; the filters pass no other own frame."""

@@ -31,6 +31,7 @@ from drivers.canopen.frames import (
     COMMAND_LENGTH,
     HEARTBEAT,
     INPUTS_LENGTH,
+    MAX_ECHO_DELAY,
     POSITION_LENGTH,
     TPDO1,
     TPDO2,
@@ -72,8 +73,6 @@ _READABLE = 1
 _SCM_TIMESTAMPNS = 35
 _REALTIME, _MONOTONIC = 0, 1
 _SECOND = 1_000_000_000
-_MAX_ECHO_DELAY = 0.005
-"""Age from which an echo does not belong to the last SYNC (s)."""
 
 LINK_STATE = np.dtype(
     [
@@ -403,7 +402,7 @@ def _await(states: Any, block: int) -> bool:
             if n == 0:
                 break
     sent = s.sync_time
-    if sent <= s.echoed < sent + _MAX_ECHO_DELAY and s.echoed != sent:
+    if sent <= s.echoed < sent + MAX_ECHO_DELAY and s.echoed != sent:
         s.sync_time = s.echoed
         for joint in range(3):
             if s.sampled[joint] == sent:
