@@ -89,6 +89,10 @@ class CampaignRun(NamedTuple):
     """Facts of the running bench, and the digest of the configuration."""
 
 
+MAX_COMMENT_LENGTH = 200
+"""Max length of a comment, characters."""
+
+
 class ShotNote(NamedTuple):
     """A person's mark or comment on a shot."""
 

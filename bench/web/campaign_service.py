@@ -27,7 +27,7 @@ from bench.config import Configuration, database_url
 from bench.records.shot.shot import Shot, ShotStatus
 from bench.store.campaigns import CampaignStore
 from bench.store.database import is_there, open_database
-from bench.store.records import ENDED, CampaignState, Prompt, ShotNote
+from bench.store.records import ENDED, MAX_COMMENT_LENGTH, CampaignState, Prompt, ShotNote
 from bench.web.answers import Asked, InvalidBody, UnknownName
 from bench.web.command_line import BackgroundCommand, CommandLine
 from bench.web.downloads import MAX_RECORDS, REPORT, Download, Downloads
@@ -273,7 +273,6 @@ class RunningCampaigns:
         return self._details[name][1]
 
 
-MAX_COMMENT_LENGTH = 200
 STARTED = "{}: its runner starts, checks plan and bench, then takes the bench"
 
 

@@ -31,10 +31,8 @@ from bench.base.errors import BenchError, Refused
 from bench.campaign.plan.prompts import Numbered, PromptKind, balls_of, places, require_count
 from bench.commands.campaign.campaign_screen import CampaignBar
 from bench.commands.common.session import user_name
-from bench.store.records import Prompt, ShotNote
+from bench.store.records import MAX_COMMENT_LENGTH, Prompt, ShotNote
 
-MAX_COMMENT_LENGTH = 200
-"""Max length of a comment, characters."""
 HINT = "m: mark the last shot"
 _LOOK = 0.1
 """Max time until a key is seen, s."""

@@ -25,11 +25,11 @@ from bench.campaign.plan.plan_file import load_plan
 from bench.campaign.run.runner_control import new_entry
 from bench.commands.campaign.campaign import _local_store, _marker
 from bench.commands.campaign.campaign_screen import CampaignBar
-from bench.commands.campaign.campaign_terminal import HINT, MAX_COMMENT_LENGTH, MarkLine, mark_keys
+from bench.commands.campaign.campaign_terminal import HINT, MarkLine, mark_keys
 from bench.config import database_url, load_configuration
 from bench.store.campaigns import CampaignStore
 from bench.store.database import open_database
-from bench.store.records import CampaignState, ShotNote
+from bench.store.records import MAX_COMMENT_LENGTH, CampaignState, ShotNote
 
 NOW = datetime(2026, 11, 23, 12, 0, tzinfo=UTC)
 
