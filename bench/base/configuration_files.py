@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, did_you_mean
 from bench.base.from_toml import Tree, as_tree, format_value, laid_over, read_toml
 
 SHIPPED = "shipped"
@@ -42,12 +42,14 @@ def find_configuration(wanted: Path | None = None) -> Path:
     if wanted is None:
         here = Path("config.toml")
         return here if here.exists() else shipped_configuration()
-    if wanted.exists():
+    if wanted.exists() and not wanted.is_dir():
         return wanted
     if (named := _named(str(wanted))) is not None:
         return named
+    found = "a folder, or an empty text" if wanted.is_dir() else "no such file"
     expected = f"a configuration file, or one of {', '.join(variant_names())}"
-    raise BenchError(str(wanted), "no such file", expected, "Correct the path after --config.")
+    action = did_you_mean(wanted.name, variant_names(), "Correct the path after --config.")
+    raise BenchError(f"--config {wanted}", found, expected, action)
 
 
 def _named(name: str) -> Path | None:

@@ -14,7 +14,7 @@ from bench.base.configuration_files import PRINT, SHIPPED, find_configuration, r
 from bench.base.errors import BenchError
 from bench.base.from_toml import Builder, TomlValue, Tree, errors_of, format_value, laid_over, location_of
 from bench.config.club_site import ClubSite
-from bench.config.defaults import DERIVED, default_tables
+from bench.config.defaults import DERIVED, default_tables, keys_of
 from bench.config.rules import RULES
 from bench.config.settings import Configuration
 
@@ -23,12 +23,20 @@ def load_configuration(path: Path | None = None) -> Configuration:
     """Return the checked configuration at `path` (as `find_configuration` takes it).
 
     Raises:
-        BenchError: a file is missing, cannot be read, or is not TOML.
+        BenchError: a file or most of its tables are missing, it cannot be read, or is not TOML.
         ExceptionGroup: the files have mistakes; it has one BenchError for each.
     """
     faults: list[BenchError] = []
     file = find_configuration(path)
     tree, files = read_layers(file, default_tables, faults)
+    missing = [name for name in keys_of(Configuration, "") if name not in tree]
+    if len(files) == 1 and len(missing) > 1:
+        raise BenchError(
+            str(shown_path(file)),
+            f"{len(missing)} tables missing, such as {', '.join(missing[:3])}",
+            f"every table, or a base that has them; {PRINT} prints all",
+            f'Begin the file with base = "{SHIPPED}".',
+        )
     for section in ("clubs", "balls"):
         _complete_likes(tree, section, file, faults)
     add = f"Add it; {PRINT} prints every key. "

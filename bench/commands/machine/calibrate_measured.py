@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from math import pi, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -195,17 +195,21 @@ def _uncertainty(
 
 def _day(text: str | None) -> datetime:
     """Return noon (UTC) of the day in `text`; now without one."""
+    now = datetime.now(UTC)
     if text is None:
-        return datetime.now(UTC)
+        return now
     try:
-        return datetime.strptime(text, "%Y-%m-%d").replace(hour=12, tzinfo=UTC)
+        day = datetime.strptime(text, "%Y-%m-%d").replace(hour=12, tzinfo=UTC)
     except ValueError:
+        day = None
+    if day is None or day.date() > now.date() + timedelta(days=1):  # it may be tomorrow east of here
         raise BenchError(
             "calibrate aerodynamics: --measured",
             repr(text),
-            "a day such as 2026-11-22",
-            "Give the day as --measured YYYY-MM-DD.",
-        ) from None
+            f"a day up to today, {now:%Y-%m-%d}",
+            "Give the day of the measurement as --measured YYYY-MM-DD.",
+        )
+    return day
 
 
 def user_name() -> str:

@@ -496,7 +496,20 @@ def test_configuration_missing_file_lists_variants(tmp_path: Path) -> None:
 
 def test_configuration_folder_is_refused(tmp_path: Path) -> None:
     (fault,) = faults(tmp_path)
-    assert fault.found == "Is a directory"
+    assert fault.found == "a folder, or an empty text"
+
+
+def test_configuration_misspelt_variant_suggests_name() -> None:
+    (fault,) = faults(Path("high_sped"))
+    assert fault.action == "Did you mean high_speed?"
+
+
+@pytest.mark.parametrize("text", ["", "[swing]\nball = 'two-piece'\n"])
+def test_configuration_without_base_and_tables_is_one_error(text: str, tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(text)
+    (fault,) = faults(tmp_path / "own.toml")
+    assert "tables missing, such as bench" in fault.found
+    assert 'base = "shipped"' in fault.action
 
 
 VALUES = st.one_of(

@@ -308,8 +308,9 @@ def test_calibrate_aerodynamics_fits_stores_and_lists_drag(golfbench: Run, tmp_p
     assert "aerodynamics of tour: drag 1.0300" in golfbench("calibrate", "list")[1]
     (record,) = json.loads(golfbench("calibrate", "list", "--json")[1])
     assert (record["kind"], record["subject"], record["source"]) == ("aerodynamics", "tour", "radar, range 2")
-    code, _, errors = golfbench(*command, "--measured", "tomorrow")
-    assert (code, "--measured" in errors) == (2, True)
+    for day in ("tomorrow", "2999-01-01"):
+        code, _, errors = golfbench(*command, "--measured", day)
+        assert (code, "--measured" in errors) == (2, True)
     code, _, errors = golfbench(*command, "--mass-g", "0.04593")
     assert (code, "--mass-g" in errors, "flights.csv" in errors) == (2, True, False)
     (tmp_path / "flights.csv").write_text("\n".join(rows[:3]))
