@@ -22,8 +22,8 @@ from bench.control.monitor.pressure_monitor import air_cause
 from bench.control.monitor.spool_monitor import spool_cause
 from bench.control.moves.address_pressure import address_air_cause
 from bench.control.moves.first_motion import first_motion_cause
+from bench.control.moves.ground_clearance import monitor_low_head
 from bench.control.moves.homing import search_cause
-from bench.control.moves.initial_clearance import monitor_low_head
 from bench.control.moves.references import charging
 from bench.control.states import disarm, react
 from drivers.base.compiled import compiled

@@ -1,4 +1,4 @@
-"""Requests to the bench: each is accepted or refused, with the reason, in its tick."""
+"""Requests to the bench: each is accepted and executed, or refused with the reason, in its tick."""
 
 from __future__ import annotations
 
@@ -8,26 +8,18 @@ import numpy as np
 
 from bench.base.lifecycle import Answer, Cause, Phase, Reaction, Refusal, Request, State
 from bench.control.envelope import interlock_cause
+from bench.control.law.pid import reset_integral
 from bench.control.monitor.pressure_monitor import air_cause, all_chambers_are_seen, chambers_show_pressure
 from bench.control.monitor.spool_monitor import spool_cause
+from bench.control.moves.homing import begin_search
+from bench.control.moves.references import begin_move, follow_profile
+from bench.control.states import change_state, disarm, near_address
 from drivers.base.compiled import compiled
 
 STOP_LOCKOUT_TIME = 1.5
 """Time after a stop in which no motion begins (s): requests sent before the stop are older than it. The
 command plane drops a request that has waited for longer than this less half a second, in which the loop takes
 it."""
-
-
-@compiled
-def near_address(parameters: Any, estimator: Any) -> bool:
-    """Return whether every joint rests at the address within its tolerance."""
-    p, e = parameters.control[0], estimator[0]
-    for i in range(3):
-        if not abs(e.angle[i] - parameters.angle[0, i]) <= p.address_tolerance[i]:
-            return False
-        if not abs(e.velocity[i]) <= 2.0 * p.rest_speed[i]:
-            return False
-    return True
 
 
 @compiled
@@ -225,3 +217,72 @@ def handle_request(state: Any, parameters: Any, readings: Any, time: float) -> i
         return 0
     s.answer = Answer.ACCEPTED
     return int(request)
+
+
+@compiled
+def execute_request(state: Any, parameters: Any, request: int, time: float) -> None:
+    """Carry out the accepted `request`."""
+    s = state.control[0]
+    if request == Request.RESET:
+        _reset(s, parameters, time)
+    elif request == Request.HOME:
+        _begin_homing(state, parameters, time)
+    elif request == Request.ARM:
+        _arm(state, parameters, time)
+    elif request == Request.SWING:
+        _begin_swing(s, parameters, time)
+    elif request == Request.DISARM:
+        if s.state == State.RECOVERING:
+            s.disarming = True  # the return is the safe way home; then nothing stays armed
+        else:
+            disarm(s, parameters, time)
+    elif request == Request.ACCESS:
+        if change_state(s, parameters, State.ACCESS, time):
+            s.securing = s.venting.trapped = False
+    elif request == Request.SECURE:
+        s.securing, s.state_since, s.reset_pressed = True, time, -np.inf
+    elif request == Request.TEE:
+        s.tee = True
+
+
+@compiled
+def _reset(s: Any, parameters: Any, time: float) -> None:
+    if change_state(s, parameters, State.READY if s.homed else State.SAFE, time):
+        s.cause = s.latest_cause = 0
+        s.manifold.excused = s.manifold.unproven
+        for k in range(len(s.exhausts.slow)):
+            s.exhausts.slow[k] = 0
+        s.emergency = False
+        s.reaction, s.reset_pressed, s.stopped_at = Reaction.NONE, -np.inf, -np.inf
+
+
+@compiled
+def _begin_homing(state: Any, parameters: Any, time: float) -> None:
+    s, p = state.control[0], parameters.control[0]
+    if not change_state(s, parameters, State.HOMING, time):
+        return
+    s.homed, s.homing.agreed_since = False, time
+    if p.home_by_index:
+        begin_search(state, p, time)
+
+
+@compiled
+def _arm(state: Any, parameters: Any, time: float) -> None:
+    s, p, e = state.control[0], parameters.control[0], state.estimator[0]
+    if not change_state(s, parameters, State.ARMED, time):
+        return
+    reset_integral(state.pid)
+    s.disarming = s.tee = False
+    s.air_from = time + p.warning_time
+    # Set-point := measured; the move begins when the chambers are charged.
+    begin_move(parameters, s, e.angle, s.air_from + p.precharge_time)
+
+
+@compiled
+def _begin_swing(s: Any, parameters: Any, time: float) -> None:
+    if not change_state(s, parameters, State.SWINGING, time):
+        return
+    s.swinging, s.swing.start, s.swing.struck, s.swing.fastest_head = True, time, False, 0.0
+    s.swings += 1
+    # The integrals continue: the output of this tick also holds the damping term's noise.
+    follow_profile(parameters, s, time)

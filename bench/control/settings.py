@@ -25,10 +25,9 @@ from bench.control.estimate.residual_monitor import ARMING, BRAKING, KINDS, LEAR
 from bench.control.law.feed_forward import CODES, FeedForward, kane_gains
 from bench.control.law.force_reference import demand_for
 from bench.control.law.gain_scheduling import machine_gains
-from bench.control.law.gain_table import GainTable, constant_gains
-from bench.control.law.gains import Gains
+from bench.control.law.gain_table import Gains, GainTable, constant_gains
 from bench.control.law.pid import design_pid
-from bench.control.moves import turf_avoidance
+from bench.control.moves import ground_clearance
 from bench.control.moves.braking import lifted_angle
 from bench.control.moves.pressed_stops import pressed_stops, stop_tolerance
 from bench.control.moves.pressure_plan import dither_amplitudes, dither_duties, dither_periods
@@ -583,7 +582,7 @@ def _control_record(
     record["feed_forward"] = CODES.index(control.feed_forward)
     if plant.site.surface != "none":
         record["lift_gain"], record["lift_angle"] = control.turf_lift_gain, lifted_angle(plant)
-        record["escape_opening"], record["escape_time"] = turf_avoidance.OPENINGS, turf_avoidance.TIMES
+        record["escape_opening"], record["escape_time"] = ground_clearance.OPENINGS, ground_clearance.TIMES
     record["home_order"] = [JOINTS.index(joint) for joint in homing.order]
     record["home_stop"] = pressed_stops(plant, homing.direction)
     record["home_stop_tolerance"] = stop_tolerance(plant, profile, homing.direction, homing.head_tolerance)

@@ -47,6 +47,18 @@ def is_slow_now(p: Any, e: Any) -> bool:
 
 
 @compiled
+def near_address(parameters: Any, estimator: Any) -> bool:
+    """Return whether every joint rests at the address within its tolerance."""
+    p, e = parameters.control[0], estimator[0]
+    for i in range(3):
+        if not abs(e.angle[i] - parameters.angle[0, i]) <= p.address_tolerance[i]:
+            return False
+        if not abs(e.velocity[i]) <= 2.0 * p.rest_speed[i]:
+            return False
+    return True
+
+
+@compiled
 def begin_reaction(s: Any, parameters: Any, reaction: int, time: float) -> bool:
     """Begin `reaction` unless one as severe is under way; return whether it began.
 

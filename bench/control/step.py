@@ -28,11 +28,10 @@ from bench.control.monitor.pressure_monitor import VENTS, air_fault, monitor_pre
 from bench.control.monitor.spool_monitor import monitor_spools
 from bench.control.motion_monitor import monitor_motion, monitor_permission
 from bench.control.moves.braking import brake, brake_blind, wait_passive
+from bench.control.moves.ground_clearance import escape
 from bench.control.moves.homing import bounded
 from bench.control.moves.motion import follow
-from bench.control.moves.turf_avoidance import escape
-from bench.control.request_actions import execute_request
-from bench.control.requests import handle_request, is_released, monitor_local_reset
+from bench.control.requests import execute_request, handle_request, is_released, monitor_local_reset
 from bench.control.standstill_monitor import monitor_standstill
 from bench.control.states import filter_velocity, is_at_rest
 from bench.control.step_records import ControlParameters, ControlState

@@ -290,7 +290,7 @@ CONTROL_STATE = np.dtype(
             "turf_override",
             "u1",
             (3,),
-        ),  # actuators that `bench.control.moves.turf_avoidance` moves even in PASSIVE
+        ),  # actuators that `bench.control.moves.ground_clearance` moves even in PASSIVE
         ("open_loop_joints", "u1", (3,)),  # joints that BLIND_BRAKE brakes without their encoder
         ("blind_row", "i8"),  # of its patterns; -1: none
         # One record for each monitor and move.

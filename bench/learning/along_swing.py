@@ -15,11 +15,16 @@ from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, Refused
 from bench.base.lifecycle import CAUSE_TEXT
-from bench.control.law.gain_table import gains_at
-from bench.control.law.gains import Gains
-from bench.control.law.linear_loop import Estimator, estimator_response, least_damping, loop_responses
+from bench.control.law.gain_table import Gains, gains_at
+from bench.control.law.linear_loop import (
+    Estimator,
+    Margins,
+    estimator_response,
+    least_damping,
+    loop_responses,
+    margins_of,
+)
 from bench.control.law.linear_plant import LinearPlant, OperatingPoint
-from bench.control.law.margins import Margins, margins_of
 from bench.simulation.series import Bench, Series, quiet
 from sim.plant import PlantParameters
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_TEXT, REFUSAL_TEXT, Answer, Cause, Phase, Refusal, Request
 from bench.control.monitor.pressure_monitor import chambers_show_pressure
-from bench.control.requests import near_address
+from bench.control.states import near_address
 from bench.control.step_records import ControlParameters, ControlState
 from bench.loop.loop import Cycles, bring_to_rest
 from bench.records.telemetry.cycle_record import CYCLE

@@ -20,13 +20,13 @@ from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_TEXT, Cause, Phase, Refusa
 from bench.commissioning.machine.driver_machine import DriverMachine, stopped_by_operator
 from bench.commissioning.machine.machine import MotionBounds, Segment
 from bench.config import Configuration
-from bench.control.requests import near_address
 from bench.control.settings import (
     HomingSettings,
     LifecycleSettings,
     build_controller,
     with_tables_of,
 )
+from bench.control.states import near_address
 from bench.learning.live import swung_cycles
 from bench.loop.loop import Cycle, Cycles, Loop
 from bench.simulation.loads import Loads

@@ -32,17 +32,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.control.estimate.estimator import ESTIMATOR_PARAMETERS
-from bench.control.law.gain_table import SHAPE, GainTable
-from bench.control.law.gains import Gains
+from bench.control.law.gain_table import SHAPE, Gains, GainTable
 from bench.control.law.linear_loop import (
     Estimator,
     estimator_response,
     least_damping,
     loop_responses,
+    margins_of,
     steady_estimator,
 )
 from bench.control.law.linear_plant import Complex, LinearPlant, at_rest, linearised, linearize
-from bench.control.law.margins import margins_of
 from drivers.base.compiled import new_record
 from sim.driver import joint_travel
 from sim.plant import Plant, PlantParameters, build_plant

@@ -13,10 +13,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.control.law.gains import Gains
 from drivers.base.compiled import compiled
 
 Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+
+class Gains(NamedTuple):
+    """Opening per rad, rad s, rad/s and rad/s2; and per rad/s of the reference in slow moves."""
+
+    proportional: Triple
+    integral: Triple
+    derivative: Triple
+    damping: Triple
+    move: Triple
+
 
 SHAPE = (7, 5, 7)
 """Poses along shoulder, arm and wrist."""

@@ -19,8 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from bench.control.law.gain_table import DERIVATIVE, GAIN_TABLE_FIELDS, INTEGRAL, PROPORTIONAL, GainTable
-from bench.control.law.gains import Gains
+from bench.control.law.gain_table import (
+    DERIVATIVE,
+    GAIN_TABLE_FIELDS,
+    INTEGRAL,
+    PROPORTIONAL,
+    Gains,
+    GainTable,
+)
 from drivers.base.compiled import compiled, new_record
 
 PID_PARAMETERS = np.dtype(

@@ -34,8 +34,7 @@ from bench.control.moves.references import (
     follow_profile,
     square_wave,
 )
-from bench.control.requests import near_address
-from bench.control.states import begin_reaction, change_state, enter_hold
+from bench.control.states import begin_reaction, change_state, enter_hold, near_address
 from drivers.base.compiled import compiled
 
 

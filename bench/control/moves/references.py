@@ -11,7 +11,7 @@ from typing import Any
 from bench.base.lifecycle import Phase
 from bench.control.estimate.air import actuator_motion
 from bench.control.law.feed_forward import PNEUMATIC, pneumatic_opening
-from bench.control.moves.move_order import joint_progress, moves_arm_first
+from bench.control.moves.ground_clearance import joint_progress, moves_arm_first
 from drivers.base.compiled import compiled
 
 _SLOW = 0.05

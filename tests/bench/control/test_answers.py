@@ -21,15 +21,17 @@ from bench.base.lifecycle import (
     Refusal,
     Request,
     State,
+    transition_table,
 )
 from bench.control.monitor.pressure_monitor import SENSORS
 from bench.control.requests import (
     check_request,
+    execute_request,
     handle_request,
     manifold_is_full,
-    near_address,
     note_local_reset,
 )
+from bench.control.states import near_address
 from bench.control.step_records import ControlParameters, ControlState
 from tests.bench.control.puppet import Puppet, put
 
@@ -491,3 +493,64 @@ def test_note_local_reset_counts_rising_edge_only(good: Make) -> None:
     ):
         note_local_reset(s, level, time)
         assert s["reset_pressed"] == pressed, time
+
+
+def executed(situation: Situation, request: Request, state: State) -> Any:
+    """Return the control record after `request` was carried out in `state`."""
+    situation.state.control["state"] = state
+    execute_request(situation.state, situation.parameters, int(request), NOW)
+    return situation.state.control[0]
+
+
+@pytest.mark.parametrize(("state", "later"), [(State.RECOVERING, True), (State.ARMED, False)])
+def test_execute_request_disarm_during_return_waits_for_its_end(
+    good: Make, state: State, later: bool
+) -> None:
+    s = executed(good(Request.DISARM), Request.DISARM, state)
+    assert s["disarming"] == later
+    assert (s["state"] == State.RECOVERING) == later
+
+
+def test_execute_request_access_secure_and_tee_set_their_fields(good: Make) -> None:
+    situation = good(Request.ACCESS)
+    situation.state.control["securing"] = situation.state.control["venting"]["trapped"] = True
+    s = executed(situation, Request.ACCESS, State.READY)
+    assert (s["state"], s["securing"], s["venting"]["trapped"]) == (State.ACCESS, False, False)
+    s = executed(situation, Request.SECURE, State.ACCESS)
+    assert (s["securing"], s["state_since"], s["reset_pressed"]) == (True, NOW, -inf)
+    assert executed(good(Request.TEE), Request.TEE, State.ARMED)["tee"]
+
+
+@pytest.mark.parametrize("by_index", [False, True])
+def test_execute_request_home_by_index_begins_search(good: Make, by_index: bool) -> None:
+    situation = good(Request.HOME)
+    situation.parameters.control["home_by_index"] = by_index
+    s = executed(situation, Request.HOME, State.SAFE)
+    assert (s["state"], s["homed"], s["homing"]["agreed_since"]) == (State.HOMING, False, NOW)
+    assert (s["phase"] == Phase.HOMING) == by_index
+
+
+@pytest.mark.parametrize(
+    ("request_", "target"),
+    [
+        (Request.RESET, State.SAFE),
+        (Request.HOME, State.HOMING),
+        (Request.ARM, State.ARMED),
+        (Request.SWING, State.SWINGING),
+        (Request.ACCESS, State.ACCESS),
+    ],
+)
+def test_execute_request_in_wrong_state_latches_exception(
+    good: Make, request_: Request, target: State
+) -> None:
+    wrong = next(state for state in State if not transition_table()[state][target])
+    s = executed(good(request_), request_, wrong)
+    assert (s["latest_cause"], s["cause"]) == (Cause.EXCEPTION, Cause.EXCEPTION)
+    assert (s["swinging"], s["moving"], s["tee"]) == (False, False, False)
+
+
+def test_execute_request_stop_changes_nothing(good: Make) -> None:
+    situation = good(Request.STOP)
+    before = situation.state.control.copy()
+    execute_request(situation.state, situation.parameters, int(Request.STOP), NOW)
+    assert repr(situation.state.control.tolist()) == repr(before.tolist())

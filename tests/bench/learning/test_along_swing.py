@@ -12,7 +12,7 @@ import pytest
 
 from bench.commands.cli import main
 from bench.config import load_configuration, shipped_configuration
-from bench.control.law.gains import Gains
+from bench.control.law.gain_table import Gains
 from bench.control.law.linear_loop import Estimator, least_damping, steady_estimator
 from bench.control.law.linear_plant import LinearPlant, linearize
 from bench.control.settings import estimator_record

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from bench.base.lifecycle import Phase
 from bench.control.law.gain_table import (
     SHAPE,
+    Gains,
     GainTable,
     constant_gains,
     gains_along,
@@ -20,7 +21,6 @@ from bench.control.law.gain_table import (
     interpolate_gains,
     supply_factor,
 )
-from bench.control.law.gains import Gains
 from bench.control.law.pid import design_pid
 from bench.control.settings import build_controller
 from bench.control.step import decide_tick, estimate_tick

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.control.law.gain_table import constant_gains, interpolate_gains
-from bench.control.law.gains import Gains, Triple
+from bench.control.law.gain_table import Gains, Triple, constant_gains, interpolate_gains
 from bench.control.law.pid import PID_STATE, control, design_pid, reset_integral
 from drivers.base.compiled import new_record
 

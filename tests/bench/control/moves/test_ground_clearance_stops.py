@@ -11,7 +11,7 @@ import pytest
 
 from bench.base.lifecycle import Cause, Phase, Reaction
 from bench.config import load_configuration
-from bench.control.moves.turf_avoidance import OPENINGS, TIMES, disobeying, escape
+from bench.control.moves.ground_clearance import OPENINGS, TIMES, disobeying, escape
 from bench.control.settings import build_controller
 from bench.control.step_records import CONTROL_PARAMETERS, CONTROL_STATE
 from bench.design.stop_verification import TRIALS, SwingCheck, TrialOutcome

@@ -11,7 +11,7 @@ import pytest
 
 from bench.base.lifecycle import Cause, Phase, Request
 from bench.config import Configuration, load_configuration
-from bench.control.moves.move_order import joint_progress, moves_arm_first
+from bench.control.moves.ground_clearance import joint_progress, moves_arm_first
 from bench.control.moves.references import begin_move, follow_move
 from bench.control.settings import build_controller
 from bench.control.step_records import ControlParameters

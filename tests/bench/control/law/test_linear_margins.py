@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.control.law.margins import margins_of
+from bench.control.law.linear_loop import margins_of
 
 FREQUENCY = np.geomspace(0.01, 1000.0, 20000)
 S: NDArray[np.complex128] = np.asarray(1j * FREQUENCY, dtype=complex)
