@@ -3,7 +3,7 @@
 Norm-optimal iterative learning control (Bristow, Tharayil & Alleyne 2006) on a few smooth weights. A step
 minimises
 
-    sum ((figure - target) / tolerance)^2 + path_weight^2 mean ((path - planned path) / path_scale)^2
+    sum ((figure - target) / tolerance)^2 + mean ((path - planned path) / path scale)^2
     + effort^2 |weights|^2
 
 as predicted, within bounds on the weights and a trust radius around the best swing so far. The prediction is
@@ -21,8 +21,7 @@ a better response.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +33,6 @@ from bench.learning.delivery import Figures, Tolerance, figures_of
 from bench.simulation.series import Bench, Series, SeriesSwing, quiet
 from bench.swing.correction import Basis
 from bench.swing.correction_terms import MAX_WEIGHT
-from drivers.base.ranges import Above, AtLeast
 from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
@@ -139,42 +137,31 @@ _OFFSET = 1e4
 Four = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True)
-class LearningSettings:
-    """Settings of the learner."""
-
-    swings: Annotated[int, AtLeast(1)] = 12
-    """Max number of learning swings."""
-    path_weight: Annotated[float, AtLeast(0)] = 1.0
-    """Weight of a path that is `path_scale` off on average, against one tolerance of one figure."""
-    path_scale: Annotated[float, Above(0)] = 0.01
-    """Error of the path that counts as one (rad)."""
-    effort: Annotated[float, AtLeast(0)] = 0.2
-    """Cost of one weight."""
-    radius: Annotated[float, Above(0)] = 1.5
-    """Longest first step, norm of the weights."""
-    greatest_radius: Annotated[float, Above(0)] = 3.0
-    least_radius: Annotated[float, Above(0)] = 0.1
-    bound: Annotated[float, Above(0)] = MAX_WEIGHT
-    """Max size of each weight."""
-    scatter: Four = (0.3, 0.4, 0.2, 0.2)
-    """Standard deviation between nominally equal swings in strike, speed, lean and attack, as a multiple of
-    the tolerances."""
-    path_scatter: Annotated[float, Above(0)] = 0.003
-    """Standard deviation of the path (rad)."""
-    unsettled: Four = (1.0, 7.0, 0.7, 1.5)
-    """Standard deviation by which the first swing after arming differs from the next ones, in tolerances."""
-    path_unsettled: Annotated[float, Above(0)] = 0.02
-    """Standard deviation of the path of the first swing after arming (rad)."""
-    doubt: Annotated[float, AtLeast(0)] = 0.5
-    """Share by which the robot's response differs from the model's."""
-    bend: Annotated[float, AtLeast(0)] = 0.1
-    """Share of the response by which a step of one weight bends it."""
-    enough: Annotated[float, Above(0)] = 0.5
-    """Share of the tolerances within which every predicted figure must lie for the best swing to be repeated,
-    and the mean of it and its repetition for confirmation."""
-    confirm: Annotated[float, Above(0)] = 1.0
-    """Share within which the repetition must lie."""
+SWINGS = 12
+"""Max number of learning swings by default."""
+_PATH_SCALE = 0.01
+"""Mean error of the path that counts as one tolerance of one figure (rad)."""
+_EFFORT = 0.2
+"""Cost of one weight."""
+RADIUS, _MIN_RADIUS, _MAX_RADIUS = 1.5, 0.1, 3.0
+"""Max norm of the first step of the weights, and of any step."""
+_SCATTER: Four = (0.3, 0.4, 0.2, 0.2)
+"""Standard deviation between nominally equal swings in strike, speed, lean and attack, in tolerances."""
+_PATH_SCATTER = 0.003
+"""Standard deviation of the path (rad)."""
+_UNSETTLED: Four = (1.0, 7.0, 0.7, 1.5)
+"""Standard deviation by which the first swing after arming differs from the next ones, in tolerances."""
+_PATH_UNSETTLED = 0.02
+"""Standard deviation of the path of the first swing after arming (rad)."""
+DOUBT = 0.5
+"""Share by which the robot's response differs from the model's."""
+_BEND = 0.1
+"""Share of the response by which a step of one weight bends it."""
+ENOUGH = 0.5
+"""Share of the tolerances within which every predicted figure must lie for the best swing to be repeated,
+and the mean of it and its repetition for confirmation."""
+_CONFIRM = 1.0
+"""Share of the tolerances within which the repetition must lie."""
 
 
 class LearnerTrial(NamedTuple):
@@ -202,43 +189,36 @@ class Beginning(NamedTuple):
     path_offset: float
     """Standard deviation of the expected path, rad."""
     doubt: float
-    """Present value of `LearningSettings.doubt`."""
+    """Present value of `DOUBT`."""
     radius: float
-    """Present value of `LearningSettings.radius`."""
+    """Present value of `RADIUS`."""
 
 
 class Learner:
     """Proposes a `point`, notes the swing made with it, proposes the next one; the best point is kept."""
 
     def __init__(
-        self,
-        response: Response,
-        target: Figures,
-        plan: Array,
-        tolerance: Tolerance,
-        settings: LearningSettings,
-        beginning: Beginning | None = None,
-    ):
+        self, response: Response, target: Figures, plan: Array, beginning: Beginning | None = None
+    ) -> None:
         """`response` is the model's without correction, `plan` (r, 3) the planned path at its rows, rad.
 
         `beginning` overrides the response.
         """
-        s, self._settings = settings, settings
-        self._target, self._scale = target.array, tolerance.scale(target)
+        self._target, self._scale = target.array, Tolerance().scale(target)
         self._plan = plan
-        self._path_factor = s.path_weight / s.path_scale / np.sqrt(plan.size)
+        self._path_factor = 1.0 / _PATH_SCALE / np.sqrt(plan.size)
         expected = response if beginning is None else beginning.response
         self._prior = np.vstack(
             [expected.by_figures / self._scale[:, None], self._path_factor * expected.by_path]
         )
-        self._noise = self._rows(s.scatter, s.path_scatter)
-        self._unsettled = self._rows(s.unsettled, s.path_unsettled)
+        self._noise = self._rows(_SCATTER, _PATH_SCATTER)
+        self._unsettled = self._rows(_UNSETTLED, _PATH_UNSETTLED)
         self._size = np.linalg.norm(self._prior, axis=1) + 1e-9
         self._origin = np.zeros(self._prior.shape[1]) if beginning is None else beginning.point
         self._known = beginning is not None
-        self._doubt, self._offset = s.doubt, np.full(len(self._prior), _OFFSET)
+        self._doubt, self._offset = DOUBT, np.full(len(self._prior), _OFFSET)
         self._expected = np.zeros(len(self._prior))
-        self._radius = s.radius
+        self._radius = RADIUS
         self.trials: list[LearnerTrial] = []
         self._errors: list[Array] = []
         self._best = 0
@@ -288,7 +268,7 @@ class Learner:
         """Whether a swing and its repetition were well within the tolerances."""
         last = len(self.trials) - 1
         alike = self._alike(last)
-        if len(alike) < 2 or not self.trials[last].settled or not self._reached(last, self._settings.confirm):
+        if len(alike) < 2 or not self.trials[last].settled or not self._reached(last, _CONFIRM):
             return False
         return self._near(self._mean(last))
 
@@ -321,20 +301,20 @@ class Learner:
             if len(errors) > 1:
                 squares += np.sum((errors - errors.mean(axis=0)) ** 2, axis=0)
                 count += len(errors) - 1
-        return np.sqrt(squares / count) if count else np.array(self._settings.scatter)
+        return np.sqrt(squares / count) if count else np.array(_SCATTER)
 
     def note(self, trial: LearnerTrial) -> None:
         """Note the swing made with `trial.point` and set the next `point`."""
         self.trials.append(trial)
         self._errors.append(self._error(trial.figures, trial.path))
-        last, s = len(self.trials) - 1, self._settings
+        last = len(self.trials) - 1
         if last and self._cost(last) >= self._cost(self._best):
             # An unsettled one does not judge the step.
             if trial.settled or np.isnan(trial.figures).all():
-                self._radius = max(0.5 * self._radius, s.least_radius)
+                self._radius = max(0.5 * self._radius, _MIN_RADIUS)
         else:
             self._best = last
-            self._radius = min(1.5 * self._radius, s.greatest_radius) if last else self._radius
+            self._radius = min(1.5 * self._radius, _MAX_RADIUS) if last else self._radius
         at, matrix = self._prediction()
         near = self._near(at[:4]) and (len(self._alike(self._best)) < 2 or self._near(self._mean(self._best)))
         self.point = self.best.point if near else self._next(at, matrix)
@@ -342,7 +322,7 @@ class Learner:
     def _near(self, figures: Array) -> bool:
         """Return whether errors (4,) are well within the tolerances; unknown ones do not count."""
         known = figures[np.isfinite(figures)]
-        return bool(known.size and np.abs(known).max() <= self._settings.enough)
+        return bool(known.size and np.abs(known).max() <= ENOUGH)
 
     def _mean(self, number: int) -> Array:
         """Return the mean error (4,) of the swings comparable to swing `number`."""
@@ -358,9 +338,7 @@ class Learner:
         known = np.isfinite(errors)
         missing = 0.0 if known[:4].any() else _STOPPED * float(2.0 - known.mean())
         begun = float(np.sum(self._begun(number) ** 2))
-        return float(
-            np.sum(errors[known] ** 2) + self._settings.effort**2 * np.sum(point**2) + missing + begun
-        )
+        return float(np.sum(errors[known] ** 2) + _EFFORT**2 * np.sum(point**2) + missing + begun)
 
     def _start(self) -> Array:
         """Return the weights from which the next step starts."""
@@ -368,7 +346,7 @@ class Learner:
 
     def _prediction(self) -> tuple[Array, Array]:
         """Return errors at the best point and their derivatives, NaN where still unknown."""
-        s, origin, start = self._settings, self._origin, self._start() - self._origin
+        origin, start = self._origin, self._start() - self._origin
         at, matrix = self._expected + self._prior @ start, self._prior.copy()
         if not self._known:
             at[:] = np.nan
@@ -383,7 +361,7 @@ class Learner:
             if not known.any():
                 continue
             seen, spread = points[known], (self._doubt * size) ** 2 / len(start)
-            noise = self._noise[k] ** 2 + (s.bend * size * distance[known]) ** 2
+            noise = self._noise[k] ** 2 + (_BEND * size * distance[known]) ** 2
             noise += unsettled[known] * self._unsettled[k] ** 2
             offset = self._offset[k] ** 2
             covariance = offset + spread * products[np.ix_(known, known)] + np.diag(noise)
@@ -394,15 +372,15 @@ class Learner:
         return at, matrix
 
     def _next(self, errors: Array, matrix: Array) -> Array:
-        s, start = self._settings, self._start()
+        start = self._start()
         known = np.isfinite(errors)
         errors, matrix = errors[known], matrix[known]
         unit, damping = np.eye(len(start)), 0.01
         while True:
             # The damping keeps a step within the radius; unlike the effort it does not pull it towards zero.
-            left = np.vstack([matrix, s.effort * unit, damping * unit])
-            right = -np.concatenate([errors, s.effort * start, np.zeros(len(start))])
-            step = np.asarray(lsq_linear(left, right, (-s.bound - start, s.bound - start + 1e-9)).x)
+            left = np.vstack([matrix, _EFFORT * unit, damping * unit])
+            right = -np.concatenate([errors, _EFFORT * start, np.zeros(len(start))])
+            step = np.asarray(lsq_linear(left, right, (-MAX_WEIGHT - start, MAX_WEIGHT - start + 1e-9)).x)
             if np.linalg.norm(step) <= self._radius:
                 return start + step
             damping *= 1.6

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Cause, Phase
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, planned_figures
-from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings, Model, Response
+from bench.learning.ilc import DOUBT, RADIUS, SWINGS, Beginning, Learner, LearnerTrial, Model, Response
 from bench.records.shot.recorded_shot import plant_of
 from bench.records.telemetry.recorder import read_swing
 from bench.records.telemetry.swing_metadata import read_profile
@@ -67,7 +67,6 @@ class LearningResult(NamedTuple):
     """Result of learning."""
 
     target: Figures
-    tolerance: Tolerance
     attempts: tuple[Attempt, ...]
     """The first is the swing before learning."""
     chosen: int
@@ -133,12 +132,11 @@ def on_series(problem: LearningProblem, series: Series) -> Swinger:
 def learn(
     problem: LearningProblem,
     swing: Swinger,
-    settings: LearningSettings | None = None,
-    tolerance: Tolerance | None = None,
+    swings: int = SWINGS,
     on_attempt: Callable[[Attempt], None] = lambda attempt: None,
     start: Array | None = None,
 ) -> LearningResult:
-    """Swing until the target is reached and confirmed, or the swings are used up.
+    """Swing until the target is reached and confirmed, at most `swings` times after the first.
 
     It is reached when the mean of at least two swings with the same correction lies well within every
     tolerance, and so does the last of them. The first swing has the weights `start` (m,), by default those
@@ -147,12 +145,11 @@ def learn(
     Raises:
         Refused: the robot does not come back to its address.
     """
-    settings, tolerance = settings or LearningSettings(), tolerance or Tolerance()
-    learner = Learner(problem.response, problem.target, problem.path, tolerance, settings, problem.beginning)
+    learner = Learner(problem.response, problem.target, problem.path, problem.beginning)
     if start is not None:
         learner.point = start
     attempts: list[Attempt] = []
-    for _ in range(settings.swings + 1):
+    for _ in range(swings + 1):
         trial, attempt = _attempt(problem, swing, learner)
         attempts.append(attempt)
         on_attempt(attempt)
@@ -163,7 +160,6 @@ def learn(
     weights = learner.trials[chosen].point
     return LearningResult(
         problem.target,
-        tolerance,
         tuple(attempts),
         chosen,
         weights,
@@ -253,9 +249,9 @@ def require_alike(one: Profile, other: Profile, location: str) -> None:
         )
 
 
-OFFSET, PATH_OFFSET, DOUBT, RADIUS = (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1
+_IDENTIFIED = ((0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1)
 """Difference of the first delivery from the expected one, tolerances and rad, share by which the response
-differed from the identified one, and radius, found with random and worn robots (benchmark `identified`)."""
+differed from the identified one, and radius, found with random and worn robots."""
 _MAX_RESIDUAL = 10.0
 """Max error after identification, tolerances; it was at most one where identification found the robot."""
 _ANYTHING = (1e4,) * 4
@@ -288,12 +284,8 @@ def begun_on(
     figures = np.mean([swung.figures.array for swung in swings], axis=0) + beyond
     path = np.mean([swung.cycles["angle"][response.rows] for swung in swings], axis=0)
     about = response._replace(figures=figures, path=path)
-    if recorded:
-        known = Beginning(weights, about, OFFSET, PATH_OFFSET, DOUBT, RADIUS)
-    else:
-        s = LearningSettings()
-        known = Beginning(weights, about, _ANYTHING, max(_ANYTHING), s.doubt, s.radius)
-    return problem._replace(beginning=known)
+    known = _IDENTIFIED if recorded else (_ANYTHING, max(_ANYTHING), DOUBT, RADIUS)
+    return problem._replace(beginning=Beginning(weights, about, *known))
 
 
 def require_identified(beyond: Array) -> None:

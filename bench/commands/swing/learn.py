@@ -217,15 +217,9 @@ def _result(
     problem: LearningProblem, swinger: Swinger, swings: int, bar: Progress, task: TaskID
 ) -> LearningResult:
     """Learn with `swinger`, one step of the bar's `task` a swing."""
-    from bench.learning.ilc import LearningSettings
     from bench.learning.learn import learn as learned
 
-    return learned(
-        problem,
-        swinger,
-        LearningSettings(swings=swings),
-        on_attempt=lambda attempt: bar.update(task, advance=1),
-    )
+    return learned(problem, swinger, swings, on_attempt=lambda attempt: bar.update(task, advance=1))
 
 
 def mark_from_person() -> tuple[float, float] | None:

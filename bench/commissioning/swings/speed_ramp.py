@@ -44,7 +44,6 @@ from bench.config import Configuration
 from bench.control.law.feed_forward import FeedForward
 from bench.design.designer import DesignFailed
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, strike_from_mark
-from bench.learning.ilc import LearningSettings
 from bench.learning.learn import LearningProblem, LearningResult, ObservedSwing, learn, prepare
 from bench.simulation.loads import Loads
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
@@ -410,7 +409,7 @@ class LearnedSwing:
             made.append(swung)
             return ObservedSwing(swung.cycles, marks.figures(swung), swung.cause, swung.settled)
 
-        result = learn(problem, swing, LearningSettings(swings=_SWINGS))
+        result = learn(problem, swing, _SWINGS)
         save_profile(folder / LEARNED_FILE, result.correction.applied_to(profile))
         figures = _Learned(result, figures_of(made[result.chosen].delivery))
         if not result.within:

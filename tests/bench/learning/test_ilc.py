@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from bench.learning import ilc
 from bench.learning.delivery import Figures, Tolerance
-from bench.learning.ilc import Beginning, Learner, LearnerTrial, LearningSettings, Response
+from bench.learning.ilc import Beginning, Learner, LearnerTrial, Response
 
 Array = NDArray[np.float64]
 
@@ -37,9 +38,9 @@ class Robot:
         return LearnerTrial(point, figures, self.model.path + (self.path @ point).reshape(ROWS, 3))
 
 
-def learned(robot: Robot, settings: LearningSettings) -> Learner:
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, settings)
-    for _ in range(settings.swings + 1):
+def learned(robot: Robot) -> Learner:
+    learner = Learner(robot.model, TARGET, robot.model.path)
+    for _ in range(ilc.SWINGS + 1):
         learner.note(robot.swing(learner.point))
         if learner.confirmed:
             break
@@ -49,7 +50,7 @@ def learned(robot: Robot, settings: LearningSettings) -> Learner:
 @pytest.mark.parametrize("seed", range(6))
 def test_learner_differing_robot_converges_within_twelve_swings(seed: int) -> None:
     robot = Robot(seed)
-    learner = learned(robot, LearningSettings())
+    learner = learned(robot)
     before, after = learner.trials[0], learner.trials[learner.chosen]
     assert np.abs(learner.error(before.figures)).max() > 3.0
     robot.scatter = 0.0
@@ -58,16 +59,17 @@ def test_learner_differing_robot_converges_within_twelve_swings(seed: int) -> No
 
 
 def test_learner_repeated_swing_within_tolerance_confirms() -> None:
-    learner = learned(Robot(1), LearningSettings())
+    learner = learned(Robot(1))
     assert learner.confirmed
     assert len(learner.trials) < 13
     assert np.array_equal(learner.trials[-1].point, learner.trials[-2].point)
     assert (learner.scatter < 0.5).all()
 
 
-def test_learner_weights_stay_in_bound_and_steps_in_radius() -> None:
-    settings = LearningSettings(bound=0.4, radius=0.5, greatest_radius=0.5)
-    learner = learned(Robot(2, offset=200.0), settings)
+def test_learner_weights_stay_in_bound_and_steps_in_radius(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("MAX_WEIGHT", 0.4), ("RADIUS", 0.5), ("_MAX_RADIUS", 0.5)):
+        monkeypatch.setattr(ilc, name, value)
+    learner = learned(Robot(2, offset=200.0))
     points = np.array([trial.point for trial in learner.trials])
     assert np.abs(points).max() <= 0.4 + 1e-6
     assert np.linalg.norm(points[1]) <= 0.5 + 1e-9
@@ -76,21 +78,21 @@ def test_learner_weights_stay_in_bound_and_steps_in_radius() -> None:
 
 def test_learner_stopped_swing_is_rejected_and_halves_step() -> None:
     robot = Robot(3)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.model.path)
     learner.note(robot.swing(learner.point))
     first = learner.point.copy()
     path = robot.swing(first).path
     path[ROWS // 2 :] = np.nan
     learner.note(LearnerTrial(first, np.full(4, np.nan), path))
     assert learner.chosen == 0
-    assert np.linalg.norm(learner.point) <= 0.5 * LearningSettings().radius + 1e-9
+    assert np.linalg.norm(learner.point) <= 0.5 * ilc.RADIUS + 1e-9
     assert not np.allclose(learner.point, first)
 
 
 def test_learner_stopped_swings_reduce_path_error() -> None:
     """Before any swing reached the ball the path alone is learned from."""
     robot = Robot(4)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.model.path)
     off = robot.path @ np.full(WEIGHTS, 0.3)
     for _ in range(5):
         path = robot.model.path + (off + robot.path @ learner.point).reshape(ROWS, 3)
@@ -101,7 +103,7 @@ def test_learner_stopped_swings_reduce_path_error() -> None:
 
 def test_learner_unmeasured_figure_is_ignored() -> None:
     robot = Robot(5)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.model.path)
     for _ in range(13):
         trial = robot.swing(learner.point)
         trial.figures[2] = np.nan
@@ -115,7 +117,7 @@ def test_learner_unmeasured_figure_is_ignored() -> None:
 
 def test_learner_worse_later_swings_keep_best_trial() -> None:
     robot = Robot(0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.model.path)
     learner.note(robot.swing(learner.point))
     good = LearnerTrial(learner.point, TARGET.array, robot.model.path)
     learner.note(good)
@@ -136,7 +138,7 @@ def begun(robot: Robot, point: Array) -> Beginning:
 
 def test_learner_unsettled_swing_is_neither_confirmed_nor_chosen() -> None:
     robot = Robot(1, offset=0.0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    learner = Learner(robot.model, TARGET, robot.model.path)
     for settled in (False, False, True):
         learner.note(robot.swing(np.zeros(WEIGHTS))._replace(settled=settled))
         assert not learner.confirmed
@@ -152,7 +154,7 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
         used[told] = 0
         for seed in range(6):
             robot = Robot(seed, doubt=0.1)
-            learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+            learner = Learner(robot.model, TARGET, robot.model.path)
             first = robot.swing(learner.point)
             first.figures[1] += 10 * robot.scale[1]
             learner.note(first._replace(settled=not told))
@@ -165,14 +167,12 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
 def test_learner_identified_prior_outweighs_single_swing() -> None:
     robot = Robot(2, offset=0.1, scatter=0.0)
     zero = np.zeros(WEIGHTS)
-    learner = Learner(
-        robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), begun(robot, zero)
-    )
+    learner = Learner(robot.model, TARGET, robot.model.path, begun(robot, zero))
     assert np.array_equal(learner.point, zero)
     unlucky = LearnerTrial(zero, TARGET.array + 0.6 * robot.scale, robot.model.path)
     learner.note(unlucky)
     assert np.array_equal(learner.point, zero)
-    alone = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings())
+    alone = Learner(robot.model, TARGET, robot.model.path)
     alone.note(unlucky)
     assert not np.array_equal(alone.point, zero)
 
@@ -180,7 +180,7 @@ def test_learner_identified_prior_outweighs_single_swing() -> None:
 def test_learner_expected_offset_is_corrected_before_first_swing() -> None:
     robot = Robot(3, offset=3.0, doubt=0.05)
     known = begun(robot, np.zeros(WEIGHTS))._replace(radius=1.5)
-    learner = Learner(robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), known)
+    learner = Learner(robot.model, TARGET, robot.model.path, known)
     robot.scatter = 0.0
     off = np.abs(learner.error(robot.swing(learner.point).figures)).max()
     assert off < 0.5 * np.abs(robot.offset / robot.scale).max()
@@ -189,9 +189,7 @@ def test_learner_expected_offset_is_corrected_before_first_swing() -> None:
 def test_learner_mean_off_target_takes_further_step() -> None:
     robot = Robot(4, offset=0.0, scatter=0.0)
     zero = np.zeros(WEIGHTS)
-    learner = Learner(
-        robot.model, TARGET, robot.model.path, TOLERANCE, LearningSettings(), begun(robot, zero)
-    )
+    learner = Learner(robot.model, TARGET, robot.model.path, begun(robot, zero))
     for _ in range(4):
         learner.note(LearnerTrial(zero, TARGET.array + 0.55 * robot.scale, robot.model.path))
     assert not learner.confirmed

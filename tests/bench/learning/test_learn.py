@@ -16,7 +16,7 @@ from bench.learning.delivery import (
     planned_figures,
     strike_from_mark,
 )
-from bench.learning.ilc import LearningSettings
+from bench.learning.ilc import ENOUGH, SWINGS
 from bench.learning.learn import LearningProblem, LearningResult, learn, on_series, prepare
 from bench.simulation import plant_variation
 from bench.simulation.plant_variation import Variation, drawn
@@ -50,9 +50,9 @@ def test_learn_worn_robot_reaches_planned_delivery(problem: LearningProblem, res
     alike = [attempt.error for attempt in result.attempts if attempt.effort == kept.effort]
     assert np.abs(before.error).max() > 4.0
     assert len(alike) >= 2
-    assert np.abs(np.mean(alike, axis=0)).max() <= LearningSettings().enough
+    assert np.abs(np.mean(alike, axis=0)).max() <= ENOUGH
     assert result.within
-    assert result.used < LearningSettings().swings
+    assert result.used < SWINGS
     series = Series(BENCH, WORN)
     swing = result.correction.applied_to(BENCH.profile)
     truth = np.array([figures_of(series.swing(swing).delivery).array for _ in range(3)]).mean(axis=0)
