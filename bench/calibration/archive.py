@@ -10,15 +10,15 @@ from sqlalchemy import Engine, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
 from bench.base.errors import BenchError
-from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics, aerodynamics_values
+from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics, checked_values
 from bench.calibration.calibration import (
-    KINDS,
     VALID_DAYS,
     Calibration,
     CalibrationKind,
     Entry,
     Values,
     content_of,
+    kind_of,
     values_of,
 )
 from bench.config import Configuration, database_url
@@ -40,7 +40,7 @@ def keep_calibration(
     Raises:
         BenchError: as `add_calibration`, or the database cannot be opened.
     """
-    bench, expires = configuration.bench, now + timedelta(days=days or VALID_DAYS[_kind_of(values)])
+    bench, expires = configuration.bench, now + timedelta(days=days or VALID_DAYS[kind_of(values)])
     with open_database(database_url(bench.database, bench.data_dir), now) as database:
         return add_calibration(
             database, bench.id, values, date=now, expires=expires, by=by, method=method, note=note
@@ -63,10 +63,8 @@ def add_calibration(
     Raises:
         BenchError: it expires before it begins, a newer one exists, or `by` or `method` is empty.
     """
-    kind = _kind_of(values)
-    for name, found in (("by", by), ("method", method)):
-        if not found.strip():
-            raise BenchError(f"calibrate {kind}: --{name}", "missing", "a text", f"Add --{name} with a text.")
+    kind = kind_of(values)
+    by, method = _texts(f"calibrate {kind}", by=by, method=method)
     if not date < expires:
         raise BenchError(
             f"calibrate {kind}: expires", f"{expires}", f"later than {date}", "Give it a later day."
@@ -82,8 +80,8 @@ def add_calibration(
         subject=subject,
         date=date,
         expires=expires,
-        by=by.strip(),
-        method=method.strip(),
+        by=by,
+        method=method,
         note=note.strip(),
         content=content_of(values),
     )
@@ -104,6 +102,14 @@ def add_calibration(
             action = "Run the same command again."
             raise BenchError(f"calibrate {kind}", found, "a later timestamp", action) from error
     return next(entry for entry in list_calibrations(database, bench, kind) if entry.id == identity)
+
+
+def _texts(location: str, **given: str) -> list[str]:
+    """Return the texts `given` as options, stripped; raises BenchError if one is empty."""
+    for name, text in given.items():
+        if not text.strip():
+            raise BenchError(f"{location}: --{name}", "missing", "a text", f"Add --{name} with a text.")
+    return [text.strip() for text in given.values()]
 
 
 def list_calibrations(database: Engine, bench: str, kind: CalibrationKind | None = None) -> list[Entry]:
@@ -153,10 +159,6 @@ def calibration_of(configuration: Configuration, when: datetime) -> Calibration:
         return effective_calibration(database, c.bench.id, when, club=c.swing.club, required=required)
 
 
-def _kind_of(values: Values) -> CalibrationKind:
-    return next(kind for kind, of_kind in KINDS.items() if isinstance(values, of_kind))
-
-
 def _entry(row: object) -> Entry:
     r: CalibrationRow = row  # type: ignore[assignment]  # a row has the columns of its table
     kind = CalibrationKind(r.kind)
@@ -187,10 +189,8 @@ def add_aerodynamics(
         BenchError: `source` or `by` is empty, or another process added one at the same instant.
     """
     location = f"calibrate aerodynamics {values.ball}"
-    for name, found in (("--source", source), ("--by", by)):
-        if not found.strip():
-            raise BenchError(f"{location}: {name}", "missing", "a text", f"State the text with {name}.")
-    source, by, c = source.strip(), by.strip(), _TABLE.c
+    source, by = _texts(location, source=source, by=by)
+    c = _TABLE.c
     newest = select(func.max(c.version)).where((c.bench == bench) & (c.ball == values.ball))
     row = {
         "bench": bench,
@@ -224,16 +224,12 @@ def list_aerodynamics(database: Engine, bench: str) -> list[AerodynamicsEntry]:
     query = select(c.version, c.date, c.source, c.by, c.content, c.ball).where(c.bench == bench)
     with database.connect() as connection:
         rows = connection.execute(query.order_by(c.ball, c.version)).all()
-    return [
-        AerodynamicsEntry(
-            row.version,
-            row.date,
-            row.source,
-            row.by,
-            aerodynamics_values(row.content, f"aerodynamics of {row.ball}, version {row.version}"),
-        )
-        for row in rows
-    ]
+    found = []
+    for row in rows:
+        location = f"aerodynamics of {row.ball}, version {row.version}"
+        values = checked_values(BallAerodynamics, row.content, location)
+        found.append(AerodynamicsEntry(row.version, row.date, row.source, row.by, values))
+    return found
 
 
 def newest_aerodynamics(database: Engine, bench: str, balls: Iterable[str]) -> dict[str, AerodynamicsEntry]:

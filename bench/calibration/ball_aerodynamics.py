@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from math import sqrt
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
@@ -142,27 +142,36 @@ class AerodynamicsEntry:
         }
 
 
-def aerodynamics_values(content: Mapping[str, Any], location: str) -> BallAerodynamics:
-    """Return the checked values of `content`, whose keys are the fields of `BallAerodynamics`.
+Checked = TypeVar("Checked")
+
+
+def checked_values(
+    kind: type[Checked], content: Mapping[str, Any], location: str, action: str = "Measure again."
+) -> Checked:
+    """Return the values of dataclass `kind` in `content`, whose keys are its fields.
 
     Raises:
-        ExceptionGroup: one BenchError at `location` per value that is missing, unknown or out of range.
+        ExceptionGroup: one BenchError at `location`, with `action`, per value that is missing, unknown, of
+            the wrong type or out of range.
     """
     faults: list[BenchError] = []
     file = Path(location)
-    builder = Builder(as_tree(content, file, faults), file, "Measure again.", "Give it.", faults=faults)
-    values = builder.build(BallAerodynamics)
+    listed = {key: list(value) if isinstance(value, tuple) else value for key, value in content.items()}
+    builder = Builder(as_tree(listed, file, faults), file, action, "Give it.", faults=faults)
+    values: Any = builder.build(kind)
     if faults:
+        for fault in faults:
+            fault.location = fault.location.removesuffix(": ")  # of the values as a whole
         raise ExceptionGroup(f"{location} is invalid", faults)
     return values  # type: ignore[no-any-return]
 
 
 def aerodynamics_from_record(record: Mapping[str, Any], location: str) -> AerodynamicsEntry:
-    """Return the measurement that `AerodynamicsEntry.record` gave. Raises as `aerodynamics_values`."""
+    """Return the measurement that `AerodynamicsEntry.record` gave. Raises as `checked_values`."""
     return AerodynamicsEntry(
         int(record["version"]),
         datetime.fromisoformat(record["date"]),
         str(record["source"]),
         str(record["by"]),
-        aerodynamics_values(record["values"], location),
+        checked_values(BallAerodynamics, record["values"], location),
     )
