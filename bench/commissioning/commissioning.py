@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,14 +16,17 @@ import numpy as np
 
 from bench.base.errors import BenchError, Refused
 from bench.calibration.calibration import SeenInputs
-from bench.commissioning.machine.driver_machine import Stalled
+from bench.commissioning.machine.driver_machine import DriverMachine, Stalled
+from bench.commissioning.machine.inputs import OperatorIO
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
-from bench.commissioning.machine.robot_estimate import ParameterEstimate, RobotEstimate
+from bench.commissioning.machine.machine_process import LiveRobot
 from bench.commissioning.machine.step import (
     SWING_FILE,
     CommissioningStep,
     MachineFault,
     NamedStep,
+    ParameterEstimate,
+    RobotEstimate,
     StepResult,
     SwingingStep,
     SwungRobot,
@@ -30,9 +34,7 @@ from bench.commissioning.machine.step import (
 )
 from bench.commissioning.steps.friction_identification import Leakage, SlowMoves
 from bench.commissioning.steps.inputs_check import (
-    InputHands,
     InputsStep,
-    WatchedMachine,
     check_inputs,
     raise_findings,
 )
@@ -43,10 +45,11 @@ from bench.commissioning.swings.speed_ramp import LearnedSwing, RisingSwings
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot
 from bench.config import Configuration
 from bench.records.telemetry.atomic_file import atomic_file
+from bench.supervisor.ownership import try_lock
 from bench.swing.profile import load_profile
 from sim.plant import PlantParameters
 
-STATE_FILE = "commissioning.json"
+STATE_FILE, _LOCK_FILE = "commissioning.json", "process"
 _VERSION = 1
 _REPEATS = 9
 """Max repetitions of a measuring step that a stall of the computer ended."""
@@ -226,9 +229,8 @@ class _CountedMachine:
 def see_inputs(
     state: Commissioning,
     configuration: Configuration,
-    machine: WatchedMachine,
-    hands: InputHands,
-    now: Callable[[], datetime],
+    machine: DriverMachine | LiveRobot,
+    hands: OperatorIO,
     *,
     in_force: str | None,
     keep: Callable[[SeenInputs], object],
@@ -246,16 +248,17 @@ def see_inputs(
     """
     if in_force is None and state.has_done(INPUTS_STEP):
         return
-    notes, begun = [f"{in_force} is in force"], now()
+    notes, begun = [f"{in_force} is in force"], datetime.now(UTC)
     if not in_force:
         on_step(INPUTS_STEP)
-        with _noting_what_is_wrong(state, INPUTS_STEP, now):
+        with _noting_what_is_wrong(state, INPUTS_STEP):
             seen, findings = check_inputs(machine, hands, configuration, progress)
             keep(seen)
             raise_findings(findings)
         beside = f"supply sensor {1e-5 * seen.gauge:+z.2f} bar off the gauge"
         notes = [f"seen to change: {', '.join(seen.seen)}", beside]
-    done = _done(INPUTS_STEP, "", StepResult((), tuple(notes)), now(), (now() - begun).total_seconds())
+    seconds = (datetime.now(UTC) - begun).total_seconds()
+    done = _done(INPUTS_STEP, "", StepResult((), tuple(notes)), seconds)
     state.done = [done, *(step for step in state.done if step.name != INPUTS_STEP.name)]
     state.save()
 
@@ -264,7 +267,6 @@ def commission(
     state: Commissioning,
     nominal: PlantParameters,
     machine: CommissionedMachine,
-    now: Callable[[], datetime],
     *,
     observe: Callable[[], tuple[str, ...]] = tuple,
     on_step: Callable[[NamedStep], None] = lambda step: None,
@@ -284,8 +286,8 @@ def commission(
         while (step := state.next_step()) is not None:
             on_step(step)
             counted = _CountedMachine(machine, step.title, progress)
-            with _noting_what_is_wrong(state, step, now):
-                state.done.append(_do(step, state, counted, known, now, observe, progress))
+            with _noting_what_is_wrong(state, step):
+                state.done.append(_do(step, state, counted, known, observe, progress))
             state.save()
             known.add(state.done[-1].values)
     finally:
@@ -297,7 +299,6 @@ def commission_swings(
     state: Commissioning,
     known: Configuration,
     robot: SwungRobot,
-    now: Callable[[], datetime],
     *,
     on_step: Callable[[NamedStep], None] = lambda step: None,
     progress: Callable[[str], None] = lambda what: None,
@@ -315,12 +316,12 @@ def commission_swings(
         if state.has_done(step):
             continue
         on_step(step)
-        begun = now()
+        begun = datetime.now(UTC)
         diagnosed = DiagnosedRobot(robot, state.values, records)
-        with _noting_what_is_wrong(state, step, now), _explained_by(diagnosed):
+        with _noting_what_is_wrong(state, step), _explained_by(diagnosed):
             result = step.swing(diagnosed, known_with_swing(known, state.folder), state.folder, progress)
-        done = _done(step, "records", result, now(), (now() - begun).total_seconds())
-        state.done.append(done)
+        seconds = (datetime.now(UTC) - begun).total_seconds()
+        state.done.append(_done(step, "records", result, seconds))
         state.save()
 
 
@@ -334,16 +335,13 @@ def known_with_swing(known: Configuration, folder: Path) -> Configuration:
 
 
 @contextmanager
-def _noting_what_is_wrong(
-    state: Commissioning, step: NamedStep, now: Callable[[], datetime]
-) -> Iterator[None]:
+def _noting_what_is_wrong(state: Commissioning, step: NamedStep) -> Iterator[None]:
     """Store in `state` that `step` found the machine wrong, if it does."""
     try:
         yield
     except MachineFault as error:
-        state.wrong = FaultRecord(
-            step.name, now().isoformat(), error.location, error.found, error.expected, error.action
-        )
+        date = datetime.now(UTC).isoformat()
+        state.wrong = FaultRecord(step.name, date, error.location, error.found, error.expected, error.action)
         state.save()
         raise
 
@@ -357,12 +355,12 @@ def _explained_by(diagnosed: DiagnosedRobot) -> Iterator[None]:
         raise diagnosed.explained(error) from error.__cause__
 
 
-def _done(step: NamedStep, record: str, result: StepResult, date: datetime, seconds: float) -> DoneStep:
+def _done(step: NamedStep, record: str, result: StepResult, seconds: float) -> DoneStep:
     return DoneStep(
         step.name,
         step.title,
         step.bounds_text,
-        date.isoformat(),
+        datetime.now(UTC).isoformat(),
         seconds,
         record,
         result.values,
@@ -375,7 +373,6 @@ def _do(
     state: Commissioning,
     machine: CommissionedMachine,
     known: RobotEstimate,
-    now: Callable[[], datetime],
     observe: Callable[[], tuple[str, ...]],
     progress: Callable[[str], None],
 ) -> DoneStep:
@@ -385,7 +382,7 @@ def _do(
     write_traces(state.folder / file, traces)
     result = step.estimate(traces, known)
     result = result._replace(notes=(*result.notes, *stalls, *observe()))
-    return _done(step, file, result, now(), machine.time - begun)
+    return _done(step, file, result, machine.time - begun)
 
 
 def _measured(
@@ -422,3 +419,35 @@ def write_traces(path: Path, traces: Traces) -> None:
     }
     with atomic_file(path) as stream:
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+
+
+@contextmanager
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Hold the lock on `folder`, which is made if it is missing.
+
+    Raises:
+        Refused: another process holds it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / _LOCK_FILE).open("a+", encoding="ascii") as file:
+        if not try_lock(file.fileno()):
+            found = f"process {_owner(folder)}, which commissions there"
+            raise Refused(str(folder), found, "no other process", "Wait for it, or name another folder.")
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        yield
+
+
+def commissioning_process(folder: Path) -> int | None:
+    """Return the id of the process that commissions in `folder`; None without one."""
+    try:
+        with (folder / _LOCK_FILE).open("rb") as file:  # the lock needs no right to write
+            return None if try_lock(file.fileno()) else _owner(folder)
+    except OSError:
+        return None
+
+
+def _owner(folder: Path) -> int | None:
+    text = (folder / _LOCK_FILE).read_text(encoding="ascii").strip()
+    return int(text) if text.isdecimal() else None

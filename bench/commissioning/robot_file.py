@@ -11,8 +11,7 @@ import jinja2
 
 from bench.base.to_toml import toml_value
 from bench.commissioning.commissioning import ALL_STEPS, Commissioning
-from bench.commissioning.machine.robot_estimate import ParameterEstimate, RobotEstimate
-from bench.commissioning.machine.step import NamedStep
+from bench.commissioning.machine.step import NamedStep, ParameterEstimate, RobotEstimate
 from bench.control.measured_plant import value_at
 from bench.control.settings import EnvelopeSettings
 from sim.plant import PlantParameters

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bench.base.clock import Clock, FreeClock
 from bench.base.errors import Refused
-from bench.commissioning.machine.inputs import Act, levels
+from bench.commissioning.machine.inputs import SIMULATED_TIMEOUT, Act, OperatorIO, levels
 from bench.commissioning.machine.machine import (
     ADRIFT,
     Array,
@@ -520,10 +520,15 @@ class SimulatedMachine(DriverMachine):
         """Turn the simulated regulator to `pressure` (Pa absolute), at most to that of service."""
         turn_regulator(self.driver.plant, self.driver.faults, pressure)
 
-    def gauge(self) -> float:
-        """Return the reading of a true gauge at the manifold, Pa over the atmosphere."""
-        return float(self.driver.plant_state["supply_pressure"][0]) - self._truth.supply.atmosphere
+    @property
+    def hands(self) -> OperatorIO:
+        """Hands at the simulated plant; the gauge at the manifold is true."""
+        state, atmosphere = self.driver.plant_state, self._truth.supply.atmosphere
 
-    def act(self, act: Act) -> None:
-        """Apply the `act` of a person to the simulated plant."""
-        self.driver.plant_state[act.field] = act.value
+        def act(act: Act) -> None:
+            state[act.field] = act.value
+
+        def gauge() -> float:
+            return float(state["supply_pressure"][0]) - atmosphere
+
+        return OperatorIO(self.set_supply, act=act, gauge=gauge, timeout=SIMULATED_TIMEOUT)

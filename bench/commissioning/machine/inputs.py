@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bench.base.errors import BenchError, ExitCode
+from bench.commissioning.machine.step import Mark
 from drivers.base import PASSIVE, Command, Readings
 from sim.live.surroundings import SurroundingsWriter
 
@@ -301,6 +302,28 @@ def by_program(command: str) -> Regulator:
     return turn
 
 
+class OperatorIO(NamedTuple):
+    """Work at a robot by hand."""
+
+    regulator: Regulator
+    say: Callable[[str], None] = lambda text: None
+    """Says to a person what to do."""
+    person: Callable[[], Mark | None] | None = None
+    """Asks a person at the club for the ball's mark; None: no person is there."""
+    look: Callable[[], Mark | None] = lambda: None
+    """Reads the mark of a simulated ball."""
+    act: Callable[[Act], None] = lambda act: None
+    """Does something at the inputs, or says to a person what to do."""
+    gauge: Callable[[], float] | None = None
+    """Returns the reading of the gauge behind the regulator, Pa over the atmosphere; None: no person."""
+    timeout: float = 60.0
+    """Time for each act at the inputs, s."""
+
+
+SIMULATED_TIMEOUT = 2.0
+"""Time for each act of simulated hands (s)."""
+
+
 def of_simulation(folder: Path) -> Regulator:
     """Return the regulator of the simulated plant with its files in `folder`."""
 
@@ -326,15 +349,7 @@ def act_in_simulation(folder: Path) -> Callable[[Act], None]:
     return act
 
 
-class SimulatedHands(NamedTuple):
-    """Hands at a simulated plant in a separate process."""
-
-    turn: Regulator
-    act: Callable[[Act], None]
-    gauge: Callable[[], float]
-
-
-def in_simulation(folder: Path, service: float, atmosphere: float) -> SimulatedHands:
+def in_simulation(folder: Path, service: float, atmosphere: float) -> OperatorIO:
     """Return the hands at the plant with its files in `folder`; its gauge shows the regulator's setting.
 
     `service` and `atmosphere` are in Pa absolute.
@@ -345,4 +360,9 @@ def in_simulation(folder: Path, service: float, atmosphere: float) -> SimulatedH
         last[0] = min(pressure, service)
         turn(pressure)
 
-    return SimulatedHands(turned, act_in_simulation(folder), lambda: last[0] - atmosphere)
+    return OperatorIO(
+        turned,
+        act=act_in_simulation(folder),
+        gauge=lambda: last[0] - atmosphere,
+        timeout=SIMULATED_TIMEOUT,
+    )

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,18 +17,12 @@ from bench.base.clock import Clock
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
 from bench.commissioning.machine.driver_machine import DriverMachine, stopped_by_operator
-from bench.commissioning.machine.machine import MotionBounds, Segment
+from bench.commissioning.machine.machine import MotionBounds, MotionTrace, Segment
 from bench.config import Configuration
 from bench.control.requests import near_address
-from bench.control.settings import (
-    HomingSettings,
-    LifecycleSettings,
-    build_controller,
-    with_tables_of,
-)
+from bench.control.settings import build_controller, with_tables_of
 from bench.learning.live import swung_cycles
 from bench.loop.loop import Cycle, Cycles, Loop
-from bench.simulation.loads import Loads
 from bench.simulation.series import ADDRESS_TRIES, HOLD, Bench, SeriesSwing, return_failed
 from bench.simulation.swing_operator import (
     RETURN_TIMEOUT,
@@ -73,11 +66,9 @@ class LiveSeries:
     def __init__(
         self,
         driver: Driver,
-        name: str,
+        configuration: Configuration,
         bench: Bench,
         clock: Clock,
-        lifecycle: LifecycleSettings,
-        homing: HomingSettings,
         *,
         stop: Callable[[], bool],
         say: Say,
@@ -94,14 +85,14 @@ class LiveSeries:
             bench.control,
             bench.envelope,
             bench.estimator,
-            replace(lifecycle, hold_between_swings=True),
-            homing,
+            replace(configuration.lifecycle, hold_between_swings=True),
+            configuration.homing,
         )
         cycle = Cycle(
             driver,
             bench.with_its_limits(made),
             lambda _: None,
-            name=name,
+            name=configuration.driver.name,
             note_truth=getattr(driver, "note_truth", None),
             state=State.STARTING,
         )
@@ -204,11 +195,7 @@ class LiveSeries:
             return CAUSE_WORDS[cause][1]
         return stall_note(cycles[: first + 1], cause, lost, self._operator.period, fault)
 
-    def loads(self) -> Loads | None:
-        """Return None: nothing measures them."""
-        return None
-
-    def let_in(self) -> None:
+    def release_guard(self) -> None:
         """Bring the robot to rest and release the guard, for a person to come to the club.
 
         Raises:
@@ -220,7 +207,7 @@ class LiveSeries:
         operator.wait_for(lambda: operator.phase is Phase.STANDING, STANDSTILL_TIMEOUT)
         self._ask(Request.ACCESS, _ACCESS)
 
-    def lock(self) -> None:
+    def lock_guard(self) -> None:
         """Lock the guard again, once it is closed; a swing then arms the robot.
 
         Raises:
@@ -329,63 +316,8 @@ class LiveSeries:
             raise stopped_by_operator()
 
 
-class Run(NamedTuple):
-    """Run segments within bounds; answered with the MotionTrace."""
-
-    segments: tuple[Segment, ...]
-    bounds: MotionBounds
-
-
-class WatchInputs(NamedTuple):
-    """Hold outputs and watch the switches; answered with the Readings."""
-
-    command: Command
-    before: Readings | None
-    air: float
-    """Manifold pressure that ends it (Pa absolute)."""
-    settled: float
-    """Time without a change that ends it (s)."""
-    timeout: float
-    """Max duration (s)."""
-
-
-class Vent(NamedTuple):
-    """Be passive until the chambers are empty; answered with the MotionTrace."""
-
-    duration: float
-    """Duration (s)."""
-
-
-class MakePassive(NamedTuple):
-    """Centre the spools, shut the supply, open the vents; a robot that swings is brought to rest first."""
-
-
-class ArmBench(NamedTuple):
-    """Arm for swings of `bench`; answered when the robot holds its address."""
-
-    bench: Bench
-
-
-class Swing(NamedTuple):
-    """Swing a profile; answered with the SeriesSwing."""
-
-    profile: Profile
-    ball: bool
-
-
-class ReleaseGuard(NamedTuple):
-    """Release the guard for a person; answered once it may be opened."""
-
-
-class LockGuard(NamedTuple):
-    """Lock the guard that a person has closed."""
-
-
-Order = ReleaseGuard | LockGuard | Run | WatchInputs | Vent | MakePassive | ArmBench | Swing
-
-
 class MachineServer:
-    """A machine that obeys orders, one after the other; `hold` is its tick in between."""
+    """A machine whose methods are the orders to it, one after the other; `hold` is its tick in between."""
 
     def __init__(
         self,
@@ -413,53 +345,46 @@ class MachineServer:
             driver, configuration.plant, clock, warning=warning, stop=stop, inputs_only=inputs_only
         )
 
-    @property
-    def time(self) -> float:
-        """Time of the machine since it was opened, s."""
-        return self._machine.time
-
-    def obey(self, order: Order) -> object:
-        """Do `order` and return its answer.
-
-        Raises:
-            MachineFault, Refused: as the machine and the series.
-            DriverError: the device failed; it is passive.
-        """
-        match order:
-            case Swing(profile, ball):
-                return self._armed().swing(profile, ball=ball)
-            case ReleaseGuard():
-                self._armed().let_in()
-                return None
-            case LockGuard():
-                self._armed().lock()
-                return None
-            case ArmBench(bench):
-                self._end_series()
-                self._machine.make_passive()
-                c = self._configuration
-                self._series = LiveSeries(
-                    self._driver,
-                    c.driver.name,
-                    bench,
-                    self._clock,
-                    c.lifecycle,
-                    c.homing,
-                    stop=self._stop,
-                    say=self._say,
-                )
-                return None
+    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
+        """Run `segments` within `bounds`."""
         self._end_series()
-        match order:
-            case Run(segments, bounds):
-                return self._machine.run(segments, bounds)
-            case WatchInputs():
-                return self._machine.watch(*order)
-            case Vent(duration):
-                return self._machine.vent(duration)
-            case MakePassive():
-                self._machine.make_passive()
-                return None
+        return self._machine.run(segments, bounds)
+
+    def watch(
+        self, command: Command, before: Readings | None, air: float, settled: float, timeout: float
+    ) -> Readings:
+        """Hold outputs and watch the switches."""
+        self._end_series()
+        return self._machine.watch(command, before, air, settled, timeout)
+
+    def vent(self, duration: float) -> MotionTrace:
+        """Be passive until the chambers are empty, for at most `duration` (s)."""
+        self._end_series()
+        return self._machine.vent(duration)
+
+    def make_passive(self) -> None:
+        """Bring a robot that swings to rest; then centre the spools, shut the supply, open the vents."""
+        self._end_series()
+        self._machine.make_passive()
+
+    def arm(self, bench: Bench) -> None:
+        """Arm for swings of `bench`, until the robot holds its address."""
+        self.make_passive()
+        self._series = LiveSeries(
+            self._driver, self._configuration, bench, self._clock, stop=self._stop, say=self._say
+        )
+
+    def swing(self, profile: Profile, ball: bool) -> SeriesSwing:
+        """Swing `profile`."""
+        return self._armed().swing(profile, ball=ball)
+
+    def release_guard(self) -> None:
+        """Release the guard for a person."""
+        self._armed().release_guard()
+
+    def lock_guard(self) -> None:
+        """Lock the guard that a person has closed."""
+        self._armed().lock_guard()
 
     def hold(self) -> None:
         """Continue for one tick as the last order left the machine."""

@@ -1,4 +1,4 @@
-"""A step of commissioning: its moves, what its traces say, and the faults it may find."""
+"""A step of commissioning: its moves, what its traces say, the faults it may find, and the robot as known."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from bench.commissioning.machine.machine import (
     Segment,
     Until,
 )
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.config import Configuration
+from bench.control.measured_plant import value_at, with_values
 from bench.simulation.loads import Loads
 from bench.simulation.series import Bench, Series, SeriesSwing
 from bench.swing.profile import Profile
@@ -30,6 +30,8 @@ from sim.plant import PlantParameters
 
 Side = Literal["lower", "upper"]
 
+ACTUATOR_KEYS = ("shoulder", "right_arm", "wrist")
+"""Tables of the three actuators in the configuration, in the order of ACTUATORS."""
 FOLD_ORDER = (2, 1, 0)
 """Joints in the order in which they go to their lower stops: first the club is folded off the ground."""
 MOVING = 3.0e5
@@ -52,6 +54,45 @@ _JUMP = 100.0
 """Speed beyond which a count has jumped (rad/s)."""
 _CUSHION_SHARE = 0.5
 """Share of a cushion's rated energy that a joint has at the speed bound."""
+
+
+class ParameterEstimate(NamedTuple):
+    """A value that a step found."""
+
+    key: str
+    """Dotted key below [plant]; in a list with the index: encoders.sign.0."""
+    value: float
+    error: float
+    """Standard error."""
+    unit: str
+    step: str
+    """Name of the step that found it."""
+
+
+class RobotEstimate:
+    """The configured robot with the values found so far."""
+
+    def __init__(self, nominal: PlantParameters, found: Iterable[ParameterEstimate] = ()) -> None:
+        """Begin with `nominal` and values `found` before."""
+        self.nominal = nominal
+        self.found: dict[str, ParameterEstimate] = {}
+        self.plant = nominal
+        """The robot as far as it is known."""
+        self.add(found)
+
+    def add(self, values: Iterable[ParameterEstimate]) -> None:
+        """Add `values`; one that was found before is replaced."""
+        self.found |= {value.key: value for value in values}
+        self.plant = with_values(self.nominal, {key: found.value for key, found in self.found.items()})
+
+    def value(self, key: str) -> float:
+        """Return the value of `key`, found or configured."""
+        return float(value_at(self.plant, key))
+
+    def error(self, key: str, otherwise: float) -> float:
+        """Return the standard error of `key`; `otherwise` if it was not found."""
+        found = self.found.get(key)
+        return otherwise if found is None else found.error
 
 
 class StopMove(NamedTuple):
@@ -100,16 +141,15 @@ def beyond(known: RobotEstimate, actuator: int, side: Side, opening: float) -> f
     return upper + opening if side == "upper" else lower - opening
 
 
-def openings(known: RobotEstimate, parked: Iterable[int], **moved: float) -> Triple:
+def openings(known: RobotEstimate, joint: int, command: float, parked: Iterable[int] = FOLD_ORDER) -> Triple:
     """Return commands that hold joints `parked` at their lower stops and centre the other spools.
 
-    `moved` gives the commands of joints by name.
+    `joint` has its `command`.
     """
     values = list(centres(known))
     for i in parked:
         values[i] = beyond(known, i, "lower", PARKING)
-    for name, value in moved.items():
-        values[JOINTS.index(name)] = value
+    values[joint] = command
     a, b, c = values
     return a, b, c
 
@@ -126,7 +166,7 @@ def move_to_stop(
     name, chamber = JOINTS[joint], 2 * joint + (0 if side == "upper" else 1)
 
     def at(opening: float) -> Triple:
-        return openings(known, parked, **{name: beyond(known, joint, side, opening)})
+        return openings(known, joint, beyond(known, joint, side, opening), parked)
 
     bounds = slow_bounds(known.plant, 1.2 * PRESSING)
     rested = Until("rested", joint, _RESTED)

@@ -14,6 +14,7 @@ loose.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,12 +24,14 @@ from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.commissioning.machine.step import (
+    ACTUATOR_KEYS,
     FOLD_ORDER,
     MOVING,
     PRESSING,
     MachineFault,
+    ParameterEstimate,
+    RobotEstimate,
     Side,
     StepResult,
     Traces,
@@ -53,7 +56,7 @@ from bench.commissioning.steps.pneumatic_identification import (
     way_per_angle,
 )
 from bench.control.measured_plant import value_at, with_values
-from drivers.base import JOINTS, Triple
+from drivers.base import JOINTS
 from sim.driver import joint_travel
 from sim.kane import bias_forces, inverse_dynamics
 from sim.plant import PlantParameters
@@ -147,9 +150,7 @@ def _fill_and_decay(
     other: Side = "lower" if side == "upper" else "upper"
     pressing, counter = (2 * joint, 2 * joint + 1) if side == "upper" else (2 * joint + 1, 2 * joint)
 
-    def at(command: float) -> Triple:
-        return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
-
+    at = partial(openings, known, joint)
     closed = at(centres(known)[joint])
     machine.set_supply(MOVING)
     trace = machine.run(
@@ -301,9 +302,7 @@ def _move(
     """Return the trace of `joint` moving to `side` with pauses."""
     travel = np.ptp(np.array(joint_travel(known.plant)), axis=0)[joint]
 
-    def at(command: float) -> Triple:
-        return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
-
+    at = partial(openings, known, joint)
     edge, moving = (beyond(known, joint, side, x) for x in (0.0, opening))
     segments = []
     for share in _PAUSES:

@@ -9,21 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf, isfinite, isnan
-from typing import Protocol
 
 from bench.base.errors import Refused
 from bench.calibration.calibration import SeenInputs, wiring_digest
+from bench.commissioning.machine.driver_machine import DriverMachine
 from bench.commissioning.machine.inputs import (
     ACTS,
-    Act,
     InputFinding,
-    Regulator,
+    OperatorIO,
     Stage,
     fitted,
     judged,
     stages,
 )
 from bench.commissioning.machine.machine import DRIFT
+from bench.commissioning.machine.machine_process import LiveRobot
 from bench.commissioning.machine.step import MachineFault
 from bench.config import Configuration
 from drivers.base import CHAMBERS, Command, Readings
@@ -43,46 +43,6 @@ _SETTLED, _FILLED = 1.0, 3.0
 _WARNING = Command(beacon=True)
 
 
-class WatchedMachine(Protocol):
-    """Machine whose inputs are watched."""
-
-    def watch(
-        self, command: Command, before: Readings | None, air: float, settled: float, timeout: float
-    ) -> Readings:
-        """Hold `command` until the switches differ from `before`, if given, and rested for `settled` (s).
-
-        After `timeout` (s) the last readings are returned whatever they are, and at once with more than
-        `air` (Pa absolute) in the manifold; the machine is passive then. An open interlock ends nothing.
-
-        Raises:
-            Refused: the device fails.
-            MachineFault: a joint moves with air on.
-        """
-
-    def make_passive(self) -> None:
-        """Centre the spools, shut the supply, open the vents; never raises."""
-
-
-class InputHands(Protocol):
-    """Hands at the machine."""
-
-    @property
-    def regulator(self) -> Regulator:
-        """Turns the regulator."""
-
-    @property
-    def act(self) -> Callable[[Act], None]:
-        """Does something, or says to a person what to do."""
-
-    @property
-    def gauge(self) -> Callable[[], float] | None:
-        """Returns the reading of the gauge at the regulator, Pa over the atmosphere; None: no person."""
-
-    @property
-    def timeout(self) -> float:
-        """Time for each act, s."""
-
-
 class InputsStep:
     """Step 0."""
 
@@ -96,8 +56,8 @@ class InputsStep:
 
 
 def check_inputs(
-    machine: WatchedMachine,
-    hands: InputHands,
+    machine: DriverMachine | LiveRobot,
+    hands: OperatorIO,
     configuration: Configuration,
     progress: Callable[[str], None] = lambda what: None,
 ) -> tuple[SeenInputs, list[InputFinding]]:
@@ -142,8 +102,8 @@ def raise_findings(findings: list[InputFinding]) -> None:
 
 
 def _watched(
-    machine: WatchedMachine,
-    hands: InputHands,
+    machine: DriverMachine | LiveRobot,
+    hands: OperatorIO,
     c: Configuration,
     done: tuple[Stage, ...],
     progress: Callable[[str], None],
@@ -189,7 +149,7 @@ def _allowed(pressure: float) -> float:
 
 
 def _beside_the_gauge(
-    machine: WatchedMachine, hands: InputHands, gauge: Callable[[], float], c: Configuration
+    machine: DriverMachine | LiveRobot, hands: OperatorIO, gauge: Callable[[], float], c: Configuration
 ) -> tuple[float, list[InputFinding]]:
     """Return the largest deviation of the supply's sensor from the gauge (Pa), and findings."""
     a, b, d = (actuator.valve.centre for actuator in c.plant.actuators)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from bench.commissioning.machine.machine import Array, MotionTrace
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, RobotEstimate
+from bench.commissioning.machine.step import ACTUATOR_KEYS, RobotEstimate
 from drivers.base.compiled import compiled
 from sim.driver import joint_travel
 from sim.kinematics import right_arm_length

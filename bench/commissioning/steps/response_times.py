@@ -9,6 +9,7 @@ dead time added: a loop that commands by its encoders waits for both.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,14 @@ from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.commissioning.machine.step import (
+    ACTUATOR_KEYS,
     FOLD_ORDER,
     MOVING,
     PRESSING,
     MachineFault,
+    ParameterEstimate,
+    RobotEstimate,
     StepResult,
     Traces,
     beyond,
@@ -41,7 +44,7 @@ from bench.commissioning.steps.pneumatic_identification import (
     way_per_angle,
 )
 from bench.control.measured_plant import with_values
-from drivers.base import JOINTS, Triple
+from drivers.base import JOINTS
 from sim.driver import joint_travel
 
 _STEP, _PUSH = 0.15, 0.08
@@ -146,9 +149,7 @@ def _require_quick(joint: str, latency: float, error: float) -> None:
 
 
 def _pulses(known: RobotEstimate, joint: int) -> tuple[Segment, ...]:
-    def at(command: float) -> Triple:
-        return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
-
+    at = partial(openings, known, joint)
     closed, opened = at(centres(known)[joint]), at(beyond(known, joint, "lower", _STEP))
     rest = Segment(_BETWEEN, closed)
     return (rest, *((Segment(_OPEN, opened), rest) * _PULSES))
@@ -157,9 +158,7 @@ def _pulses(known: RobotEstimate, joint: int) -> tuple[Segment, ...]:
 def _push(known: RobotEstimate, joint: int, share: float) -> tuple[Segment, ...]:
     travel = np.ptp(np.array(joint_travel(known.plant)), axis=0)[joint]
 
-    def at(command: float) -> Triple:
-        return openings(known, FOLD_ORDER, **{JOINTS[joint]: command})
-
+    at = partial(openings, known, joint)
     closed = at(centres(known)[joint])
     return (
         Segment(1.0, closed),

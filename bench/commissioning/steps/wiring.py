@@ -22,12 +22,14 @@ from numpy.typing import NDArray
 
 from bench.calibration.calibration import zero_counts
 from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS, ParameterEstimate, RobotEstimate
 from bench.commissioning.machine.step import (
+    ACTUATOR_KEYS,
     FOLD_ORDER,
     MOVING,
     PRESSING,
     MachineFault,
+    ParameterEstimate,
+    RobotEstimate,
     Side,
     StepResult,
     StopMove,
@@ -440,10 +442,9 @@ def _edge_ramp(machine: CommissionedMachine, known: RobotEstimate, joint: int, s
     """Return the ramp of `joint`'s valve towards `side`, at whose stop it stands."""
 
     def at(opening: float) -> Triple:
-        valve = beyond(known, joint, side, opening)
-        return openings(known, FOLD_ORDER, **{JOINTS[joint]: valve})
+        return openings(known, joint, beyond(known, joint, side, opening))
 
-    rest = openings(known, FOLD_ORDER, **{JOINTS[joint]: centres(known)[joint]})
+    rest = openings(known, joint, centres(known)[joint])
     machine.set_supply(MOVING)
     trace = machine.run(
         (

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS
+from bench.commissioning.machine.step import ACTUATOR_KEYS
 from bench.commissioning.swings.short_predictions import RecordedSwing
 from bench.control.measured_plant import value_at, with_values
 from drivers.base import CHAMBERS, JOINTS

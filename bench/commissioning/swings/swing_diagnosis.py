@@ -15,8 +15,14 @@ from scipy.optimize import minimize_scalar
 
 from bench.base.errors import Refused
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.machine.robot_estimate import ParameterEstimate
-from bench.commissioning.machine.step import MachineFault, Mark, PredictionFails, SwingSeries, SwungRobot
+from bench.commissioning.machine.step import (
+    MachineFault,
+    Mark,
+    ParameterEstimate,
+    PredictionFails,
+    SwingSeries,
+    SwungRobot,
+)
 from bench.commissioning.swings.fault_hypotheses import SwingCause, swing_causes
 from bench.commissioning.swings.short_predictions import (
     PRESSURE,

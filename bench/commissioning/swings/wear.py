@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from bench.base.errors import BenchError
 from bench.base.lifecycle import Phase
 from bench.commissioning.machine.machine import Array
-from bench.commissioning.machine.robot_estimate import ACTUATOR_KEYS
+from bench.commissioning.machine.step import ACTUATOR_KEYS
 from bench.commissioning.swings.short_predictions import Cycles, RecordedSwing, explained
 from bench.control.measured_plant import value_at, with_values
 from bench.records.shot.plot_style import COLOURS, GREY, STYLE, styled
