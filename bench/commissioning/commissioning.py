@@ -28,20 +28,15 @@ from bench.commissioning.machine.step import (
     ParameterEstimate,
     RobotEstimate,
     StepResult,
-    SwingingStep,
     SwungRobot,
     Traces,
 )
-from bench.commissioning.steps.friction_identification import Leakage, SlowMoves
-from bench.commissioning.steps.inputs_check import (
-    InputsStep,
-    check_inputs,
-    raise_findings,
-)
-from bench.commissioning.steps.response_times import ResponseTimes
-from bench.commissioning.steps.wiring import ValveEdges, Wiring
-from bench.commissioning.swings.robot_swings import HealthyLimits, with_following_limits
-from bench.commissioning.swings.speed_ramp import LearnedSwing, RisingSwings
+from bench.commissioning.steps.friction_identification import FRICTION, LEAKAGE
+from bench.commissioning.steps.inputs_check import INPUTS, check_inputs, raise_findings
+from bench.commissioning.steps.response_times import RESPONSE
+from bench.commissioning.steps.wiring import VALVES, WIRING
+from bench.commissioning.swings.robot_swings import LIMITS, with_following_limits
+from bench.commissioning.swings.speed_ramp import LEARNING, SWINGS
 from bench.commissioning.swings.swing_diagnosis import DiagnosedRobot
 from bench.config import Configuration
 from bench.records.telemetry.atomic_file import atomic_file
@@ -54,13 +49,11 @@ _VERSION = 1
 _REPEATS = 9
 """Max repetitions of a measuring step that a stall of the computer ended."""
 
-INPUTS_STEP = InputsStep()
-"""The step before all others."""
-STEPS: tuple[CommissioningStep, ...] = (Wiring(), ValveEdges(), Leakage(), SlowMoves(), ResponseTimes())
+STEPS = (WIRING, VALVES, LEAKAGE, FRICTION, RESPONSE)
 """The steps that measure, in their order."""
-SWINGING_STEPS: tuple[SwingingStep, ...] = (RisingSwings(), LearnedSwing(), HealthyLimits())
+SWINGING_STEPS = (SWINGS, LEARNING, LIMITS)
 """The steps after them."""
-ALL_STEPS: tuple[NamedStep, ...] = (INPUTS_STEP, *STEPS, *SWINGING_STEPS)
+ALL_STEPS: tuple[NamedStep, ...] = (INPUTS, *STEPS, *SWINGING_STEPS)
 
 
 class DoneStep(NamedTuple):
@@ -246,20 +239,20 @@ def see_inputs(
         MachineFault: an input is wrong; the state says so.
         Refused: no person is there, or the device fails.
     """
-    if in_force is None and state.has_done(INPUTS_STEP):
+    if in_force is None and state.has_done(INPUTS):
         return
     notes, begun = [f"{in_force} is in force"], datetime.now(UTC)
     if not in_force:
-        on_step(INPUTS_STEP)
-        with _noting_what_is_wrong(state, INPUTS_STEP):
+        on_step(INPUTS)
+        with _noting_what_is_wrong(state, INPUTS):
             seen, findings = check_inputs(machine, hands, configuration, progress)
             keep(seen)
             raise_findings(findings)
         beside = f"supply sensor {1e-5 * seen.gauge:+z.2f} bar off the gauge"
         notes = [f"seen to change: {', '.join(seen.seen)}", beside]
     seconds = (datetime.now(UTC) - begun).total_seconds()
-    done = _done(INPUTS_STEP, "", StepResult((), tuple(notes)), seconds)
-    state.done = [done, *(step for step in state.done if step.name != INPUTS_STEP.name)]
+    done = _done(INPUTS, "", StepResult((), tuple(notes)), seconds)
+    state.done = [done, *(step for step in state.done if step.name != INPUTS.name)]
     state.save()
 
 
@@ -381,7 +374,8 @@ def _do(
     file = f"records/{STEPS.index(step) + 1}-{step.name}.npz"
     write_traces(state.folder / file, traces)
     result = step.estimate(traces, known)
-    result = result._replace(notes=(*result.notes, *stalls, *observe()))
+    values = tuple(value._replace(step=step.name) for value in result.values)
+    result = StepResult(values, (*result.notes, *stalls, *observe()))
     return _done(step, file, result, machine.time - begun)
 
 

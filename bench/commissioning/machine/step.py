@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
@@ -65,7 +66,7 @@ class ParameterEstimate(NamedTuple):
     error: float
     """Standard error."""
     unit: str
-    step: str
+    step: str = ""
     """Name of the step that found it."""
 
 
@@ -363,50 +364,37 @@ class StepResult(NamedTuple):
     """Findings for the report other than values."""
 
 
-class NamedStep(Protocol):
-    """Name, title and bounds of any step."""
+@dataclass(frozen=True)
+class NamedStep:
+    """A step of commissioning."""
 
-    @property
-    def name(self) -> str:
-        """Short name, part of file names."""
-
-    @property
-    def title(self) -> str:
-        """Title of the findings, for the report."""
-
-    @property
-    def bounds_text(self) -> str:
-        """How the energy is bounded, for the report."""
+    name: str
+    """Short name, part of file names."""
+    title: str
+    """Title of the findings, for the report."""
+    bounds_text: str
+    """How the energy is bounded, for the report."""
 
 
-class SwingingStep(NamedStep, Protocol):
+@dataclass(frozen=True)
+class SwingingStep(NamedStep):
     """A step that swings the robot as it was measured."""
 
-    def swing(
-        self, robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
-    ) -> StepResult:
-        """Swing `robot`, `known` as measured, leave files in `folder`, and give `progress` the present part.
+    swing: Callable[[SwungRobot, Configuration, Path, Callable[[str], None]], StepResult]
+    """Swings the robot as measured, leaves files in the folder, and reports the present part.
 
-        Raises:
-            MachineFault: the machine does not swing as a right one does.
-            Refused: it does not come to its address.
-        """
+    Raises MachineFault if it does not swing as a right one does, Refused if it does not reach its address.
+    """
 
 
-class CommissioningStep(NamedStep, Protocol):
+@dataclass(frozen=True)
+class CommissioningStep(NamedStep):
     """A measuring step; measuring and estimating are separate: a stored trace can be estimated again."""
 
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Move the robot and return the traces; the robot is vented afterwards.
+    measure: Callable[[CommissionedMachine, RobotEstimate], Traces]
+    """Moves the robot, which is vented afterwards.
 
-        Raises:
-            MachineFault: the machine does not behave as a fault-free one.
-            Refused: an interlock ended it.
-        """
-
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return what `traces` say; a pure function of them.
-
-        Raises:
-            MachineFault: they say that the machine is wrong.
-        """
+    Raises MachineFault if the machine does not behave as a fault-free one, Refused if an interlock ended it.
+    """
+    estimate: Callable[[Traces, RobotEstimate], StepResult]
+    """Pure function of the traces; raises MachineFault if they say that the machine is wrong."""

@@ -29,6 +29,7 @@ from bench.commissioning.machine.step import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
+    CommissioningStep,
     MachineFault,
     ParameterEstimate,
     RobotEstimate,
@@ -75,36 +76,40 @@ MAX_CROSS_LEAKAGE = 2e-10
 """Max leakage past the seals of an actuator that is right, m3/(s Pa)."""
 
 
-class Leakage:
-    """Step 3."""
+def _measure_leakage(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
+    """Fill, hold and empty the chambers of each joint at either stop."""
+    return at_both_stops(machine, known, _fill_and_decay)
 
-    name = "leakage"
-    title = "Leakage, dead volumes, effective areas, flow of the valves"
-    bounds_text = "chambers up to 2.7 bar absolute at a supply of 3 bar, joints at their stops"
 
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Fill, hold and empty the chambers of each joint at either stop."""
-        return at_both_stops(machine, known, _fill_and_decay)
+def _estimate_leakage(traces: Traces, known: RobotEstimate) -> StepResult:
+    """Return the air of all actuators."""
+    values: list[ParameterEstimate] = []
+    notes: list[str] = []
+    if vents_stay_open(traces, known):
+        raise MachineFault(
+            "vents",
+            "chambers empty through them when they are commanded shut",
+            "chambers that hold their air",
+            "A vent stays open: check its coil, cable and pilot air, then replace it.",
+        )
+    for i, key in enumerate(ACTUATOR_KEYS):
+        sure = [name for name in ("valve.centre", "valve.dead_band") if f"{key}.{name}" in known.found]
+        fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i, sure)
+        _require_tight(i, fit)
+        for name, value, error, unit in zip(NAMES, fit.values, fit.error, UNITS, strict=True):
+            values.append(ParameterEstimate(f"{key}.{name}", float(value), float(error), unit))
+        notes.append(f"{JOINTS[i]}: pressures fit within {fit.residual:.0f} Pa")
+    return StepResult(tuple(values), tuple(notes))
 
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return the air of all actuators."""
-        values: list[ParameterEstimate] = []
-        notes: list[str] = []
-        if vents_stay_open(traces, known):
-            raise MachineFault(
-                "vents",
-                "chambers empty through them when they are commanded shut",
-                "chambers that hold their air",
-                "A vent stays open: check its coil, cable and pilot air, then replace it.",
-            )
-        for i, key in enumerate(ACTUATOR_KEYS):
-            sure = [name for name in ("valve.centre", "valve.dead_band") if f"{key}.{name}" in known.found]
-            fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i, sure)
-            _require_tight(i, fit)
-            for name, value, error, unit in zip(NAMES, fit.values, fit.error, UNITS, strict=True):
-                values.append(ParameterEstimate(f"{key}.{name}", float(value), float(error), unit, self.name))
-            notes.append(f"{JOINTS[i]}: pressures fit within {fit.residual:.0f} Pa")
-        return StepResult(tuple(values), tuple(notes))
+
+LEAKAGE = CommissioningStep(
+    "leakage",
+    "Leakage, dead volumes, effective areas, flow of the valves",
+    "chambers up to 2.7 bar absolute at a supply of 3 bar, joints at their stops",
+    _measure_leakage,
+    _estimate_leakage,
+)
+"""Step 3."""
 
 
 def vents_stay_open(traces: Traces, known: RobotEstimate) -> bool:
@@ -231,55 +236,55 @@ class SlowFit(NamedTuple):
     """(3,) scatter of the torques, N m."""
 
 
-class SlowMoves:
-    """Step 4."""
+def _measure_friction(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
+    """Move each joint up and down slowly, with pauses; then read the supply's pressure in service."""
+    machine.vent()
+    fold(machine, known)
+    machine.set_supply(PRESSING)
+    traces: dict[str, MotionTrace] = {}
+    for i in FOLD_ORDER[::-1]:
+        for opening in _OPENINGS:
+            for side in ("upper", "lower"):
+                trace = _move(machine, known, i, "upper" if side == "upper" else "lower", opening)
+                traces[f"{JOINTS[i]} to {side} {opening}"] = trace
+    machine.vent()
+    machine.set_supply(float("inf"))
+    trace = machine.run((Segment(2.0, centres(known)),), slow_bounds(known.plant, 12e5))
+    require_within(trace, "supply in service")
+    traces["supply"] = trace
+    machine.vent()
+    return traces
 
-    name = "friction"
-    title = "Friction, masses, supply in service"
-    bounds_text = (
-        "openings up to 0.12 beyond the edge at 4.5 bar absolute, vents open; then the supply in service, "
-        "spools centred"
-    )
 
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Move each joint up and down slowly, with pauses; then read the supply's pressure in service."""
-        machine.vent()
-        fold(machine, known)
-        machine.set_supply(PRESSING)
-        traces: dict[str, MotionTrace] = {}
-        for i in FOLD_ORDER[::-1]:
-            for opening in _OPENINGS:
-                for side in ("upper", "lower"):
-                    trace = _move(machine, known, i, "upper" if side == "upper" else "lower", opening)
-                    traces[f"{JOINTS[i]} to {side} {opening}"] = trace
-        machine.vent()
-        machine.set_supply(float("inf"))
-        trace = machine.run((Segment(2.0, centres(known)),), slow_bounds(known.plant, 12e5))
-        require_within(trace, "supply in service")
-        traces["supply"] = trace
-        machine.vent()
-        return traces
+def _estimate_friction(traces: Traces, known: RobotEstimate) -> StepResult:
+    """Return friction of all actuators and the pressure of the supply."""
+    values: list[ParameterEstimate] = []
+    notes: list[str] = []
+    own = [[t for name, t in traces.items() if name.startswith(f"{joint} ")] for joint in JOINTS]
+    fit = fit_slow_moves(own, known.plant)
+    for i, key in enumerate(ACTUATOR_KEYS):
+        unit = "N m" if i == 0 else "N"
+        units = (unit, unit, f"{unit} s/{'rad' if i == 0 else 'm'}")
+        rows = zip(_FRICTION, fit.friction[i], fit.friction_error[i], units, strict=True)
+        for name, value, error, text in rows:
+            values.append(ParameterEstimate(f"{key}.friction.{name}", float(value), float(error), text))
+        notes.append(f"{JOINTS[i]}: torques fit within {fit.residual[i]:.2f} N m")
+    for key, value, error in zip(MASSES, fit.masses, fit.mass_error, strict=True):
+        text = "kg m2" if key.endswith("inertia") else "kg"
+        values.append(ParameterEstimate(key, float(value), float(error), text))
+    values.append(_supply(traces["supply"]))
+    return StepResult(tuple(values), tuple(notes))
 
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return friction of all actuators and the pressure of the supply."""
-        values: list[ParameterEstimate] = []
-        notes: list[str] = []
-        own = [[t for name, t in traces.items() if name.startswith(f"{joint} ")] for joint in JOINTS]
-        fit = fit_slow_moves(own, known.plant)
-        for i, key in enumerate(ACTUATOR_KEYS):
-            unit = "N m" if i == 0 else "N"
-            units = (unit, unit, f"{unit} s/{'rad' if i == 0 else 'm'}")
-            rows = zip(_FRICTION, fit.friction[i], fit.friction_error[i], units, strict=True)
-            for name, value, error, text in rows:
-                values.append(
-                    ParameterEstimate(f"{key}.friction.{name}", float(value), float(error), text, self.name)
-                )
-            notes.append(f"{JOINTS[i]}: torques fit within {fit.residual[i]:.2f} N m")
-        for key, value, error in zip(MASSES, fit.masses, fit.mass_error, strict=True):
-            text = "kg m2" if key.endswith("inertia") else "kg"
-            values.append(ParameterEstimate(key, float(value), float(error), text, self.name))
-        values.append(_supply(traces["supply"]))
-        return StepResult(tuple(values), tuple(notes))
+
+FRICTION = CommissioningStep(
+    "friction",
+    "Friction, masses, supply in service",
+    "openings up to 0.12 beyond the edge at 4.5 bar absolute, vents open; then the supply in service, "
+    "spools centred",
+    _measure_friction,
+    _estimate_friction,
+)
+"""Step 4."""
 
 
 def _supply(trace: MotionTrace) -> ParameterEstimate:
@@ -293,7 +298,7 @@ def _supply(trace: MotionTrace) -> ParameterEstimate:
             "The supply is too low: check compressor, regulator, filter and hoses.",
         )
     error = max(_GAUGE, float(np.ptp(last)))
-    return ParameterEstimate("supply.pressure", pressure, error, "Pa absolute", SlowMoves.name)
+    return ParameterEstimate("supply.pressure", pressure, error, "Pa absolute")
 
 
 def _move(

@@ -24,7 +24,7 @@ from bench.commissioning.machine.inputs import (
 )
 from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
-from bench.commissioning.machine.step import MachineFault
+from bench.commissioning.machine.step import MachineFault, NamedStep
 from bench.config import Configuration
 from drivers.base import CHAMBERS, Command, Readings
 
@@ -43,16 +43,14 @@ _SETTLED, _FILLED = 1.0, 3.0
 _WARNING = Command(beacon=True)
 
 
-class InputsStep:
-    """Step 0."""
-
-    name = "inputs"
-    title = "Interlocks, buttons and switches, one by one; supply sensor against the gauge"
-    bounds_text = (
-        "no air for the switches, then "
-        f"{' and '.join(f'{1e-5 * p:.1f}' for p in PRESSURES)} bar absolute in the manifold, vents open, "
-        f"spools centred; a joint whose spool is off its centre drifts, at {DRIFT:g} rad/s at most"
-    )
+INPUTS = NamedStep(
+    "inputs",
+    "Interlocks, buttons and switches, one by one; supply sensor against the gauge",
+    "no air for the switches, then "
+    f"{' and '.join(f'{1e-5 * p:.1f}' for p in PRESSURES)} bar absolute in the manifold, vents open, "
+    f"spools centred; a joint whose spool is off its centre drifts, at {DRIFT:g} rad/s at most",
+)
+"""Step 0."""
 
 
 def check_inputs(

@@ -22,6 +22,7 @@ from bench.commissioning.machine.step import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
+    CommissioningStep,
     MachineFault,
     ParameterEstimate,
     RobotEstimate,
@@ -71,70 +72,70 @@ _PRESSURE_ERROR = 100.0
 """Standard error of a pressure (Pa)."""
 
 
-class ResponseTimes:
-    """Step 5."""
+def _measure(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
+    """Step each valve at its lower stop, then let each joint coast with closed valves."""
+    machine.vent()
+    fold(machine, known)
+    bounds = slow_bounds(known.plant, 1.2 * PRESSING)
+    traces: dict[str, MotionTrace] = {}
+    for i, joint in enumerate(JOINTS):
+        machine.set_supply(MOVING)
+        trace = machine.run(_pulses(known, i), bounds)
+        require_within(trace, f"{joint} valve stepped at its stop")
+        traces[f"{joint} steps"] = trace
+    for i, joint in enumerate(JOINTS):
+        for n, share in enumerate(_PUSHES):
+            machine.set_supply(PRESSING)
+            trace = machine.run(_push(known, i, share), bounds)
+            require_within(trace, f"{joint} pushed")
+            traces[f"{joint} coasting {n + 1}"] = trace
+            move_to_stop(machine, known, i, "lower", FOLD_ORDER)
+    machine.vent()
+    return traces
 
-    name = "response"
-    title = "Frequency of the spools, latency of the encoders"
-    bounds_text = "steps of 0.15 for 60 ms at a stop; pushes over a third of the travel at 4.5 bar absolute"
 
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Step each valve at its lower stop, then let each joint coast with closed valves."""
-        machine.vent()
-        fold(machine, known)
-        bounds = slow_bounds(known.plant, 1.2 * PRESSING)
-        traces: dict[str, MotionTrace] = {}
-        for i, joint in enumerate(JOINTS):
-            machine.set_supply(MOVING)
-            trace = machine.run(_pulses(known, i), bounds)
-            require_within(trace, f"{joint} valve stepped at its stop")
-            traces[f"{joint} steps"] = trace
-        for i, joint in enumerate(JOINTS):
-            for n, share in enumerate(_PUSHES):
-                machine.set_supply(PRESSING)
-                trace = machine.run(_push(known, i, share), bounds)
-                require_within(trace, f"{joint} pushed")
-                traces[f"{joint} coasting {n + 1}"] = trace
-                move_to_stop(machine, known, i, "lower", FOLD_ORDER)
-        machine.vent()
-        return traces
-
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return the natural frequency of each spool, and the encoders' latency."""
-        values, notes, dead_times = [], [], []
-        for i, key in enumerate(ACTUATOR_KEYS):
-            (value, error), dead_time = fit_spool(traces[f"{JOINTS[i]} steps"], known, i)
-            dead_times.append(dead_time)
-            if value < _MIN_FREQUENCY:
-                raise MachineFault(
-                    f"{JOINTS[i]} valve",
-                    f"its spool follows with {value / (2 * np.pi):.0f} Hz only",
-                    f"at least {_MIN_FREQUENCY / (2 * np.pi):.0f} Hz",
-                    "The spool sticks: clean the valve, check the air's filter, or replace the valve.",
-                )
-            values.append(
-                ParameterEstimate(f"{key}.valve.natural_frequency", value, error, "rad/s", self.name)
+def _estimate(traces: Traces, known: RobotEstimate) -> StepResult:
+    """Return the natural frequency of each spool, and the encoders' latency."""
+    values, notes, dead_times = [], [], []
+    for i, key in enumerate(ACTUATOR_KEYS):
+        (value, error), dead_time = fit_spool(traces[f"{JOINTS[i]} steps"], known, i)
+        dead_times.append(dead_time)
+        if value < _MIN_FREQUENCY:
+            raise MachineFault(
+                f"{JOINTS[i]} valve",
+                f"its spool follows with {value / (2 * np.pi):.0f} Hz only",
+                f"at least {_MIN_FREQUENCY / (2 * np.pi):.0f} Hz",
+                "The spool sticks: clean the valve, check the air's filter, or replace the valve.",
             )
-        latencies = []
-        for i, joint in enumerate(JOINTS):
-            for name, trace in traces.items():
-                if name.startswith(f"{joint} coasting"):
-                    found = fit_latency(trace, known, i)
-                    if found is not None:
-                        _require_quick(joint, *found)
-                        latencies.append(found)
-                        notes.append(f"{name}: latency {1e3 * found[0]:.3f} ± {1e3 * found[1]:.3f} ms")
-        dead, dead_error = _weighted(np.array(dead_times))
-        notes.append(
-            f"dead time from a command to its pressure: {1e3 * dead:.3f} ± {1e3 * dead_error:.3f} ms"
-        )
-        if latencies:
-            value, error = _weighted(np.array(latencies))
-            value, error = value + dead, float(np.hypot(np.hypot(error, dead_error), _MIN_LATENCY_ERROR))
-            values.append(ParameterEstimate("encoders.latency", max(value, 0.0), error, "s", self.name))
-        else:
-            notes.append("no joint coasted: the encoders' latency stays a guess")
-        return StepResult(tuple(values), tuple(notes))
+        values.append(ParameterEstimate(f"{key}.valve.natural_frequency", value, error, "rad/s"))
+    latencies = []
+    for i, joint in enumerate(JOINTS):
+        for name, trace in traces.items():
+            if name.startswith(f"{joint} coasting"):
+                found = fit_latency(trace, known, i)
+                if found is not None:
+                    _require_quick(joint, *found)
+                    latencies.append(found)
+                    notes.append(f"{name}: latency {1e3 * found[0]:.3f} ± {1e3 * found[1]:.3f} ms")
+    dead, dead_error = _weighted(np.array(dead_times))
+    notes.append(f"dead time from a command to its pressure: {1e3 * dead:.3f} ± {1e3 * dead_error:.3f} ms")
+    if latencies:
+        value, error = _weighted(np.array(latencies))
+        value, error = value + dead, float(np.hypot(np.hypot(error, dead_error), _MIN_LATENCY_ERROR))
+        values.append(ParameterEstimate("encoders.latency", max(value, 0.0), error, "s"))
+    else:
+        notes.append("no joint coasted: the encoders' latency stays a guess")
+    return StepResult(tuple(values), tuple(notes))
+
+
+RESPONSE = CommissioningStep(
+    "response",
+    "Frequency of the spools, latency of the encoders",
+    "steps of 0.15 for 60 ms at a stop; pushes over a third of the travel at 4.5 bar absolute",
+    _measure,
+    _estimate,
+)
+"""Step 5."""
 
 
 def _require_quick(joint: str, latency: float, error: float) -> None:

@@ -27,6 +27,7 @@ from bench.commissioning.machine.step import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
+    CommissioningStep,
     MachineFault,
     ParameterEstimate,
     RobotEstimate,
@@ -84,47 +85,49 @@ class ValveFeet(NamedTuple):
     """Command for chamber A."""
 
 
-class Wiring:
-    """Step 1."""
+def _measure_wiring(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
+    """Ramp each valve, then move each joint from stop to stop."""
+    _require_sensors(machine.vent(), known.plant)
+    machine.set_supply(FAINT)
+    bounds = slow_bounds(known.plant, 2.0 * FAINT)
+    traces: dict[str, MotionTrace] = {}
+    for i in FOLD_ORDER:
+        trace = machine.run(_ramp(i), bounds)
+        require_within(trace, f"{JOINTS[i]} valve a little open")
+        traces[f"{JOINTS[i]} ramp"] = trace
+    machine.vent()
+    known = RobotEstimate(known.plant)
+    known.add(_valve_values(traces, known.plant))
+    moves = fold(machine, known)
+    for i in FOLD_ORDER[::-1]:
+        for side, name in (("upper", "up"), ("lower", "back")):
+            moves[f"{JOINTS[i]} {name}"] = move_to_stop(
+                machine, known, i, "upper" if side == "upper" else "lower", FOLD_ORDER
+            )
+        _require_travel(i, moves[f"{JOINTS[i]} up"], known.plant)
+    machine.vent()
+    for move, both in moves.items():
+        traces[move], traces[f"{move}, pressed"] = both
+    return traces
 
-    name = "wiring"
-    title = "Wiring, signs, and scale of the encoders"
-    bounds_text = (
-        f"ramps at {1e-5 * FAINT:.1f} bar with open vents; moves at 3 bar, pressing at 4.5 bar absolute; "
-        "speeds at which no cushion takes more than half its rated energy"
-    )
 
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Ramp each valve, then move each joint from stop to stop."""
-        _require_sensors(machine.vent(), known.plant)
-        machine.set_supply(FAINT)
-        bounds = slow_bounds(known.plant, 2.0 * FAINT)
-        traces: dict[str, MotionTrace] = {}
-        for i in FOLD_ORDER:
-            trace = machine.run(_ramp(i), bounds)
-            require_within(trace, f"{JOINTS[i]} valve a little open")
-            traces[f"{JOINTS[i]} ramp"] = trace
-        machine.vent()
-        known = RobotEstimate(known.plant)
-        known.add(_valve_values(traces, known.plant))
-        moves = fold(machine, known)
-        for i in FOLD_ORDER[::-1]:
-            for side, name in (("upper", "up"), ("lower", "back")):
-                moves[f"{JOINTS[i]} {name}"] = move_to_stop(
-                    machine, known, i, "upper" if side == "upper" else "lower", FOLD_ORDER
-                )
-            _require_travel(i, moves[f"{JOINTS[i]} up"], known.plant)
-        machine.vent()
-        for move, both in moves.items():
-            traces[move], traces[f"{move}, pressed"] = both
-        return traces
+def _estimate_wiring(traces: Traces, known: RobotEstimate) -> StepResult:
+    """Return the valves' rough centres and bands, and the encoders' signs and zeros."""
+    plant = known.plant
+    values = _valve_values(traces, plant)
+    encoders, notes = _encoder_values(traces, plant)
+    return StepResult((*values, *encoders), tuple(notes))
 
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return the valves' rough centres and bands, and the encoders' signs and zeros."""
-        plant = known.plant
-        values = _valve_values(traces, plant)
-        encoders, notes = _encoder_values(traces, plant)
-        return StepResult((*values, *encoders), tuple(notes))
+
+WIRING = CommissioningStep(
+    "wiring",
+    "Wiring, signs, and scale of the encoders",
+    f"ramps at {1e-5 * FAINT:.1f} bar with open vents; moves at 3 bar, pressing at 4.5 bar absolute; "
+    "speeds at which no cushion takes more than half its rated energy",
+    _measure_wiring,
+    _estimate_wiring,
+)
+"""Step 1."""
 
 
 def _ramp(valve: int) -> tuple[Segment, ...]:
@@ -158,8 +161,8 @@ def _valve_values(traces: Traces, plant: PlantParameters) -> tuple[ParameterEsti
                 f"a centre within {MAX_CENTRE} and an overlap up to {MAX_BAND}",
                 "Adjust the valve's centre by its maker's manual, or replace the valve.",
             )
-        values.append(ParameterEstimate(f"{key}.valve.centre", centre, 0.004, "", Wiring.name))
-        values.append(ParameterEstimate(f"{key}.valve.dead_band", band, 0.01, "", Wiring.name))
+        values.append(ParameterEstimate(f"{key}.valve.centre", centre, 0.004, ""))
+        values.append(ParameterEstimate(f"{key}.valve.dead_band", band, 0.01, ""))
     return tuple(values)
 
 
@@ -346,9 +349,9 @@ def _encoder_values(traces: Traces, plant: PlantParameters) -> tuple[list[Parame
     zeros = _zeros(ends, depths, signs, lower, upper, counts)
     values = []
     for i in range(3):
-        values.append(ParameterEstimate(f"encoders.sign.{i}", signs[i], 0.0, "", Wiring.name))
+        values.append(ParameterEstimate(f"encoders.sign.{i}", signs[i], 0.0, ""))
         error = errors[i] / per_count
-        values.append(ParameterEstimate(f"encoders.zero_count.{i}", zeros[i], error, "counts", Wiring.name))
+        values.append(ParameterEstimate(f"encoders.zero_count.{i}", zeros[i], error, "counts"))
     return values, notes
 
 
@@ -408,34 +411,38 @@ _EDGE_RAMP, _REST = 1.6, 0.8
 """Durations of the ramp over an edge and of the rest after it (s)."""
 
 
-class ValveEdges:
-    """Step 2."""
+def _measure_valves(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
+    """Ramp each valve towards either stop, the joint standing there."""
+    return at_both_stops(machine, known, _edge_ramp)
 
-    name = "valves"
-    title = "Centres and dead bands of the valves"
-    bounds_text = "openings up to 0.15 at 3 bar absolute with open vents, joints at their stops"
 
-    def measure(self, machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-        """Ramp each valve towards either stop, the joint standing there."""
-        return at_both_stops(machine, known, _edge_ramp)
+def _estimate_valves(traces: Traces, known: RobotEstimate) -> StepResult:
+    """Return centre and dead band of each valve."""
+    values: list[ParameterEstimate] = []
+    for i, key in enumerate(ACTUATOR_KEYS):
+        fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i)
+        for name, most in (("valve.centre", MAX_CENTRE), ("valve.dead_band", MAX_BAND)):
+            k = NAMES.index(name)
+            value, error = float(fit.values[k]), float(fit.error[k])
+            if abs(value) > most:
+                raise MachineFault(
+                    f"{JOINTS[i]} valve",
+                    f"{name.partition('.')[2].replace('_', ' ')} {value:+.3f}",
+                    f"at most {most}",
+                    "Adjust the valve's centre by its maker's manual, or replace the valve.",
+                )
+            values.append(ParameterEstimate(f"{key}.{name}", value, error, ""))
+    return StepResult(tuple(values))
 
-    def estimate(self, traces: Traces, known: RobotEstimate) -> StepResult:
-        """Return centre and dead band of each valve."""
-        values: list[ParameterEstimate] = []
-        for i, key in enumerate(ACTUATOR_KEYS):
-            fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i)
-            for name, most in (("valve.centre", MAX_CENTRE), ("valve.dead_band", MAX_BAND)):
-                k = NAMES.index(name)
-                value, error = float(fit.values[k]), float(fit.error[k])
-                if abs(value) > most:
-                    raise MachineFault(
-                        f"{JOINTS[i]} valve",
-                        f"{name.partition('.')[2].replace('_', ' ')} {value:+.3f}",
-                        f"at most {most}",
-                        "Adjust the valve's centre by its maker's manual, or replace the valve.",
-                    )
-                values.append(ParameterEstimate(f"{key}.{name}", value, error, "", self.name))
-        return StepResult(tuple(values))
+
+VALVES = CommissioningStep(
+    "valves",
+    "Centres and dead bands of the valves",
+    "openings up to 0.15 at 3 bar absolute with open vents, joints at their stops",
+    _measure_valves,
+    _estimate_valves,
+)
+"""Step 2."""
 
 
 def _edge_ramp(machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side) -> MotionTrace:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.lifecycle import Phase
-from bench.commissioning.machine.step import LEARNED_FILE, StepResult, SwungRobot
+from bench.commissioning.machine.step import LEARNED_FILE, StepResult, SwingingStep, SwungRobot
 from bench.config import Configuration
 from bench.control.law.gain_table import MOVE, gains_along
 from bench.control.residual_thresholds import limits_path, save_limits
@@ -204,22 +204,23 @@ def make_healthy_limits(
     return known.for_profile(profile, file)
 
 
-class HealthyLimits:
-    """Limits of the check that compares the robot with its model."""
+def _healthy_limits(
+    robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
+) -> StepResult:
+    """Make the limits of the learned profile in `folder`, and store them next to it.
 
-    name, title = "limits", "Limits of the model-based check"
-    bounds_text = "nothing moves: computed from simulated healthy swings"
+    Raises:
+        Refused: robots without a fault are stopped by the envelope.
+    """
+    file = folder / LEARNED_FILE
+    make_healthy_limits(known, load_profile(file), file, progress)
+    return StepResult((), (f"limits from {DRAWS} robots around the measured one, {DRAWS // 2} to learn on",))
 
-    def swing(
-        self, robot: SwungRobot, known: Configuration, folder: Path, progress: Callable[[str], None]
-    ) -> StepResult:
-        """Make the limits of the learned profile in `folder`, and store them next to it.
 
-        Raises:
-            Refused: robots without a fault are stopped by the envelope.
-        """
-        file = folder / LEARNED_FILE
-        make_healthy_limits(known, load_profile(file), file, progress)
-        return StepResult(
-            (), (f"limits from {DRAWS} robots around the measured one, {DRAWS // 2} to learn on",)
-        )
+LIMITS = SwingingStep(
+    "limits",
+    "Limits of the model-based check",
+    "nothing moves: computed from simulated healthy swings",
+    _healthy_limits,
+)
+"""Limits of the check that compares the robot with its model."""

@@ -38,7 +38,7 @@ from bench.commissioning.machine.step import (
     Traces,
 )
 from bench.commissioning.robot_file import commissioning_report, robot_file
-from bench.commissioning.steps.wiring import Wiring
+from bench.commissioning.steps.wiring import WIRING
 from bench.commissioning.swings.speed_ramp import bench_of
 from bench.config import Configuration, load_configuration, shipped_configuration
 from bench.config.text import configuration_text
@@ -269,10 +269,10 @@ def test_wiring_step_wrong_machine_raises_fault(name: str) -> None:
     nominal = PlantParameters()
     case = wrong_machines(drawn_robot(4))[name]
     with SimulatedMachine(case.robot, nominal, case.faults) as machine:
-        step, known = Wiring(), RobotEstimate(nominal)
+        known = RobotEstimate(nominal)
 
         def take() -> None:
-            step.estimate(step.measure(machine, known), known)
+            WIRING.estimate(WIRING.measure(machine, known), known)
 
         with pytest.raises(MachineFault) as error:
             take()
