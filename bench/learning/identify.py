@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 from bench.base.errors import BenchError, Refused
 from bench.base.to_toml import toml_value
 from bench.config import Configuration
+from bench.control.measured_plant import value_at
 from bench.simulation.plant_variation import Variation
 from bench.simulation.series import Bench, Series, quiet
 from bench.swing.profile import Profile
@@ -222,48 +223,34 @@ def _errors(bench: Bench, values: Array, seen: Array) -> Array:
     return np.asarray(np.clip((simulated - seen)[known], -50.0, 50.0))
 
 
-_ACTUATORS = ("shoulder", "right_arm", "wrist")
+_WRITTEN = (
+    *(
+        f"{actuator}.{key}"
+        for actuator in ("shoulder", "right_arm", "wrist")
+        for key in ("area_a", "area_b", "dead_volume", "valve.conductance")
+        + ("friction.viscous", "friction.coulomb", "friction.static")
+    ),
+    "supply.pressure",
+    "encoders.latency",
+)
+"""Keys below [plant] that a variation may change."""
 
 
-def plant_file(plant: PlantParameters, found: Identified, configuration: Configuration) -> str:
-    """Return TOML with the identified parameters of `plant`, based on the file of `configuration`.
+def write_plant_file(
+    path: Path, plant: PlantParameters, found: Identified, configuration: Configuration
+) -> None:
+    """Write TOML with the identified parameters of `plant` to `path`, based on the file of `configuration`.
 
-    Each parameter's standard error stands above it; uncertain ones are marked.
+    Comments have each parameter's standard error; uncertain ones are marked. OSError if it cannot be written.
     """
-    base = str(configuration.files[-1].resolve())
     lines = ["# Identified from recorded swings: value, standard error."]
     for name, value, error, known in zip(NAMES, found.values, found.error, found.known, strict=True):
         unit = "ms more" if name == NAMES[-1] else "of the nominal"
         doubt = "" if known else "; NOT identified, a guess"
         lines.append(f"# {name}: {value:.4f} {unit}, {error:.4f}{doubt}")
-    lines += [f"base = {toml_value(base)}", ""]
-    for name, actuator in zip(_ACTUATORS, plant.actuators, strict=True):
-        friction = actuator.friction
-        lines += [
-            f"[plant.{name}]",
-            f"area_a = {toml_value(actuator.area_a)}",
-            f"area_b = {toml_value(actuator.area_b)}",
-            f"dead_volume = {toml_value(actuator.dead_volume)}",
-            f"[plant.{name}.friction]",
-            f"viscous = {toml_value(friction.viscous)}",
-            f"coulomb = {toml_value(friction.coulomb)}",
-            f"static = {toml_value(friction.static)}",
-            f"[plant.{name}.valve]",
-            f"conductance = {toml_value(actuator.valve.conductance)}",
-            "",
-        ]
-    lines += [
-        "[plant.supply]",
-        f"pressure = {toml_value(plant.supply.pressure)}",
-        "[plant.encoders]",
-        f"latency = {toml_value(plant.encoders.latency)}",
-        f"[clubs.{plant.robot.club.name}]",
-        f"head_mass = {toml_value(plant.robot.club.head_mass)}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def write_plant_file(path: Path, text: str) -> None:
-    """Write `text` to `path`; OSError if it cannot be written."""
+    lines += [f"base = {toml_value(str(configuration.files[-1].resolve()))}", ""]
+    lines += [f"plant.{key} = {toml_value(value_at(plant, key))}" for key in _WRITTEN]
+    club = plant.robot.club
+    lines.append(f"clubs.{club.name}.head_mass = {toml_value(club.head_mass)}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

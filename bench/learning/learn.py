@@ -159,12 +159,7 @@ def learn(
     chosen = learner.chosen
     weights = learner.trials[chosen].point
     return LearningResult(
-        problem.target,
-        tuple(attempts),
-        chosen,
-        weights,
-        problem.basis.correction(weights),
-        learner.scatter,
+        problem.target, tuple(attempts), chosen, weights, problem.basis.correction(weights), learner.scatter
     )
 
 
@@ -275,7 +270,13 @@ def begun_on(
     """
     bench = problem.bench
     beyond = left_over(bench, plant, recorded) if recorded else np.zeros(4)
-    require_identified(beyond / Tolerance().scale(problem.target))
+    off = np.abs(beyond / Tolerance().scale(problem.target)).max()
+    if off > _MAX_RESIDUAL:
+        found, expected = (
+            f"a robot that delivers {off:.0f} tolerances off the records",
+            f"at most {_MAX_RESIDUAL:g}",
+        )
+        raise BenchError("--identified", found, expected, "Identify it again, from swings of this robot.")
     swing = on_series(problem, Series(bench, quiet(plant)))
     aim = problem._replace(target=Figures(*map(float, problem.target.array - beyond)))
     weights = learn(aim, swing).weights
@@ -286,21 +287,6 @@ def begun_on(
     about = response._replace(figures=figures, path=path)
     known = _IDENTIFIED if recorded else (_ANYTHING, max(_ANYTHING), DOUBT, RADIUS)
     return problem._replace(beginning=Beginning(weights, about, *known))
-
-
-def require_identified(beyond: Array) -> None:
-    """Refuse a robot whose delivery is (4,) too many tolerances off the records.
-
-    Raises:
-        BenchError: it does.
-    """
-    if np.abs(beyond).max() > _MAX_RESIDUAL:
-        raise BenchError(
-            "--identified",
-            f"a robot that delivers {np.abs(beyond).max():.0f} tolerances off the records",
-            f"at most {_MAX_RESIDUAL:g}",
-            "Identify it again, from swings of this robot.",
-        )
 
 
 def left_over(bench: Bench, plant: PlantParameters, recorded: Sequence[Recorded]) -> Array:

@@ -39,10 +39,7 @@ class Conditions:
 
     @staticmethod
     def of(
-        profile: Profile,
-        plant: PlantParameters,
-        temperature: float,
-        simulated: PlantParameters | None = None,
+        profile: Profile, plant: PlantParameters, temperature: float, simulated: PlantParameters | None = None
     ) -> Conditions:
         """Return the conditions of a swing of `profile` on `plant`; `simulated`: the robot in simulation."""
         digest = digest_of(profile)
@@ -124,20 +121,9 @@ def keep(database: Engine, entry: Learned) -> int:
     newest = select(func.max(LearnedSwingRow.version)).where(
         LearnedSwingRow.bench == entry.bench, LearnedSwingRow.profile == entry.profile
     )
-    c = entry.conditions
-    values = {
-        "bench": entry.bench,
-        "profile": entry.profile,
-        "date": entry.date,
-        "simulated": entry.simulated,
-        "source": entry.source,
-        "digest": c.digest,
-        "club": c.club,
-        "supply_pressure": c.supply_pressure,
-        "temperature": c.temperature,
-        "within": entry.within,
-        "content": {"weights": list(entry.weights), **entry.content},
-    }
+    names = ("bench", "profile", "date", "simulated", "source", "within")
+    values = {name: getattr(entry, name) for name in names} | asdict(entry.conditions)
+    values["content"] = {"weights": list(entry.weights), **entry.content}
     with database.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
         version = int(connection.scalar(newest) or 0) + 1
         connection.execute(insert(LearnedSwingRow).values(**values, version=version))
@@ -168,16 +154,8 @@ def _entry(row: Any) -> Learned:
         )
     conditions = Conditions(row.digest, row.club, row.supply_pressure, row.temperature)
     return Learned(
-        row.bench,
-        row.profile,
-        row.date,
-        row.simulated,
-        row.source,
-        conditions,
-        row.within,
-        tuple(map(float, weights)),
-        content,
-        row.version,
+        *(row.bench, row.profile, row.date, row.simulated, row.source, conditions, row.within),
+        *(tuple(map(float, weights)), content, row.version),
     )
 
 

@@ -29,7 +29,7 @@ def identify(context: typer.Context, records: Records, output: Output = None, js
     Use swings made with the control of --config, none of them the first after arming.
     """
     from bench.learning.identify import identify as identified
-    from bench.learning.identify import plant_file, write_plant_file
+    from bench.learning.identify import write_plant_file
     from bench.learning.learn import read_recorded
     from bench.simulation.series import Bench
 
@@ -42,7 +42,7 @@ def identify(context: typer.Context, records: Records, output: Output = None, js
         found = identified(bench, [swing.cycles for swing in recorded], progress=show)
     if output is not None:
         robot = found.variation(bench).applied_to(bench.model)
-        write_plant_file(output, plant_file(robot, found, configuration))
+        write_plant_file(output, robot, found, configuration)
     if json_:
         return show_json(_record(found))
     console = Console()

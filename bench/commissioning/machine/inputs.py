@@ -37,12 +37,7 @@ class Act(NamedTuple):
 ACTS: Mapping[str, Act] = {
     act.key: act
     for act in (
-        Act(
-            "press-stop",
-            "Press an emergency stop, each day another one",
-            "emergency_stop_clear",
-            False,
-        ),
+        Act("press-stop", "Press an emergency stop, each day another one", "emergency_stop_clear", False),
         Act(
             "release-stop",
             "Release the emergency stop, and reset the safety relay",
@@ -361,8 +356,5 @@ def in_simulation(folder: Path, service: float, atmosphere: float) -> OperatorIO
         turn(pressure)
 
     return OperatorIO(
-        turned,
-        act=act_in_simulation(folder),
-        gauge=lambda: last[0] - atmosphere,
-        timeout=SIMULATED_TIMEOUT,
+        turned, act=act_in_simulation(folder), gauge=lambda: last[0] - atmosphere, timeout=SIMULATED_TIMEOUT
     )

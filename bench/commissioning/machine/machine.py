@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.base import CHAMBERS, JOINTS, Triple
+from drivers.base import CHAMBERS, JOINTS, Command, Triple
 
 Array = NDArray[np.float64]
 
@@ -107,6 +107,82 @@ class MotionTrace:
         """Return its arrays by name, for a file."""
         names = ("time", "first_count", "count", "pressure", "supply", "valve", "vents_shut", "segment")
         return {name: getattr(self, name) for name in names}
+
+
+_REST = 5e-4
+"""Max movement of a joint at rest (rad)."""
+
+
+class MotionLog:
+    """Rows of a sequence as they come."""
+
+    def __init__(self, rows: int, counts: int) -> None:
+        self._rows, self._counts, self._n = rows, counts, 0
+        self._count = np.zeros((rows, 3), np.int64)
+        self._first = np.zeros(3, np.int64)
+        self._time, self._supply = np.zeros(rows), np.zeros(rows)
+        self._pressure, self._valve = np.zeros((rows, 6)), np.zeros((rows, 3))
+        self._shut, self._segment = np.zeros(rows, bool), np.zeros(rows, np.int64)
+
+    @property
+    def full(self) -> bool:
+        """Whether no row is left."""
+        return self._n >= self._rows
+
+    def note(self, readings: np.ndarray[Any, Any], command: Command, segment: int) -> None:
+        """Add a row."""
+        r, n = readings[0], self._n
+        count = np.asarray(r["encoder_count"], np.int64)
+        if n == 0:
+            self._first = count.copy()
+        else:
+            before = self._count[n - 1] + self._first
+            half = self._counts // 2
+            self._count[n] = self._count[n - 1] + (count - before + half) % self._counts - half
+        self._time[n], self._supply[n] = r["time"], r["supply_pressure"]
+        self._pressure[n], self._valve[n] = r["chamber_pressure"], command.valve
+        self._shut[n], self._segment[n] = command.exhaust_closed, segment
+        self._n = n + 1
+
+    def way(self) -> Array:
+        """Return the way (3,) rad since the first row."""
+        return np.asarray(self._count[max(self._n - 1, 0)] * (2 * np.pi / self._counts))
+
+    def rested(self, span: int, joint: int | None = None) -> bool:
+        """Return whether `joint`, or each, has rested for `span` rows."""
+        if self._n <= span:
+            return False
+        counts = self._count[self._n - 1 - span : self._n]
+        counts = counts if joint is None else counts[:, [joint]]
+        return bool(np.max(np.ptp(counts, axis=0)) * (2 * np.pi / self._counts) < _REST)
+
+    def trace(self, tripped: PassedBound | None, ended: tuple[bool, ...], tick: float) -> MotionTrace:
+        """Return the rows, one a `tick` (s): rows that a busy machine missed lie between their neighbours."""
+        n = self._n
+        at = np.arange(n, dtype=float)
+        if n > 1:
+            number = np.round((self._time[:n] - self._time[0]) / tick)
+            wanted = np.arange(number[-1] + 1.0)
+            if len(wanted) != n:
+                at = np.interp(wanted, number, at)
+        before = at.astype(np.int64)
+
+        def between(rows: NDArray[Any]) -> Array:
+            columns = rows[:n].reshape(n, -1).T
+            return np.stack([np.interp(at, np.arange(n), column) for column in columns], axis=1)
+
+        return MotionTrace(
+            between(self._time)[:, 0],
+            self._first,
+            np.round(between(self._count)).astype(np.int64),
+            between(self._pressure),
+            between(self._supply)[:, 0],
+            self._valve[before],
+            self._shut[before],
+            self._segment[before],
+            tripped,
+            ended,
+        )
 
 
 class CommissionedMachine(Protocol):

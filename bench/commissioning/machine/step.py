@@ -10,13 +10,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 
 from bench.base.errors import Refused
-from bench.commissioning.machine.machine import (
-    CommissionedMachine,
-    MotionBounds,
-    MotionTrace,
-    Segment,
-    Until,
-)
+from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment, Until
 from bench.config import Configuration
 from bench.control.measured_plant import value_at, with_values
 from bench.simulation.loads import Loads

@@ -13,15 +13,7 @@ from math import inf, isfinite, isnan
 from bench.base.errors import Refused
 from bench.calibration.calibration import SeenInputs, wiring_digest
 from bench.commissioning.machine.driver_machine import DriverMachine
-from bench.commissioning.machine.inputs import (
-    ACTS,
-    InputFinding,
-    OperatorIO,
-    Stage,
-    fitted,
-    judged,
-    stages,
-)
+from bench.commissioning.machine.inputs import ACTS, InputFinding, OperatorIO, Stage, fitted, judged, stages
 from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
 from bench.commissioning.machine.step import MachineFault, NamedStep

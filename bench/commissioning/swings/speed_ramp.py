@@ -45,7 +45,7 @@ from bench.config import Configuration
 from bench.control.law.feed_forward import FeedForward
 from bench.design.designer import DesignFailed
 from bench.learning.delivery import Figures, Tolerance, delivery_from_encoders, figures_of, strike_from_mark
-from bench.learning.learn import LearningProblem, LearningResult, ObservedSwing, learn, prepare
+from bench.learning.learn import LearningProblem, ObservedSwing, learn, prepare
 from bench.simulation.loads import Loads
 from bench.simulation.safety import RunEnd, SafetyLimits, unsafe_reasons
 from bench.simulation.series import Bench, Series, SeriesSwing
@@ -404,16 +404,19 @@ def learned_swing(
 
     result = learn(problem, swing, _SWINGS)
     save_profile(folder / LEARNED_FILE, result.correction.applied_to(profile))
-    figures = _Learned(result, figures_of(made[result.chosen].delivery))
+    kept = result.attempts[result.chosen].figures
+    text = f"{_words(kept)}; target {_words(result.target)}"
     if not result.within:
         raise MachineFault(
             "learning",
-            f"after {result.used} swings {figures.text}",
+            f"after {result.used} swings {text}",
             "a swing within 2 mm, 0.3 %, 0.3 deg and 0.3 deg of its target",
             "Look for what changes between swings: play, a slipping shaft, the supply; then --resume.",
         )
-    learned = f"learned in {result.used} swings: {figures.text}"
-    return StepResult((), (learned, marks.text, *figures.truth))
+    notes = (f"learned in {result.used} swings: {text}", marks.text)
+    true = figures_of(made[result.chosen].delivery)  # as a simulated plant knows it
+    known_truth = () if np.isnan(true.speed) else (f"the simulated plant knows: {_words(true)}",)
+    return StepResult((), (*notes, *known_truth))
 
 
 LEARNING = SwingingStep(
@@ -424,23 +427,6 @@ LEARNING = SwingingStep(
     learned_swing,
 )
 """Learning of the swing that was found."""
-
-
-class _Learned(NamedTuple):
-    result: LearningResult
-    true: Figures
-    """The kept swing's delivery as a simulated plant knows it."""
-
-    @property
-    def text(self) -> str:
-        """The kept swing by its source, and the target."""
-        kept, target = self.result.attempts[self.result.chosen].figures, self.result.target
-        return f"{_words(kept)}; target {_words(target)}"
-
-    @property
-    def truth(self) -> tuple[str, ...]:
-        """The kept swing as the simulated plant knows it; empty on a real robot."""
-        return () if np.isnan(self.true.speed) else (f"the simulated plant knows: {_words(self.true)}",)
 
 
 def _words(f: Figures) -> str:

@@ -48,13 +48,7 @@ _MIN_IMPROVEMENT = 0.5
 """Max share of the misfit that is left, for their effects to be taken there."""
 _STEP = 0.3
 """Step of a derivative, in standard errors."""
-_GUESSES = {
-    "robot.l12": 1e-3,
-    "robot.l16": 1e-3,
-    "robot.l23": 1e-3,
-    "robot.l56": 1e-3,
-    "wrist_lever": 1e-3,
-}
+_GUESSES = {"robot.l12": 1e-3, "robot.l16": 1e-3, "robot.l23": 1e-3, "robot.l56": 1e-3, "wrist_lever": 1e-3}
 """Standard errors of values that no step measures, m."""
 
 
@@ -205,8 +199,8 @@ class Diagnosis(NamedTuple):
 
 
 def _named(one: FittedCause) -> str:
-    since = f"from {one.since:.2f} s of the swing on"
-    return f"{one.cause.location}: {one.cause.what} ({one.cause.words(one.value)}, {since})"
+    value = one.cause.form.format(one.cause.scale * one.value)
+    return f"{one.cause.location}: {one.cause.what} ({value}, from {one.since:.2f} s of the swing on)"
 
 
 def diagnose(cycles: Cycles, plant: PlantParameters, found: Iterable[ParameterEstimate]) -> Diagnosis:

@@ -65,9 +65,7 @@ def test_prepare_target_equals_planned_figures(problem: LearningProblem) -> None
     assert np.any(problem.response.figures != problem.target.array)
 
 
-def test_delivery_from_encoders_late_robot_matches_plant(
-    problem: LearningProblem,
-) -> None:
+def test_delivery_from_encoders_late_robot_matches_plant(problem: LearningProblem) -> None:
     """The worn robot's first swing comes when the modelled one has run into the wrist's cushion."""
     series, scale = Series(BENCH, WORN), Tolerance().scale(problem.target)
     swing = series.swing(BENCH.profile)
@@ -96,11 +94,7 @@ def test_figures_from_other_source_replaces_measured_figures_only(problem: Learn
     assert marked[1:] == encoders[1:]
     monitor = figures_from("launch-monitor", swing.cycles, PLANT, problem.response.free, club_speed=42.0)
     assert monitor.speed == 42.0
-    assert (monitor.strike, monitor.lean, monitor.attack) == (
-        encoders.strike,
-        encoders.lean,
-        encoders.attack,
-    )
+    assert (monitor.strike, monitor.lean, monitor.attack) == (encoders.strike, encoders.lean, encoders.attack)
 
 
 def test_strike_from_mark_matches_in_plane_error(problem: LearningProblem) -> None:

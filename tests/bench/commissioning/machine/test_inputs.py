@@ -100,8 +100,7 @@ def test_stages_give_each_input_unique_pattern() -> None:
 
 
 @pytest.mark.parametrize(
-    ("a", "b"),
-    [(a, b) for n, a in enumerate(ALL) for b in ALL[:n] if {a, b} != {"vent 1", "vent 2"}],
+    ("a", "b"), [(a, b) for n, a in enumerate(ALL) for b in ALL[:n] if {a, b} != {"vent 1", "vent 2"}]
 )
 def test_judged_exchanged_inputs_are_reported_as_pair(a: str, b: str) -> None:
     seen = [readings(levels | {a: levels[b], b: levels[a]}) for levels in healthy()]

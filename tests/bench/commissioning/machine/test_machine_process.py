@@ -23,9 +23,8 @@ import pytest
 from bench.base.clock import FreeClock
 from bench.base.errors import Refused
 from bench.base.lifecycle import Cause, Request
-from bench.commissioning.machine.driver_machine import _Log
 from bench.commissioning.machine.inputs import OperatorIO, of_simulation
-from bench.commissioning.machine.machine import MotionBounds, Segment
+from bench.commissioning.machine.machine import MotionBounds, MotionLog, Segment
 from bench.commissioning.machine.machine_process import (
     _PIECE,
     LiveRobot,
@@ -488,7 +487,7 @@ def test_send_unread_answer_continues_ticks() -> None:
 
 
 def test_log_missed_rows_are_interpolated() -> None:
-    log = _Log(5, 1000)
+    log = MotionLog(5, 1000)
     for n in (0, 1, 4, 5):
         readings = new_record(READINGS)
         readings["time"], readings["encoder_count"], readings["chamber_pressure"] = 7.0 + 0.001 * n, 10 * n, n
