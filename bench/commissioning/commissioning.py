@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -28,6 +29,7 @@ from bench.commissioning.machine.step import (
     ParameterEstimate,
     RobotEstimate,
     StepResult,
+    SwingingStep,
     SwungRobot,
     Traces,
 )
@@ -241,19 +243,17 @@ def see_inputs(
     """
     if in_force is None and state.has_done(INPUTS):
         return
-    notes, begun = [f"{in_force} is in force"], datetime.now(UTC)
-    if not in_force:
-        on_step(INPUTS)
-        with _noting_what_is_wrong(state, INPUTS):
-            seen, findings = check_inputs(machine, hands, configuration, progress)
-            keep(seen)
-            raise_findings(findings)
+
+    def check() -> StepResult:
+        if in_force:
+            return StepResult((), (f"{in_force} is in force",))
+        seen, findings = check_inputs(machine, hands, configuration, progress)
+        keep(seen)
+        raise_findings(findings)
         beside = f"supply sensor {1e-5 * seen.gauge:+z.2f} bar off the gauge"
-        notes = [f"seen to change: {', '.join(seen.seen)}", beside]
-    seconds = (datetime.now(UTC) - begun).total_seconds()
-    done = _done(INPUTS, "", StepResult((), tuple(notes)), seconds)
-    state.done = [done, *(step for step in state.done if step.name != INPUTS.name)]
-    state.save()
+        return StepResult((), (f"seen to change: {', '.join(seen.seen)}", beside))
+
+    _do(state, INPUTS, on_step, check)
 
 
 def commission(
@@ -277,11 +277,17 @@ def commission(
     known = RobotEstimate(nominal, state.values)
     try:
         while (step := state.next_step()) is not None:
-            on_step(step)
-            counted = _CountedMachine(machine, step.title, progress)
-            with _noting_what_is_wrong(state, step):
-                state.done.append(_do(step, state, counted, known, observe, progress))
-            state.save()
+            file = f"records/{STEPS.index(step) + 1}-{step.name}.npz"
+
+            def work(step: CommissioningStep = step, file: str = file) -> StepResult:
+                counted = _CountedMachine(machine, step.title, progress)
+                traces, stalls = _measured(step, counted, known, progress)
+                write_traces(state.folder / file, traces)
+                result = step.estimate(traces, known)
+                values = tuple(value._replace(step=step.name) for value in result.values)
+                return StepResult(values, (*result.notes, *stalls, *observe()))
+
+            _do(state, step, on_step, work, file, lambda: machine.time)
             known.add(state.done[-1].values)
     finally:
         machine.make_passive()
@@ -308,14 +314,15 @@ def commission_swings(
     for step in SWINGING_STEPS:
         if state.has_done(step):
             continue
-        on_step(step)
-        begun = datetime.now(UTC)
         diagnosed = DiagnosedRobot(robot, state.values, records)
-        with _noting_what_is_wrong(state, step), _explained_by(diagnosed):
-            result = step.swing(diagnosed, known_with_swing(known, state.folder), state.folder, progress)
-        seconds = (datetime.now(UTC) - begun).total_seconds()
-        state.done.append(_done(step, "records", result, seconds))
-        state.save()
+
+        def work(step: SwingingStep = step, diagnosed: DiagnosedRobot = diagnosed) -> StepResult:
+            try:
+                return step.swing(diagnosed, known_with_swing(known, state.folder), state.folder, progress)
+            except Refused as error:
+                raise diagnosed.explained(error) from error.__cause__
+
+        _do(state, step, on_step, work, "records")
 
 
 def known_with_swing(known: Configuration, folder: Path) -> Configuration:
@@ -327,56 +334,29 @@ def known_with_swing(known: Configuration, folder: Path) -> Configuration:
     return with_following_limits(known, profile).for_profile(profile, file)
 
 
-@contextmanager
-def _noting_what_is_wrong(state: Commissioning, step: NamedStep) -> Iterator[None]:
-    """Store in `state` that `step` found the machine wrong, if it does."""
+def _do(
+    state: Commissioning,
+    step: NamedStep,
+    on_step: Callable[[NamedStep], None],
+    work: Callable[[], StepResult],
+    record: str = "",
+    clock: Callable[[], float] = time.monotonic,
+) -> None:
+    """Do `step` by `work`, timed by `clock` (s), and store in `state` that it is done, or what is wrong."""
+    on_step(step)
+    begun = clock()
     try:
-        yield
+        result = work()
     except MachineFault as error:
         date = datetime.now(UTC).isoformat()
         state.wrong = FaultRecord(step.name, date, error.location, error.found, error.expected, error.action)
         state.save()
         raise
-
-
-@contextmanager
-def _explained_by(diagnosed: DiagnosedRobot) -> Iterator[None]:
-    """Add the diagnosis of the last swing to an error."""
-    try:
-        yield
-    except Refused as error:
-        raise diagnosed.explained(error) from error.__cause__
-
-
-def _done(step: NamedStep, record: str, result: StepResult, seconds: float) -> DoneStep:
-    return DoneStep(
-        step.name,
-        step.title,
-        step.bounds_text,
-        datetime.now(UTC).isoformat(),
-        seconds,
-        record,
-        result.values,
-        result.notes,
-    )
-
-
-def _do(
-    step: CommissioningStep,
-    state: Commissioning,
-    machine: CommissionedMachine,
-    known: RobotEstimate,
-    observe: Callable[[], tuple[str, ...]],
-    progress: Callable[[str], None],
-) -> DoneStep:
-    begun = machine.time
-    traces, stalls = _measured(step, machine, known, progress)
-    file = f"records/{STEPS.index(step) + 1}-{step.name}.npz"
-    write_traces(state.folder / file, traces)
-    result = step.estimate(traces, known)
-    values = tuple(value._replace(step=step.name) for value in result.values)
-    result = StepResult(values, (*result.notes, *stalls, *observe()))
-    return _done(step, file, result, machine.time - begun)
+    named, date, seconds = (step.name, step.title, step.bounds_text), datetime.now(UTC), clock() - begun
+    done = DoneStep(*named, date.isoformat(), seconds, record, result.values, result.notes)
+    others = [one for one in state.done if one.name != step.name]
+    state.done = [done, *others] if step is INPUTS else [*others, done]
+    state.save()
 
 
 def _measured(
