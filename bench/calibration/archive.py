@@ -10,7 +10,8 @@ from sqlalchemy import Engine, func, insert, select
 from sqlalchemy.exc import IntegrityError
 
 from bench.base.errors import BenchError
-from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics, checked_values
+from bench.base.from_toml import checked_values
+from bench.calibration.ball_aerodynamics import AerodynamicsEntry, BallAerodynamics
 from bench.calibration.calibration import (
     VALID_DAYS,
     Calibration,

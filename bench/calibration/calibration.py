@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
@@ -16,8 +16,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from bench.base.errors import BenchError, Refused
+from bench.base.from_toml import checked_values
 from bench.base.lifecycle import Block
-from bench.calibration.ball_aerodynamics import checked_values
 from bench.config import Configuration, contradictions
 from bench.records.telemetry.encoder_preset import CalibratedShifts
 from bench.records.telemetry.ring import RingReader
@@ -71,7 +71,7 @@ class EncoderZeros:
 
 
 def zero_counts(
-    count: tuple[int, int, int], angle: Triple, sign: tuple[int, int, int], counts_per_revolution: int
+    count: Iterable[int], angle: Iterable[float], sign: Iterable[int], counts_per_revolution: int
 ) -> Triple:
     """Return the counts at angle zero of encoders that show `count` with the joints at `angle` (rad)."""
     per_radian = counts_per_revolution / (2 * pi)

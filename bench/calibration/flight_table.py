@@ -26,7 +26,7 @@ import numpy as np
 
 from bench.base.errors import BenchError
 from bench.base.text_encoding import encoding_of
-from bench.calibration.aerodynamics_fit import MeasuredFlight
+from bench.calibration.ball_aerodynamics import MeasuredFlight
 from drivers.base import Launch
 from sim.air import Air
 

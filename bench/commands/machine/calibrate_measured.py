@@ -17,8 +17,7 @@ from bench.commands.common.options import Json, argument, flag, option
 from bench.commands.common.session import Session, at_terminal, show_json
 
 if TYPE_CHECKING:
-    from bench.calibration.aerodynamics_fit import FlightUncertainty
-    from bench.calibration.ball_aerodynamics import BallAerodynamics
+    from bench.calibration.ball_aerodynamics import BallAerodynamics, FlightUncertainty
     from bench.calibration.calibration import Entry, SeenInputs
     from bench.commissioning.machine.driver_machine import SimulatedMachine
     from bench.commissioning.machine.inputs import OperatorIO
@@ -128,7 +127,7 @@ def _fitted(
     radius: float,
 ) -> BallAerodynamics:
     """Return the fit to the flights in the files; BenchError when they do not determine it."""
-    from bench.calibration.aerodynamics_fit import fit_aerodynamics
+    from bench.calibration.ball_aerodynamics import fit_aerodynamics
     from bench.calibration.flight_table import read_flights
     from sim.ball import Ball
 
@@ -188,7 +187,7 @@ def _uncertainty(
     speed: float, angle_deg: float, spin_rpm: float, carry: float, apex: float, time: float, point: float
 ) -> FlightUncertainty:
 
-    from bench.calibration.aerodynamics_fit import FlightUncertainty
+    from bench.calibration.ball_aerodynamics import FlightUncertainty
 
     return FlightUncertainty(speed, radians(angle_deg), spin_rpm * pi / 30, carry, apex, time, point)
 

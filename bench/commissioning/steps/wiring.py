@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import pi
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -362,15 +362,10 @@ def _zeros(
     ends: NDArray[np.int64], depths: Array, signs: list[int], lower: Array, upper: Array, counts: int
 ) -> Triple:
     """Return the counts at angle zero: the mean of what both stops say."""
-    low = np.array(zero_counts(_three(ends[:, 0]), _three(lower - depths[:, 0]), _three(signs), counts))
-    high = np.array(zero_counts(_three(ends[:, 1]), _three(upper + depths[:, 1]), _three(signs), counts))
+    low = np.array(zero_counts(ends[:, 0], lower - depths[:, 0], signs, counts))
+    high = np.array(zero_counts(ends[:, 1], upper + depths[:, 1], signs, counts))
     between = (high - low + counts / 2) % counts - counts / 2
     a, b, c = ((low + between / 2) % counts).tolist()
-    return a, b, c
-
-
-def _three(values: Any) -> tuple[Any, Any, Any]:
-    a, b, c = np.asarray(values).tolist()
     return a, b, c
 
 
