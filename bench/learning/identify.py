@@ -19,11 +19,15 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from bench.base.errors import BenchError, Refused
+from bench.base.lifecycle import Phase
 from bench.base.to_toml import toml_value
 from bench.config import Configuration
 from bench.control.measured_plant import value_at
+from bench.records.telemetry.recorder import read_swing
+from bench.records.telemetry.swing_metadata import read_profile
 from bench.simulation.plant_variation import Variation
 from bench.simulation.series import Bench, Series, quiet
+from bench.swing.correction import digest_of
 from bench.swing.profile import Profile
 from sim.plant import PlantParameters
 from sim.robot import Club
@@ -69,6 +73,42 @@ _ALIKE = 100
 """Neighbouring samples that err alike and count as one."""
 _SWINGS = 3
 """Simulated ones that are averaged; one before them is not, as it begins with the air of arming."""
+
+
+def read_recorded(paths: Sequence[Path]) -> tuple[Profile, list[Cycles]]:
+    """Return the profile of the swings in Parquet files, a correction included, and their CYCLE records.
+
+    Raises:
+        BenchError: none is given; one is no record, holds no whole swing, or differs in plan from the first.
+    """
+    if not paths:
+        raise BenchError("identify", "no record", "at least one record", "Give the paths of recorded swings.")
+    read = [(path, *read_swing(path)) for path in paths]
+    first = read_profile(read[0][2], str(paths[0]))
+    swings: list[Cycles] = []
+    for path, cycles, metadata in read:
+        profile = read_profile(metadata, str(path))
+        if digest_of(first) != digest_of(profile):
+            corrected = ", with another correction" if first.name == profile.name else ""
+            expected, action = f"of {first.name}, as in the records before", "Identify one at a time."
+            raise BenchError(str(path), f"a swing of {profile.name}{corrected}", expected, action)
+        swings.append(from_first_tick(cycles, profile, str(path)))
+    return first, swings
+
+
+def from_first_tick(cycles: Cycles, profile: Profile, location: str) -> Cycles:
+    """Return the records of a swing from its first tick on.
+
+    Raises:
+        BenchError: they hold no swing up to the impact window.
+    """
+    begun = np.flatnonzero(cycles["phase"] == Phase.BACKSWING)
+    first = int(begun[0]) - profile.begins[1] if begun.size else -1
+    swing = cycles[max(first, 0) :]
+    if first < 0 or len(swing) < profile.begins[5] or swing["cause"][: profile.begins[5]].any():
+        expected, action = "a swing from the address to the ball", "Give a record of a complete swing."
+        raise BenchError(location, "no complete swing", expected, action)
+    return swing
 
 
 class Identified(NamedTuple):
@@ -130,11 +170,7 @@ def identify(
     All swings are of the bench's profile and not the first after arming. Parameters not `asked` stay nominal,
     with unknown errors. `progress` gets the share of the max number of trials that is done.
 
-    Raises:
-        BenchError: `observed` is empty.
     """
-    if not observed:
-        raise BenchError("identify", "no swing", "complete swings", "Give records of complete swings.")
     free = np.array([NAMES.index(name) for name in asked])
     seen = np.mean([_seen(bench.profile, cycles) for cycles in observed], axis=0)
     weight = 1.0 / np.sqrt(np.isfinite(seen).sum() / _ALIKE)

@@ -13,9 +13,6 @@ regression). So the response becomes the robot's own, and one lucky swing is not
 stopped swing counts as failed: its record up to the stop still counts for the path, and the radius is halved.
 Without planned air at the address the first swing after arming begins with other air than those that follow:
 it counts with more noise for the next step, and confirms nothing.
-
-For an identified robot more is known before the first swing: where to begin, the expected delivery there, and
-a better response.
 """
 
 from __future__ import annotations
@@ -33,7 +30,6 @@ from bench.learning.delivery import Figures, Tolerance, figures_of
 from bench.simulation.series import Bench, Series, SeriesSwing, quiet
 from bench.swing.correction import Basis
 from bench.swing.correction_terms import MAX_WEIGHT
-from sim.plant import PlantParameters
 
 Array = NDArray[np.float64]
 
@@ -71,10 +67,10 @@ def path_rows(bench: Bench) -> NDArray[np.int64]:
 class Model:
     """The bench's model, ready to swing with any correction from the same instant."""
 
-    def __init__(self, bench: Bench, basis: Basis, plant: PlantParameters | None = None) -> None:
-        """Arm the model, or another `plant`; Refused if it does not reach its address."""
+    def __init__(self, bench: Bench, basis: Basis) -> None:
+        """Arm the model; Refused if it does not reach its address."""
         self._bench, self._basis = bench, basis
-        self._series = Series(bench, quiet(plant or bench.model))
+        self._series = Series(bench, quiet(bench.model))
         self._series.settle()
         profile = bench.profile
         self._ticks = min(round((profile.impact_time + _AFTER) / profile.period), len(profile.angle))
@@ -85,28 +81,22 @@ class Model:
         corrected = self._basis.correction(point).applied_to(self._bench.profile)
         return self._series.swing_again(corrected, self._ticks)
 
-    def free(self) -> Array:
-        """Swing without correction and without a ball; return the angles (k, 3) tick by tick, rad."""
-        swing = self._series.swing_again(self._bench.profile, self._ticks, ball=False)
-        return np.array(swing.cycles["plant_angle"])
-
-    def response(
-        self, point: Array | None = None, progress: Callable[[float], None] = lambda part: None
-    ) -> Response:
-        """Return the response at `point` (default: no correction).
+    def response(self, progress: Callable[[float], None] = lambda part: None) -> Response:
+        """Return the response without correction.
 
         Raises:
             BenchError: the modelled swing is stopped or misses the ball.
         """
         m = self._basis.size
-        point = np.zeros(m) if point is None else point
+        point = np.zeros(m)
         swing = self.swing(point)
         if swing.cause or swing.delivery is None:
             found = CAUSE_TEXT[swing.cause] if swing.cause else "the club misses the ball"
             location, wanted = f"{self._bench.profile.name} on the model", "a swing that strikes the ball"
             raise BenchError(location, found, wanted, "Identify the plant, or design a new swing.")
         figures, path = self._seen(swing)
-        free = self.free()
+        without_ball = self._series.swing_again(self._bench.profile, self._ticks, ball=False)
+        free = np.array(without_ball.cycles["plant_angle"])
         by_figures, by_path = np.zeros((4, m)), np.zeros((path.size, m))
         for i in range(m):
             sides = []
@@ -153,7 +143,7 @@ _UNSETTLED: Four = (1.0, 7.0, 0.7, 1.5)
 """Standard deviation by which the first swing after arming differs from the next ones, in tolerances."""
 _PATH_UNSETTLED = 0.02
 """Standard deviation of the path of the first swing after arming (rad)."""
-DOUBT = 0.5
+_DOUBT = 0.5
 """Share by which the robot's response differs from the model's."""
 _BEND = 0.1
 """Share of the response by which a step of one weight bends it."""
@@ -177,59 +167,26 @@ class LearnerTrial(NamedTuple):
     """Whether it began with planned air, or with that a swing had left, not with that of arming."""
 
 
-class Beginning(NamedTuple):
-    """Knowledge of the robot before its first swing."""
-
-    point: Array
-    """Weights (m,) around which the response is known."""
-    response: Response
-    """Expected response there."""
-    offset: Four
-    """Standard deviation of the figures expected, in tolerances."""
-    path_offset: float
-    """Standard deviation of the expected path, rad."""
-    doubt: float
-    """Present value of `DOUBT`."""
-    radius: float
-    """Present value of `RADIUS`."""
-
-
 class Learner:
     """Proposes a `point`, notes the swing made with it, proposes the next one; the best point is kept."""
 
-    def __init__(
-        self, response: Response, target: Figures, plan: Array, beginning: Beginning | None = None
-    ) -> None:
-        """`response` is the model's without correction, `plan` (r, 3) the planned path at its rows, rad.
-
-        `beginning` overrides the response.
-        """
+    def __init__(self, response: Response, target: Figures, plan: Array) -> None:
+        """`response` is the model's without correction, `plan` (r, 3) the planned path at its rows, rad."""
         self._target, self._scale = target.array, Tolerance().scale(target)
         self._plan = plan
         self._path_factor = 1.0 / _PATH_SCALE / np.sqrt(plan.size)
-        expected = response if beginning is None else beginning.response
         self._prior = np.vstack(
-            [expected.by_figures / self._scale[:, None], self._path_factor * expected.by_path]
+            [response.by_figures / self._scale[:, None], self._path_factor * response.by_path]
         )
         self._noise = self._rows(_SCATTER, _PATH_SCATTER)
         self._unsettled = self._rows(_UNSETTLED, _PATH_UNSETTLED)
         self._size = np.linalg.norm(self._prior, axis=1) + 1e-9
-        self._origin = np.zeros(self._prior.shape[1]) if beginning is None else beginning.point
-        self._known = beginning is not None
-        self._doubt, self._offset = DOUBT, np.full(len(self._prior), _OFFSET)
-        self._expected = np.zeros(len(self._prior))
         self._radius = RADIUS
         self.trials: list[LearnerTrial] = []
         self._errors: list[Array] = []
         self._best = 0
-        self.point = self._origin
+        self.point = np.zeros(self._prior.shape[1])
         """Weights of the next swing."""
-        if beginning is not None:
-            self._doubt, self._radius = beginning.doubt, beginning.radius
-            self._offset = self._rows(beginning.offset, beginning.path_offset)
-            self._expected = self._error(expected.figures, expected.path)
-            at, matrix = self._prediction()
-            self.point = self._origin if self._near(at[:4]) else self._next(at, matrix)
 
     def _rows(self, figures: Four, path: float) -> Array:
         """Return the vector with `figures` for each delivery value and `path` for each sample of the path."""
@@ -340,19 +297,11 @@ class Learner:
         begun = float(np.sum(self._begun(number) ** 2))
         return float(np.sum(errors[known] ** 2) + _EFFORT**2 * np.sum(point**2) + missing + begun)
 
-    def _start(self) -> Array:
-        """Return the weights from which the next step starts."""
-        return self.best.point if self.trials else self._origin
-
     def _prediction(self) -> tuple[Array, Array]:
         """Return errors at the best point and their derivatives, NaN where still unknown."""
-        origin, start = self._origin, self._start() - self._origin
-        at, matrix = self._expected + self._prior @ start, self._prior.copy()
-        if not self._known:
-            at[:] = np.nan
-        if not self.trials:
-            return at, matrix
-        points = np.array([trial.point for trial in self.trials]) - origin
+        start, matrix = self.best.point, self._prior.copy()
+        at = np.full(len(matrix), np.nan)
+        points = np.array([trial.point for trial in self.trials])
         unsettled = np.array([not trial.settled for trial in self.trials])
         errors = np.array(self._errors)
         products, distance = points @ points.T, np.sum((points - start) ** 2, axis=1)
@@ -360,19 +309,17 @@ class Learner:
             known = np.isfinite(errors[:, k])
             if not known.any():
                 continue
-            seen, spread = points[known], (self._doubt * size) ** 2 / len(start)
+            seen, spread = points[known], (_DOUBT * size) ** 2 / len(start)
             noise = self._noise[k] ** 2 + (_BEND * size * distance[known]) ** 2
             noise += unsettled[known] * self._unsettled[k] ** 2
-            offset = self._offset[k] ** 2
-            covariance = offset + spread * products[np.ix_(known, known)] + np.diag(noise)
-            surprise = errors[known, k] - self._expected[k] - seen @ self._prior[k]
-            weights = np.linalg.solve(covariance, surprise)
+            covariance = _OFFSET**2 + spread * products[np.ix_(known, known)] + np.diag(noise)
+            weights = np.linalg.solve(covariance, errors[known, k] - seen @ self._prior[k])
             matrix[k] += spread * seen.T @ weights
-            at[k] = self._expected[k] + offset * weights.sum() + matrix[k] @ start
+            at[k] = _OFFSET**2 * weights.sum() + matrix[k] @ start
         return at, matrix
 
     def _next(self, errors: Array, matrix: Array) -> Array:
-        start = self._start()
+        start = self.best.point
         known = np.isfinite(errors)
         errors, matrix = errors[known], matrix[known]
         unit, damping = np.eye(len(start)), 0.01

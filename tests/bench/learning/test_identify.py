@@ -8,7 +8,6 @@ import numba
 import numpy as np
 import pytest
 
-from bench.base.errors import BenchError
 from bench.config import load_configuration, shipped_configuration
 from bench.learning.identify import NAMES, Identified, identify, variation_of, write_plant_file
 from bench.records.telemetry.cycle_record import CYCLE
@@ -54,11 +53,6 @@ def test_write_plant_file_loads_as_identified_configuration(tmp_path: Path) -> N
     again = load_configuration(path)
     assert again.plant == robot
     assert again.control == SHIPPED.control
-
-
-def test_identify_without_swings_raises_error() -> None:
-    with pytest.raises(BenchError, match="no swing"):
-        identify(BENCH, [])
 
 
 def test_identify_failed_search_restarts_from_measured_supply(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bench.learning import ilc
 from bench.learning.delivery import Figures, Tolerance
-from bench.learning.ilc import Beginning, Learner, LearnerTrial, Response
+from bench.learning.ilc import Learner, LearnerTrial, Response
 
 Array = NDArray[np.float64]
 
@@ -128,14 +128,6 @@ def test_learner_worse_later_swings_keep_best_trial() -> None:
     assert learner.trials[learner.chosen].point is good.point
 
 
-def begun(robot: Robot, point: Array) -> Beginning:
-    """Return the start for a robot whose uncorrected delivery is known to be off by `robot.offset`."""
-    figures = TARGET.array + robot.offset + robot.model.by_figures @ point
-    path = robot.model.path + (robot.model.by_path @ point).reshape(ROWS, 3)
-    about = robot.model._replace(figures=figures, path=path)
-    return Beginning(point, about, (0.3, 0.6, 0.2, 0.3), 0.002, 0.3, 0.1)
-
-
 def test_learner_unsettled_swing_is_neither_confirmed_nor_chosen() -> None:
     robot = Robot(1, offset=0.0, scatter=0.0)
     learner = Learner(robot.model, TARGET, robot.model.path)
@@ -164,32 +156,10 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
     assert used[True] < used[False]
 
 
-def test_learner_identified_prior_outweighs_single_swing() -> None:
-    robot = Robot(2, offset=0.1, scatter=0.0)
-    zero = np.zeros(WEIGHTS)
-    learner = Learner(robot.model, TARGET, robot.model.path, begun(robot, zero))
-    assert np.array_equal(learner.point, zero)
-    unlucky = LearnerTrial(zero, TARGET.array + 0.6 * robot.scale, robot.model.path)
-    learner.note(unlucky)
-    assert np.array_equal(learner.point, zero)
-    alone = Learner(robot.model, TARGET, robot.model.path)
-    alone.note(unlucky)
-    assert not np.array_equal(alone.point, zero)
-
-
-def test_learner_expected_offset_is_corrected_before_first_swing() -> None:
-    robot = Robot(3, offset=3.0, doubt=0.05)
-    known = begun(robot, np.zeros(WEIGHTS))._replace(radius=1.5)
-    learner = Learner(robot.model, TARGET, robot.model.path, known)
-    robot.scatter = 0.0
-    off = np.abs(learner.error(robot.swing(learner.point).figures)).max()
-    assert off < 0.5 * np.abs(robot.offset / robot.scale).max()
-
-
 def test_learner_mean_off_target_takes_further_step() -> None:
     robot = Robot(4, offset=0.0, scatter=0.0)
     zero = np.zeros(WEIGHTS)
-    learner = Learner(robot.model, TARGET, robot.model.path, begun(robot, zero))
+    learner = Learner(robot.model, TARGET, robot.model.path)
     for _ in range(4):
         learner.note(LearnerTrial(zero, TARGET.array + 0.55 * robot.scale, robot.model.path))
     assert not learner.confirmed
