@@ -34,7 +34,7 @@ from bench.commissioning.machine.step import (
     Traces,
 )
 from bench.commissioning.steps.friction_identification import FRICTION, LEAKAGE
-from bench.commissioning.steps.inputs_check import INPUTS, check_inputs, raise_findings
+from bench.commissioning.steps.inputs_check import INPUT_CHECK, check_inputs, raise_findings
 from bench.commissioning.steps.response_times import RESPONSE
 from bench.commissioning.steps.wiring import VALVES, WIRING
 from bench.commissioning.swings.robot_swings import LIMITS, with_following_limits
@@ -55,7 +55,7 @@ STEPS = (WIRING, VALVES, LEAKAGE, FRICTION, RESPONSE)
 """The steps that measure, in their order."""
 SWINGING_STEPS = (SWINGS, LEARNING, LIMITS)
 """The steps after them."""
-ALL_STEPS: tuple[NamedStep, ...] = (INPUTS, *STEPS, *SWINGING_STEPS)
+ALL_STEPS: tuple[NamedStep, ...] = (INPUT_CHECK, *STEPS, *SWINGING_STEPS)
 
 
 class DoneStep(NamedTuple):
@@ -104,10 +104,6 @@ class Commissioning:
     def values(self) -> list[ParameterEstimate]:
         """All values found, those of later steps last."""
         return [value for step in self.done for value in step.values]
-
-    def next_step(self) -> CommissioningStep | None:
-        """Return the first measuring step that is not done, None after the last."""
-        return next((step for step in STEPS if not self.has_done(step)), None)
 
     def has_done(self, step: NamedStep) -> bool:
         """Return whether `step` is done."""
@@ -241,7 +237,7 @@ def see_inputs(
         MachineFault: an input is wrong; the state says so.
         Refused: no person is there, or the device fails.
     """
-    if in_force is None and state.has_done(INPUTS):
+    if in_force is None and state.has_done(INPUT_CHECK):
         return
 
     def check() -> StepResult:
@@ -253,7 +249,7 @@ def see_inputs(
         beside = f"supply sensor {1e-5 * seen.gauge:+z.2f} bar off the gauge"
         return StepResult((), (f"seen to change: {', '.join(seen.seen)}", beside))
 
-    _do(state, INPUTS, on_step, check)
+    _do(state, INPUT_CHECK, on_step, check)
 
 
 def commission(
@@ -276,8 +272,10 @@ def commission(
     """
     known = RobotEstimate(nominal, state.values)
     try:
-        while (step := state.next_step()) is not None:
-            file = f"records/{STEPS.index(step) + 1}-{step.name}.npz"
+        for number, step in enumerate(STEPS, 1):
+            if state.has_done(step):
+                continue
+            file = f"records/{number}-{step.name}.npz"
 
             def work(step: CommissioningStep = step, file: str = file) -> StepResult:
                 counted = _CountedMachine(machine, step.title, progress)
@@ -355,7 +353,7 @@ def _do(
     named, date, seconds = (step.name, step.title, step.bounds_text), datetime.now(UTC), clock() - begun
     done = DoneStep(*named, date.isoformat(), seconds, record, result.values, result.notes)
     others = [one for one in state.done if one.name != step.name]
-    state.done = [done, *others] if step is INPUTS else [*others, done]
+    state.done = [done, *others] if step is INPUT_CHECK else [*others, done]
     state.save()
 
 

@@ -101,7 +101,7 @@ class Stage(NamedTuple):
     outputs: Command
     act: str
     """Key of the person's act; empty: only the outputs change."""
-    changed: frozenset[str]
+    changed: tuple[str, ...]
     """Inputs that then differ from the robot at rest."""
 
 
@@ -111,24 +111,20 @@ _OPEN = Command(guard_lock=False)
 _AT_STOP, _AT_GUARD = "emergency stop pressed", "guard opened"
 
 
-def _stage(name: str, outputs: Command, act: str, *changed: str) -> Stage:
-    return Stage(name, outputs, act, frozenset(changed))
-
-
 STAGES: tuple[Stage, ...] = (
-    _stage("at rest", PASSIVE, ""),
-    _stage("outputs energised", _ENERGISED, "", *FEEDBACKS),
-    _stage(_AT_STOP, _ENERGISED, "press-stop", "emergency stop"),
-    _stage("emergency stop released", PASSIVE, "release-stop"),
-    _stage("local reset pressed", PASSIVE, "press-reset", "local reset"),
-    _stage("local reset released", PASSIVE, "release-reset"),
-    _stage("outputs energised again", _ENERGISED, "", *FEEDBACKS),
-    _stage("guard lock released", _UNLOCKED, "", "guard locked", *VENTS),
-    _stage(_AT_GUARD, _UNLOCKED, "open-guard", "guard locked", "guard closed"),
-    _stage("ball on the tee", _OPEN, "place-ball", "guard locked", "guard closed", "ball sensor"),
-    _stage("ball taken", _OPEN, "take-ball", "guard locked", "guard closed"),
-    _stage("guard closed", _OPEN, "close-guard", "guard locked"),
-    _stage("guard locked", PASSIVE, ""),
+    Stage("at rest", PASSIVE, "", ()),
+    Stage("outputs energised", _ENERGISED, "", FEEDBACKS),
+    Stage(_AT_STOP, _ENERGISED, "press-stop", ("emergency stop",)),
+    Stage("emergency stop released", PASSIVE, "release-stop", ()),
+    Stage("local reset pressed", PASSIVE, "press-reset", ("local reset",)),
+    Stage("local reset released", PASSIVE, "release-reset", ()),
+    Stage("outputs energised again", _ENERGISED, "", FEEDBACKS),
+    Stage("guard lock released", _UNLOCKED, "", ("guard locked", *VENTS)),
+    Stage(_AT_GUARD, _UNLOCKED, "open-guard", ("guard locked", "guard closed")),
+    Stage("ball on the tee", _OPEN, "place-ball", ("guard locked", "guard closed", "ball sensor")),
+    Stage("ball taken", _OPEN, "take-ball", ("guard locked", "guard closed")),
+    Stage("guard closed", _OPEN, "close-guard", ("guard locked",)),
+    Stage("guard locked", PASSIVE, "", ()),
 )
 """The check, in its order."""
 _RESET_STAGES = ("local reset pressed", "local reset released")

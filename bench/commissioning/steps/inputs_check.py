@@ -35,7 +35,7 @@ _SETTLED, _FILLED = 1.0, 3.0
 _WARNING = Command(beacon=True)
 
 
-INPUTS = NamedStep(
+INPUT_CHECK = NamedStep(
     "inputs",
     "Interlocks, buttons and switches, one by one; supply sensor against the gauge",
     "no air for the switches, then "

@@ -259,46 +259,21 @@ def _tried(cause: SwingCause, value: float, misfit: SwingMisfit) -> FittedCause:
 
 
 class DiagnosedRobot:
-    """A SwungRobot of which a swing that a wrong machine explains is the last one."""
+    """A SwungRobot and its SwingSeries: a swing that a wrong machine explains is the last one."""
 
     def __init__(self, robot: SwungRobot, found: Sequence[ParameterEstimate], records: Path) -> None:
         """Look at the swings of `robot`, of which values were `found`; wrong ones are stored in `records`."""
         self._robot, self._found, self._records = robot, found, records
+        self._series: SwingSeries
+        self._model: PlantParameters
         self.last: Diagnosis | None = None
         """Diagnosis of the last swing; None before the first."""
 
-    def series(self, bench: Bench) -> DiagnosedSeries:
+    def series(self, bench: Bench) -> DiagnosedRobot:
         """Arm `bench`, whose model is the robot as measured: the model-based check is on."""
         watched = bench._replace(envelope=bench.envelope.with_model_check("always"))
-        return DiagnosedSeries(self._robot.series(watched), bench, self)
-
-    def look_at(self, swing: SeriesSwing, bench: Bench, name: str, loads: Loads | None) -> None:
-        """Keep what `swing` of the profile `name` says.
-
-        Raises:
-            MachineFault: it names a cause.
-        """
-        self.last = diagnose(swing.cycles, bench.model, self._found)
-        if self.last.named is None:
-            return
-        self._records.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(self._records / "wrong-swing.npz", cycles=swing.cycles)
-        said = "; ".join([self.last.text, *exceeded(loads)])
-        raise MachineFault(name, said, "the robot that was measured", self.last.named.cause.action)
-
-    def explained(self, error: Refused) -> Refused:
-        """Return `error` of a step with the diagnosis of the last swing, if that names no cause."""
-        if self.last is None or self.last.named is not None or isinstance(error, PredictionFails):
-            return error
-        return type(error)(error.location, f"{error.found}; {self.last.text}", error.expected, error.action)
-
-
-class DiagnosedSeries:
-    """Swings that are looked at."""
-
-    def __init__(self, series: SwingSeries, bench: Bench, robot: DiagnosedRobot) -> None:
-        """Swing `series` of `bench`."""
-        self._series, self._bench, self._robot = series, bench, robot
+        self._series, self._model = self._robot.series(watched), bench.model
+        return self
 
     def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
         """Swing `profile`, and come back to the address.
@@ -310,9 +285,9 @@ class DiagnosedSeries:
         try:
             made = self._series.swing(profile, ball=ball)
         except ReturnFailed as error:
-            self._robot.look_at(error.swing, self._bench, profile.name, self._series.loads())
+            self._look_at(error.swing, profile.name)
             raise
-        self._robot.look_at(made, self._bench, profile.name, self._series.loads())
+        self._look_at(made, profile.name)
         return made
 
     def loads(self) -> Loads | None:
@@ -322,3 +297,18 @@ class DiagnosedSeries:
     def face_mark(self, swing: SeriesSwing) -> Mark | None:
         """Return the ball's mark on the face; None where it is not read."""
         return self._series.face_mark(swing)
+
+    def _look_at(self, swing: SeriesSwing, name: str) -> None:
+        self.last = diagnose(swing.cycles, self._model, self._found)
+        if self.last.named is None:
+            return
+        self._records.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(self._records / "wrong-swing.npz", cycles=swing.cycles)
+        said = "; ".join([self.last.text, *exceeded(self._series.loads())])
+        raise MachineFault(name, said, "the robot that was measured", self.last.named.cause.action)
+
+    def explained(self, error: Refused) -> Refused:
+        """Return `error` of a step with the diagnosis of the last swing, if that names no cause."""
+        if self.last is None or self.last.named is not None or isinstance(error, PredictionFails):
+            return error
+        return type(error)(error.location, f"{error.found}; {self.last.text}", error.expected, error.action)
