@@ -24,6 +24,7 @@ from sim.kane import mass_matrix
 from sim.plant import PlantParameters
 
 Side = Literal["lower", "upper"]
+SIDES: tuple[Side, Side] = ("upper", "lower")
 
 ACTUATOR_KEYS = ("shoulder", "right_arm", "wrist")
 """Tables of the three actuators in the configuration, in the order of ACTUATORS."""
@@ -263,6 +264,23 @@ def require_within(trace: MotionTrace, doing: str) -> None:
             "Look for a valve that opens too far, an encoder that jumps, or a supply that is not turned down."
         )
     raise MachineFault(doing, trace.tripped.text, "a slow motion between the stops", action)
+
+
+def run_slowly(
+    machine: CommissionedMachine,
+    known: RobotEstimate,
+    segments: tuple[Segment, ...],
+    doing: str,
+    pressure: float = 1.2 * PRESSING,
+) -> MotionTrace:
+    """Return the trace of `segments` within slow bounds below `pressure` (Pa).
+
+    Raises:
+        MachineFault: a bound was passed, `doing` that.
+    """
+    trace = machine.run(segments, slow_bounds(known.plant, pressure))
+    require_within(trace, doing)
+    return trace
 
 
 class MachineFault(Refused):

@@ -29,6 +29,7 @@ from bench.commissioning.machine.step import (
     FOLD_ORDER,
     MOVING,
     PRESSING,
+    SIDES,
     CommissioningStep,
     MachineFault,
     ParameterEstimate,
@@ -41,8 +42,7 @@ from bench.commissioning.machine.step import (
     centres,
     fold,
     openings,
-    require_within,
-    slow_bounds,
+    run_slowly,
 )
 from bench.commissioning.steps.pneumatic_identification import (
     NAMES,
@@ -158,7 +158,9 @@ def _fill_and_decay(
     at = partial(openings, known, joint)
     closed = at(centres(known)[joint])
     machine.set_supply(MOVING)
-    trace = machine.run(
+    return run_slowly(
+        machine,
+        known,
         (
             Segment(_DECAY, closed),
             Segment(
@@ -177,10 +179,8 @@ def _fill_and_decay(
             Segment(_SHORT_HOLD, closed, vents_shut=True),
             Segment(_DECAY + known.plant.supply.vent_delay, closed),
         ),
-        slow_bounds(known.plant, 1.2 * PRESSING),
+        f"{JOINTS[joint]} filled at its {side} stop",
     )
-    require_within(trace, f"{JOINTS[joint]} filled at its {side} stop")
-    return trace
 
 
 _BODIES = ("shoulder_link", "left_arm", "rod", "cylinder")
@@ -244,14 +244,12 @@ def _measure_friction(machine: CommissionedMachine, known: RobotEstimate) -> Tra
     traces: dict[str, MotionTrace] = {}
     for i in FOLD_ORDER[::-1]:
         for opening in _OPENINGS:
-            for side in ("upper", "lower"):
-                trace = _move(machine, known, i, "upper" if side == "upper" else "lower", opening)
-                traces[f"{JOINTS[i]} to {side} {opening}"] = trace
+            for side in SIDES:
+                traces[f"{JOINTS[i]} to {side} {opening}"] = _move(machine, known, i, side, opening)
     machine.vent()
     machine.set_supply(float("inf"))
-    trace = machine.run((Segment(2.0, centres(known)),), slow_bounds(known.plant, 12e5))
-    require_within(trace, "supply in service")
-    traces["supply"] = trace
+    rest = (Segment(2.0, centres(known)),)
+    traces["supply"] = run_slowly(machine, known, rest, "supply in service", 12e5)
     machine.vent()
     return traces
 
@@ -321,9 +319,8 @@ def _move(
     segments.append(Segment(_LEVEL, at(moving), until=Until("rested", joint, 0.8)))
     last = at(beyond(known, joint, side, _OPENINGS[-1]))
     segments.append(Segment(_LEVEL, last, until=Until("rested", joint, 0.8)))
-    trace = machine.run(tuple(segments), slow_bounds(known.plant, 1.2 * PRESSING))
-    require_within(trace, f"{JOINTS[joint]} moved slowly to its {side} stop")
-    return trace
+    doing = f"{JOINTS[joint]} moved slowly to its {side} stop"
+    return run_slowly(machine, known, tuple(segments), doing)
 
 
 def fit_slow_moves(traces: Sequence[Sequence[MotionTrace]], plant: PlantParameters) -> SlowFit:

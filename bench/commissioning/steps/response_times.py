@@ -33,8 +33,7 @@ from bench.commissioning.machine.step import (
     fold,
     move_to_stop,
     openings,
-    require_within,
-    slow_bounds,
+    run_slowly,
 )
 from bench.commissioning.steps.pneumatic_identification import (
     AirTrace,
@@ -76,19 +75,16 @@ def _measure(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
     """Step each valve at its lower stop, then let each joint coast with closed valves."""
     machine.vent()
     fold(machine, known)
-    bounds = slow_bounds(known.plant, 1.2 * PRESSING)
     traces: dict[str, MotionTrace] = {}
     for i, joint in enumerate(JOINTS):
         machine.set_supply(MOVING)
-        trace = machine.run(_pulses(known, i), bounds)
-        require_within(trace, f"{joint} valve stepped at its stop")
-        traces[f"{joint} steps"] = trace
+        doing = f"{joint} valve stepped at its stop"
+        traces[f"{joint} steps"] = run_slowly(machine, known, _pulses(known, i), doing)
     for i, joint in enumerate(JOINTS):
         for n, share in enumerate(_PUSHES):
             machine.set_supply(PRESSING)
-            trace = machine.run(_push(known, i, share), bounds)
-            require_within(trace, f"{joint} pushed")
-            traces[f"{joint} coasting {n + 1}"] = trace
+            push = _push(known, i, share)
+            traces[f"{joint} coasting {n + 1}"] = run_slowly(machine, known, push, f"{joint} pushed")
             move_to_stop(machine, known, i, "lower", FOLD_ORDER)
     machine.vent()
     return traces

@@ -26,7 +26,7 @@ from bench.commissioning.machine.step import (
     ACTUATOR_KEYS,
     FOLD_ORDER,
     MOVING,
-    PRESSING,
+    SIDES,
     CommissioningStep,
     MachineFault,
     ParameterEstimate,
@@ -41,8 +41,7 @@ from bench.commissioning.machine.step import (
     fold,
     move_to_stop,
     openings,
-    require_within,
-    slow_bounds,
+    run_slowly,
     swapped_encoders,
 )
 from bench.commissioning.steps.pneumatic_identification import NAMES, fit_air, way_per_angle
@@ -89,21 +88,17 @@ def _measure_wiring(machine: CommissionedMachine, known: RobotEstimate) -> Trace
     """Ramp each valve, then move each joint from stop to stop."""
     _require_sensors(machine.vent(), known.plant)
     machine.set_supply(FAINT)
-    bounds = slow_bounds(known.plant, 2.0 * FAINT)
     traces: dict[str, MotionTrace] = {}
     for i in FOLD_ORDER:
-        trace = machine.run(_ramp(i), bounds)
-        require_within(trace, f"{JOINTS[i]} valve a little open")
-        traces[f"{JOINTS[i]} ramp"] = trace
+        doing = f"{JOINTS[i]} valve a little open"
+        traces[f"{JOINTS[i]} ramp"] = run_slowly(machine, known, _ramp(i), doing, 2.0 * FAINT)
     machine.vent()
     known = RobotEstimate(known.plant)
     known.add(_valve_values(traces, known.plant))
     moves = fold(machine, known)
     for i in FOLD_ORDER[::-1]:
-        for side, name in (("upper", "up"), ("lower", "back")):
-            moves[f"{JOINTS[i]} {name}"] = move_to_stop(
-                machine, known, i, "upper" if side == "upper" else "lower", FOLD_ORDER
-            )
+        for side, name in zip(SIDES, ("up", "back"), strict=True):
+            moves[f"{JOINTS[i]} {name}"] = move_to_stop(machine, known, i, side, FOLD_ORDER)
         _require_travel(i, moves[f"{JOINTS[i]} up"], known.plant)
     machine.vent()
     for move, both in moves.items():
@@ -448,14 +443,14 @@ def _edge_ramp(machine: CommissionedMachine, known: RobotEstimate, joint: int, s
 
     rest = openings(known, joint, centres(known)[joint])
     machine.set_supply(MOVING)
-    trace = machine.run(
+    return run_slowly(
+        machine,
+        known,
         (
             Segment(_REST, at(-_BELOW)),
             Segment(_EDGE_RAMP, at(-_BELOW), at(_ABOVE)),
             Segment(_EDGE_RAMP, at(_ABOVE), at(-_BELOW)),
             Segment(_REST, rest),
         ),
-        slow_bounds(known.plant, 1.2 * PRESSING),
+        f"{JOINTS[joint]} valve ramped at its {side} stop",
     )
-    require_within(trace, f"{JOINTS[joint]} valve ramped at its {side} stop")
-    return trace
