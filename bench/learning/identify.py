@@ -127,13 +127,9 @@ class Identified(NamedTuple):
         """Which parameters the records determine."""
         return np.asarray(self.error <= SURE)
 
-    def variation(self, bench: Bench) -> Variation:
-        """Return the robot as a variation of the bench's model, also where it is not sure: the best guess."""
-        return variation_of(self.values, bench)
-
 
 def variation_of(values: Array, bench: Bench) -> Variation:
-    """Return the variation with `values` in the order of NAMES."""
+    """Return the robot with `values` in the order of NAMES as a variation of the bench's model."""
     f = values.tolist()
     mass = bench.model.robot.club.head_mass * (head_factor(f[11], bench) - 1.0)
     return Variation(

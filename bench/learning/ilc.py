@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from bench.base.errors import BenchError
-from bench.base.lifecycle import CAUSE_TEXT
+from bench.base.lifecycle import CAUSE_TEXT, Cause
 from bench.learning.delivery import Figures, Tolerance, figures_of
-from bench.simulation.series import Bench, Series, SeriesSwing, quiet
+from bench.simulation.series import Bench, Series, quiet
 from bench.swing.correction import Basis
 from bench.swing.correction_terms import MAX_WEIGHT
 
@@ -42,81 +42,61 @@ _AFTER = 0.03
 
 
 class Response(NamedTuple):
-    """The model's swing with one correction, and its derivatives by the basis' weights."""
+    """The derivatives of the model's swing by the basis' weights, without correction."""
 
-    figures: Array
-    """(4,) as in `Figures`."""
-    path: Array
-    """(r, 3) rad, angles at `rows`."""
     rows: NDArray[np.int64]
-    """Samples of the profile."""
+    """Samples of the downswing, up to the impact window, at which paths are compared."""
     by_figures: Array
-    """(4, m)"""
+    """(4, m) as in `Figures`."""
     by_path: Array
     """(3 r, m) rad"""
     free: Array
-    """(k, 3) rad, the plant's angles tick by tick without correction and without a ball, past the contact."""
+    """(k, 3) rad, the plant's angles tick by tick without a ball, past the contact."""
 
 
-def path_rows(bench: Bench) -> NDArray[np.int64]:
-    """Return the samples of the downswing, up to the impact window, at which paths are compared."""
-    profile = bench.profile
-    return np.arange(profile.begins[3], profile.begins[5], round(PATH_SPACING / profile.period))
+def model_response(
+    bench: Bench, basis: Basis, progress: Callable[[float], None] = lambda part: None
+) -> Response:
+    """Return the response of `bench`'s model.
 
+    Raises:
+        BenchError: the modelled swing is stopped or misses the ball.
+        Refused: the model does not reach its address.
+    """
+    profile, series = bench.profile, Series(bench, quiet(bench.model))
+    series.settle()
+    ticks = min(round((profile.impact_time + _AFTER) / profile.period), len(profile.angle))
+    rows = np.arange(profile.begins[3], profile.begins[5], round(PATH_SPACING / profile.period))
 
-class Model:
-    """The bench's model, ready to swing with any correction from the same instant."""
+    def seen(point: Array) -> tuple[Array, Array, Cause]:
+        """Swing with the correction `point` (m,); return figures, NaN without a ball, path and cause."""
+        swing = series.swing_again(basis.correction(point).applied_to(profile), ticks)
+        return figures_of(swing.delivery).array, swing.cycles["angle"][rows], swing.cause
 
-    def __init__(self, bench: Bench, basis: Basis) -> None:
-        """Arm the model; Refused if it does not reach its address."""
-        self._bench, self._basis = bench, basis
-        self._series = Series(bench, quiet(bench.model))
-        self._series.settle()
-        profile = bench.profile
-        self._ticks = min(round((profile.impact_time + _AFTER) / profile.period), len(profile.angle))
-        self.rows = path_rows(bench)
-
-    def swing(self, point: Array) -> SeriesSwing:
-        """Swing with the correction `point` (m,)."""
-        corrected = self._basis.correction(point).applied_to(self._bench.profile)
-        return self._series.swing_again(corrected, self._ticks)
-
-    def response(self, progress: Callable[[float], None] = lambda part: None) -> Response:
-        """Return the response without correction.
-
-        Raises:
-            BenchError: the modelled swing is stopped or misses the ball.
-        """
-        m = self._basis.size
-        point = np.zeros(m)
-        swing = self.swing(point)
-        if swing.cause or swing.delivery is None:
-            found = CAUSE_TEXT[swing.cause] if swing.cause else "the club misses the ball"
-            location, wanted = f"{self._bench.profile.name} on the model", "a swing that strikes the ball"
-            raise BenchError(location, found, wanted, "Identify the plant, or design a new swing.")
-        figures, path = self._seen(swing)
-        without_ball = self._series.swing_again(self._bench.profile, self._ticks, ball=False)
-        free = np.array(without_ball.cycles["plant_angle"])
-        by_figures, by_path = np.zeros((4, m)), np.zeros((path.size, m))
-        for i in range(m):
-            sides = []
-            for step in (_STEP, -_STEP):
-                trial = point.copy()
-                trial[i] += step
-                varied = self.swing(trial)
-                if varied.delivery is not None and not varied.cause:
-                    sides.append((step, *self._seen(varied)))
-            if len(sides) < 2:
-                sides.append((0.0, figures, path))
-            if len(sides) == 2:  # else: the weight only fails the swing and stays unused
-                width = sides[0][0] - sides[1][0]
-                by_figures[:, i] = (sides[0][1] - sides[1][1]) / width
-                by_path[:, i] = ((sides[0][2] - sides[1][2]) / width).ravel()
-            progress((i + 1) / m)
-        return Response(figures, path, self.rows, by_figures, by_path, free)
-
-    def _seen(self, swing: SeriesSwing) -> tuple[Array, Array]:
-        return figures_of(swing.delivery).array, swing.cycles["angle"][self.rows]
+    m = basis.size
+    figures, path, cause = seen(np.zeros(m))
+    if cause or np.isnan(figures).any():
+        found = CAUSE_TEXT[cause] if cause else "the club misses the ball"
+        location, wanted = f"{profile.name} on the model", "a swing that strikes the ball"
+        raise BenchError(location, found, wanted, "Identify the plant, or design a new swing.")
+    free = np.array(series.swing_again(profile, ticks, ball=False).cycles["plant_angle"])
+    by_figures, by_path = np.zeros((4, m)), np.zeros((path.size, m))
+    for i in range(m):
+        sides = []
+        for step in (_STEP, -_STEP):
+            trial = np.zeros(m)
+            trial[i] += step
+            varied = seen(trial)
+            if not varied[2] and np.isfinite(varied[0]).all():
+                sides.append((step, *varied))
+        if len(sides) < 2:
+            sides.append((0.0, figures, path, cause))
+        if len(sides) == 2:  # else: the weight only fails the swing and stays unused
+            width = sides[0][0] - sides[1][0]
+            by_figures[:, i] = (sides[0][1] - sides[1][1]) / width
+            by_path[:, i] = ((sides[0][2] - sides[1][2]) / width).ravel()
+        progress((i + 1) / m)
+    return Response(rows, by_figures, by_path, free)
 
 
 _STOPPED = 1e6
@@ -171,7 +151,7 @@ class Learner:
     """Proposes a `point`, notes the swing made with it, proposes the next one; the best point is kept."""
 
     def __init__(self, response: Response, target: Figures, plan: Array) -> None:
-        """`response` is the model's without correction, `plan` (r, 3) the planned path at its rows, rad."""
+        """`response` is the model's, `plan` (r, 3) the planned path at its rows, rad."""
         self._target, self._scale = target.array, Tolerance().scale(target)
         self._plan = plan
         self._path_factor = 1.0 / _PATH_SCALE / np.sqrt(plan.size)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bench.base.lifecycle import Cause
 from bench.learning.delivery import Figures, delivery_from_encoders, figures_of, planned_figures
-from bench.learning.ilc import SWINGS, Learner, LearnerTrial, Model, Response
+from bench.learning.ilc import SWINGS, Learner, LearnerTrial, Response, model_response
 from bench.simulation.series import Bench, Series
 from bench.swing.correction import Basis, Correction, basis_of
 
@@ -97,7 +97,7 @@ def prepare(bench: Bench, progress: Callable[[float], None] = lambda part: None)
         Refused: the model does not reach its address.
     """
     target, basis = planned_figures(bench), basis_of(bench.profile)
-    response = Model(bench, basis).response(progress)
+    response = model_response(bench, basis, progress)
     return LearningProblem(bench, basis, response, target, bench.profile.angle[response.rows])
 
 

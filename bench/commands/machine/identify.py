@@ -28,7 +28,7 @@ def identify(context: typer.Context, records: Records, output: Output = None, js
     Use swings made with the control of --config, none of them the first after arming.
     """
     from bench.learning.identify import identify as identified
-    from bench.learning.identify import read_recorded, write_plant_file
+    from bench.learning.identify import read_recorded, variation_of, write_plant_file
     from bench.simulation.series import Bench
 
     configuration = context.ensure_object(Session).configuration()
@@ -37,7 +37,7 @@ def identify(context: typer.Context, records: Records, output: Output = None, js
     with progress_of("simulated robots") as show:
         found = identified(bench, swings, progress=show)
     if output is not None:
-        robot = found.variation(bench).applied_to(bench.model)
+        robot = variation_of(found.values, bench).applied_to(bench.model)
         write_plant_file(output, robot, found, configuration)
     if json_:
         return show_json(_record(found))

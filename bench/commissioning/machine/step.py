@@ -60,7 +60,7 @@ class ParameterEstimate(NamedTuple):
     value: float
     error: float
     """Standard error."""
-    unit: str
+    unit: str = ""
     step: str = ""
     """Name of the step that found it."""
 

@@ -156,8 +156,8 @@ def _valve_values(traces: Traces, plant: PlantParameters) -> tuple[ParameterEsti
                 f"a centre within {MAX_CENTRE} and an overlap up to {MAX_BAND}",
                 "Adjust the valve's centre by its maker's manual, or replace the valve.",
             )
-        values.append(ParameterEstimate(f"{key}.valve.centre", centre, 0.004, ""))
-        values.append(ParameterEstimate(f"{key}.valve.dead_band", band, 0.01, ""))
+        values.append(ParameterEstimate(f"{key}.valve.centre", centre, 0.004))
+        values.append(ParameterEstimate(f"{key}.valve.dead_band", band, 0.01))
     return tuple(values)
 
 
@@ -344,7 +344,7 @@ def _encoder_values(traces: Traces, plant: PlantParameters) -> tuple[list[Parame
     zeros = _zeros(ends, depths, signs, lower, upper, counts)
     values = []
     for i in range(3):
-        values.append(ParameterEstimate(f"encoders.sign.{i}", signs[i], 0.0, ""))
+        values.append(ParameterEstimate(f"encoders.sign.{i}", signs[i], 0.0))
         error = errors[i] / per_count
         values.append(ParameterEstimate(f"encoders.zero_count.{i}", zeros[i], error, "counts"))
     return values, notes
@@ -421,7 +421,7 @@ def _estimate_valves(traces: Traces, known: RobotEstimate) -> StepResult:
                     f"at most {most}",
                     "Adjust the valve's centre by its maker's manual, or replace the valve.",
                 )
-            values.append(ParameterEstimate(f"{key}.{name}", value, error, ""))
+            values.append(ParameterEstimate(f"{key}.{name}", value, error))
     return StepResult(tuple(values))
 
 

@@ -52,19 +52,11 @@ _GUESSES = {"robot.l12": 1e-3, "robot.l16": 1e-3, "robot.l23": 1e-3, "robot.l56"
 """Standard errors of values that no step measures, m."""
 
 
-class UncertainValue(NamedTuple):
-    """A value of the plant with its standard error."""
-
-    key: str
-    value: float
-    error: float
-
-
-def uncertain_values(found: Iterable[ParameterEstimate], plant: PlantParameters) -> list[UncertainValue]:
+def uncertain_values(found: Iterable[ParameterEstimate], plant: PlantParameters) -> list[ParameterEstimate]:
     """Return the values of `plant` with a standard error as `found`; the last of a key counts."""
     errors = {one.key: one.error for one in found}
     errors = {key: error for key, error in (_GUESSES | errors).items() if error > 0.0}
-    return [UncertainValue(key, float(value_at(plant, key)), error) for key, error in errors.items()]
+    return [ParameterEstimate(key, float(value_at(plant, key)), error) for key, error in errors.items()]
 
 
 class Misfit(NamedTuple):
@@ -79,7 +71,7 @@ class Misfit(NamedTuple):
 
 
 def swing_misfit(
-    recorded: RecordedSwing, plant: PlantParameters, uncertain: list[UncertainValue]
+    recorded: RecordedSwing, plant: PlantParameters, uncertain: list[ParameterEstimate]
 ) -> SwingMisfit:
     """Return the misfit of `recorded` around `plant`, or around likelier values where these explain it.
 
@@ -98,7 +90,11 @@ class SwingMisfit:
     """Misfit of a recorded swing, with the effects of the uncertain values around a plant."""
 
     def __init__(
-        self, recorded: RecordedSwing, plant: PlantParameters, uncertain: list[UncertainValue], moved: Array
+        self,
+        recorded: RecordedSwing,
+        plant: PlantParameters,
+        uncertain: list[ParameterEstimate],
+        moved: Array,
     ) -> None:
         """Take how `uncertain` values act on the windows, `moved` (p,) standard errors in `plant`."""
         self.recorded, self.plant, self._moved = recorded, plant, moved
@@ -132,7 +128,7 @@ def _better_from(without: Array, within: Array) -> int:
     return int(np.argmax(np.append(np.cumsum((gain[0] - gain[1])[::-1])[::-1], 0.0)))
 
 
-def effect(recorded: RecordedSwing, plant: PlantParameters, base: Array, one: UncertainValue) -> Array:
+def effect(recorded: RecordedSwing, plant: PlantParameters, base: Array, one: ParameterEstimate) -> Array:
     """Return the effect of a standard error of `one` on the model's predictions (k, QUANTITIES)."""
     step = _STEP * one.error
     moved = recorded.errors(with_values(plant, {one.key: float(value_at(plant, one.key)) + step}))

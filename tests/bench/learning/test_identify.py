@@ -46,7 +46,7 @@ def test_write_plant_file_loads_as_identified_configuration(tmp_path: Path) -> N
     error = np.full(len(NAMES), 0.01)
     error[0] = 0.2
     found = Identified(values, error, 5.0, 0.5)
-    robot = found.variation(BENCH).applied_to(BENCH.model)
+    robot = variation_of(values, BENCH).applied_to(BENCH.model)
     path = tmp_path / "robot.toml"
     write_plant_file(path, robot, found, SHIPPED)
     assert f"{NAMES[0]}: 1.0500 of the nominal, 0.2000; NOT identified" in path.read_text()

@@ -26,7 +26,7 @@ class Robot:
         figures = random.normal(0, 10, (4, WEIGHTS)) * self.scale[:, None]
         path = random.normal(0, 0.02, (3 * ROWS, WEIGHTS))
         plan = random.normal(0, 1, (ROWS, 3))
-        self.model = Response(TARGET.array, plan, np.arange(ROWS), figures, path, plan)
+        self.plan, self.model = plan, Response(np.arange(ROWS), figures, path, plan)
         self.figures = figures * (1 + doubt * random.normal(0, 1, figures.shape))
         self.path = path * (1 + doubt * random.normal(0, 1, path.shape))
         self.offset = offset * random.normal(0, 1, 4) * self.scale
@@ -35,11 +35,11 @@ class Robot:
     def swing(self, point: Array) -> LearnerTrial:
         noise = self.scatter * self.random.normal(0, 1, 4) * self.scale
         figures = TARGET.array + self.offset + self.figures @ point + noise
-        return LearnerTrial(point, figures, self.model.path + (self.path @ point).reshape(ROWS, 3))
+        return LearnerTrial(point, figures, self.plan + (self.path @ point).reshape(ROWS, 3))
 
 
 def learned(robot: Robot) -> Learner:
-    learner = Learner(robot.model, TARGET, robot.model.path)
+    learner = Learner(robot.model, TARGET, robot.plan)
     for _ in range(ilc.SWINGS + 1):
         learner.note(robot.swing(learner.point))
         if learner.confirmed:
@@ -78,7 +78,7 @@ def test_learner_weights_stay_in_bound_and_steps_in_radius(monkeypatch: pytest.M
 
 def test_learner_stopped_swing_is_rejected_and_halves_step() -> None:
     robot = Robot(3)
-    learner = Learner(robot.model, TARGET, robot.model.path)
+    learner = Learner(robot.model, TARGET, robot.plan)
     learner.note(robot.swing(learner.point))
     first = learner.point.copy()
     path = robot.swing(first).path
@@ -92,18 +92,18 @@ def test_learner_stopped_swing_is_rejected_and_halves_step() -> None:
 def test_learner_stopped_swings_reduce_path_error() -> None:
     """Before any swing reached the ball the path alone is learned from."""
     robot = Robot(4)
-    learner = Learner(robot.model, TARGET, robot.model.path)
+    learner = Learner(robot.model, TARGET, robot.plan)
     off = robot.path @ np.full(WEIGHTS, 0.3)
     for _ in range(5):
-        path = robot.model.path + (off + robot.path @ learner.point).reshape(ROWS, 3)
+        path = robot.plan + (off + robot.path @ learner.point).reshape(ROWS, 3)
         learner.note(LearnerTrial(learner.point, np.full(4, np.nan), path))
-    last = robot.model.path - learner.trials[learner.chosen].path
+    last = robot.plan - learner.trials[learner.chosen].path
     assert np.linalg.norm(last) < 0.6 * np.linalg.norm(off)
 
 
 def test_learner_unmeasured_figure_is_ignored() -> None:
     robot = Robot(5)
-    learner = Learner(robot.model, TARGET, robot.model.path)
+    learner = Learner(robot.model, TARGET, robot.plan)
     for _ in range(13):
         trial = robot.swing(learner.point)
         trial.figures[2] = np.nan
@@ -117,20 +117,18 @@ def test_learner_unmeasured_figure_is_ignored() -> None:
 
 def test_learner_worse_later_swings_keep_best_trial() -> None:
     robot = Robot(0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, robot.model.path)
+    learner = Learner(robot.model, TARGET, robot.plan)
     learner.note(robot.swing(learner.point))
-    good = LearnerTrial(learner.point, TARGET.array, robot.model.path)
+    good = LearnerTrial(learner.point, TARGET.array, robot.plan)
     learner.note(good)
     for part in (0.5, 0.8, 0.9):
-        learner.note(
-            LearnerTrial(part * good.point, TARGET.array + 30 * TOLERANCE.scale(TARGET), robot.model.path)
-        )
+        learner.note(LearnerTrial(part * good.point, TARGET.array + 30 * TOLERANCE.scale(TARGET), robot.plan))
     assert learner.trials[learner.chosen].point is good.point
 
 
 def test_learner_unsettled_swing_is_neither_confirmed_nor_chosen() -> None:
     robot = Robot(1, offset=0.0, scatter=0.0)
-    learner = Learner(robot.model, TARGET, robot.model.path)
+    learner = Learner(robot.model, TARGET, robot.plan)
     for settled in (False, False, True):
         learner.note(robot.swing(np.zeros(WEIGHTS))._replace(settled=settled))
         assert not learner.confirmed
@@ -146,7 +144,7 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
         used[told] = 0
         for seed in range(6):
             robot = Robot(seed, doubt=0.1)
-            learner = Learner(robot.model, TARGET, robot.model.path)
+            learner = Learner(robot.model, TARGET, robot.plan)
             first = robot.swing(learner.point)
             first.figures[1] += 10 * robot.scale[1]
             learner.note(first._replace(settled=not told))
@@ -159,8 +157,8 @@ def test_learner_unsettled_first_swing_flag_shortens_learning() -> None:
 def test_learner_mean_off_target_takes_further_step() -> None:
     robot = Robot(4, offset=0.0, scatter=0.0)
     zero = np.zeros(WEIGHTS)
-    learner = Learner(robot.model, TARGET, robot.model.path)
+    learner = Learner(robot.model, TARGET, robot.plan)
     for _ in range(4):
-        learner.note(LearnerTrial(zero, TARGET.array + 0.55 * robot.scale, robot.model.path))
+        learner.note(LearnerTrial(zero, TARGET.array + 0.55 * robot.scale, robot.plan))
     assert not learner.confirmed
     assert not np.array_equal(learner.point, zero)
