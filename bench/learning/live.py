@@ -114,9 +114,7 @@ class LiveSwinger:
         mark = self._ask_mark() if self._source == "impact-marks" else None
         speed, attack = self._monitored(record) if self._source == "launch-monitor" else (None, None)
         free = self._problem.response.free
-        figures = figures_from(
-            self._source, cycles, plant, free, mark=mark, club_speed=speed, attack_deg=attack
-        )
+        figures = figures_from(cycles, plant, free, mark=mark, club_speed=speed, attack_deg=attack)
         return ObservedSwing(cycles, figures, cause), True
 
     def _monitored(self, record: SwingRecord) -> tuple[float | None, float | None]:
