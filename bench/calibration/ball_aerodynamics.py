@@ -164,6 +164,8 @@ def aerodynamics_from_record(record: Mapping[str, Any], location: str) -> Aerody
 Array: TypeAlias = np.ndarray[Any, Any]
 
 MIN_FLIGHTS = 3
+_MODEL = Aerodynamics.LIBGOLF
+"""Coefficients that the factors are fitted on."""
 _ROUNDS = 2
 """Fits, each with the covariances at the solution before it."""
 _DIFFERENCE = 1e-3
@@ -238,7 +240,6 @@ def fit_aerodynamics(
     *,
     mass: float,
     radius: float,
-    model: Aerodynamics = Aerodynamics.LIBGOLF,
 ) -> BallAerodynamics:
     """Return drag and lift of `ball` (its `mass` kg, `radius` m) from its `flights`, at least three.
 
@@ -251,7 +252,7 @@ def fit_aerodynamics(
 
     def predict(factors: Array, launches: Sequence[Launch]) -> list[Array]:
         body = Ball(ball, mass, radius, drag_factor=float(factors[0]), lift_factor=float(factors[1]))
-        return _predicted(flights, launches, body, model)
+        return _predicted(flights, launches, body)
 
     factors, cost, whiteners = _solved(flights, predict, scatter)
     chi_square = 2.0 * cost / dof
@@ -267,7 +268,7 @@ def fit_aerodynamics(
         ball=ball,
         mass=mass,
         radius=radius,
-        model=model.name,
+        model=_MODEL.name,
         drag_factor=float(factors[0]),
         lift_factor=float(factors[1]),
         drag_error=float(errors[0]),
@@ -343,9 +344,7 @@ def _launches(flights: Sequence[MeasuredFlight], index: int = -1, step: float = 
     ]
 
 
-def _predicted(
-    flights: Sequence[MeasuredFlight], launches: Sequence[Launch], ball: Ball, model: Aerodynamics
-) -> list[Array]:
+def _predicted(flights: Sequence[MeasuredFlight], launches: Sequence[Launch], ball: Ball) -> list[Array]:
     """Return for each flight what its `observed` would be for `ball`; one compiled loop for each air."""
     groups: dict[tuple[Air, tuple[float, float, float]], list[int]] = {}
     for number, flight in enumerate(flights):
@@ -353,18 +352,18 @@ def _predicted(
     predicted: list[Array] = [np.empty(0)] * len(flights)
     for (air, wind), members in groups.items():
         flown = np.array([launches[n] for n in members])
-        rows = fly_many(flown, air, ball, Wind(wind), aerodynamics=model, step=_TIME_STEP)
+        rows = fly_many(flown, air, ball, Wind(wind), aerodynamics=_MODEL, step=_TIME_STEP)
         for row, n in zip(rows, members, strict=True):
             figures = [float(row[name]) for name in _FIGURES if getattr(flights[n], name) is not None]
-            predicted[n] = np.concatenate([figures, _points(flights[n], launches[n], ball, model)])
+            predicted[n] = np.concatenate([figures, _points(flights[n], launches[n], ball)])
     return predicted
 
 
-def _points(flight: MeasuredFlight, launch: Launch, ball: Ball, model: Aerodynamics) -> Array:
+def _points(flight: MeasuredFlight, launch: Launch, ball: Ball) -> Array:
     """Return distances and heights of the flight at the times of its measured points."""
     if flight.points is None:
         return np.empty(0)
-    path = fly(launch, flight.air, ball, Wind(flight.wind), aerodynamics=model).path
+    path = fly(launch, flight.air, ball, Wind(flight.wind), aerodynamics=_MODEL).path
     along = path[:, 1] * cos(launch.direction) + path[:, 3] * sin(launch.direction)
     times = flight.points[:, 0]
     return np.concatenate([np.interp(times, path[:, 0], along), np.interp(times, path[:, 0], path[:, 2])])

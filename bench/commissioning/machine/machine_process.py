@@ -19,7 +19,7 @@ import pickle
 import select
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -72,21 +72,6 @@ class MachinePlan:
     """Whether only its inputs are watched."""
 
 
-class _Interruption:
-    """Whether what runs shall end: another order waits, or the process shall end."""
-
-    def __init__(self, connection: Connection, parent: Parent) -> None:
-        self._connection, self._parent = connection, parent
-
-    def __call__(self) -> bool:
-        return self.ends or self._connection.poll()
-
-    @property
-    def ends(self) -> bool:
-        """Whether the process shall end."""
-        return self._parent.gone or self._parent.stop_requested
-
-
 def serve(plan: MachinePlan, parent: Parent) -> None:
     """Obey orders until the connection ends or the parent is gone.
 
@@ -103,18 +88,22 @@ def serve(plan: MachinePlan, parent: Parent) -> None:
         granted = stack.enter_context(real_time(c.loop.realtime, priority=c.loop.priority, cpu=c.loop.cpu))
         period = 1.0 / c.loop.rate
         clock = PacedClock(period) if c.driver.paced else GridClock(round(1e9 * period))
-        interrupted = _Interruption(connection, parent)
+
+        def ends() -> bool:
+            """Whether the process shall end."""
+            return parent.gone or parent.stop_requested
+
         server = MachineServer(
             driver,
             c,
             clock,
-            stop=interrupted,
+            stop=lambda: ends() or connection.poll(),  # another order ends what runs
             say=lambda text: send_event("say", text=text),
             inputs_only=plan.inputs_only,
         )
         stack.callback(server.close)
         send_event("ready", real_time=granted.as_json())
-        while not interrupted.ends:
+        while not ends():
             if not connection.poll():
                 server.hold()
                 continue
@@ -122,11 +111,14 @@ def serve(plan: MachinePlan, parent: Parent) -> None:
                 number, order, given = connection.recv()
             except EOFError:
                 return
-            _send(connection, (number, *_answer(server, order, given)), server, interrupted)
+            _send(connection, (number, *_answer(server, order, given)), server, ends)
 
 
 def _send(
-    connection: Connection, message: tuple[int, bool, Any], server: MachineServer, interrupted: _Interruption
+    connection: Connection,
+    message: tuple[int, bool, Any],
+    server: MachineServer,
+    ends: Callable[[], bool],
 ) -> None:
     """Send number, success and answer of an order as their reader takes them, ticks of `server` in between.
 
@@ -137,7 +129,7 @@ def _send(
     connection.send(len(pieces))
     for begin in pieces:
         while not select.select((), (connection,), (), 0.0)[1]:
-            if interrupted.ends:
+            if ends():
                 return
             server.hold()
         connection.send_bytes(data[begin : begin + _PIECE])

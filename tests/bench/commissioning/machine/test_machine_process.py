@@ -476,7 +476,7 @@ def test_send_unread_answer_continues_ticks() -> None:
     answer = bytes(2 << 20)
     with ours, theirs:
         pieces = len(pickle.dumps((7, True, answer))) // _PIECE + 1
-        _send(ours, (7, True, answer), SimpleNamespace(hold=hold), SimpleNamespace(ends=False))  # type: ignore[arg-type]
+        _send(ours, (7, True, answer), SimpleNamespace(hold=hold), lambda: False)  # type: ignore[arg-type]
         reader.join(10.0)
     assert b"".join(read) == pickle.dumps((7, True, answer))
     assert len(read) == pieces
