@@ -33,8 +33,9 @@ from bench.commissioning.machine.step import (
     SwungRobot,
     Traces,
 )
-from bench.commissioning.steps.friction_identification import FRICTION, LEAKAGE
+from bench.commissioning.steps.friction_identification import FRICTION
 from bench.commissioning.steps.inputs_check import INPUT_CHECK, check_inputs, raise_findings
+from bench.commissioning.steps.pneumatic_identification import LEAKAGE
 from bench.commissioning.steps.response_times import RESPONSE
 from bench.commissioning.steps.wiring import VALVES, WIRING
 from bench.commissioning.swings.robot_swings import LIMITS, with_following_limits

@@ -167,22 +167,23 @@ class MotionLog:
                 at = np.interp(wanted, number, at)
         before = at.astype(np.int64)
 
-        def between(rows: NDArray[Any]) -> Array:
-            columns = rows[:n].reshape(n, -1).T
-            return np.stack([np.interp(at, np.arange(n), column) for column in columns], axis=1)
-
         return MotionTrace(
-            between(self._time)[:, 0],
+            at_rows(self._time[:n, None], at)[:, 0],
             self._first,
-            np.round(between(self._count)).astype(np.int64),
-            between(self._pressure),
-            between(self._supply)[:, 0],
+            np.round(at_rows(self._count[:n], at)).astype(np.int64),
+            at_rows(self._pressure[:n], at),
+            at_rows(self._supply[:n, None], at)[:, 0],
             self._valve[before],
             self._shut[before],
             self._segment[before],
             tripped,
             ended,
         )
+
+
+def at_rows(table: NDArray[Any], rows: Array) -> Array:
+    """Return the values of `table` (n, c) at fractional `rows` (k,), (k, c)."""
+    return np.column_stack([np.interp(rows, np.arange(len(table)), column) for column in table.T])
 
 
 class CommissionedMachine(Protocol):

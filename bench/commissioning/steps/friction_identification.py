@@ -1,14 +1,9 @@
-"""Steps 3 and 4: the air of the actuators at their stops; friction and masses from slow moves.
+"""Step 4: friction and masses from slow moves, and the supply in service.
 
-Step 3: leakage, dead volumes, effective areas and the valves' flow, from filling and decay at the stops. At a
-stop the volumes are dead volume plus area times way: both stops together give both. What closed chambers lose
-or gain says what leaks, and how they empty through the vents says how large they are.
-
-Step 4: friction and masses from slow moves, and the supply in service. While one joint moves slowly and the
-others rest parked, its chambers' force is gravity, friction and a little inertia. The force is known by the
-areas of step 3, whose scale is part of the errors; masses and inertias are those of the configuration within
-their tolerance, as far as the moves do not say more. Pauses on the way show the force that breaks the joint
-loose.
+While one joint moves slowly and the others rest parked, its chambers' force is gravity, friction and a little
+inertia. The force is known by the areas of step 3, whose scale is part of the errors; masses and inertias are
+those of the configuration within their tolerance, as far as the moves do not say more. Pauses on the way show
+the force that breaks the joint loose.
 """
 
 from __future__ import annotations
@@ -27,7 +22,6 @@ from bench.commissioning.machine.machine import Array, CommissionedMachine, Moti
 from bench.commissioning.machine.step import (
     ACTUATOR_KEYS,
     FOLD_ORDER,
-    MOVING,
     PRESSING,
     SIDES,
     CommissioningStep,
@@ -37,7 +31,6 @@ from bench.commissioning.machine.step import (
     Side,
     StepResult,
     Traces,
-    at_both_stops,
     beyond,
     centres,
     fold,
@@ -45,14 +38,8 @@ from bench.commissioning.machine.step import (
     run_slowly,
 )
 from bench.commissioning.steps.pneumatic_identification import (
-    NAMES,
-    UNITS,
     VENT_TOLERANCE,
-    AirFit,
-    AirTrace,
-    fit_air,
     joint_angles,
-    nominal_values,
     robust_errors,
     way_per_angle,
 )
@@ -61,127 +48,6 @@ from drivers.base import JOINTS
 from sim.driver import joint_travel
 from sim.kane import bias_forces, inverse_dynamics
 from sim.plant import PlantParameters
-
-_FILL, _COUNTER = 0.10, 0.05
-"""Openings beyond the edges: filling the chamber that presses the joint, and the other one."""
-_HELD = (2, 4)
-"""Segments in which all is shut."""
-_FULL, _HALF = 2.7e5, 1.8e5
-"""Pressures up to which the two are filled, Pa absolute."""
-_HOLD, _SHORT_HOLD, _DECAY = 2.5, 0.6, 1.6
-"""Durations of the holds and of the decay (s)."""
-MAX_LEAKAGE = 0.008
-"""Max leakage of a valve that is right, as a share of its full opening."""
-MAX_CROSS_LEAKAGE = 2e-10
-"""Max leakage past the seals of an actuator that is right, m3/(s Pa)."""
-
-
-def _measure_leakage(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-    """Fill, hold and empty the chambers of each joint at either stop."""
-    return at_both_stops(machine, known, _fill_and_decay)
-
-
-def _estimate_leakage(traces: Traces, known: RobotEstimate) -> StepResult:
-    """Return the air of all actuators."""
-    values: list[ParameterEstimate] = []
-    notes: list[str] = []
-    if vents_stay_open(traces, known):
-        raise MachineFault(
-            "vents",
-            "chambers empty through them when they are commanded shut",
-            "chambers that hold their air",
-            "A vent stays open: check its coil, cable and pilot air, then replace it.",
-        )
-    for i, key in enumerate(ACTUATOR_KEYS):
-        sure = [name for name in ("valve.centre", "valve.dead_band") if f"{key}.{name}" in known.found]
-        fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i, sure)
-        _require_tight(i, fit)
-        for name, value, error, unit in zip(NAMES, fit.values, fit.error, UNITS, strict=True):
-            values.append(ParameterEstimate(f"{key}.{name}", float(value), float(error), unit))
-        notes.append(f"{JOINTS[i]}: pressures fit within {fit.residual:.0f} Pa")
-    return StepResult(tuple(values), tuple(notes))
-
-
-LEAKAGE = CommissioningStep(
-    "leakage",
-    "Leakage, dead volumes, effective areas, flow of the valves",
-    "chambers up to 2.7 bar absolute at a supply of 3 bar, joints at their stops",
-    _measure_leakage,
-    _estimate_leakage,
-)
-"""Step 3."""
-
-
-def vents_stay_open(traces: Traces, known: RobotEstimate) -> bool:
-    """Return whether the chambers of all joints, when closed, behave as with open vents in `traces`."""
-    for i, joint in enumerate(JOINTS):
-        errors = []
-        for vents in (0.0, known.plant.supply.vent_conductance):
-            total = 0.0
-            for side in ("lower", "upper"):
-                air = AirTrace(traces[f"{joint} {side}"], i, known.plant)
-                air.vent = np.full(len(air.vent), vents)
-                rows = air.windows()
-                held = rows[np.isin(air.segment[rows[:, 0]], _HELD)]
-                total += float(np.square(air.errors(nominal_values(known, i), held)).sum())
-            errors.append(total)
-        if errors[1] >= errors[0]:
-            return False
-    return True
-
-
-def _require_tight(joint: int, fit: AirFit) -> None:
-    leakage, cross = fit.values[NAMES.index("valve.leakage")], fit.values[NAMES.index("cross_leakage")]
-    if leakage > MAX_LEAKAGE:
-        raise MachineFault(
-            f"air of the {JOINTS[joint]}",
-            f"closed chambers leak {100 * leakage:.1f} % of the valve's full opening",
-            f"up to {100 * MAX_LEAKAGE:.1f} %",
-            f"Look for a leaking hose, fitting or valve at the {JOINTS[joint]}, or a vent that stays open.",
-        )
-    if cross > MAX_CROSS_LEAKAGE:
-        raise MachineFault(
-            f"air of the {JOINTS[joint]}",
-            f"{cross:.1e} m3/(s Pa) pass from chamber to chamber",
-            f"up to {MAX_CROSS_LEAKAGE:.1e} m3/(s Pa)",
-            f"The piston's or vane's seals of the {JOINTS[joint]} are worn: replace them.",
-        )
-
-
-def _fill_and_decay(
-    machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side
-) -> MotionTrace:
-    """Return the trace of `joint` at its stop at `side`: filled, held, counter-filled, held, emptied."""
-    other: Side = "lower" if side == "upper" else "upper"
-    pressing, counter = (2 * joint, 2 * joint + 1) if side == "upper" else (2 * joint + 1, 2 * joint)
-
-    at = partial(openings, known, joint)
-    closed = at(centres(known)[joint])
-    machine.set_supply(MOVING)
-    return run_slowly(
-        machine,
-        known,
-        (
-            Segment(_DECAY, closed),
-            Segment(
-                6.0,
-                at(beyond(known, joint, side, _FILL)),
-                vents_shut=True,
-                until=Until("above", pressing, _FULL),
-            ),
-            Segment(_HOLD, closed, vents_shut=True),
-            Segment(
-                0.25,
-                at(beyond(known, joint, other, _COUNTER)),
-                vents_shut=True,
-                until=Until("above", counter, _HALF),
-            ),
-            Segment(_SHORT_HOLD, closed, vents_shut=True),
-            Segment(_DECAY + known.plant.supply.vent_delay, closed),
-        ),
-        f"{JOINTS[joint]} filled at its {side} stop",
-    )
-
 
 _BODIES = ("shoulder_link", "left_arm", "rod", "cylinder")
 _OPENINGS = (0.05, 0.08, 0.12)

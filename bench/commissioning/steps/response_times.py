@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import savgol_filter
 
-from bench.commissioning.machine.machine import Array, CommissionedMachine, MotionTrace, Segment, Until
+from bench.commissioning.machine.machine import (
+    Array,
+    CommissionedMachine,
+    MotionTrace,
+    Segment,
+    Until,
+    at_rows,
+)
 from bench.commissioning.machine.step import (
     ACTUATOR_KEYS,
     FOLD_ORDER,
@@ -212,12 +219,11 @@ def _refined(trace: MotionTrace, tick: float) -> MotionTrace:
     """Return `trace`, of one row a `tick` (s), with as many rows a tick as a spool's motion needs."""
     at = np.arange((len(trace.time) - 1) * _SUBSTEPS + 1) / _SUBSTEPS
     row, number = at.astype(np.int64), np.arange(len(trace.time))
-    pressure = np.stack([np.interp(at, number, column) for column in trace.pressure.T], axis=1)
     return replace(
         trace,
         time=trace.time[0] + at * tick,
         count=trace.count[row],
-        pressure=pressure,
+        pressure=at_rows(trace.pressure, at),
         supply=np.interp(at, number, trace.supply),
         valve=trace.valve[row],
         vents_shut=trace.vents_shut[row],

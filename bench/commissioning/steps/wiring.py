@@ -14,6 +14,7 @@ from which it does is the edge.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from math import pi
 from typing import NamedTuple
 
@@ -401,11 +402,6 @@ _EDGE_RAMP, _REST = 1.6, 0.8
 """Durations of the ramp over an edge and of the rest after it (s)."""
 
 
-def _measure_valves(machine: CommissionedMachine, known: RobotEstimate) -> Traces:
-    """Ramp each valve towards either stop, the joint standing there."""
-    return at_both_stops(machine, known, _edge_ramp)
-
-
 def _estimate_valves(traces: Traces, known: RobotEstimate) -> StepResult:
     """Return centre and dead band of each valve."""
     values: list[ParameterEstimate] = []
@@ -423,16 +419,6 @@ def _estimate_valves(traces: Traces, known: RobotEstimate) -> StepResult:
                 )
             values.append(ParameterEstimate(f"{key}.{name}", value, error))
     return StepResult(tuple(values))
-
-
-VALVES = CommissioningStep(
-    "valves",
-    "Centres and dead bands of the valves",
-    "openings up to 0.15 at 3 bar absolute with open vents, joints at their stops",
-    _measure_valves,
-    _estimate_valves,
-)
-"""Step 2."""
 
 
 def _edge_ramp(machine: CommissionedMachine, known: RobotEstimate, joint: int, side: Side) -> MotionTrace:
@@ -454,3 +440,13 @@ def _edge_ramp(machine: CommissionedMachine, known: RobotEstimate, joint: int, s
         ),
         f"{JOINTS[joint]} valve ramped at its {side} stop",
     )
+
+
+VALVES = CommissioningStep(
+    "valves",
+    "Centres and dead bands of the valves",
+    "openings up to 0.15 at 3 bar absolute with open vents, joints at their stops",
+    partial(at_both_stops, trace=_edge_ramp),
+    _estimate_valves,
+)
+"""Step 2."""
