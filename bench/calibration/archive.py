@@ -65,7 +65,9 @@ def add_calibration(
         BenchError: it expires before it begins, a newer one exists, or `by` or `method` is empty.
     """
     kind = kind_of(values)
-    by, method = _texts(f"calibrate {kind}", by=by, method=method)
+    for name, found in (("by", by), ("method", method)):
+        if not found.strip():
+            raise BenchError(f"calibrate {kind}: --{name}", "missing", "a text", f"Add --{name} with a text.")
     if not date < expires:
         raise BenchError(
             f"calibrate {kind}: expires", f"{expires}", f"later than {date}", "Give it a later day."
@@ -81,8 +83,8 @@ def add_calibration(
         subject=subject,
         date=date,
         expires=expires,
-        by=by,
-        method=method,
+        by=by.strip(),
+        method=method.strip(),
         note=note.strip(),
         content=content_of(values),
     )
@@ -103,14 +105,6 @@ def add_calibration(
             action = "Run the same command again."
             raise BenchError(f"calibrate {kind}", found, "a later timestamp", action) from error
     return next(entry for entry in list_calibrations(database, bench, kind) if entry.id == identity)
-
-
-def _texts(location: str, **given: str) -> list[str]:
-    """Return the texts `given` as options, stripped; raises BenchError if one is empty."""
-    for name, text in given.items():
-        if not text.strip():
-            raise BenchError(f"{location}: --{name}", "missing", "a text", f"Add --{name} with a text.")
-    return [text.strip() for text in given.values()]
 
 
 def list_calibrations(database: Engine, bench: str, kind: CalibrationKind | None = None) -> list[Entry]:
@@ -190,8 +184,10 @@ def add_aerodynamics(
         BenchError: `source` or `by` is empty, or another process added one at the same instant.
     """
     location = f"calibrate aerodynamics {values.ball}"
-    source, by = _texts(location, source=source, by=by)
-    c = _TABLE.c
+    for name, found in (("--source", source), ("--by", by)):
+        if not found.strip():
+            raise BenchError(f"{location}: {name}", "missing", "a text", f"State the text with {name}.")
+    source, by, c = source.strip(), by.strip(), _TABLE.c
     newest = select(func.max(c.version)).where((c.bench == bench) & (c.ball == values.ball))
     row = {
         "bench": bench,

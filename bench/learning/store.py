@@ -121,9 +121,20 @@ def keep(database: Engine, entry: Learned) -> int:
     newest = select(func.max(LearnedSwingRow.version)).where(
         LearnedSwingRow.bench == entry.bench, LearnedSwingRow.profile == entry.profile
     )
-    names = ("bench", "profile", "date", "simulated", "source", "within")
-    values = {name: getattr(entry, name) for name in names} | asdict(entry.conditions)
-    values["content"] = {"weights": list(entry.weights), **entry.content}
+    c = entry.conditions
+    values = {
+        "bench": entry.bench,
+        "profile": entry.profile,
+        "date": entry.date,
+        "simulated": entry.simulated,
+        "source": entry.source,
+        "digest": c.digest,
+        "club": c.club,
+        "supply_pressure": c.supply_pressure,
+        "temperature": c.temperature,
+        "within": entry.within,
+        "content": {"weights": list(entry.weights), **entry.content},
+    }
     with database.connect().execution_options(sqlite_begin="IMMEDIATE") as connection, connection.begin():
         version = int(connection.scalar(newest) or 0) + 1
         connection.execute(insert(LearnedSwingRow).values(**values, version=version))
