@@ -87,10 +87,7 @@ def gains_along(bench: Bench) -> Callable[[LinearPlant], Gains]:
 
 
 def judge(
-    plants: list[LinearPlant],
-    estimator: Estimator,
-    gains: Callable[[LinearPlant], Gains],
-    period: float,
+    plants: list[LinearPlant], estimator: Estimator, gains: Callable[[LinearPlant], Gains], period: float
 ) -> LoopMargins:
     """Return the margins of all joints' loops at all instants, and how the closed loop is damped."""
     loops = []

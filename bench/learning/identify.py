@@ -131,23 +131,19 @@ class Identified(NamedTuple):
 def variation_of(values: Array, bench: Bench) -> Variation:
     """Return the robot with `values` in the order of NAMES as a variation of the bench's model."""
     f = values.tolist()
-    mass = bench.model.robot.club.head_mass * (head_factor(f[11], bench) - 1.0)
+    # The head's mass for the club's inertia about the wrist, linearised.
+    club = bench.model.robot.club
+    slope = club_inertia(replace(club, head_mass=1.1 * club.head_mass)) / club_inertia(club) - 1.0
+    factor = 1.0 + 0.1 * (f[11] - 1.0) / slope
     return Variation(
         (f[0], f[1], f[2]),
         (f[3], f[4], f[5]),
         (f[6], f[7], f[8]),
         supply=f[9],
         vane=f[10],
-        head_mass=mass,
+        head_mass=club.head_mass * (factor - 1.0),
         latency=1e-3 * f[12],
     )
-
-
-def head_factor(inertia: float, bench: Bench) -> float:
-    """Return the factor on the head's mass that makes the club's inertia about the wrist `inertia` times."""
-    club = bench.model.robot.club
-    slope = club_inertia(replace(club, head_mass=1.1 * club.head_mass)) / club_inertia(club) - 1.0
-    return 1.0 + 0.1 * (inertia - 1.0) / slope
 
 
 def club_inertia(club: Club) -> float:

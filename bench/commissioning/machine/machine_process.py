@@ -115,10 +115,7 @@ def serve(plan: MachinePlan, parent: Parent) -> None:
 
 
 def _send(
-    connection: Connection,
-    message: tuple[int, bool, Any],
-    server: MachineServer,
-    ends: Callable[[], bool],
+    connection: Connection, message: tuple[int, bool, Any], server: MachineServer, ends: Callable[[], bool]
 ) -> None:
     """Send number, success and answer of an order as their reader takes them, ticks of `server` in between.
 

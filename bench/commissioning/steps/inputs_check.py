@@ -60,9 +60,7 @@ def check_inputs(
     """
     if hands.gauge is None:
         action = "Run it in a terminal, or golfbench calibrate inputs before."
-        raise Refused(
-            "check of the inputs", "no person at the machine", "a person who acts and reads", action
-        )
+        raise _refused("no person at the machine", "a person who acts and reads", action)
     c, atmosphere = configuration, configuration.plant.supply.atmosphere
     done = stages(local_reset=c.lifecycle.local_reset)
     try:
@@ -80,6 +78,10 @@ def check_inputs(
     hands.regulator(inf)
     found = tuple(finding.text for finding in findings)
     return SeenInputs(names, wiring_digest(c), found, deviation), findings
+
+
+def _refused(found: str, expected: str, action: str) -> Refused:
+    return Refused("check of the inputs", found, expected, action)
 
 
 def raise_findings(findings: list[InputFinding]) -> None:
@@ -109,8 +111,7 @@ def _watched(
         before = seen[-1] if stage.act else None
         seen.append(machine.watch(stage.outputs, before, air, settled, hands.timeout + settled))
         if isfinite(seen[-1].supply_pressure) and seen[-1].supply_pressure > air:
-            raise Refused(
-                "check of the inputs",
+            raise _refused(
                 f"{1e-5 * seen[-1].supply_pressure:.2f} bar absolute in the manifold",
                 "none, with the regulator turned down",
                 "Turn the regulator down until its gauge shows 0, and begin again.",
@@ -152,13 +153,10 @@ def _beside_the_gauge(
         readings = machine.watch(on, None, inf, _FILLED, _FILLED)
         if not (readings.guard_closed and readings.guard_locked and readings.emergency_stop_clear):
             action = "Close the guard, release the emergency stop, and begin again."
-            raise Refused(
-                "check of the inputs", "the guard or the emergency stop", "closed, and clear", action
-            )
+            raise _refused("the guard or the emergency stop", "closed, and clear", action)
         over = gauge()
         if not over >= _MIN_SHARE * (pressure - atmosphere):
-            raise Refused(
-                "check of the inputs",
+            raise _refused(
                 f"{1e-5 * over:.2f} bar on the gauge",
                 f"about {1e-5 * (pressure - atmosphere):.1f} bar",
                 "Open the air, turn the regulator up, and begin again.",
