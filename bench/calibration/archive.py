@@ -202,12 +202,8 @@ def add_aerodynamics(
         with database.execution_options(sqlite_begin="IMMEDIATE").begin() as connection:
             version = connection.execute(insert(_TABLE).values(row).returning(c.version)).scalar_one()
     except IntegrityError as error:  # SQLite writes in turn, a server may not
-        raise BenchError(
-            location,
-            "a calibration with this version exists",
-            "a later version",
-            "Run the same command again.",
-        ) from error
+        expected, action = "a later version", "Run the same command again."
+        raise BenchError(location, "a calibration with this version exists", expected, action) from error
     return AerodynamicsEntry(version, date, source, by, values)
 
 

@@ -105,21 +105,13 @@ def standing_counts(ring: Path, counts_per_revolution: int, seconds: float = 0.5
         reader.close()
     location = "calibrate encoders --from-pose"
     if len(cycles) < _MIN_RECORDS:
-        raise Refused(
-            location,
-            f"{len(cycles)} cycles in {seconds:g} s",
-            "a running loop",
-            "Start `golfbench run` again.",
-        )
+        found = f"{len(cycles)} cycles in {seconds:g} s"
+        raise Refused(location, found, "a running loop", "Start `golfbench run` again.")
     middles = []
     for joint, name in enumerate(JOINTS):
         if not cycles["encoder_valid"][:, joint].all():
-            raise Refused(
-                location,
-                f"{name}: invalid readings",
-                "valid readings",
-                f"Check the cable of the {name} encoder.",
-            )
+            found = f"{name}: invalid readings"
+            raise Refused(location, found, "valid readings", f"Check the cable of the {name} encoder.")
         counts = cycles["encoder_count"][:, joint]
         # Around the last one, so that a count at the range's end does not split.
         half = counts_per_revolution // 2

@@ -62,12 +62,8 @@ def operating_points(bench: Bench) -> list[OperatingPoint]:
     series.swing(profile)
     swing = series.swing(profile)
     if swing.cause:
-        raise BenchError(
-            f"a swing of {profile.name}",
-            f"stopped: {CAUSE_TEXT[swing.cause]}",
-            "a whole swing on the model",
-            "Take a profile of this configuration.",
-        )
+        found, action = f"stopped: {CAUSE_TEXT[swing.cause]}", "Take a profile of this configuration."
+        raise BenchError(f"a swing of {profile.name}", found, "a whole swing on the model", action)
     points = []
     for name, tick in instants.items():
         cycle = swing.cycles[tick]

@@ -83,12 +83,8 @@ def planned_figures(bench: Bench) -> Figures:
     wanted = ("in_plane_error_mm", "head_speed_mps", "shaft_lean_deg", "path_slope_deg")
     missing = [key for key in wanted if key not in delivery]
     if missing:
-        raise BenchError(
-            f"{bench.profile.name}: delivery",
-            f"no {missing[0]}",
-            "the planned delivery",
-            "Take a profile of `golfbench profile design`.",
-        )
+        location, action = f"{bench.profile.name}: delivery", "Take a profile of `golfbench profile design`."
+        raise BenchError(location, f"no {missing[0]}", "the planned delivery", action)
     strike, speed, lean, slope = (delivery[key] for key in wanted)
     return Figures(1e-3 * strike, speed, radians(lean), asin(sin(radians(slope)) * sin(lie)))
 

@@ -140,20 +140,13 @@ def require_bench(status: BenchStatus, profile: Profile, source: Source) -> None
         Refused: the text says which.
     """
     if status["profile"] != profile.name:
-        raise Refused(
-            f"bench {status['bench']}",
-            f"it swings {status['profile']}",
-            profile.name,
-            f"Start it with golfbench run --profile {profile.name}, or learn the swing that it runs.",
-        )
+        action = f"Start it with golfbench run --profile {profile.name}, or learn the swing that it runs."
+        raise Refused(f"bench {status['bench']}", f"it swings {status['profile']}", profile.name, action)
     link = status["launch_monitor"]
     if source == "launch-monitor" and (link is None or not link["present"]):
-        raise Refused(
-            f"bench {status['bench']}: launch monitor",
-            "disabled" if link is None else launch_monitor_text(link),
-            "a launch monitor with club data",
-            "Enable and connect it ([launch_monitor] enabled = true), or choose another --source.",
-        )
+        location, expected = f"bench {status['bench']}: launch monitor", "a launch monitor with club data"
+        action = "Enable and connect it ([launch_monitor] enabled = true), or choose another --source."
+        raise Refused(location, "disabled" if link is None else launch_monitor_text(link), expected, action)
 
 
 def swung_cycles(cycles: np.ndarray[Any, Any], length: int) -> tuple[np.ndarray[Any, Any], NDArray[np.bool_]]:

@@ -157,12 +157,8 @@ def _entry(row: Any) -> Learned:
     content = dict(row.content)
     weights = content.pop("weights", None)
     if not isinstance(weights, list) or not all(isinstance(value, float | int) for value in weights):
-        raise BenchError(
-            f"learned swing {row.profile}, version {row.version}",
-            "no weights",
-            "a list of numbers",
-            "Learn it again: golfbench learn.",
-        )
+        location = f"learned swing {row.profile}, version {row.version}"
+        raise BenchError(location, "no weights", "a list of numbers", "Learn it again: golfbench learn.")
     conditions = Conditions(row.digest, row.club, row.supply_pressure, row.temperature)
     return Learned(
         *(row.bench, row.profile, row.date, row.simulated, row.source, conditions, row.within),

@@ -171,12 +171,9 @@ class DriverMachine:
                 break
         fullest = int(np.argmax(self._pressure()))
         if self._pressure()[fullest] > self._atmosphere + 3.0 * _EMPTY:
-            raise MachineFault(
-                "vents",
-                f"{1e-5 * self._pressure()[fullest]:.2f} bar in {CHAMBERS[fullest]} after {duration:g} s",
-                "empty chambers",
-                "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside.",
-            )
+            found = f"{1e-5 * self._pressure()[fullest]:.2f} bar in {CHAMBERS[fullest]} after {duration:g} s"
+            action = "The vents stay shut, a throttle is blocked or the sensor is off. Mind the air inside."
+            raise MachineFault("vents", found, "empty chambers", action)
         return log.trace(None, (False,), self._tick)
 
     def watch(

@@ -221,33 +221,26 @@ def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters)
     jumps = np.abs(np.diff(trace.count, axis=0)).max(axis=0, initial=0)
     for name, jump in zip(JOINTS, jumps.tolist(), strict=True):
         if jump > _JUMP * plant.tick * plant.encoders.counts_per_revolution / (2 * np.pi):
-            raise MachineFault(
-                f"{name} encoder",
-                f"its count jumps by {jump}: wrong scale, or broken",
-                f"counts up to {plant.encoders.counts_per_revolution} that change evenly",
-                "Correct plant.encoders.counts_per_revolution, or check cable, shield and encoder.",
-            )
+            found = f"its count jumps by {jump}: wrong scale, or broken"
+            expected = f"counts up to {plant.encoders.counts_per_revolution} that change evenly"
+            action = "Correct plant.encoders.counts_per_revolution, or check cable, shield and encoder."
+            raise MachineFault(f"{name} encoder", found, expected, action)
     name, seen = JOINTS[joint], int(np.argmax(way))
     if seen != joint and way[joint] < _OWN_SHARE * way[seen]:
         raise swapped_encoders(joint, seen, way)
     if trace.tripped.way_of == joint:
-        raise MachineFault(
-            f"{name} encoder",
-            f"turns by {way[joint]:.2f} rad and is not at a stop: wrong scale, or no stop",
-            f"at most {(upper - lower)[joint]:.2f} rad between the stops",
-            "Correct plant.encoders.counts_per_revolution, or fasten its coupling, or fit the stop.",
-        )
+        found = f"turns by {way[joint]:.2f} rad and is not at a stop: wrong scale, or no stop"
+        expected = f"at most {(upper - lower)[joint]:.2f} rad between the stops"
+        action = "Correct plant.encoders.counts_per_revolution, or fasten its coupling, or fit the stop."
+        raise MachineFault(f"{name} encoder", found, expected, action)
 
 
 def swapped_encoders(joint: int, seen: int, way: np.ndarray) -> MachineFault:
     """Return that the encoder of joint `seen` follows `joint`; `way` (3,) rad by the encoders."""
     name, other = JOINTS[joint], JOINTS[seen]
-    return MachineFault(
-        f"{name} encoder",
-        f"turns by {way[joint]:.2f} rad when the {name} moves, that of the {other} by {way[seen]:.2f} rad",
-        f"the encoder of the {name} follows it",
-        f"The encoders of {name} and {other} are swapped: exchange their cables.",
-    )
+    found = f"turns by {way[joint]:.2f} rad when the {name} moves, that of the {other} by {way[seen]:.2f} rad"
+    action = f"The encoders of {name} and {other} are swapped: exchange their cables."
+    return MachineFault(f"{name} encoder", found, f"the encoder of the {name} follows it", action)
 
 
 def require_within(trace: MotionTrace, doing: str) -> None:

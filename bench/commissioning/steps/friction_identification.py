@@ -155,12 +155,9 @@ def _supply(trace: MotionTrace) -> ParameterEstimate:
     last = trace.supply[len(trace.supply) // 2 :]
     pressure = float(np.median(last))
     if pressure < MIN_SUPPLY:
-        raise MachineFault(
-            "supply",
-            f"{1e-5 * pressure:.2f} bar absolute in service",
-            f"at least {1e-5 * MIN_SUPPLY:.1f} bar absolute",
-            "The supply is too low: check compressor, regulator, filter and hoses.",
-        )
+        found = f"{1e-5 * pressure:.2f} bar absolute in service"
+        action = "The supply is too low: check compressor, regulator, filter and hoses."
+        raise MachineFault("supply", found, f"at least {1e-5 * MIN_SUPPLY:.1f} bar absolute", action)
     error = max(_GAUGE, float(np.ptp(last)))
     return ParameterEstimate("supply.pressure", pressure, error, "Pa absolute")
 

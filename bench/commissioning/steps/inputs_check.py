@@ -111,11 +111,9 @@ def _watched(
         before = seen[-1] if stage.act else None
         seen.append(machine.watch(stage.outputs, before, air, settled, hands.timeout + settled))
         if isfinite(seen[-1].supply_pressure) and seen[-1].supply_pressure > air:
-            raise _refused(
-                f"{1e-5 * seen[-1].supply_pressure:.2f} bar absolute in the manifold",
-                "none, with the regulator turned down",
-                "Turn the regulator down until its gauge shows 0, and begin again.",
-            )
+            found = f"{1e-5 * seen[-1].supply_pressure:.2f} bar absolute in the manifold"
+            action = "Turn the regulator down until its gauge shows 0, and begin again."
+            raise _refused(found, "none, with the regulator turned down", action)
     return seen
 
 
@@ -156,11 +154,9 @@ def _beside_the_gauge(
             raise _refused("the guard or the emergency stop", "closed, and clear", action)
         over = gauge()
         if not over >= _MIN_SHARE * (pressure - atmosphere):
-            raise _refused(
-                f"{1e-5 * over:.2f} bar on the gauge",
-                f"about {1e-5 * (pressure - atmosphere):.1f} bar",
-                "Open the air, turn the regulator up, and begin again.",
-            )
+            found = f"{1e-5 * over:.2f} bar on the gauge"
+            expected = f"about {1e-5 * (pressure - atmosphere):.1f} bar"
+            raise _refused(found, expected, "Open the air, turn the regulator up, and begin again.")
         shown = atmosphere + over
         off = readings.supply_pressure - shown
         if not abs(off) <= _allowed(shown):

@@ -332,12 +332,9 @@ def _estimate_leakage(traces: Traces, known: RobotEstimate) -> StepResult:
     values: list[ParameterEstimate] = []
     notes: list[str] = []
     if vents_stay_open(traces, known):
-        raise MachineFault(
-            "vents",
-            "chambers empty through them when they are commanded shut",
-            "chambers that hold their air",
-            "A vent stays open: check its coil, cable and pilot air, then replace it.",
-        )
+        found = "chambers empty through them when they are commanded shut"
+        action = "A vent stays open: check its coil, cable and pilot air, then replace it."
+        raise MachineFault("vents", found, "chambers that hold their air", action)
     for i, key in enumerate(ACTUATOR_KEYS):
         sure = [name for name in ("valve.centre", "valve.dead_band") if f"{key}.{name}" in known.found]
         fit = fit_air((traces[f"{JOINTS[i]} lower"], traces[f"{JOINTS[i]} upper"]), known, i, sure)
@@ -376,12 +373,9 @@ def _require_tight(joint: int, fit: AirFit) -> None:
             f"Look for a leaking hose, fitting or valve at the {JOINTS[joint]}, or a vent that stays open.",
         )
     if cross > MAX_CROSS_LEAKAGE:
-        raise MachineFault(
-            f"air of the {JOINTS[joint]}",
-            f"{cross:.1e} m3/(s Pa) pass from chamber to chamber",
-            f"up to {MAX_CROSS_LEAKAGE:.1e} m3/(s Pa)",
-            f"The piston's or vane's seals of the {JOINTS[joint]} are worn: replace them.",
-        )
+        location, found = f"air of the {JOINTS[joint]}", f"{cross:.1e} m3/(s Pa) pass from chamber to chamber"
+        action = f"The piston's or vane's seals of the {JOINTS[joint]} are worn: replace them."
+        raise MachineFault(location, found, f"up to {MAX_CROSS_LEAKAGE:.1e} m3/(s Pa)", action)
 
 
 def _fill_and_decay(

@@ -144,12 +144,9 @@ RESPONSE = CommissioningStep(
 def _require_quick(joint: str, latency: float, error: float) -> None:
     """Raise MachineFault if the encoder of `joint` lags by more than an encoder may."""
     if latency - 3.0 * error > _MAX_LATENCY:
-        raise MachineFault(
-            f"{joint} encoder",
-            f"{1e3 * latency:.1f} ms later than the pressures",
-            f"at most {1e3 * _MAX_LATENCY:.0f} ms",
-            "Check the encoder's cycle time and filters on the bus.",
-        )
+        found = f"{1e3 * latency:.1f} ms later than the pressures"
+        action = "Check the encoder's cycle time and filters on the bus."
+        raise MachineFault(f"{joint} encoder", found, f"at most {1e3 * _MAX_LATENCY:.0f} ms", action)
 
 
 def _pulses(known: RobotEstimate, joint: int) -> tuple[Segment, ...]:

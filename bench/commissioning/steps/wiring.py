@@ -151,12 +151,10 @@ def _valve_values(traces: Traces, plant: PlantParameters) -> tuple[ParameterEsti
         feet = valve_feet(traces[f"{JOINTS[i]} ramp"], i)
         centre, band = (feet.lower + feet.upper) / 2, max((feet.upper - feet.lower) / 2, 0.0)
         if abs(centre) > MAX_CENTRE or band > MAX_BAND:
-            raise MachineFault(
-                f"{JOINTS[i]} valve",
-                f"centre at {centre:+.3f}, overlap {band:.3f}",
-                f"a centre within {MAX_CENTRE} and an overlap up to {MAX_BAND}",
-                "Adjust the valve's centre by its maker's manual, or replace the valve.",
-            )
+            location = f"{JOINTS[i]} valve"
+            expected = f"a centre within {MAX_CENTRE} and an overlap up to {MAX_BAND}"
+            action = "Adjust the valve's centre by its maker's manual, or replace the valve."
+            raise MachineFault(location, f"centre at {centre:+.3f}, overlap {band:.3f}", expected, action)
         values.append(ParameterEstimate(f"{key}.valve.centre", centre, 0.004))
         values.append(ParameterEstimate(f"{key}.valve.dead_band", band, 0.01))
     return tuple(values)
@@ -190,12 +188,10 @@ def _require_sensors(trace: MotionTrace, plant: PlantParameters) -> None:
     off = trace.pressure[-1] - plant.supply.atmosphere
     worst = int(np.argmax(np.abs(off)))
     if abs(off[worst]) > _SENSOR:
-        raise MachineFault(
-            f"{CHAMBERS[worst]} sensor",
-            f"{1e-5 * trace.pressure[-1, worst]:.2f} bar with the chamber vented",
-            f"{1e-5 * plant.supply.atmosphere:.2f} bar",
-            "Set the sensor's zero, or replace it; or correct plant.supply.atmosphere.",
-        )
+        location = f"{CHAMBERS[worst]} sensor"
+        found = f"{1e-5 * trace.pressure[-1, worst]:.2f} bar with the chamber vented"
+        action = "Set the sensor's zero, or replace it; or correct plant.supply.atmosphere."
+        raise MachineFault(location, found, f"{1e-5 * plant.supply.atmosphere:.2f} bar", action)
 
 
 def _require_vents(traces: Traces, plant: PlantParameters) -> None:
@@ -203,12 +199,9 @@ def _require_vents(traces: Traces, plant: PlantParameters) -> None:
     for i, joint in enumerate(JOINTS):
         left = traces[f"{joint} ramp"].pressure[-1, 2 * i + 1] - plant.supply.atmosphere
         if left > _LEFT:
-            raise MachineFault(
-                "vents",
-                f"{1e-5 * left:.2f} bar gauge left in {CHAMBERS[2 * i + 1]} after its valve has shut",
-                "chambers that empty when the vents are not energised",
-                "The vents stay shut, or a throttle is blocked: check both. Mind the air inside.",
-            )
+            found = f"{1e-5 * left:.2f} bar gauge left in {CHAMBERS[2 * i + 1]} after its valve has shut"
+            action = "The vents stay shut, or a throttle is blocked: check both. Mind the air inside."
+            raise MachineFault("vents", found, "chambers that empty when the vents are not energised", action)
 
 
 def _require_supply(traces: Traces, plant: PlantParameters) -> None:
@@ -242,12 +235,9 @@ def _require_connected(responses: Mapping[int, Array], traces: Traces) -> None:
         others = [j for j in range(3) if j != i and np.abs(answer[2 * j : 2 * j + 2]).min() > _ANSWER]
         if others:
             j = others[0]
-            raise MachineFault(
-                f"{JOINTS[i]} valve",
-                f"fills the chambers of the {JOINTS[j]}",
-                f"those of the {JOINTS[i]}",
-                f"The valves of {JOINTS[i]} and {JOINTS[j]} are swapped: exchange their cables or hoses.",
-            )
+            found = f"fills the chambers of the {JOINTS[j]}"
+            action = f"The valves of {JOINTS[i]} and {JOINTS[j]} are swapped: exchange their cables or hoses."
+            raise MachineFault(f"{JOINTS[i]} valve", found, f"those of the {JOINTS[i]}", action)
         raise _unconnected(i, a, b, traces[f"{JOINTS[i]} ramp"])
 
 
@@ -264,19 +254,14 @@ def _unconnected(i: int, a: float, b: float, trace: MotionTrace) -> MachineFault
         )
     if a > _ANSWER or b > _ANSWER:
         chamber = CHAMBERS[2 * i + (1 if a > _ANSWER else 0)]
-        return MachineFault(
-            f"{JOINTS[i]} valve",
-            f"{chamber} does not fill",
-            "both chambers fill, each to its side",
-            f"The hose of {chamber} is leaking or off, or its sensor does not follow: check both.",
-        )
+        found = f"{chamber} does not fill"
+        action = f"The hose of {chamber} is leaking or off, or its sensor does not follow: check both."
+        return MachineFault(f"{JOINTS[i]} valve", found, "both chambers fill, each to its side", action)
     highest = float(trace.pressure[:, 2 * i : 2 * i + 2].max())
-    return MachineFault(
-        f"{JOINTS[i]} valve",
-        f"its chambers do not follow its openings (up to {1e-5 * highest:.2f} bar)",
-        "chamber A fills with a positive opening, B with a negative one",
-        "Its spool is stuck or gets no signal: check plug and cable, then clean or replace the valve.",
-    )
+    found = f"its chambers do not follow its openings (up to {1e-5 * highest:.2f} bar)"
+    expected = "chamber A fills with a positive opening, B with a negative one"
+    action = "Its spool is stuck or gets no signal: check plug and cable, then clean or replace the valve."
+    return MachineFault(f"{JOINTS[i]} valve", found, expected, action)
 
 
 def stop_depths(trace: MotionTrace, joint: int, side: str, plant: PlantParameters) -> tuple[float, float]:
@@ -305,12 +290,9 @@ def _require_travel(joint: int, move: StopMove, plant: PlantParameters) -> None:
     if way[joint] < 0.3 * travel and others:
         raise swapped_encoders(joint, others[0], way)
     if way[joint] < 0.3 * travel:
-        raise MachineFault(
-            f"{JOINTS[joint]} encoder",
-            f"moves by {way[joint]:.2f} rad between the stops",
-            f"{travel:.2f} rad",
-            "The joint is blocked, or its encoder's coupling is loose, or the encoder is stuck.",
-        )
+        found = f"moves by {way[joint]:.2f} rad between the stops"
+        action = "The joint is blocked, or its encoder's coupling is loose, or the encoder is stuck."
+        raise MachineFault(f"{JOINTS[joint]} encoder", found, f"{travel:.2f} rad", action)
 
 
 def _encoder_values(traces: Traces, plant: PlantParameters) -> tuple[list[ParameterEstimate], list[str]]:
@@ -411,12 +393,9 @@ def _estimate_valves(traces: Traces, known: RobotEstimate) -> StepResult:
             k = NAMES.index(name)
             value, error = float(fit.values[k]), float(fit.error[k])
             if abs(value) > most:
-                raise MachineFault(
-                    f"{JOINTS[i]} valve",
-                    f"{name.partition('.')[2].replace('_', ' ')} {value:+.3f}",
-                    f"at most {most}",
-                    "Adjust the valve's centre by its maker's manual, or replace the valve.",
-                )
+                found = f"{name.partition('.')[2].replace('_', ' ')} {value:+.3f}"
+                action = "Adjust the valve's centre by its maker's manual, or replace the valve."
+                raise MachineFault(f"{JOINTS[i]} valve", found, f"at most {most}", action)
             values.append(ParameterEstimate(f"{key}.{name}", value, error))
     return StepResult(tuple(values))
 

@@ -109,12 +109,8 @@ def rising_swings(
         full = design_at(known, highest, "commissioned", fastest.profile)
         next_fastest = design_at(known, DESIGNED_SHARES[0] * highest, "commissioned-slower", full)
     except DesignFailed as failure:
-        raise MachineFault(
-            "swing",
-            str(failure),
-            "a swing that this robot can do",
-            "Check supply and valves: the measured robot is too weak or too slow.",
-        ) from None
+        action = "Check supply and valves: the measured robot is too weak or too slow."
+        raise MachineFault("swing", str(failure), "a swing that this robot can do", action) from None
     notes = [f"the fastest designed swing: {fastest.speed:.1f} m/s; {fastest.limit}"]
     for share in SLOW_SHARES:
         progress(f"swing of {100 * share:.0f} %")
@@ -219,12 +215,9 @@ def slow_swing(
             return SlowSwing(tried, bench_of(with_following_limits(known, designed), designed), designed=True)
         except DesignFailed as failure:
             found = f"{found}; designed: {failure}".removeprefix("; ")
-    raise PredictionFails(
-        f"prediction of the swing of {100 * share:.0f} %",
-        found,
-        "a whole swing of about this speed, of the robot as measured",
-        "Reduce friction: at low speed this robot moves in jerks.",
-    )
+    expected = "a whole swing of about this speed, of the robot as measured"
+    action = "Reduce friction: at low speed this robot moves in jerks."
+    raise PredictionFails(f"prediction of the swing of {100 * share:.0f} %", found, expected, action)
 
 
 def _prediction_fails(bench: Bench, fastest: float) -> str:
@@ -407,12 +400,9 @@ def learned_swing(
     kept = result.attempts[result.chosen].figures
     text = f"{_words(kept)}; target {_words(result.target)}"
     if not result.within:
-        raise MachineFault(
-            "learning",
-            f"after {result.used} swings {text}",
-            "a swing within 2 mm, 0.3 %, 0.3 deg and 0.3 deg of its target",
-            "Look for what changes between swings: play, a slipping shaft, the supply; then --resume.",
-        )
+        expected = "a swing within 2 mm, 0.3 %, 0.3 deg and 0.3 deg of its target"
+        action = "Look for what changes between swings: play, a slipping shaft, the supply; then --resume."
+        raise MachineFault("learning", f"after {result.used} swings {text}", expected, action)
     notes = (f"learned in {result.used} swings: {text}", marks.text)
     true = figures_of(made[result.chosen].delivery)  # as a simulated plant knows it
     known_truth = () if np.isnan(true.speed) else (f"the simulated plant knows: {_words(true)}",)

@@ -147,12 +147,8 @@ def swing_wear(cycles: Cycles, metadata: Mapping[str, Any], location: str) -> Sw
     """
     plant = settings_of(metadata, location)[0]["plant"]
     if not np.isfinite(cycles["chamber_pressure"]).any(axis=0).all():
-        raise BenchError(
-            location,
-            "a chamber without pressures",
-            "the pressure of each chamber, which separates the parts",
-            "Fit a sensor to each chamber.",
-        )
+        expected = "the pressure of each chamber, which separates the parts"
+        raise BenchError(location, "a chamber without pressures", expected, "Fit a sensor to each chamber.")
     return fitted_wear(cycles, plant)
 
 
