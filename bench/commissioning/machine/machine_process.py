@@ -1,8 +1,8 @@
 """The process that has the machine while it is commissioned, and its client, which the steps see.
 
-`python -m bench.commissioning.machine.machine_process` takes a pickled MachinePlan on stdin. Orders name a
-method of MachineServer and its arguments. They come numbered on the plan's connection, and each is answered
-with its number, whether it was done, and its answer or exception. JSON lines on stdout:
+`python -m bench.commissioning.machine.machine_process` takes a pickled MachinePlan on stdin. Orders to
+MachineServer come numbered on the plan's connection, and each is answered with its number, whether it was
+done, and its answer or exception. JSON lines on stdout:
 
 `ready`   `real_time`
 `failed`  `location`, `found`, `expected`, `action`, `exit_code`: it cannot work
@@ -148,9 +148,9 @@ def with_quick_pressures(c: Configuration) -> Configuration:
 
 
 def _answer(server: MachineServer, order: str, given: tuple[Any, ...]) -> tuple[bool, Any]:
-    """Return whether the method `order` was done with its arguments `given`, and its answer or error."""
+    """Return whether `order` was done with its arguments `given`, and its answer or error."""
     try:
-        return True, getattr(server, order)(*given)
+        return True, server.obey(order, *given)
     except BenchError as error:
         return False, error
     except DriverError as error:
@@ -238,7 +238,7 @@ class LiveRobot:
         return trace
 
     def _order(self, order: str, *given: object) -> object:
-        """Return the answer of the server's method `order`, or raise its error.
+        """Return the server's answer to `order`, or raise its error.
 
         Raises:
             MachineLost: the process ended.

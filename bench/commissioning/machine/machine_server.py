@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from bench.base.clock import Clock
 from bench.base.errors import Refused
 from bench.base.lifecycle import CAUSE_WORDS, REFUSAL_TEXT, Cause, Phase, Refusal, Request, State
 from bench.commissioning.machine.driver_machine import DriverMachine, stopped_by_operator
-from bench.commissioning.machine.machine import MotionBounds, MotionTrace, Segment
 from bench.config import Configuration
 from bench.control.requests import near_address
 from bench.control.settings import build_controller, with_tables_of
@@ -33,7 +33,7 @@ from bench.simulation.swing_operator import (
 )
 from bench.supervisor.status import cause_text, refusal_words, stall_note
 from bench.swing.profile import Profile
-from drivers.base import Command, Driver, DriverError, Readings
+from drivers.base import Driver, DriverError
 
 _TIMEOUT = 30.0
 """Time for which a request is repeated that the bench refuses for a passing reason (s)."""
@@ -107,7 +107,7 @@ class LiveSeries:
         self._operator.advance(1)
         self._arm()
 
-    def swing(self, profile: Profile, *, ball: bool = True) -> SeriesSwing:
+    def swing(self, profile: Profile, ball: bool) -> SeriesSwing:
         """Rest at the address, swing `profile`, and come back; after a stop the robot is armed again.
 
         A swing whose record has gaps before the ball, or that a stall stopped, as the machine was busy, is
@@ -317,7 +317,7 @@ class LiveSeries:
 
 
 class MachineServer:
-    """A machine whose methods are the orders to it, one after the other; `hold` is its tick in between."""
+    """A machine that obeys orders, one after the other; `hold` is its tick in between."""
 
     def __init__(
         self,
@@ -345,46 +345,27 @@ class MachineServer:
             driver, configuration.plant, clock, warning=warning, stop=stop, inputs_only=inputs_only
         )
 
-    def run(self, segments: tuple[Segment, ...], bounds: MotionBounds) -> MotionTrace:
-        """Run `segments` within `bounds`."""
-        self._end_series()
-        return self._machine.run(segments, bounds)
+    def obey(self, order: str, *given: Any) -> Any:
+        """Return the answer of `order`: "arm", or a method of the armed series or of the machine.
 
-    def watch(
-        self, command: Command, before: Readings | None, air: float, settled: float, timeout: float
-    ) -> Readings:
-        """Hold outputs and watch the switches."""
-        self._end_series()
-        return self._machine.watch(command, before, air, settled, timeout)
+        A bench that is armed is brought to rest before an order to the machine.
 
-    def vent(self, duration: float) -> MotionTrace:
-        """Be passive until the chambers are empty, for at most `duration` (s)."""
+        Raises:
+            MachineFault, Refused: as the machine and the series.
+            DriverError: the device failed; it is passive.
+        """
+        if order in ("swing", "release_guard", "lock_guard"):
+            if self._series is None:
+                raise ValueError("a swing of a robot that is not armed")
+            return getattr(self._series, order)(*given)
         self._end_series()
-        return self._machine.vent(duration)
-
-    def make_passive(self) -> None:
-        """Bring a robot that swings to rest; then centre the spools, shut the supply, open the vents."""
-        self._end_series()
+        if order != "arm":
+            return getattr(self._machine, order)(*given)
         self._machine.make_passive()
-
-    def arm(self, bench: Bench) -> None:
-        """Arm for swings of `bench`, until the robot holds its address."""
-        self.make_passive()
         self._series = LiveSeries(
-            self._driver, self._configuration, bench, self._clock, stop=self._stop, say=self._say
+            self._driver, self._configuration, *given, self._clock, stop=self._stop, say=self._say
         )
-
-    def swing(self, profile: Profile, ball: bool) -> SeriesSwing:
-        """Swing `profile`."""
-        return self._armed().swing(profile, ball=ball)
-
-    def release_guard(self) -> None:
-        """Release the guard for a person."""
-        self._armed().release_guard()
-
-    def lock_guard(self) -> None:
-        """Lock the guard that a person has closed."""
-        self._armed().lock_guard()
+        return None
 
     def hold(self) -> None:
         """Continue for one tick as the last order left the machine."""
@@ -401,11 +382,6 @@ class MachineServer:
             for _ in range(3):  # a frame on a bus may be lost
                 self._machine.make_passive()
             self._driver.close()
-
-    def _armed(self) -> LiveSeries:
-        if self._series is None:
-            raise ValueError("a swing of a robot that is not armed")
-        return self._series
 
     def _end_series(self) -> None:
         series, self._series = self._series, None
