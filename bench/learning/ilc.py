@@ -185,12 +185,6 @@ class Learner:
         """Return (figures - target) in tolerances."""
         return np.asarray((figures - self._target) / self._scale)
 
-    def _reached(self, number: int, share: float) -> bool:
-        """Return whether a swing is within `share` of every tolerance; unknown figures do not count."""
-        figures = self.trials[number].figures
-        known = self.error(figures)[~np.isnan(figures)]
-        return bool(known.size and np.max(np.abs(known)) <= share)
-
     def _alike(self, number: int) -> list[int]:
         """Return the swings with the correction of swing `number` and the same start."""
         one = self.trials[number]
@@ -205,7 +199,11 @@ class Learner:
         """Whether a swing and its repetition were well within the tolerances."""
         last = len(self.trials) - 1
         alike = self._alike(last)
-        if len(alike) < 2 or not self.trials[last].settled or not self._reached(last, _CONFIRM):
+        if (
+            len(alike) < 2
+            or not self.trials[last].settled
+            or not self._near(self._errors[last][:4], _CONFIRM)
+        ):
             return False
         return self._near(self._mean(last))
 
@@ -256,10 +254,10 @@ class Learner:
         near = self._near(at[:4]) and (len(self._alike(self._best)) < 2 or self._near(self._mean(self._best)))
         self.point = self.best.point if near else self._next(at, matrix)
 
-    def _near(self, figures: Array) -> bool:
-        """Return whether errors (4,) are well within the tolerances; unknown ones do not count."""
-        known = figures[np.isfinite(figures)]
-        return bool(known.size and np.abs(known).max() <= ENOUGH)
+    def _near(self, errors: Array, share: float = ENOUGH) -> bool:
+        """Return whether `errors` (4,) are within `share` of the tolerances; unknown ones do not count."""
+        known = errors[np.isfinite(errors)]
+        return bool(known.size and np.abs(known).max() <= share)
 
     def _mean(self, number: int) -> Array:
         """Return the mean error (4,) of the swings comparable to swing `number`."""

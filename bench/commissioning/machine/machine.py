@@ -95,10 +95,6 @@ class MotionTrace:
     ended: tuple[bool, ...] = ()
     """Whether the condition of each segment ended it."""
 
-    def angle(self, counts_per_revolution: int) -> Array:
-        """Return the encoders' angles (n, 3) rad since the first row, as the encoders count."""
-        return np.asarray(self.count * (2 * np.pi / counts_per_revolution))
-
     def of_segment(self, *numbers: int) -> NDArray[np.bool_]:
         """Return the rows (n,) of segments `numbers`."""
         return np.isin(self.segment, numbers)

@@ -216,7 +216,7 @@ def _require_own_encoder(trace: MotionTrace, joint: int, plant: PlantParameters)
     """Raise MachineFault if a bound ended `trace` by an encoder of another joint or of a wrong scale."""
     if not trace.tripped:
         return
-    way = np.abs(trace.angle(plant.encoders.counts_per_revolution)[-1])
+    way = np.abs(trace.count[-1] * (2 * np.pi / plant.encoders.counts_per_revolution))
     lower, upper = joint_travel(plant)
     jumps = np.abs(np.diff(trace.count, axis=0)).max(axis=0, initial=0)
     for name, jump in zip(JOINTS, jumps.tolist(), strict=True):
