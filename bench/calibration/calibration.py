@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from enum import StrEnum
 from hashlib import sha256
 from math import degrees, hypot, pi, radians
@@ -398,17 +398,21 @@ def apply(calibration: Calibration, configuration: Configuration) -> Configurati
     Raises:
         BenchError: a calibration belongs to other encoders, or to a club that is not configured.
     """
-    c = configuration
     for entry in calibration.entries:
-        match entry.values:
-            case EncoderZeros() as zeros:
-                c = _with_zeros(c, zeros, entry.name)
-            case BallPosition() as ball:
-                c = _with_ball(c, ball)
-            case ClubInMount() as club:
-                c = _with_club(c, club, entry.name)
-            case ValveCentres() as valves:
-                c = _with_valves(c, valves)
+        configuration = _corrected(configuration, entry.values, entry.name)
+    return configuration
+
+
+def _corrected(c: Configuration, values: Values, name: str) -> Configuration:
+    match values:
+        case EncoderZeros():
+            return _with_zeros(c, values, name)
+        case BallPosition():
+            return _with_ball(c, values)
+        case ClubInMount():
+            return _with_club(c, values, name)
+        case ValveCentres():
+            return _with_valves(c, values)
     return c
 
 
@@ -437,9 +441,8 @@ def _with_zeros(c: Configuration, zeros: EncoderZeros, name: str) -> Configurati
 
 def _with_club(c: Configuration, measured: ClubInMount, name: str) -> Configuration:
     if measured.club not in c.clubs:
-        raise BenchError(
-            name, "a club that is not configured", f"one of {', '.join(c.clubs)}", "Add it under [clubs]."
-        )
+        found, expected = f'"{measured.club}", which is not configured', f"one of {', '.join(c.clubs)}"
+        raise BenchError(name, found, expected, "Choose one, or add it under [clubs].")
     club = c.clubs[measured.club]
     club = replace(
         club,
@@ -480,14 +483,8 @@ def require_plausible(values: Values, configuration: Configuration) -> None:
         BenchError: they belong to another part, or are too far from the configured values.
         ExceptionGroup: BenchErrors of the configuration, which they would make inconsistent.
     """
-    if isinstance(values, ClubInMount) and values.club not in configuration.clubs:
-        location, expected = "calibrate club", f"one of {', '.join(configuration.clubs)}"
-        raise BenchError(location, f'"{values.club}"', expected, "Choose one, or add it under [clubs] first.")
     kind = kind_of(values)
-    begin = datetime(2000, 1, 1, tzinfo=UTC)
-    entry = Entry(0, configuration.bench.id, kind, 1, begin, begin + timedelta(days=1), "", "", "", values)
-    club = configuration.swing.club
-    corrected = apply(Calibration(configuration.bench.id, club, begin, (entry,)), configuration)
+    corrected = _corrected(configuration, values, f"calibrate {kind}")
     match values:
         case BallPosition(x, y):
             site = configuration.plant.site
