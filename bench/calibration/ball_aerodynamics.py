@@ -11,8 +11,8 @@ what all flights have in common (calibration of the device) is added through the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass, field, replace
 from datetime import datetime
 from math import cos, sin, sqrt
 from typing import Annotated, Any, TypeAlias
@@ -170,7 +170,7 @@ _ROUNDS = 2
 """Fits, each with the covariances at the solution before it."""
 _DIFFERENCE = 1e-3
 """Relative step of the factors in derivatives."""
-_LAUNCH_STEPS = (0.05, 0.001, 5.0)
+_LAUNCH_STEPS = {"speed": 0.05, "launch_angle": 0.001, "spin": 5.0}
 """Steps of ball speed (m/s), launch angle (rad) and spin (rad/s) in derivatives."""
 _TIME_STEP = 0.02
 """Integration step of carry, apex and time, s: 12 mm of carry and 0.5 ms at most off the finest (tests)."""
@@ -192,6 +192,13 @@ class MeasuredFlight:
     """Points of the trajectory, shape (n, 3): time s, distance along the launch direction m, height m."""
     air: Air = field(default_factory=Air)
     wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def kinds(self) -> list[str]:
+        """Kind of each observation in `observed`."""
+        figures = [name for name in _FIGURES if getattr(self, name) is not None]
+        points = 0 if self.points is None else len(self.points)
+        return [*figures, *["distance"] * points, *["height"] * points]
 
     @property
     def observed(self) -> Array:
@@ -227,9 +234,7 @@ class FlightUncertainty:
 
     def of_observations(self, flight: MeasuredFlight) -> Array:
         """Return the standard uncertainty of each observation of `flight`."""
-        figures = [getattr(self, name) for name in _FIGURES if getattr(flight, name) is not None]
-        points = 0 if flight.points is None else 2 * len(flight.points)
-        return np.array([*figures, *[self.point] * points])
+        return np.array([getattr(self, kind, self.point) for kind in flight.kinds])
 
 
 def fit_aerodynamics(
@@ -249,14 +254,10 @@ def fit_aerodynamics(
         ValueError: too few flights or observations, scatter of 0, or data that do not determine both factors.
     """
     dof = _dof(flights, scatter)
-
-    def predict(factors: Array, launches: Sequence[Launch]) -> list[Array]:
-        body = Ball(ball, mass, radius, drag_factor=float(factors[0]), lift_factor=float(factors[1]))
-        return _predicted(flights, launches, body)
-
-    factors, cost, whiteners = _solved(flights, predict, scatter)
+    fit = _Fit(Ball(ball, mass, radius), flights)
+    factors, cost, whiteners = fit.solved(scatter)
     chi_square = 2.0 * cost / dof
-    covariance = _covariance(flights, factors, predict, whiteners, calibration, max(1.0, chi_square))
+    covariance = fit.covariance(factors, whiteners, calibration, max(1.0, chi_square))
     errors = np.sqrt(np.diag(covariance))
     if not np.all(errors < _MAX_ERROR):
         raise ValueError(
@@ -283,9 +284,6 @@ def fit_aerodynamics(
     )
 
 
-_Predict: TypeAlias = Callable[[Array, Sequence[Launch]], list[Array]]
-
-
 def _dof(flights: Sequence[MeasuredFlight], scatter: FlightUncertainty) -> int:
     """Return the degrees of freedom of the fit; ValueError when data or scatter do not suffice."""
     if len(flights) < MIN_FLIGHTS:
@@ -298,65 +296,99 @@ def _dof(flights: Sequence[MeasuredFlight], scatter: FlightUncertainty) -> int:
     return dof
 
 
-def _solved(
-    flights: Sequence[MeasuredFlight], predict: _Predict, scatter: FlightUncertainty
-) -> tuple[Array, float, list[Array]]:
-    """Return the factors, half the sum of the squared whitened residuals, and the whitening matrices."""
-    factors, cost, whiteners = np.array([1.0, 1.0]), 0.0, list[Array]()
-    for _ in range(_ROUNDS):
-        whiteners = _whiteners(flights, factors, predict, scatter)
+class _Fit:
+    """Flights of a ball, and the prediction of their observations by its factors of drag and lift (2,)."""
 
-        def residuals(x: Array, whiteners: list[Array] = whiteners) -> Array:
-            return _residuals(flights, predict(x, _launches(flights)), whiteners)
+    def __init__(self, ball: Ball, flights: Sequence[MeasuredFlight]) -> None:
+        self._ball, self._flights = ball, flights
 
-        found = least_squares(
-            residuals, factors, bounds=([0.2, 0.2], [3.0, 3.0]), diff_step=[_DIFFERENCE] * 2
-        )
-        factors, cost = found.x, float(found.cost)
-    return factors, cost, whiteners
+    def solved(self, scatter: FlightUncertainty) -> tuple[Array, float, list[Array]]:
+        """Return the factors, half the sum of the squared whitened residuals, and the whitening matrices."""
+        factors, cost, whiteners = np.array([1.0, 1.0]), 0.0, list[Array]()
+        bounds, step = ([0.2, 0.2], [3.0, 3.0]), [_DIFFERENCE] * 2
+        for _ in range(_ROUNDS):
+            whiteners = self._whiteners(factors, scatter)
+            found = least_squares(self._residuals, factors, args=(whiteners,), bounds=bounds, diff_step=step)
+            factors, cost = found.x, float(found.cost)
+        return factors, cost, whiteners
 
+    def covariance(
+        self, factors: Array, whiteners: Sequence[Array], calibration: FlightUncertainty, widening: float
+    ) -> Array:
+        """Return the covariance of `factors`: of the scatter times `widening`, and of the calibration."""
+        by_factor = self._by_factor(factors, whiteners)
+        information = by_factor.T @ by_factor
+        if np.linalg.cond(information) > 1e12:
+            raise ValueError("the data do not separate drag from lift: add apex, time or points")
+        inverse = np.linalg.inv(information)
+        common = inverse @ by_factor.T @ self._by_common(factors, whiteners, calibration)
+        total: Array = widening * inverse + common @ common.T
+        return total
 
-def _covariance(
-    flights: Sequence[MeasuredFlight],
-    factors: Array,
-    predict: _Predict,
-    whiteners: Sequence[Array],
-    calibration: FlightUncertainty,
-    widening: float,
-) -> Array:
-    """Return the covariance of the factors: that of the scatter times `widening`, and of the calibration."""
-    by_factor = _by_factor(flights, factors, predict, whiteners)
-    information = by_factor.T @ by_factor
-    if np.linalg.cond(information) > 1e12:
-        raise ValueError("the data do not separate drag from lift: add apex, time or points")
-    inverse = np.linalg.inv(information)
-    common = inverse @ by_factor.T @ _by_common(flights, factors, predict, whiteners, calibration)
-    total: Array = widening * inverse + common @ common.T
-    return total
+    def _predicted(self, factors: Array, figure: str = "", step: float = 0.0) -> list[Array]:
+        """Return each flight's `observed` by `factors`, one compiled loop for each air.
 
+        A `figure` of the launches is greater by `step`.
+        """
+        ball = replace(self._ball, drag_factor=float(factors[0]), lift_factor=float(factors[1]))
+        launches = [flight.launch for flight in self._flights]
+        if figure:
+            launches = [one._replace(**{figure: getattr(one, figure) + step}) for one in launches]
+        groups: dict[tuple[Air, tuple[float, float, float]], list[int]] = {}
+        for number, flight in enumerate(self._flights):
+            groups.setdefault((flight.air, flight.wind), []).append(number)
+        predicted: list[Array] = [np.empty(0)] * len(launches)
+        for (air, wind), members in groups.items():
+            flown = np.array([launches[n] for n in members])
+            rows = fly_many(flown, air, ball, Wind(wind), aerodynamics=_MODEL, step=_TIME_STEP)
+            for row, n in zip(rows, members, strict=True):
+                figures = [float(row[name]) for name in self._flights[n].kinds if name in _FIGURES]
+                predicted[n] = np.concatenate([figures, _points(self._flights[n], launches[n], ball)])
+        return predicted
 
-def _launches(flights: Sequence[MeasuredFlight], index: int = -1, step: float = 0.0) -> list[Launch]:
-    """Return all launches; with `index`, its figure (0 speed, 1 launch angle, 2 spin) greater by `step`."""
-    name = ("speed", "launch_angle", "spin")[index]
-    return [
-        f.launch if index < 0 else f.launch._replace(**{name: getattr(f.launch, name) + step})
-        for f in flights
-    ]
+    def _residuals(self, factors: Array, whiteners: Sequence[Array]) -> Array:
+        rows = zip(self._flights, self._predicted(factors), whiteners, strict=True)
+        return np.concatenate([w @ (p - f.observed) for f, p, w in rows])
 
+    def _by_launch(self, factors: Array) -> list[Array]:
+        """Return the derivatives of each flight's observations by speed, launch angle and spin."""
+        columns = []
+        for figure, step in _LAUNCH_STEPS.items():
+            above, below = (self._predicted(factors, figure, way) for way in (step, -step))
+            columns.append([(a - b) / (2 * step) for a, b in zip(above, below, strict=True)])
+        return [np.column_stack(three) for three in zip(*columns, strict=True)]
 
-def _predicted(flights: Sequence[MeasuredFlight], launches: Sequence[Launch], ball: Ball) -> list[Array]:
-    """Return for each flight what its `observed` would be for `ball`; one compiled loop for each air."""
-    groups: dict[tuple[Air, tuple[float, float, float]], list[int]] = {}
-    for number, flight in enumerate(flights):
-        groups.setdefault((flight.air, flight.wind), []).append(number)
-    predicted: list[Array] = [np.empty(0)] * len(flights)
-    for (air, wind), members in groups.items():
-        flown = np.array([launches[n] for n in members])
-        rows = fly_many(flown, air, ball, Wind(wind), aerodynamics=_MODEL, step=_TIME_STEP)
-        for row, n in zip(rows, members, strict=True):
-            figures = [float(row[name]) for name in _FIGURES if getattr(flights[n], name) is not None]
-            predicted[n] = np.concatenate([figures, _points(flights[n], launches[n], ball)])
-    return predicted
+    def _whiteners(self, factors: Array, scatter: FlightUncertainty) -> list[Array]:
+        """Return for each flight the matrix that makes its residuals independent with a deviation of 1."""
+        found = []
+        for flight, slope in zip(self._flights, self._by_launch(factors), strict=True):
+            of_launch = slope * scatter.of_launch()
+            covariance = of_launch @ of_launch.T + np.diag(scatter.of_observations(flight) ** 2)
+            found.append(np.linalg.inv(np.linalg.cholesky(covariance)))
+        return found
+
+    def _by_factor(self, factors: Array, whiteners: Sequence[Array]) -> Array:
+        """Return the derivatives of the whitened residuals with respect to the two factors."""
+        columns = []
+        for index in range(2):
+            step = np.zeros(2)
+            step[index] = _DIFFERENCE * factors[index]
+            above, below = (self._residuals(factors + way, whiteners) for way in (step, -step))
+            columns.append((above - below) / (2 * step[index]))
+        return np.column_stack(columns)
+
+    def _by_common(self, factors: Array, whiteners: Sequence[Array], calibration: FlightUncertainty) -> Array:
+        """Return the whitened residuals' change for one standard uncertainty of each common error."""
+        slopes = zip(whiteners, self._by_launch(factors), strict=True)
+        columns = [np.concatenate([w @ slope * calibration.of_launch() for w, slope in slopes])]
+        for name in (*_FIGURES, "distance", "height"):
+            error = getattr(calibration, name, calibration.point)
+            parts = [
+                w @ np.array([error if kind == name else 0.0 for kind in flight.kinds])
+                for flight, w in zip(self._flights, whiteners, strict=True)
+            ]
+            columns.append(np.concatenate(parts)[:, None])
+        return np.hstack(columns)
 
 
 def _points(flight: MeasuredFlight, launch: Launch, ball: Ball) -> Array:
@@ -367,75 +399,3 @@ def _points(flight: MeasuredFlight, launch: Launch, ball: Ball) -> Array:
     along = path[:, 1] * cos(launch.direction) + path[:, 3] * sin(launch.direction)
     times = flight.points[:, 0]
     return np.concatenate([np.interp(times, path[:, 0], along), np.interp(times, path[:, 0], path[:, 2])])
-
-
-def _residuals(
-    flights: Sequence[MeasuredFlight], predicted: Sequence[Array], whiteners: Sequence[Array]
-) -> Array:
-    return np.concatenate(
-        [w @ (p - f.observed) for f, p, w in zip(flights, predicted, whiteners, strict=True)]
-    )
-
-
-def _by_launch(flights: Sequence[MeasuredFlight], factors: Array, predict: _Predict) -> list[Array]:
-    """Return the derivatives of each flight's observations with respect to speed, launch angle and spin."""
-    columns = []
-    for index, step in enumerate(_LAUNCH_STEPS):
-        above = predict(factors, _launches(flights, index, step))
-        below = predict(factors, _launches(flights, index, -step))
-        columns.append([(a - b) / (2 * step) for a, b in zip(above, below, strict=True)])
-    return [np.column_stack(three) for three in zip(*columns, strict=True)]
-
-
-def _whiteners(
-    flights: Sequence[MeasuredFlight], factors: Array, predict: _Predict, scatter: FlightUncertainty
-) -> list[Array]:
-    """Return for each flight the matrix that makes its residuals independent with a deviation of 1."""
-    found = []
-    for flight, slope in zip(flights, _by_launch(flights, factors, predict), strict=True):
-        of_launch = slope * scatter.of_launch()
-        covariance = of_launch @ of_launch.T + np.diag(scatter.of_observations(flight) ** 2)
-        found.append(np.linalg.inv(np.linalg.cholesky(covariance)))
-    return found
-
-
-def _by_factor(
-    flights: Sequence[MeasuredFlight], factors: Array, predict: _Predict, whiteners: Sequence[Array]
-) -> Array:
-    """Return the derivatives of the whitened residuals with respect to the two factors."""
-    columns = []
-    for index in range(2):
-        step = np.zeros(2)
-        step[index] = _DIFFERENCE * factors[index]
-        above = _residuals(flights, predict(factors + step, _launches(flights)), whiteners)
-        below = _residuals(flights, predict(factors - step, _launches(flights)), whiteners)
-        columns.append((above - below) / (2 * step[index]))
-    return np.column_stack(columns)
-
-
-def _by_common(
-    flights: Sequence[MeasuredFlight],
-    factors: Array,
-    predict: _Predict,
-    whiteners: Sequence[Array],
-    calibration: FlightUncertainty,
-) -> Array:
-    """Return the whitened residuals' change for one standard uncertainty of each common error."""
-    slopes = _by_launch(flights, factors, predict)
-    of_launch = np.concatenate(
-        [w @ slope * calibration.of_launch() for w, slope in zip(whiteners, slopes, strict=True)]
-    )
-    columns = [of_launch]
-    for name in (*_FIGURES, "distance", "height"):
-        parts = [w @ _share_of(f, name, calibration) for f, w in zip(flights, whiteners, strict=True)]
-        columns.append(np.concatenate(parts)[:, None])
-    return np.hstack(columns)
-
-
-def _share_of(flight: MeasuredFlight, name: str, calibration: FlightUncertainty) -> Array:
-    """Return the systematic error of one kind of observation; 0 if `flight` has no such observation."""
-    kinds = [figure for figure in _FIGURES if getattr(flight, figure) is not None]
-    if flight.points is not None:
-        kinds += ["distance"] * len(flight.points) + ["height"] * len(flight.points)
-    error = getattr(calibration, name, calibration.point)
-    return np.array([error if kind == name else 0.0 for kind in kinds])
