@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.base.errors import BenchError, Refused
 from bench.calibration.calibration import SeenInputs
-from bench.commissioning.machine.driver_machine import DriverMachine, Stalled
+from bench.commissioning.machine.driver_machine import SimulatedMachine, Stalled
 from bench.commissioning.machine.inputs import OperatorIO
 from bench.commissioning.machine.machine import CommissionedMachine, MotionBounds, MotionTrace, Segment
 from bench.commissioning.machine.machine_process import LiveRobot
@@ -198,10 +198,6 @@ class _CountedMachine:
         self._machine, self._title, self._progress = machine, title, progress
         self._motions = 0
 
-    @property
-    def time(self) -> float:
-        return self._machine.time
-
     def set_supply(self, pressure: float) -> None:
         self._machine.set_supply(pressure)
 
@@ -214,14 +210,11 @@ class _CountedMachine:
         self._progress(f"{self._title}: venting after motion {self._motions}")
         return self._machine.vent(duration)
 
-    def make_passive(self) -> None:
-        self._machine.make_passive()
-
 
 def see_inputs(
     state: Commissioning,
     configuration: Configuration,
-    machine: DriverMachine | LiveRobot,
+    machine: SimulatedMachine | LiveRobot,
     hands: OperatorIO,
     *,
     in_force: str | None,
@@ -256,7 +249,7 @@ def see_inputs(
 def commission(
     state: Commissioning,
     nominal: PlantParameters,
-    machine: CommissionedMachine,
+    machine: SimulatedMachine | LiveRobot,
     *,
     observe: Callable[[], tuple[str, ...]] = tuple,
     on_step: Callable[[NamedStep], None] = lambda step: None,

@@ -183,11 +183,7 @@ def at_rows(table: NDArray[Any], rows: Array) -> Array:
 
 
 class CommissionedMachine(Protocol):
-    """Robot under commissioning, as its sensors and valves show it."""
-
-    @property
-    def time(self) -> float:
-        """Time since the machine was made ready, s."""
+    """Robot under commissioning, as the measuring steps see it."""
 
     def set_supply(self, pressure: float) -> None:
         """Set the pressure regulator to `pressure` (Pa absolute); infinite: as in service."""
@@ -207,9 +203,6 @@ class CommissionedMachine(Protocol):
         Raises:
             MachineFault: the chambers are not empty then.
         """
-
-    def make_passive(self) -> None:
-        """Centre the spools, shut the supply, open the vents; never raises."""
 
 
 def bound_passed(bounds: MotionBounds, speed: Array, way: Array, pressure: Array) -> PassedBound | None:

@@ -12,7 +12,7 @@ from math import inf, isfinite, isnan
 
 from bench.base.errors import Refused
 from bench.calibration.calibration import SeenInputs, wiring_digest
-from bench.commissioning.machine.driver_machine import DriverMachine
+from bench.commissioning.machine.driver_machine import SimulatedMachine
 from bench.commissioning.machine.inputs import ACTS, InputFinding, OperatorIO, Stage, fitted, judged, stages
 from bench.commissioning.machine.machine import DRIFT
 from bench.commissioning.machine.machine_process import LiveRobot
@@ -46,7 +46,7 @@ INPUT_CHECK = NamedStep(
 
 
 def check_inputs(
-    machine: DriverMachine | LiveRobot,
+    machine: SimulatedMachine | LiveRobot,
     hands: OperatorIO,
     configuration: Configuration,
     progress: Callable[[str], None] = lambda what: None,
@@ -94,7 +94,7 @@ def raise_findings(findings: list[InputFinding]) -> None:
 
 
 def _watched(
-    machine: DriverMachine | LiveRobot,
+    machine: SimulatedMachine | LiveRobot,
     hands: OperatorIO,
     c: Configuration,
     done: tuple[Stage, ...],
@@ -138,7 +138,7 @@ def _allowed(pressure: float) -> float:
 
 
 def _beside_the_gauge(
-    machine: DriverMachine | LiveRobot, hands: OperatorIO, gauge: Callable[[], float], c: Configuration
+    machine: SimulatedMachine | LiveRobot, hands: OperatorIO, gauge: Callable[[], float], c: Configuration
 ) -> tuple[float, list[InputFinding]]:
     """Return the largest deviation of the supply's sensor from the gauge (Pa), and findings."""
     a, b, d = (actuator.valve.centre for actuator in c.plant.actuators)
